@@ -37,34 +37,17 @@ _KEYWORDS = frozenset(
 
 @dataclass(frozen=True)
 class CSource:
-    """Text of the exported C.
+    """Text of the exported C."""
 
-    Attributes
-    ----------
-    name : str
-        Prefix of every public function.
-    real : {"double", "float"}
-    with_step : bool
-        Whether features, step and linearisation could be written.
-    dimension : int
-        D.
-    place_time : bool
-        Whether the step takes time and track position.
-    memory : Memory or None
-        States of the step beyond the first eight.
-    table_bytes : int
-        Size of the constant tables on the target.
-    """
-
-    name: str
-    real: str
+    name: str  # prefix of every public function
+    real: str  # {"double", "float"}
     header: str
     source: str
-    with_step: bool
-    dimension: int
-    place_time: bool
-    memory: Memory | None
-    table_bytes: int
+    with_step: bool  # whether features, step and linearisation could be written
+    dimension: int  # D
+    place_time: bool  # whether the step takes time and track position
+    memory: Memory | None  # states of the step beyond the first eight
+    table_bytes: int  # size of the constant tables on the target
 
 
 def c_identifier(text: str) -> str:

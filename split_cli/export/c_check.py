@@ -32,22 +32,15 @@ SELFTEST_QUERIES = 64
 
 @dataclass(frozen=True)
 class CCheck:
-    """What compiling and running the exported C found.
-
-    Attributes
-    ----------
-    step_error : float or None
-        Largest error of step, Runge-Kutta step and linearisation, relative; None when there is no step.
-    seconds_predict, seconds_jacobian : float
-        Processor time of one query [s], for mean and variance, and for all three.
-    code_bytes, constant_bytes : int or None
-        As compiled here.
-    """
+    """What compiling and running the exported C found."""
 
     predictions: PredictionCheck
+    # Largest error of step, Runge-Kutta step and linearisation, relative; None when there is no step.
     step_error: float | None
+    # seconds_predict, seconds_jacobian: processor time of one query [s], for mean and variance, and for all three.
     seconds_predict: float
     seconds_jacobian: float
+    # code_bytes, constant_bytes: as compiled here.
     code_bytes: int | None
     constant_bytes: int | None
     compiler: str

@@ -34,25 +34,15 @@ __all__ = [
 
 @dataclass(frozen=True)
 class CasadiFunctions:
-    """What the CasADi target consists of.
+    """What the CasADi target consists of."""
 
-    Attributes
-    ----------
-    predict : casadi.Function
-        z (D) to mean (3), variance (3).
-    step : casadi.Function or None
-        (x (n), u (2), h) to x_next (n), with p = [t, s] as fourth argument where a term needs them; n is 8
-        without memory.
-    memory : tuple of casadi.Function
-        Of a model with memory: its start, its right-hand side and, where commands are late, what arrives.
-    valid : casadi.Function or None
-        z to 1 where the valid region of training holds it, else 0.
-    """
-
-    predict: casadi.Function
+    predict: casadi.Function  # z (D) to mean (3), variance (3)
+    # (x (n), u (2), h) to x_next (n), with p = [t, s] as fourth argument where a term needs them; n is 8 without
+    # memory.
     step: casadi.Function | None
+    # Of a model with memory: its start, its right-hand side and, where commands are late, what arrives.
     memory: tuple[casadi.Function, ...] = ()
-    valid: casadi.Function | None = None
+    valid: casadi.Function | None = None  # z to 1 where the valid region of training holds it, else 0
 
 
 def predictor_function(constants: Constants, name: str) -> casadi.Function:

@@ -36,61 +36,36 @@ JACOBIAN_QUERIES = 200
 
 @dataclass(frozen=True)
 class ExportAnswer:
-    """An exported predictor under test.
+    """An exported predictor under test."""
 
-    Attributes
-    ----------
-    predict : callable
-        z, shape (N, D), to mean and variance, shape (N, 3) each.
-    jacobian : callable, optional
-        z to the mean's Jacobian, shape (N, 3, D); None for formats that only carry numbers.
-    """
-
+    # z, shape (N, D), to mean and variance, shape (N, 3) each.
     predict: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    # z to the mean's Jacobian, shape (N, 3, D); None for formats that only carry numbers.
     jacobian: Callable[[np.ndarray], np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
 class PredictionCheck:
-    """What the comparison found.
-
-    Attributes
-    ----------
-    mean_error : float
-        Largest, in signal deviations.
-    variance_error : float
-        Largest, in signal variances.
-    jacobian_error : float or None
-        Largest against finite differences, in sd/(l sqrt(rho)).
-    """
+    """What the comparison found."""
 
     queries: int
     tolerance: float
-    mean_error: float
-    variance_error: float
-    jacobian_error: float | None
+    mean_error: float  # largest, in signal deviations
+    variance_error: float  # largest, in signal variances
+    jacobian_error: float | None  # largest against finite differences, in sd/(l sqrt(rho))
 
 
 @dataclass(frozen=True)
 class Oracle:
-    """Queries and what Python answers.
+    """Queries and what Python answers."""
 
-    Attributes
-    ----------
-    z : ndarray, shape (N, D)
-    mean, variance : ndarray, shape (N, 3)
-    slope_z : ndarray, shape (M, D)
-        Queries at which Jacobians are compared.
-    slopes : ndarray, shape (M, 3, D)
-    predictor_error : float
-        Largest difference of the predictor from the reference, in signal deviations and variances.
-    """
-
-    z: np.ndarray
+    z: np.ndarray  # (N, D)
+    # mean, variance: (N, 3)
     mean: np.ndarray
     variance: np.ndarray
-    slope_z: np.ndarray
-    slopes: np.ndarray
+    slope_z: np.ndarray  # (M, D): queries at which Jacobians are compared
+    slopes: np.ndarray  # (M, 3, D)
+    # Largest difference of the predictor from the reference, in signal deviations and variances.
     predictor_error: float
     reference: Reference
 

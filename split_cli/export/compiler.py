@@ -23,18 +23,10 @@ _TIMEOUT = 600.0
 
 @dataclass(frozen=True)
 class Compiler:
-    """A C compiler that exists here.
+    """A C compiler that exists here."""
 
-    Attributes
-    ----------
-    command : tuple of str
-        Program and the arguments ``$CC`` gives.
-    version : str
-        First line of what ``--version`` prints.
-    """
-
-    command: tuple[str, ...]
-    version: str
+    command: tuple[str, ...]  # program and the arguments ``$CC`` gives
+    version: str  # first line of what ``--version`` prints
 
     def build(self, sources: Sequence[Path], output: Path, flags: Sequence[str]) -> None:
         """Compile and link `sources` into `output`.
@@ -78,15 +70,10 @@ def section_bytes(target: Path) -> tuple[int, int] | None:
 
 @dataclass(frozen=True)
 class Driver:
-    """A compiled program that answers queries; a crash of the C under test cannot take this process with it.
-
-    Attributes
-    ----------
-    real : {"double", "float"}
-    """
+    """A compiled program that answers queries; a crash of the C under test cannot take this process with it."""
 
     program: Path
-    real: str
+    real: str  # {"double", "float"}
 
     @property
     def dtype(self) -> type:

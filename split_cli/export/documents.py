@@ -60,18 +60,11 @@ _AT_ONCE = 1024  # queries
 
 @dataclass(frozen=True)
 class Document:
-    """A trained set as plain numbers.
+    """A trained set as plain numbers."""
 
-    Attributes
-    ----------
-    arrays : dict of str to ndarray
-        `ARRAYS`: cells and points as in `TrainingSet`, the kernel's hyperparameters, trust and doubt an output.
-    metadata : dict
-        Format, provenance, conventions, grid, region.
-    """
-
+    # `ARRAYS`: cells and points as in `TrainingSet`, the kernel's hyperparameters, trust and doubt an output.
     arrays: dict[str, np.ndarray]
-    metadata: dict[str, Any]
+    metadata: dict[str, Any]  # format, provenance, conventions, grid, region
 
 
 def schema_text() -> str:

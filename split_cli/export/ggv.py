@@ -19,21 +19,13 @@ _FASTEST, _STEP = 100.0, 1.0  # highest speed of the table, and between speeds [
 
 @dataclass(frozen=True)
 class SpeedLimits:
-    """Largest accelerations at each speed.
+    """Largest accelerations at each speed."""
 
-    Attributes
-    ----------
-    speed : ndarray, shape (N,)
-        v_x [m/s].
-    longitudinal, lateral : ndarray, shape (N,)
-        What the tyres allow, each alone [m/s^2].
-    machine : ndarray, shape (N,)
-        What `max_torque` allows on the level, drag and rolling resistance taken off [m/s^2].
-    """
-
-    speed: np.ndarray
+    speed: np.ndarray  # (N,): v_x [m/s]
+    # longitudinal, lateral: (N,): what the tyres allow, each alone [m/s^2].
     longitudinal: np.ndarray
     lateral: np.ndarray
+    # (N,): what `max_torque` allows on the level, drag and rolling resistance taken off [m/s^2].
     machine: np.ndarray
 
 

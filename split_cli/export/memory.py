@@ -23,31 +23,17 @@ _USUAL_SPEEDS = 8.0  # times the minimum: as fast as exports are compared with P
 
 @dataclass(frozen=True)
 class Memory:
-    """States that follow the first eight, in this order: those of the terms, past torques, past steer angles.
+    """States that follow the first eight, in this order: those of the terms, past torques, past steer angles."""
 
-    Attributes
-    ----------
-    names, units : tuple of str
-        States of the terms, ``id.state``, and their units.
-    plays : tuple of int
-        Which of them are a play.
-    delays : tuple of float
-        Of torque and steer angle [s].
-    lengths : tuple of int
-        Past commands kept of each: T(t - step) ... T(t - length step).
-    step : float
-        Spacing of past commands [s], and the only interval of the discrete step where there are any.
-    rates : tuple of float
-        (c, k): no state of a term reacts faster than c + k v_x [1/s].
-    """
-
+    # names, units: states of the terms, ``id.state``, and their units.
     names: tuple[str, ...]
     units: tuple[str, ...]
-    plays: tuple[int, ...]
-    delays: tuple[float, float]
+    plays: tuple[int, ...]  # which of them are a play
+    delays: tuple[float, float]  # of torque and steer angle [s]
+    # Past commands kept of each: T(t - step) ... T(t - length step).
     lengths: tuple[int, int]
-    step: float
-    rates: tuple[float, float]
+    step: float  # spacing of past commands [s], and the only interval of the discrete step where there are any
+    rates: tuple[float, float]  # (c, k): no state of a term reacts faster than c + k v_x [1/s]
 
     @property
     def states(self) -> int:

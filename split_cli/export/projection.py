@@ -20,31 +20,6 @@ PROJECTION_ARRAYS = ("reference", "points", "weights", "whitening", "spread", "a
 class ProjectionData:
     """Constants of the projected process on U points; a query takes the same time everywhere.
 
-    Attributes
-    ----------
-    real : {"double", "float"}
-        Precision the numbers are rounded to (they are stored as float64 all the same).
-    length_scales : ndarray, shape (D,)
-    signal_variance : ndarray, shape (3,)
-        S0.
-    trust : ndarray, shape (3,)
-        tau, the share of the correction that is applied.
-    doubt : ndarray, shape (3,)
-        w, the variance of what is not trusted.
-    reference : ndarray, shape (D,)
-        The middle of the points, in feature units; exactly representable in `real`.
-    points : ndarray, shape (U, D)
-        Relative to the reference, divided by the length scales.
-    weights : ndarray, shape (U, 3)
-    whitening : ndarray, shape (U (U + 1)/2,)
-        Lower triangle of L, row by row, L L^T the inverse of the points' correlations.
-    spread : ndarray, shape (3, U (U + 1)/2)
-        Lower triangle of S, what data have left open along the points, with twice its entries off the diagonal.
-    absent : ndarray, shape (3,)
-        Share of what points do not span that no label shows.
-    gain_limit : ndarray, shape (1,)
-        Gain from which a label's place became a point.
-
     Notes
     -----
     With c the correlations of a query with the points, t = L^T c and gain = 1 - t.t: mean = c.w, and the variance
@@ -53,18 +28,21 @@ class ProjectionData:
     c.Q c takes a difference of large numbers.
     """
 
-    real: str
-    length_scales: np.ndarray
-    signal_variance: np.ndarray
-    trust: np.ndarray
-    doubt: np.ndarray
-    reference: np.ndarray
-    points: np.ndarray
-    weights: np.ndarray
+    real: str  # {"double", "float"} Precision the numbers are rounded to (they are stored as float64 all the same)
+    length_scales: np.ndarray  # (D,)
+    signal_variance: np.ndarray  # (3,): S0
+    trust: np.ndarray  # (3,): tau, the share of the correction that is applied
+    doubt: np.ndarray  # (3,): w, the variance of what is not trusted
+    reference: np.ndarray  # (D,): the middle of the points, in feature units; exactly representable in `real`
+    points: np.ndarray  # (U, D): relative to the reference, divided by the length scales
+    weights: np.ndarray  # (U, 3)
+    # (U (U + 1)/2,): lower triangle of L, row by row, L L^T the inverse of the points' correlations.
     whitening: np.ndarray
+    # (3, U (U + 1)/2): lower triangle of S, what data have left open along the points, with twice its entries off
+    # the diagonal.
     spread: np.ndarray
-    absent: np.ndarray
-    gain_limit: np.ndarray
+    absent: np.ndarray  # (3,): share of what points do not span that no label shows
+    gain_limit: np.ndarray  # (1,): gain from which a label's place became a point
 
     @property
     def feature_count(self) -> int:

@@ -32,33 +32,18 @@ CONVENTIONS = {
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where an export comes from.
+    """Where an export comes from."""
 
-    Attributes
-    ----------
-    set_name, set_sha256 : str
-        File name, without folder, and SHA-256 of the trained set.
-    vehicle : mapping
-        As a vehicle file holds it.
-    vehicle_digest : str
-        SHA-256 of the vehicle's values.
-    horizon : float
-        Label interval h [s].
-    version : str
-        Of split.
-    memory : mapping or None
-        States of the step beyond the first eight, as `Memory.told` has it.
-    """
-
+    # set_name, set_sha256: file name, without folder, and SHA-256 of the trained set.
     set_name: str
     set_sha256: str
-    vehicle: dict[str, Any]
-    vehicle_digest: str
+    vehicle: dict[str, Any]  # as a vehicle file holds it
+    vehicle_digest: str  # SHA-256 of the vehicle's values
     features: tuple[str, ...]
-    horizon: float
+    horizon: float  # label interval h [s]
     predictor: str
-    version: str = __version__
-    memory: dict[str, Any] | None = None
+    version: str = __version__  # of split
+    memory: dict[str, Any] | None = None  # states of the step beyond the first eight, as `Memory.told` has it
 
     @property
     def conventions(self) -> dict[str, str]:

@@ -27,14 +27,10 @@ class Reference:
         Signal deviations.
     hessian_step : ndarray, shape (D,)
         Step of differences of the Jacobian: small against the distance on which the committee changes.
-    rounding : float
-        What the predictor may differ by, in signal deviations and variances.
-    accuracy : float
-        What an export in double may differ by, likewise.
     """
 
-    rounding: float = 1e-12
-    accuracy: float = 1e-12
+    rounding: float = 1e-12  # what the predictor may differ by, in signal deviations and variances
+    accuracy: float = 1e-12  # what an export in double may differ by, likewise
 
     def __init__(self, training_set: TrainingSet) -> None:
         kernel = training_set.kernel

@@ -39,35 +39,16 @@ _STATES = 120
 
 @dataclass(frozen=True)
 class StepOracle:
-    """States a car can be in, and where Python says they lead.
+    """States a car can be in, and where Python says they lead."""
 
-    Attributes
-    ----------
-    asked : ndarray, shape (N, n + 5)
-        x (n), u (2), h, t, s; n is 8 without memory.
-    exact : ndarray, shape (N, n)
-        Linearised exact step, A from the traced model, SciPy's matrix exponential.
-    runge_kutta : ndarray, shape (N, n)
-        The model integrated in NumPy, without any tracing.
-    linear : ndarray, shape (N, n, n + 2)
-        Derivative by (x, u) with A and Phi held.
-    features : ndarray, shape (N, D)
-    drives : Drives or None
-        Of a model with memory.
-    arrived : ndarray, shape (N, 2)
-        What arrives of the commands of `asked`.
-    rates : ndarray, shape (N, 8 + S)
-        Right-hand side there.
-    """
-
-    asked: np.ndarray
-    exact: np.ndarray
-    runge_kutta: np.ndarray
-    linear: np.ndarray
-    features: np.ndarray
-    drives: Drives | None
-    arrived: np.ndarray
-    rates: np.ndarray
+    asked: np.ndarray  # (N, n + 5): x (n), u (2), h, t, s; n is 8 without memory
+    exact: np.ndarray  # (N, n): linearised exact step, A from the traced model, SciPy's matrix exponential
+    runge_kutta: np.ndarray  # (N, n): the model integrated in NumPy, without any tracing
+    linear: np.ndarray  # (N, n, n + 2): derivative by (x, u) with A and Phi held
+    features: np.ndarray  # (N, D)
+    drives: Drives | None  # of a model with memory
+    arrived: np.ndarray  # (N, 2): what arrives of the commands of `asked`
+    rates: np.ndarray  # (N, 8 + S): right-hand side there
 
     @property
     def size(self) -> int:

@@ -31,24 +31,14 @@ _RK4_SUBSTEPS = 4
 
 @dataclass(frozen=True)
 class Drives:
-    """Drives of the model by itself, from steady.
+    """Drives of the model by itself, from steady."""
 
-    Attributes
-    ----------
-    u : ndarray, shape (K, R, 2)
-    place_time : ndarray, shape (K, R, 2)
-        t and s at each step's start.
-    exact, runge_kutta : ndarray, shape (K + 1, R, n)
-        Whole states by either discretisation.
-    step : float
-        [s].
-    """
-
-    u: np.ndarray
-    place_time: np.ndarray
+    u: np.ndarray  # (K, R, 2)
+    place_time: np.ndarray  # (K, R, 2): t and s at each step's start
+    # exact, runge_kutta: (K + 1, R, n): whole states by either discretisation.
     exact: np.ndarray
     runge_kutta: np.ndarray
-    step: float
+    step: float  # [s]
 
 
 def rk4_substeps(memory: Memory | None) -> int:
@@ -60,8 +50,7 @@ def rk4_substeps(memory: Memory | None) -> int:
 
 
 class SteppedModel:
-    """The model with its memory in NumPy; the linear model's Jacobian is the traced one, checked by differences.
-    """
+    """The model with its memory in NumPy; the linear Jacobian is the traced one, checked by differences."""
 
     def __init__(self, graph: NominalGraph, training_set: TrainingSet, reference: Reference) -> None:
         self.graph, self.training_set, self.reference = graph, training_set, reference

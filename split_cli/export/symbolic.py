@@ -57,43 +57,24 @@ class NominalGraph:
 
     With S states of terms, the acting variables a are (yaw, v_x, v_y, r, T, delta, states), T and delta as they
     arrive where there are delays.
-
-    Attributes
-    ----------
-    rates : casadi.Function
-        (a; t, s) to (v_x', v_y', r', states') and their Jacobian, shape (3 + S, 6 + S), exact.
-    features : casadi.Function or None
-        Without memory (x, u), with memory (w, u), w = (X, Y, a, T, delta) with the commands of this moment last,
-        to z, shape (D,), and its Jacobian; None when a feature is a measured channel that no state or input
-        determines.
-    foreign_features : tuple of str
-        Those channels.
-    needs_place_and_time : bool
-        Whether a term reads the time t or the track position s.
-    memory : Memory or None
-        States beyond the first eight.
-    start : casadi.Function or None
-        (first six of a; t, s) to the steady states of the terms, shape (S,); None without states.
-    jumps : casadi.Function or None
-        (a; t, s) to where the plays are dragged, and the Jacobian, shape (P, 6 + S); None without plays.
-    units : tuple of float
-        Size of each of the terms' states that balances the Jacobian, for bounds on series.
-    stiffness : float
-        Norm of the balanced Jacobian, the largest of many states [1/s]; 0 without memory.
-    low_speed : float
-        v_x below which the model is evaluated at `guarded_speed` [m/s].
     """
 
+    # (a; t, s) to (v_x', v_y', r', states') and their Jacobian, shape (3 + S, 6 + S), exact.
     rates: casadi.Function
+    # Without memory (x, u), with memory (w, u), w = (X, Y, a, T, delta) with the commands of this moment last, to
+    # z, shape (D,), and its Jacobian; None when a feature is a measured channel that no state or input determines.
     features: casadi.Function | None
-    foreign_features: tuple[str, ...]
-    needs_place_and_time: bool
-    memory: Memory | None = None
+    foreign_features: tuple[str, ...]  # those channels
+    needs_place_and_time: bool  # whether a term reads the time t or the track position s
+    memory: Memory | None = None  # states beyond the first eight
+    # (first six of a; t, s) to the steady states of the terms, shape (S,); None without states.
     start: casadi.Function | None = None
+    # (a; t, s) to where the plays are dragged, and the Jacobian, shape (P, 6 + S); None without plays.
     jumps: casadi.Function | None = None
+    # Size of each of the terms' states that balances the Jacobian, for bounds on series.
     units: tuple[float, ...] = ()
-    stiffness: float = 0.0
-    low_speed: float = 0.0
+    stiffness: float = 0.0  # norm of the balanced Jacobian, the largest of many states [1/s]; 0 without memory
+    low_speed: float = 0.0  # v_x below which the model is evaluated at `guarded_speed` [m/s]
 
 
 @dataclass(frozen=True)

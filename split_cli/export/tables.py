@@ -24,37 +24,6 @@ SKIP_TOLERANCE = {"double": 1e-13, "float": 1e-6}
 class BcmTables:
     """Constants of the Bayesian committee machine, cells in ascending number, points in slot order.
 
-    Attributes
-    ----------
-    real : {"double", "float"}
-        Precision the tables are rounded to (they are stored as float64 all the same).
-    length_scales : ndarray, shape (D,)
-    signal_variance : ndarray, shape (3,)
-        S0.
-    noise_ratio : ndarray, shape (3,)
-        rho = s^2/S0.
-    trust : ndarray, shape (3,)
-        tau, the share of the correction that is applied.
-    doubt : ndarray, shape (3,)
-        w, the variance of what is not trusted; `learning.trust.Trust` says what is answered.
-    offsets : ndarray of int64, shape (C + 1,)
-        Points of cell c are rows ``offsets[c]:offsets[c + 1]``.
-    reference : ndarray, shape (C, D)
-        A place in the cell, in feature units; exactly representable in `real`.
-    points : ndarray, shape (P, D)
-        Points relative to their cell's reference, divided by the length scales.
-    eigenvectors : ndarray, shape (sum of n^2,)
-        V of each cell's correlation matrix, row-major, column j an eigenvector.
-    gains : ndarray, shape (P, 3)
-        1/(lambda_j + rho), row j the eigenvector j of the point's cell.
-    weights : ndarray, shape (P, 3)
-        (V^T y)_j/(lambda_j + rho).
-    reach : ndarray, shape (C,)
-        Squared scaled distance from the reference beyond which a cell is skipped.
-    robust : bool
-        Whether an expert counts by b = log(1/(1 - x))/2 (`rbcm`). The bound of `reach` holds all the more, since
-        b is below 1 where x is below a half.
-
     Notes
     -----
     With c(z) the correlations between query and points of a cell, t = V^T c, x = sum t_j^2 gain_j and
@@ -70,20 +39,23 @@ class BcmTables:
     |mean| <= sqrt(S0) H. `reach` makes the sum over all cells stay below `skip_tolerance`.
     """
 
-    real: str
-    length_scales: np.ndarray
-    signal_variance: np.ndarray
-    noise_ratio: np.ndarray
-    trust: np.ndarray
-    doubt: np.ndarray
-    offsets: np.ndarray
-    reference: np.ndarray
-    points: np.ndarray
+    real: str  # {"double", "float"} Precision the tables are rounded to (they are stored as float64 all the same)
+    length_scales: np.ndarray  # (D,)
+    signal_variance: np.ndarray  # (3,): S0
+    noise_ratio: np.ndarray  # (3,): rho = s^2/S0
+    trust: np.ndarray  # (3,): tau, the share of the correction that is applied
+    doubt: np.ndarray  # (3,): w, the variance of what is not trusted; `learning.trust.Trust` says what is answered
+    offsets: np.ndarray  # int64 (C + 1,): points of cell c are rows ``offsets[c]:offsets[c + 1]``
+    reference: np.ndarray  # (C, D): a place in the cell, in feature units; exactly representable in `real`
+    points: np.ndarray  # (P, D): points relative to their cell's reference, divided by the length scales
+    # (sum of n^2,): V of each cell's correlation matrix, row-major, column j an eigenvector.
     eigenvectors: np.ndarray
-    gains: np.ndarray
-    weights: np.ndarray
-    reach: np.ndarray
+    gains: np.ndarray  # (P, 3): 1/(lambda_j + rho), row j the eigenvector j of the point's cell
+    weights: np.ndarray  # (P, 3): (V^T y)_j/(lambda_j + rho)
+    reach: np.ndarray  # (C,): squared scaled distance from the reference beyond which a cell is skipped
     skip_tolerance: float
+    # Whether an expert counts by b = log(1/(1 - x))/2 (`rbcm`). The bound of `reach` holds all the more, since b
+    # is below 1 where x is below a half.
     robust: bool = False
 
     @property
@@ -118,35 +90,20 @@ class BcmTables:
 
 @dataclass(frozen=True)
 class TableData:
-    """Constants of a tricubic B-spline of mean and deviation; see `prediction.table`.
+    """Constants of a tricubic B-spline of mean and deviation; see `prediction.table`."""
 
-    Attributes
-    ----------
-    real : {"double", "float"}
-        Precision the numbers are rounded to (they are stored as float64 all the same).
-    origin, spacing : ndarray, shape (3,)
-        Place of the first coefficient and distance of the nodes, in feature units.
-    coefficients : ndarray, shape (n0, n1, n2, 6)
-        Of the mean and of 1 - deviation/prior deviation; three layers of zeros on every side.
-    signal_variance, least : ndarray, shape (3,)
-        S0, and the smallest deviation as a share of the prior's.
-    trust : ndarray, shape (3,)
-        tau, the share of the correction that is applied.
-    doubt : ndarray, shape (3,)
-        w, the variance of what is not trusted.
-    error : mapping of str to float
-        Bound and measured errors of the spacing, as `prediction.table.TableError`.
-    """
-
-    real: str
+    real: str  # {"double", "float"} Precision the numbers are rounded to (they are stored as float64 all the same)
+    # origin, spacing: (3,): place of the first coefficient and distance of the nodes, in feature units.
     origin: np.ndarray
     spacing: np.ndarray
+    # (n0, n1, n2, 6): of the mean and of 1 - deviation/prior deviation; three layers of zeros on every side.
     coefficients: np.ndarray
+    # signal_variance, least: (3,): S0, and the smallest deviation as a share of the prior's.
     signal_variance: np.ndarray
     least: np.ndarray
-    trust: np.ndarray
-    doubt: np.ndarray
-    error: dict[str, float]
+    trust: np.ndarray  # (3,): tau, the share of the correction that is applied
+    doubt: np.ndarray  # (3,): w, the variance of what is not trusted
+    error: dict[str, float]  # bound and measured errors of the spacing, as `prediction.table.TableError`
 
     @property
     def feature_count(self) -> int:

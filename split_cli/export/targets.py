@@ -74,61 +74,30 @@ CHECK_POINTS = 64
 
 @dataclass(frozen=True)
 class ExportPlan:
-    """What is asked for.
+    """What is asked for."""
 
-    Attributes
-    ----------
-    targets : tuple of str
-        Of `TARGETS`.
-    name : str
-        Prefix of files and functions; turned into a C identifier.
-    real : {"double", "float"}
-        Numbers of the C target.
-    queries : int
-        Size of the comparison with Python.
-    step : float or None
-        Interval of the discrete step that delays are kept for [s]; None for the set's label interval.
-    predictor : str
-        Of `PREDICTORS`.
-    """
-
-    targets: tuple[str, ...]
-    name: str
-    real: str = "double"
-    queries: int = 10_000
+    targets: tuple[str, ...]  # of `TARGETS`
+    name: str  # prefix of files and functions; turned into a C identifier
+    real: str = "double"  # {"double", "float"} Numbers of the C target
+    queries: int = 10_000  # size of the comparison with Python
+    # Interval of the discrete step that delays are kept for [s]; None for the set's label interval.
     step: float | None = None
-    predictor: str = "bcm"
+    predictor: str = "bcm"  # of `PREDICTORS`
 
 
 @dataclass(frozen=True)
 class TargetResult:
-    """What one target came to.
-
-    Attributes
-    ----------
-    check : PredictionCheck or None
-        None when the C could not be compiled here.
-    step_error : float or None
-        Largest relative error of the model step.
-    seconds_per_query : float or None
-        Mean and variance of one query [s].
-    table_bytes : int
-        Constants, as the target stores them.
-    code_bytes : int or None
-        Compiled code, where there is some.
-    note : str
-        Compiler, or why something was not verified.
-    """
+    """What one target came to."""
 
     target: str
     files: tuple[str, ...]
-    check: PredictionCheck | None
-    step_error: float | None
-    seconds_per_query: float | None
+    check: PredictionCheck | None  # None when the C could not be compiled here
+    step_error: float | None  # largest relative error of the model step
+    seconds_per_query: float | None  # mean and variance of one query [s]
     seconds_with_jacobian: float | None
-    table_bytes: int
-    code_bytes: int | None
-    note: str
+    table_bytes: int  # constants, as the target stores them
+    code_bytes: int | None  # compiled code, where there is some
+    note: str  # compiler, or why something was not verified
 
 
 def plan_export(

@@ -9,16 +9,8 @@ __all__ = ["VerifiedItem"]
 
 @dataclass(frozen=True)
 class VerifiedItem:
-    """One thing that was checked.
+    """One thing that was checked."""
 
-    Attributes
-    ----------
-    check : str
-        What.
-    passed : bool or None
-        None when it could not be checked here.
-    """
-
-    check: str
-    passed: bool | None
+    check: str  # what
+    passed: bool | None  # None when it could not be checked here
     detail: str

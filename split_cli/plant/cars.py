@@ -18,111 +18,79 @@ GRAVITY = 9.80665
 
 @dataclass(frozen=True)
 class CarParameters:
-    """A four-wheeled car.
-
-    Attributes
-    ----------
-    mass : float
-        Total [kg].
-    yaw_inertia : float
-        About the vertical axis through the CG [kg m^2].
-    cg_to_front_axle, cg_to_rear_axle : float
-        l_f, l_r [m].
-    cg_height : float
-        Of the total mass above the road [m].
-    track_front, track_rear : float
-        Distance between the wheels of an axle [m].
-    roll_center_front, roll_center_rear : float
-        Heights [m]; lateral force reacts through them without rolling the body.
-    roll_stiffness_front_share : float
-        Part of the roll stiffness at the front axle [1]; decides which axle takes the load transfer.
-    load_transfer_frequency, load_transfer_damping : float
-        Natural frequency [rad/s] and damping ratio [1] with which the suspension passes load on.
-    wheel_radius : float
-        Effective rolling radius, taken as the loaded radius too [m].
-    wheel_inertia_front, wheel_inertia_rear : float
-        Of one wheel about its spin axis with the drive line's share [kg m^2].
-    drive_split_front, brake_split_front : float
-        Part of a driving or braking torque at the front axle [1].
-    differential_locking_front, differential_locking_rear : float
-        Viscous torque between the wheels of an axle per difference of their speeds [N m s/rad]; 0 is open.
-    drag_area, side_area : float
-        Coefficient times area of the air's force along and across the car [m^2].
-    downforce_area_front, downforce_area_rear : float
-        Coefficient times area of the load the air adds to an axle [m^2].
-    air_density : float
-        [kg/m^3].
-    ackermann_fraction : float
-        1 for wheels whose axes meet in a point, 0 for parallel wheels [1].
-    toe_front, toe_rear : float
-        Toe-in of each wheel [rad].
-    max_steer_angle : float
-        Of the road wheels [rad].
-    steer_delay, steer_gain, steer_backlash, steer_lag, steer_rate, steer_offset : float
-        Steering actuator in the order in which they act: delay [s], gain [1], total play [rad], first-order
-        time constant [s] with the greatest rate [rad/s], offset of the road wheels [rad].
-    drive_delay, drive_gain, brake_gain, drive_lag, torque_rate : float
-        Torque path in the order in which they act: delay [s], gains for positive and negative commands [1],
-        first-order time constant [s] with the greatest rate [N m/s].
-    pitch_transfer : float
-        Part of the load transfer between the axles that takes place; 0 for a simulation that leaves it out [1].
-    command_ramp : float
-        0 for commands held over a control period, 1 for set points led there in a straight line, one period late
-        [1]; the line is what counts as the command then.
-    max_torque, max_brake_torque : float
-        At all wheels together [N m], both positive.
-    max_power : float
-        At the wheels [W].
-    front_tire, rear_tire : TireParameters
-        Of one wheel.
-    """
+    """A four-wheeled car."""
 
     name: str
-    mass: float
-    yaw_inertia: float
+    mass: float  # total [kg]
+    yaw_inertia: float  # about the vertical axis through the CG [kg m^2]
+    # cg_to_front_axle, cg_to_rear_axle: l_f, l_r [m].
     cg_to_front_axle: float
     cg_to_rear_axle: float
-    cg_height: float
+    cg_height: float  # of the total mass above the road [m]
+    # track_front, track_rear: distance between the wheels of an axle [m].
     track_front: float
     track_rear: float
+    # roll_center_front, roll_center_rear: heights [m]; lateral force reacts through them without rolling the body.
     roll_center_front: float
     roll_center_rear: float
+    # Part of the roll stiffness at the front axle [1]; decides which axle takes the load transfer.
     roll_stiffness_front_share: float
+    # load_transfer_frequency, load_transfer_damping: natural frequency [rad/s] and damping ratio [1] with which
+    # the suspension passes load on.
     load_transfer_frequency: float
     load_transfer_damping: float
-    wheel_radius: float
+    wheel_radius: float  # effective rolling radius, taken as the loaded radius too [m]
+    # wheel_inertia_front, wheel_inertia_rear: of one wheel about its spin axis with the drive line's share [kg
+    # m^2].
     wheel_inertia_front: float
     wheel_inertia_rear: float
+    # drive_split_front, brake_split_front: part of a driving or braking torque at the front axle [1].
     drive_split_front: float
     brake_split_front: float
+    # drag_area, side_area: coefficient times area of the air's force along and across the car [m^2].
     drag_area: float
-    max_steer_angle: float
+    max_steer_angle: float  # of the road wheels [rad]
     steer_lag: float
     steer_rate: float
     drive_lag: float
     torque_rate: float
+    # max_torque, max_brake_torque: at all wheels together [N m], both positive.
     max_torque: float
     max_brake_torque: float
-    max_power: float
+    max_power: float  # at the wheels [W]
+    # front_tire, rear_tire: of one wheel.
     front_tire: TireParameters
     rear_tire: TireParameters
     side_area: float = 0.0
+    # downforce_area_front, downforce_area_rear: coefficient times area of the load the air adds to an axle [m^2].
     downforce_area_front: float = 0.0
     downforce_area_rear: float = 0.0
-    air_density: float = 1.2
-    ackermann_fraction: float = 0.0
+    air_density: float = 1.2  # [kg/m^3]
+    ackermann_fraction: float = 0.0  # 1 for wheels whose axes meet in a point, 0 for parallel wheels [1]
+    # toe_front, toe_rear: toe-in of each wheel [rad].
     toe_front: float = 0.0
     toe_rear: float = 0.0
+    # differential_locking_front, differential_locking_rear: viscous torque between the wheels of an axle per
+    # difference of their speeds [N m s/rad]; 0 is open.
     differential_locking_front: float = 0.0
     differential_locking_rear: float = 0.0
+    # steer_delay, steer_gain, steer_backlash, steer_lag, steer_rate, steer_offset: steering actuator in the order
+    # in which they act: delay [s], gain [1], total play [rad], first-order time constant [s] with the greatest
+    # rate [rad/s], offset of the road wheels [rad].
     steer_delay: float = 0.0
     steer_gain: float = 1.0
     steer_backlash: float = 0.0
     steer_offset: float = 0.0
+    # drive_delay, drive_gain, brake_gain, drive_lag, torque_rate: torque path in the order in which they act:
+    # delay [s], gains for positive and negative commands [1], first-order time constant [s] with the greatest rate
+    # [N m/s].
     drive_delay: float = 0.0
     drive_gain: float = 1.0
     brake_gain: float = 1.0
+    # Part of the load transfer between the axles that takes place; 0 for a simulation that leaves it out [1].
     pitch_transfer: float = 1.0
+    # 0 for commands held over a control period, 1 for set points led there in a straight line, one period late
+    # [1]; the line is what counts as the command then.
     command_ramp: float = 0.0
 
     @property

@@ -39,39 +39,22 @@ _PlanTables = namedtuple("_PlanTables", "spacing line_offset speed_scale steer_n
 
 @dataclass(frozen=True)
 class DriverStyle:
-    """How somebody drives. Times are for a full-size car and shrink with the square root of the wheelbase.
-
-    Attributes
-    ----------
-    preview_time : float
-        Within which the driver means to be back on the line [s].
-    overlap : float
-        Exponent p of (a_x/a_x,max)^p + (a_y/a_y,max)^p <= 1: 1 brakes before and accelerates after the corner,
-        2 brakes into it and accelerates out of it along the friction ellipse [1].
-    braking, driving : float
-        Share of the car's braking and driving ability that is used, before aggressiveness [1].
-    line_wander : float
-        Standard deviation of the distance from the centreline, as a share of the track's half width [1].
-    pace_wander : float
-        Standard deviation of the pace along the lap [1].
-    steer_noise : float
-        Standard deviation of the hand's unrest at the road wheels [rad].
-    torque_noise : float
-        Standard deviation of the foot's unrest as a share of the torque [1].
-    pedal_time : float
-        Time from no to full torque [s].
-    """
+    """How somebody drives. Times are for a full-size car and shrink with the square root of the wheelbase."""
 
     name: str
-    preview_time: float = 1.1
+    preview_time: float = 1.1  # within which the driver means to be back on the line [s]
+    # Exponent p of (a_x/a_x,max)^p + (a_y/a_y,max)^p <= 1: 1 brakes before and accelerates after the corner, 2
+    # brakes into it and accelerates out of it along the friction ellipse [1].
     overlap: float = 1.6
+    # braking, driving: share of the car's braking and driving ability that is used, before aggressiveness [1].
     braking: float = 0.9
     driving: float = 0.9
+    # Standard deviation of the distance from the centreline, as a share of the track's half width [1].
     line_wander: float = 0.15
-    pace_wander: float = 0.015
-    steer_noise: float = 0.0015
-    torque_noise: float = 0.05
-    pedal_time: float = 0.30
+    pace_wander: float = 0.015  # standard deviation of the pace along the lap [1]
+    steer_noise: float = 0.0015  # standard deviation of the hand's unrest at the road wheels [rad]
+    torque_noise: float = 0.05  # standard deviation of the foot's unrest as a share of the torque [1]
+    pedal_time: float = 0.30  # time from no to full torque [s]
 
 
 DRIVER_STYLES = {
@@ -108,29 +91,18 @@ def find_driver(name: str) -> DriverStyle:
 
 @dataclass(frozen=True)
 class Grip:
-    """What the car can do, as a driver would learn it on a dry level road.
+    """What the car can do, as a driver would learn it on a dry level road."""
 
-    Attributes
-    ----------
-    lateral, braking, driving : float
-        Greatest specific forces [m/s^2].
-    downforce : float
-        Relative gain of all three with speed squared [1/(m/s)^2].
-    slip_angle : float
-        Slip angle at which a tyre's lateral force is greatest at its static load, at most 0.25 [rad].
-    slip_difference : ndarray, shape (K,)
-        alpha_f - alpha_r of a steady turn at lateral specific forces 0, spacing, 2 spacing ... [rad].
-    lateral_spacing : float
-        [m/s^2]
-    """
-
+    # lateral, braking, driving: greatest specific forces [m/s^2].
     lateral: float
     braking: float
     driving: float
-    downforce: float
+    downforce: float  # relative gain of all three with speed squared [1/(m/s)^2]
+    # Slip angle at which a tyre's lateral force is greatest at its static load, at most 0.25 [rad].
     slip_angle: float
+    # (K,): alpha_f - alpha_r of a steady turn at lateral specific forces 0, spacing, 2 spacing ... [rad].
     slip_difference: np.ndarray
-    lateral_spacing: float
+    lateral_spacing: float  # [m/s^2]
 
 
 @lru_cache(maxsize=64)

@@ -55,21 +55,13 @@ powers [W], angles of the front wheels [rad]."""
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What is around the car at one instant.
+    """What is around the car at one instant."""
 
-    Attributes
-    ----------
-    friction : float
-        Against the tyres' own peak [1].
-    grade, bank : float
-        Uphill and left side higher are positive [rad].
-    wind_x, wind_y : float
-        Velocity of the air in the world's axes [m/s].
-    """
-
-    friction: float = 1.0
+    friction: float = 1.0  # against the tyres' own peak [1]
+    # grade, bank: uphill and left side higher are positive [rad].
     grade: float = 0.0
     bank: float = 0.0
+    # wind_x, wind_y: velocity of the air in the world's axes [m/s].
     wind_x: float = 0.0
     wind_y: float = 0.0
 
@@ -83,31 +75,23 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Outputs:
-    """What follows from a state and an input.
+    """What follows from a state and an input."""
 
-    Attributes
-    ----------
-    specific_force : ndarray, shape (2,)
-        a_x, a_y at the CG [m/s^2].
-    load, force_x, force_y : ndarray, shape (4,)
-        Of front left, front right, rear left, rear right; forces in the wheel's frame [N].
-    power_in, power_tire, power_rolling, power_air, power_gravity : float
-        Put in by drive and brakes, lost to sliding tyres, to rolling and locked axles, and to the air, gained from
-        gravity [W]; the kinetic energy changes by in - tire - rolling - air + gravity.
-    wheel_angle : ndarray, shape (2,)
-        Of the front wheels, left and right [rad].
-    """
-
-    specific_force: np.ndarray
+    specific_force: np.ndarray  # (2,): a_x, a_y at the CG [m/s^2]
+    # load, force_x, force_y: (4,): of front left, front right, rear left, rear right; forces in the wheel's frame
+    # [N].
     load: np.ndarray
     force_x: np.ndarray
     force_y: np.ndarray
+    # power_in, power_tire, power_rolling, power_air, power_gravity: put in by drive and brakes, lost to sliding
+    # tyres, to rolling and locked axles, and to the air, gained from gravity [W]; the kinetic energy changes by in
+    # - tire - rolling - air + gravity.
     power_in: float
     power_tire: float
     power_rolling: float
     power_air: float
     power_gravity: float
-    wheel_angle: np.ndarray
+    wheel_angle: np.ndarray  # (2,): of the front wheels, left and right [rad]
 
 
 def outputs_from(vector: np.ndarray) -> Outputs:

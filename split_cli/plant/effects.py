@@ -21,19 +21,13 @@ _PLACES = 512
 
 @dataclass(frozen=True)
 class Setting:
-    """Everything an effect may change.
-
-    Attributes
-    ----------
-    lap_length : float
-        Of the track's centreline; 0 without a track [m].
-    """
+    """Everything an effect may change."""
 
     car: CarParameters
     road: Road
     faults: Faults
     sensors: tuple[SensorSpec, ...]
-    lap_length: float = 0.0
+    lap_length: float = 0.0  # of the track's centreline; 0 without a track [m]
 
 
 @dataclass(frozen=True)
@@ -48,33 +42,19 @@ class Bounds:
 
 @dataclass(frozen=True)
 class EffectKind:
-    """An effect that can be asked for.
+    """An effect that can be asked for."""
 
-    Attributes
-    ----------
-    about : str
-        What the car, road or sensors then have.
-    apply : callable
-        (setting, values) -> setting with the effect.
-    """
-
-    about: str
+    about: str  # what the car, road or sensors then have
     parameters: Mapping[str, Bounds]
-    apply: Callable[[Setting, Mapping[str, float]], Setting]
+    apply: Callable[[Setting, Mapping[str, float]], Setting]  # (setting, values) -> setting with the effect
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect with its values.
-
-    Attributes
-    ----------
-    values : mapping of str to float
-        SI.
-    """
+    """One effect with its values."""
 
     name: str
-    values: Mapping[str, float]
+    values: Mapping[str, float]  # SI
 
     @property
     def text(self) -> str:

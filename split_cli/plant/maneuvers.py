@@ -34,20 +34,12 @@ CALIBRATION_TESTS = (
 
 @dataclass(frozen=True)
 class Maneuver:
-    """A test ready to be driven.
-
-    Attributes
-    ----------
-    speed : float
-        At the start [m/s].
-    track : Track or None
-        A circle to follow; None for open ground.
-    """
+    """A test ready to be driven."""
 
     name: str
     script: Script
-    speed: float
-    track: Track | None = None
+    speed: float  # at the start [m/s]
+    track: Track | None = None  # a circle to follow; None for open ground
 
 
 @dataclass(frozen=True)

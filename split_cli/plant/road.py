@@ -22,29 +22,17 @@ def _one(value: float):
 
 @dataclass(frozen=True)
 class Road:
-    """Tables that are interpolated linearly; the default is level, dry and without wind.
+    """Tables that are interpolated linearly; the default is level, dry and without wind."""
 
-    Attributes
-    ----------
-    spacing : float
-        Distance between the entries over place, from s = 0 [m].
-    closed : bool
-        Whether the tables over place repeat (a lap must be a whole number of spacings).
-    friction, grade, bank : ndarray, shape (P,)
-        Friction against the tyres' own peak [1]; grade along the car, uphill positive [rad]; bank across it,
-        left side higher positive [rad].
-    time_spacing : float
-        Time between the entries over time, from t = 0 [s].
-    grip, wind_x, wind_y : ndarray, shape (Q,)
-        A factor on friction [1]; velocity of the air in the world's X and Y [m/s].
-    """
-
-    spacing: float = 1.0
-    closed: bool = False
+    spacing: float = 1.0  # distance between the entries over place, from s = 0 [m]
+    closed: bool = False  # whether the tables over place repeat (a lap must be a whole number of spacings)
+    # friction, grade, bank: (P,): friction against the tyres' own peak [1]; grade along the car, uphill positive
+    # [rad]; bank across it, left side higher positive [rad].
     friction: np.ndarray = _one(1.0)
     grade: np.ndarray = _one(0.0)
     bank: np.ndarray = _one(0.0)
-    time_spacing: float = 1.0
+    time_spacing: float = 1.0  # time between the entries over time, from t = 0 [s]
+    # grip, wind_x, wind_y: (Q,): a factor on friction [1]; velocity of the air in the world's X and Y [m/s].
     grip: np.ndarray = _one(1.0)
     wind_x: np.ndarray = _one(0.0)
     wind_y: np.ndarray = _one(0.0)

@@ -74,23 +74,14 @@ def definition(type_name: str) -> str:
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic that carries one device's reports.
-
-    Attributes
-    ----------
-    sensor : str
-        Name of the `SensorSpec`.
-    fill : callable
-        From one report (channel to value) to the message's fields, header apart.
-    frame : str
-        frame_id of the header.
-    """
+    """A topic that carries one device's reports."""
 
     name: str
     type_name: str
-    sensor: str
+    sensor: str  # name of the `SensorSpec`
+    # From one report (channel to value) to the message's fields, header apart.
     fill: Callable[[Mapping[str, float]], dict]
-    frame: str = "base_link"
+    frame: str = "base_link"  # frame_id of the header
 
 
 _NO_COVARIANCE_6 = [0.0] * 36

@@ -15,81 +15,43 @@ __all__ = ["ChannelSpec", "Reading", "SensorSpec", "lean", "measure", "perfect",
 
 @dataclass(frozen=True)
 class ChannelSpec:
-    """How a sensor reports one channel: value = truth(t - delay) * gain + bias + noise, rounded to the resolution.
+    """How a sensor reports one channel: value = truth(t - delay) * gain + bias + noise, rounded to resolution."""
 
-    Attributes
-    ----------
-    noise : float
-        Standard deviation, white [SI unit of the channel].
-    bias : float
-        Standard deviation of a constant that is drawn once a recording [SI unit].
-    resolution : float
-        Step of the reported value, 0 for none [SI unit].
-    delay : float
-        How late the channel is against the sensor's own time stamp [s].
-    gain : float
-        [1]
-    """
-
-    noise: float = 0.0
-    bias: float = 0.0
-    resolution: float = 0.0
-    delay: float = 0.0
-    gain: float = 1.0
+    noise: float = 0.0  # standard deviation, white [SI unit of the channel]
+    bias: float = 0.0  # standard deviation of a constant that is drawn once a recording [SI unit]
+    resolution: float = 0.0  # step of the reported value, 0 for none [SI unit]
+    delay: float = 0.0  # how late the channel is against the sensor's own time stamp [s]
+    gain: float = 1.0  # [1]
 
 
 @dataclass(frozen=True)
 class SensorSpec:
-    """A device that reports several channels at once.
-
-    Attributes
-    ----------
-    rate : float
-        Reports per second [Hz].
-    channels : mapping of str to ChannelSpec
-        Channels of `Trajectory.channel`.
-    clock_jitter : float
-        Standard deviation of the sampling instants about an even clock [s]; the stamp says the true instant.
-    latency, latency_jitter : float
-        From the stamp to the arrival at the logger: least value and mean of an exponential excess [s].
-    is_command : bool
-        Sent, not measured: stamped at the control instants and exact but for resolution.
-    position_x, position_y : float
-        Where the device sits ahead of and left of the CG [m]; moves X, Y, vx, vy.
-    turned : float
-        How far it is turned counter-clockwise against the car [rad]; turns vx, vy and ax, ay.
-    """
+    """A device that reports several channels at once."""
 
     name: str
-    rate: float
-    channels: Mapping[str, ChannelSpec]
+    rate: float  # reports per second [Hz]
+    channels: Mapping[str, ChannelSpec]  # channels of `Trajectory.channel`
+    # Standard deviation of the sampling instants about an even clock [s]; the stamp says the true instant.
     clock_jitter: float = 0.0
+    # latency, latency_jitter: from the stamp to the arrival at the logger: least value and mean of an exponential
+    # excess [s].
     latency: float = 0.0
     latency_jitter: float = 0.0
-    is_command: bool = False
+    is_command: bool = False  # sent, not measured: stamped at the control instants and exact but for resolution
+    # position_x, position_y: where the device sits ahead of and left of the CG [m]; moves X, Y, vx, vy.
     position_x: float = 0.0
     position_y: float = 0.0
-    turned: float = 0.0
+    turned: float = 0.0  # how far it is turned counter-clockwise against the car [rad]; turns vx, vy and ax, ay
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What a device reported.
-
-    Attributes
-    ----------
-    stamp : ndarray, shape (N,)
-        Of the device, seconds of the run [s].
-    arrival : ndarray, shape (N,)
-        At the logger [s].
-    values : mapping of str to ndarray, each shape (N,)
-        SI units.
-    """
+    """What a device reported."""
 
     sensor: SensorSpec
-    stamp: np.ndarray
-    arrival: np.ndarray
-    values: Mapping[str, np.ndarray] = field(default_factory=dict)
+    stamp: np.ndarray  # (N,): of the device, seconds of the run [s]
+    arrival: np.ndarray  # (N,): at the logger [s]
+    values: Mapping[str, np.ndarray] = field(default_factory=dict)  # (N,): SI units
 
 
 def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:

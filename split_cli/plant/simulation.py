@@ -43,55 +43,29 @@ _ENDINGS = {
 
 @dataclass(frozen=True)
 class Script:
-    """Commands over time, one entry a control period; NaN leaves the choice to the driver, inf holds the last.
+    """Commands over time, one entry a control period; NaN leaves the choice to the driver, inf holds the last."""
 
-    Attributes
-    ----------
-    torque : ndarray, shape (K,)
-        Wheel torque [N m].
-    steer : ndarray, shape (K,)
-        Road-wheel angle [rad].
-    speed : ndarray, shape (K,)
-        Speed to follow where the torque is left to the driver [m/s]; NaN for the driver's own profile.
-    """
-
-    torque: np.ndarray
-    steer: np.ndarray
+    torque: np.ndarray  # (K,): wheel torque [N m]
+    steer: np.ndarray  # (K,): road-wheel angle [rad]
+    # (K,): speed to follow where the torque is left to the driver [m/s]; NaN for the driver's own profile.
     speed: np.ndarray
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What really happened, free of noise, at an even clock.
-
-    Attributes
-    ----------
-    t : ndarray, shape (N,)
-        [s]
-    states : ndarray, shape (N, 24)
-        See `dynamics`.
-    outputs : ndarray, shape (N, 21)
-        See `dynamics`.
-    s : ndarray, shape (N,)
-        Distance along the track, or travelled where there is none [m]; not reset at a lap's end.
-    command_t, torque_command, steer_command : ndarray, shape (K,)
-        Instants [s] and commands held from then on [N m], [rad].
-    lap_length : float
-        0 without a track [m].
-    ended_early : bool
-        Whether the car fell below its crawling speed before the script was over.
-    """
+    """What really happened, free of noise, at an even clock."""
 
     car: CarParameters
-    t: np.ndarray
-    states: np.ndarray
-    outputs: np.ndarray
-    s: np.ndarray
+    t: np.ndarray  # (N,): [s]
+    states: np.ndarray  # (N, 24): see `dynamics`
+    outputs: np.ndarray  # (N, 21): see `dynamics`
+    s: np.ndarray  # (N,): distance along the track, or travelled where there is none [m]; not reset at a lap's end
+    # command_t, torque_command, steer_command: (K,): instants [s] and commands held from then on [N m], [rad].
     command_t: np.ndarray
     torque_command: np.ndarray
     steer_command: np.ndarray
-    lap_length: float = 0.0
-    ended_early: bool = False
+    lap_length: float = 0.0  # 0 without a track [m]
+    ended_early: bool = False  # whether the car fell below its crawling speed before the script was over
 
     def channel(self, name: str) -> np.ndarray:
         """Return a channel of the drive, or another quantity of the plant, at `t`; shape (N,).

@@ -18,26 +18,11 @@ class TireParameters:
 
     Shifts, camber and left-right asymmetries are left out; signs are turned so that a positive slip angle gives
     a positive (leftward) force with positive coefficients.
-
-    Attributes
-    ----------
-    nominal_load : float
-        F_z0 [N].
-    p_cx1, p_dx1, p_dx2, p_ex1, p_ex2, p_ex3, p_kx1, p_kx2, p_kx3 : float
-        Longitudinal shape, peak, curvature, slip stiffness [1].
-    p_cy1, p_dy1, p_dy2, p_ey1, p_ey2, p_ky1, p_ky2 : float
-        Lateral shape, peak, curvature, cornering stiffness [1].
-    r_bx1, r_bx2, r_cx1, r_by1, r_by2, r_cy1 : float
-        How lateral slip takes longitudinal force (x) and the reverse (y) [1].
-    relaxation_longitudinal, relaxation_lateral : float
-        Distance over which a force builds up to 63 % [m].
-    rolling_resistance : float
-        Resisting moment over load and radius [1].
-    combined_slip : float
-        1 for the weighting above, 0 for forces that do not know of each other [1].
     """
 
-    nominal_load: float
+    nominal_load: float  # F_z0 [N]
+    # p_cx1, p_dx1, p_dx2, p_ex1, p_ex2, p_ex3, p_kx1, p_kx2, p_kx3: longitudinal shape, peak, curvature, slip
+    # stiffness [1].
     p_cx1: float
     p_dx1: float
     p_dx2: float
@@ -47,6 +32,7 @@ class TireParameters:
     p_kx1: float
     p_kx2: float
     p_kx3: float
+    # p_cy1, p_dy1, p_dy2, p_ey1, p_ey2, p_ky1, p_ky2: lateral shape, peak, curvature, cornering stiffness [1].
     p_cy1: float
     p_dy1: float
     p_dy2: float
@@ -54,16 +40,19 @@ class TireParameters:
     p_ey2: float
     p_ky1: float
     p_ky2: float
+    # r_bx1, r_bx2, r_cx1, r_by1, r_by2, r_cy1: how lateral slip takes longitudinal force (x) and the reverse (y)
+    # [1].
     r_bx1: float
     r_bx2: float
     r_cx1: float
     r_by1: float
     r_by2: float
     r_cy1: float
+    # relaxation_longitudinal, relaxation_lateral: distance over which a force builds up to 63 % [m].
     relaxation_longitudinal: float
     relaxation_lateral: float
-    rolling_resistance: float
-    combined_slip: float = 1.0
+    rolling_resistance: float  # resisting moment over load and radius [1]
+    combined_slip: float = 1.0  # 1 for the weighting above, 0 for forces that do not know of each other [1]
 
 
 def tire_force(

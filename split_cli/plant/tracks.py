@@ -15,29 +15,16 @@ __all__ = ["TRACK_NAMES", "Track", "circle", "find_track"]
 
 @dataclass(frozen=True)
 class Track:
-    """A closed centreline sampled at even arc length; the last sample is one spacing before the first.
-
-    Attributes
-    ----------
-    spacing : float
-        Arc length between samples [m].
-    x, y : ndarray, shape (N,)
-        Points [m].
-    direction : ndarray, shape (N,)
-        Angle of the tangent, unwrapped [rad].
-    curvature : ndarray, shape (N,)
-        Positive in a left turn [1/m].
-    half_width : float
-        From the centreline to the edge [m].
-    """
+    """A closed centreline sampled at even arc length; the last sample is one spacing before the first."""
 
     name: str
-    spacing: float
+    spacing: float  # arc length between samples [m]
+    # x, y: (N,): points [m].
     x: np.ndarray
     y: np.ndarray
-    direction: np.ndarray
-    curvature: np.ndarray
-    half_width: float
+    direction: np.ndarray  # (N,): angle of the tangent, unwrapped [rad]
+    curvature: np.ndarray  # (N,): positive in a left turn [1/m]
+    half_width: float  # from the centreline to the edge [m]
 
     @property
     def length(self) -> float:
@@ -52,23 +39,13 @@ class Track:
 
 @dataclass(frozen=True)
 class _Outline:
-    """Corners of a polygon, each rounded by an arc, then smoothed.
+    """Corners of a polygon, each rounded by an arc, then smoothed."""
 
-    Attributes
-    ----------
-    corners : tuple of (x, y, radius)
-        [m]; the lap starts in the middle of the edge from the last corner to the first.
-    length : float
-        The finished centreline is scaled to it [m].
-    smoothing : float
-        Standard deviation of the Gaussian over arc length that turns arcs into easements [m].
-    spacing, half_width : float
-        [m]
-    """
-
+    # (x, y, radius): [m]; the lap starts in the middle of the edge from the last corner to the first.
     corners: tuple[tuple[float, float, float], ...]
-    length: float
-    smoothing: float
+    length: float  # the finished centreline is scaled to it [m]
+    smoothing: float  # standard deviation of the Gaussian over arc length that turns arcs into easements [m]
+    # spacing, half_width: [m]
     spacing: float
     half_width: float
 

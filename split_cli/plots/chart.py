@@ -16,36 +16,21 @@ MOST_POINTS = 2400
 
 @dataclass(frozen=True)
 class ChartLine:
-    """One series of a chart.
-
-    Attributes
-    ----------
-    x, y : ndarray, shape (N,)
-        NaN breaks a line.
-    role : str
-        One of `ROLES`; it chooses the colour.
-    kind : {"line", "points", "bars"}
-        Bars begin at 0; with `Chart.rows`, y counts the rows from the top.
-    low, high : ndarray or None
-        Interval of y, or of x where the chart has rows.
-    along : ndarray or None
-        The other x, for charts with `Chart.other_x`.
-    shown : bool
-        Whether it is drawn before a reader asks for it.
-    emphasis : tuple of bool
-        With rows, which of them are the best.
-    """
+    """One series of a chart."""
 
     name: str
+    # x, y: (N,): NaN breaks a line.
     x: np.ndarray
     y: np.ndarray
-    role: str = "measured"
+    role: str = "measured"  # one of `ROLES`; it chooses the colour
+    # {"line", "points", "bars"} Bars begin at 0; with `Chart.rows`, y counts the rows from the top.
     kind: Literal["line", "points", "bars"] = "line"
+    # low, high: interval of y, or of x where the chart has rows.
     low: np.ndarray | None = None
     high: np.ndarray | None = None
-    along: np.ndarray | None = None
-    shown: bool = True
-    emphasis: tuple[bool, ...] = ()
+    along: np.ndarray | None = None  # the other x, for charts with `Chart.other_x`
+    shown: bool = True  # whether it is drawn before a reader asks for it
+    emphasis: tuple[bool, ...] = ()  # with rows, which of them are the best
 
     def __post_init__(self) -> None:
         if self.role not in ROLES:
@@ -63,43 +48,23 @@ class Band:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart.
+    """A chart."""
 
-    Attributes
-    ----------
-    name : str
-        Unique on a page; letters, digits and hyphens.
-    x, y : str
-        Titles of the axes with units.
-    note : str
-        What a reader must know to read it.
-    other_x : str
-        Title of the other x axis; empty without one.
-    other_first : bool
-        Whether a page begins with the other x: two recordings meet at a place, not at a time.
-    rows : tuple of str
-        Names in the place of a y axis, from the top.
-    equal : bool
-        One unit is as long in x as in y.
-    wide : bool
-        Over the whole width of a page.
-    group : str
-        Charts of one group share the zoom of their x axis.
-    """
-
-    name: str
+    name: str  # unique on a page; letters, digits and hyphens
     title: str
+    # x, y: titles of the axes with units.
     x: str
     y: str
     series: tuple[ChartLine, ...]
-    note: str = ""
+    note: str = ""  # what a reader must know to read it
     bands: tuple[Band, ...] = ()
-    other_x: str = ""
+    other_x: str = ""  # title of the other x axis; empty without one
+    # Whether a page begins with the other x: two recordings meet at a place, not at a time.
     other_first: bool = False
-    rows: tuple[str, ...] = ()
-    equal: bool = False
-    wide: bool = False
-    group: str = ""
+    rows: tuple[str, ...] = ()  # names in the place of a y axis, from the top
+    equal: bool = False  # one unit is as long in x as in y
+    wide: bool = False  # over the whole width of a page
+    group: str = ""  # charts of one group share the zoom of their x axis
 
 
 def thinned(count: int, most: int = MOST_POINTS) -> slice:

@@ -20,49 +20,33 @@ _GRAVITY = 9.80665
 
 @dataclass(frozen=True)
 class RacePicture:
-    """What figures show of one race.
+    """What figures show of one race."""
 
-    Attributes
-    ----------
-    number : ndarray, shape (L,)
-        Of laps.
-    time, mean_speed : ndarray, shape (L,)
-        [s], NaN where unfinished or off the track; [m/s].
-    updates, size, cells : ndarray, shape (L,)
-    before, after : ndarray, shape (L, 3)
-        Errors of the nominal model and with the residual.
-    best : ndarray
-        Of the best lap, a row an interval: s [m], X, Y [m], v_x [m/s], a_x, a_y [m/s^2], front and rear slip angle
-        [rad].
-    """
-
-    number: np.ndarray
+    number: np.ndarray  # (L,): of laps
+    # time, mean_speed: (L,): [s], NaN where unfinished or off the track; [m/s].
     time: np.ndarray
     mean_speed: np.ndarray
+    # updates, size, cells: (L,)
     updates: np.ndarray
     size: np.ndarray
     cells: np.ndarray
+    # before, after: (L, 3): errors of the nominal model and with the residual.
     before: np.ndarray
     after: np.ndarray
+    # Of the best lap, a row an interval: s [m], X, Y [m], v_x [m/s], a_x, a_y [m/s^2], front and rear slip angle
+    # [rad].
     best: np.ndarray
 
 
 @dataclass(frozen=True)
 class ManeuverPicture:
-    """What figures show of one run.
-
-    Attributes
-    ----------
-    line, cones : ndarray, shape (N, 2), (K, 2)
-        [m]
-    runs : mapping of str to (ndarray, ndarray)
-        By model: places (N, 2) of the CG and cones hit (H, 2) [m].
-    """
+    """What figures show of one run."""
 
     title: str
+    # line, cones: (N, 2): [m]
     line: np.ndarray
     cones: np.ndarray
-    runs: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    runs: Mapping[str, tuple[np.ndarray, np.ndarray]]  # by model: places (N, 2) of the CG and cones hit (H, 2) [m]
 
 
 def _colour(position: int) -> str:

@@ -27,18 +27,10 @@ _NO_PREDICTIONS = "this protocol scores no predictor on held-out time"
 
 @dataclass(frozen=True)
 class FigureFiles:
-    """Figures of one evaluation.
+    """Figures of one evaluation."""
 
-    Attributes
-    ----------
-    written : tuple of str
-        Names of the files.
-    left_out : tuple of str
-        ``name: reason`` of those that this evaluation has no content for.
-    """
-
-    written: tuple[str, ...]
-    left_out: tuple[str, ...]
+    written: tuple[str, ...]  # names of the files
+    left_out: tuple[str, ...]  # ``name: reason`` of those that this evaluation has no content for
 
 
 def write_figures(run: EvaluationRun, folder: str | Path, also: Mapping[str, str] | None = None) -> FigureFiles:

@@ -27,19 +27,12 @@ _COUNTS = (1, 2, 4, 8, 16, 32, 64)
 
 @dataclass(frozen=True)
 class CellMap:
-    """One slice: layers of cells of the torque ratio laid on top of each other.
+    """One slice: layers of cells of the torque ratio laid on top of each other."""
 
-    Attributes
-    ----------
-    low, high : float
-        Torque ratio from and to [1].
-    values : ndarray, shape (F, R)
-        By cell of alpha_f and of alpha_r; NaN where there is nothing.
-    """
-
+    # low, high: torque ratio from and to [1].
     low: float
     high: float
-    values: np.ndarray
+    values: np.ndarray  # (F, R): by cell of alpha_f and of alpha_r; NaN where there is nothing
 
 
 def coverage_maps(trained: TrainingSet) -> tuple[list[CellMap], list[CellMap]]:

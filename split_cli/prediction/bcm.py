@@ -17,44 +17,22 @@ __all__ = ["BcmPredictor", "CommitteeTables", "RbcmPredictor", "committee_tables
 
 @dataclass(frozen=True)
 class CommitteeTables:
-    """Everything about the cells that does not depend on the query; exports round it and store it.
+    """Everything about the cells that does not depend on the query; exports round it and store it."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (P, D)
-        Features divided by their length scales.
-    offsets : ndarray of int64, shape (C + 1,)
-        Points of cell c are rows ``offsets[c]:offsets[c + 1]``.
-    vectors : ndarray, shape (Q,)
-        Eigenvectors V of each cell's correlation matrix C_i, n_i x n_i: a row a point, a column an eigenvalue.
-    vector_offsets : ndarray of int64, shape (C + 1,)
-    gains : ndarray, shape (P, 3)
-        1/(lambda + rho), an eigenvalue of the cell each, rho = s^2/S0 of the output.
-    turned : ndarray, shape (P, 3)
-        V^T y of the cell times its gains.
-    weight_sum : ndarray, shape (C, 3)
-        Sum of the absolute weights (C_i + rho I)^-1 y_i.
-    lower, upper : ndarray, shape (C, D)
-        Box around each cell's points, in length scales.
-    smallest : ndarray, shape (C, 3)
-        Smallest eigenvalue of C_i + rho I.
-    energy : ndarray, shape (C, 3)
-        y^T (C_i + rho I)^-1 y over the signal variance, y the cell's labels.
-    floor : ndarray, shape (C, 3)
-        Smallest value 1 - q_i/S0 can take, rho/(n_i + rho): reached by n_i points at the query.
-    """
-
-    points: np.ndarray
-    offsets: np.ndarray
+    points: np.ndarray  # (P, D): features divided by their length scales
+    offsets: np.ndarray  # int64 (C + 1,): points of cell c are rows ``offsets[c]:offsets[c + 1]``
+    # (Q,): eigenvectors V of each cell's correlation matrix C_i, n_i x n_i: a row a point, a column an eigenvalue.
     vectors: np.ndarray
-    vector_offsets: np.ndarray
-    gains: np.ndarray
-    turned: np.ndarray
-    weight_sum: np.ndarray
+    vector_offsets: np.ndarray  # int64 (C + 1,)
+    gains: np.ndarray  # (P, 3): 1/(lambda + rho), an eigenvalue of the cell each, rho = s^2/S0 of the output
+    turned: np.ndarray  # (P, 3): V^T y of the cell times its gains
+    weight_sum: np.ndarray  # (C, 3): sum of the absolute weights (C_i + rho I)^-1 y_i
+    # lower, upper: (C, D): box around each cell's points, in length scales.
     lower: np.ndarray
     upper: np.ndarray
-    smallest: np.ndarray
-    energy: np.ndarray
+    smallest: np.ndarray  # (C, 3): smallest eigenvalue of C_i + rho I
+    energy: np.ndarray  # (C, 3): y^T (C_i + rho I)^-1 y over the signal variance, y the cell's labels
+    # (C, 3): smallest value 1 - q_i/S0 can take, rho/(n_i + rho): reached by n_i points at the query.
     floor: np.ndarray
 
 

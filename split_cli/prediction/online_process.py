@@ -31,26 +31,13 @@ _MOST_OF_VARIANCES = 300
 
 @dataclass(frozen=True)
 class ProcessState:
-    """What an `OnlineProcess` on U points knows, for whoever evaluates it elsewhere.
+    """What an `OnlineProcess` on U points knows, for whoever evaluates it elsewhere."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (U, D)
-        In length scales.
-    inverse : ndarray, shape (U, U)
-        Q, the inverse of the points' correlations.
-    told : ndarray, shape (3, U, U)
-        T, what data have added to the prior's covariance.
-    weights : ndarray, shape (3, U)
-    absent : ndarray, shape (3,)
-        1 - kappa.
-    """
-
-    points: np.ndarray
-    inverse: np.ndarray
-    told: np.ndarray
-    weights: np.ndarray
-    absent: np.ndarray
+    points: np.ndarray  # (U, D): in length scales
+    inverse: np.ndarray  # (U, U): Q, the inverse of the points' correlations
+    told: np.ndarray  # (3, U, U): T, what data have added to the prior's covariance
+    weights: np.ndarray  # (3, U)
+    absent: np.ndarray  # (3,): 1 - kappa
     threshold: float
 
 

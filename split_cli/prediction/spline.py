@@ -17,21 +17,11 @@ PADDING = 3
 
 @dataclass(frozen=True)
 class Lattice:
-    """Nodes at whole multiples of a spacing, so that a lattice over a larger box has the same nodes.
+    """Nodes at whole multiples of a spacing, so that a lattice over a larger box has the same nodes."""
 
-    Attributes
-    ----------
-    spacing : ndarray, shape (3,)
-        In the features' units.
-    first : ndarray of int64, shape (3,)
-        Number of the first node an axis; node n lies at n times the spacing.
-    shape : tuple of int
-        Nodes an axis.
-    """
-
-    spacing: np.ndarray
-    first: np.ndarray
-    shape: tuple[int, int, int]
+    spacing: np.ndarray  # (3,): in the features' units
+    first: np.ndarray  # int64 (3,): number of the first node an axis; node n lies at n times the spacing
+    shape: tuple[int, int, int]  # nodes an axis
 
     @property
     def size(self) -> int:
@@ -66,19 +56,11 @@ def lattice_over(lower: np.ndarray, upper: np.ndarray, spacing: np.ndarray) -> L
 
 @dataclass(frozen=True)
 class Spline:
-    """Values s(z) = sum of coefficients times products of cubic B-splines; twice continuously differentiable.
+    """Values s(z) = sum of coefficients times products of cubic B-splines; twice continuously differentiable."""
 
-    Attributes
-    ----------
-    origin : ndarray, shape (3,)
-        Place of the first coefficient.
-    spacing : ndarray, shape (3,)
-    coefficients : ndarray, shape (n0, n1, n2, W)
-        float64 or float32; the outer `PADDING` of each axis are 0, so that s is 0 outside the box.
-    """
-
-    origin: np.ndarray
-    spacing: np.ndarray
+    origin: np.ndarray  # (3,): place of the first coefficient
+    spacing: np.ndarray  # (3,)
+    # (n0, n1, n2, W): float64 or float32; the outer `PADDING` of each axis are 0, so that s is 0 outside the box.
     coefficients: np.ndarray
 
     def value(self, z: np.ndarray) -> np.ndarray:

@@ -32,26 +32,16 @@ _TRIED = 1000
 
 @dataclass(frozen=True)
 class TableError:
-    """What the spline gives away, measured against the process it was filled from.
+    """What the spline gives away, measured against the process it was filled from."""
 
-    Attributes
-    ----------
-    bound : float
-        Asked for: largest error of the mean, in signal deviations.
-    mean, mean_rms : float
-        Largest and root mean square error of the mean found, in signal deviations.
-    deviation, deviation_rms : float
-        The same of the standard deviation.
-    queries : int
-        Places tried: random ones, each coordinate within half a length scale of a point.
-    """
-
-    bound: float
+    bound: float  # asked for: largest error of the mean, in signal deviations
+    # mean, mean_rms: largest and root mean square error of the mean found, in signal deviations.
     mean: float
     mean_rms: float
+    # deviation, deviation_rms: the same of the standard deviation.
     deviation: float
     deviation_rms: float
-    queries: int
+    queries: int  # places tried: random ones, each coordinate within half a length scale of a point
 
     @property
     def met(self) -> bool:

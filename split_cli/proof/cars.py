@@ -28,20 +28,12 @@ _LINEAR_IN_LOAD = 40.0
 
 @dataclass(frozen=True)
 class CarOfProof:
-    """A car without the effect, and the vehicle file calibrated to it.
-
-    Attributes
-    ----------
-    alignment : Alignment
-        How the logger's clock of the commands was aligned.
-    noise : ndarray, shape (3,)
-        Sensor noise of v_x, v_y, r [m/s], [m/s], [rad/s].
-    """
+    """A car without the effect, and the vehicle file calibrated to it."""
 
     car: CarParameters
     vehicle: Vehicle
-    alignment: Alignment
-    noise: np.ndarray
+    alignment: Alignment  # how the logger's clock of the commands was aligned
+    noise: np.ndarray  # (3,): sensor noise of v_x, v_y, r [m/s], [m/s], [rad/s]
 
 
 def varied_car(name: str, rng: np.random.Generator) -> CarParameters:

@@ -48,91 +48,54 @@ _BARE_ENOUGH = 0.08
 
 @dataclass(frozen=True)
 class ConcealedEffect:
-    """One concealed effect.
-
-    Attributes
-    ----------
-    parameters : mapping of str to float
-        True values: physical where the term has such, else those that fit noise-free paired runs.
-    scored : tuple of str
-        The parameters whose intervals are scored; stretches and wave lengths are not.
-    variant : str
-        With which the term fits best; empty for its default.
-    removed : float
-        Share of the effect's own squared error that the term with these parameters removes [1].
-    beyond : float
-        Of an effect outside the catalogue: severity of what the two best terms leave of it.
-    absorbed_by : tuple of str
-        Those two terms.
-    """
+    """One concealed effect."""
 
     term: str
     size: float
     severity: float
+    # True values: physical where the term has such, else those that fit noise-free paired runs.
     parameters: dict[str, float] = field(default_factory=dict)
-    scored: tuple[str, ...] = ()
-    variant: str = ""
-    removed: float = 0.0
-    beyond: float = 0.0
-    absorbed_by: tuple[str, ...] = ()
+    scored: tuple[str, ...] = ()  # the parameters whose intervals are scored; stretches and wave lengths are not
+    variant: str = ""  # with which the term fits best; empty for its default
+    removed: float = 0.0  # share of the effect's own squared error that the term with these parameters removes [1]
+    beyond: float = 0.0  # of an effect outside the catalogue: severity of what the two best terms leave of it
+    absorbed_by: tuple[str, ...] = ()  # those two terms
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a case conceals.
-
-    Attributes
-    ----------
-    car, base : str
-        The plant's car, and ``bare`` or ``rich``.
-    simulation : str
-        ``plant`` (a drive without the effect is given) or ``nominal``.
-    base_severity : float
-        Severity of what the nominal model gets wrong of the car without the effect.
-    total_severity : float
-        Of all effects together.
-    removed : float
-        Share of the held-out gap that the true terms remove [1]; 0 where there are none.
-    lap_length, lap_driven, s_origin : float
-        Of the track's centreline and of the real drive's first lap [m], and where on the track that drive begins
-        [m]: places of an answer are on the centreline, those a diagnosis finds along the drive.
-    draws : int
-        How many drawings of surroundings and drivers it took until the case met its conditions.
-    """
+    """What a case conceals."""
 
     number: int
     kind: str
     tier: str
     effects: tuple[ConcealedEffect, ...]
+    # car, base: the plant's car, and ``bare`` or ``rich``.
     car: str
     base: str
-    simulation: str
-    base_severity: float
-    total_severity: float
-    removed: float
+    simulation: str  # ``plant`` (a drive without the effect is given) or ``nominal``
+    base_severity: float  # severity of what the nominal model gets wrong of the car without the effect
+    total_severity: float  # of all effects together
+    removed: float  # share of the held-out gap that the true terms remove [1]; 0 where there are none
+    # lap_length, lap_driven, s_origin: of the track's centreline and of the real drive's first lap [m], and where
+    # on the track that drive begins [m]: places of an answer are on the centreline, those a diagnosis finds along
+    # the drive.
     lap_length: float = 0.0
     lap_driven: float = 0.0
     s_origin: float = 0.0
-    draws: int = 1
+    draws: int = 1  # how many drawings of surroundings and drivers it took until the case met its conditions
 
 
 @dataclass(frozen=True)
 class Case:
-    """Everything of a case: what is shown, and what is sealed.
-
-    Attributes
-    ----------
-    heldout : ExactDrive or None
-        A noise-free drive that no diagnosis sees, to score by; None for nulls.
-    noise : ndarray, shape (3,)
-    """
+    """Everything of a case: what is shown, and what is sealed."""
 
     real: Drive
     sim: Drive | None
     vehicle: Vehicle
     answer: Answer
-    heldout: ExactDrive | None
-    noise: np.ndarray
+    heldout: ExactDrive | None  # a noise-free drive that no diagnosis sees, to score by; None for nulls
+    noise: np.ndarray  # (3,)
 
 
 @lru_cache(maxsize=32)

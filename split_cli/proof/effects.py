@@ -20,35 +20,21 @@ _PLACES = 512
 
 @dataclass(frozen=True)
 class Concealed:
-    """An effect with its shape drawn; only the size is open.
+    """An effect with its shape drawn; only the size is open."""
 
-    Attributes
-    ----------
-    term : str
-        Id in the catalogue, or the kind of an effect outside it.
-    apply : callable
-        (world, size) -> world with the effect.
-    start, most : float
-        A size to begin the search with, and the largest that makes sense.
-    known : callable
-        (world without, size) -> physical values of the term's parameters; parameters it leaves out are effective
-        and fitted to paired runs.
-    neutral : callable
-        world -> the world in which the effect's own quantity is absent.
-    shape : mapping
-        Parameters that are given, not fitted: where a stretch lies, how long a wave is.
-    variant : str
-        Of the term, with which effective parameters are fitted.
-    """
-
-    term: str
-    apply: Callable[[ProofWorld, float], ProofWorld]
+    term: str  # id in the catalogue, or the kind of an effect outside it
+    apply: Callable[[ProofWorld, float], ProofWorld]  # (world, size) -> world with the effect
+    # start, most: a size to begin the search with, and the largest that makes sense.
     start: float
     most: float
+    # (world without, size) -> physical values of the term's parameters; parameters it leaves out are effective and
+    # fitted to paired runs.
     known: Callable[[ProofWorld, float], Mapping[str, float]] = lambda world, size: {}
+    # world -> the world in which the effect's own quantity is absent.
     neutral: Callable[[ProofWorld], ProofWorld] = lambda world: world
+    # Parameters that are given, not fitted: where a stretch lies, how long a wave is.
     shape: Mapping[str, float] = field(default_factory=dict)
-    variant: str = ""
+    variant: str = ""  # of the term, with which effective parameters are fitted
 
 
 def _car(world: ProofWorld, **changes: float) -> ProofWorld:

@@ -33,22 +33,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class InjectedFault:
-    """A fault and its size.
-
-    Attributes
-    ----------
-    term : str
-        Id of the catalogue that names it; empty for none.
-    parameters : tuple of (str, float)
-        True values; a parameter that is not among them is neutral.
-    variant : str
-        Of the term.
-    """
+    """A fault and its size."""
 
     name: str
-    term: str
-    parameters: tuple[tuple[str, float], ...]
-    variant: str = ""
+    term: str  # id of the catalogue that names it; empty for none
+    parameters: tuple[tuple[str, float], ...]  # True values; a parameter that is not among them is neutral
+    variant: str = ""  # of the term
 
     @property
     def value(self) -> float:
@@ -65,19 +55,13 @@ class InjectedFault:
 
 @dataclass(frozen=True)
 class FaultKind:
-    """A kind of fault: the term, its variant and parameter that name it, and three sizes of it.
-
-    Attributes
-    ----------
-    also : tuple of str
-        Other parameters of the term that get the same value.
-    """
+    """A kind of fault: the term, its variant and parameter that name it, and three sizes of it."""
 
     term: str
     parameter: str
     sizes: tuple[float, float, float]
     variant: str = ""
-    also: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()  # other parameters of the term that get the same value
 
 
 FAULTS: dict[str, FaultKind] = {

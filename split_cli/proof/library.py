@@ -21,18 +21,10 @@ _STRETCHES = 12
 
 @dataclass(frozen=True)
 class Library:
-    """Regressors of a recording.
+    """Regressors of a recording."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (3 K, C)
-        A column a regressor, errors of v_x, v_y, r over the noise, window by window.
-    terms : tuple of str, length C
-        Of the catalogue, to which a column belongs; a term may have several.
-    """
-
-    matrix: np.ndarray
-    terms: tuple[str, ...]
+    matrix: np.ndarray  # (3 K, C): a column a regressor, errors of v_x, v_y, r over the noise, window by window
+    terms: tuple[str, ...]  # of the catalogue, to which a column belongs; a term may have several
 
 
 def _small_terms(vehicle: Vehicle, lap_length: float) -> list[Term]:

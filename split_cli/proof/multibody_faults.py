@@ -23,31 +23,17 @@ _DRAG = 6e-4  # [1/m], of the mass
 
 @dataclass(frozen=True)
 class MultiBodyFault:
-    """A fault, what it is called, and how the car or its recording comes to have it.
-
-    Attributes
-    ----------
-    term : str
-        Id of the catalogue that names it; empty for none or where the catalogue has no name for it.
-    parameters : callable
-        Car -> true values as ((name, value), ...), the first of which is reported.
-    alter : callable
-        Car -> car with the fault.
-    record : callable
-        Drive -> drive as faulty sensors or a faulty actuator would have recorded it.
-    in_catalogue : bool
-        Whether there is nothing to name, or a name for it.
-    track : int
-        Faults of one number are driven on one track.
-    """
+    """A fault, what it is called, and how the car or its recording comes to have it."""
 
     name: str
-    term: str = ""
+    term: str = ""  # id of the catalogue that names it; empty for none or where the catalogue has no name for it
+    # Car -> true values as ((name, value), ...), the first of which is reported.
     parameters: Callable[[MultiBody], tuple[tuple[str, float], ...]] = lambda car: ()
-    alter: Callable[[MultiBody], MultiBody] = lambda car: car
+    alter: Callable[[MultiBody], MultiBody] = lambda car: car  # car -> car with the fault
+    # Drive -> drive as faulty sensors or a faulty actuator would have recorded it.
     record: Callable[[Drive], Drive] = lambda drive: drive
-    in_catalogue: bool = True
-    track: int = 0
+    in_catalogue: bool = True  # whether there is nothing to name, or a name for it
+    track: int = 0  # faults of one number are driven on one track
 
 
 def _with(car: MultiBody, change: Callable[[SimpleNamespace], None]) -> MultiBody:

@@ -15,15 +15,10 @@ OUTCOMES = ("exact", "class", "abstained", "missed", "wrong")
 
 @dataclass(frozen=True)
 class Named:
-    """One finding of a diagnosis.
-
-    Attributes
-    ----------
-    parameters : mapping of str to (value, low, high)
-        With the ends of the 95 % interval.
-    """
+    """One finding of a diagnosis."""
 
     term: str
+    # With the ends of the 95 % interval.
     parameters: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     alternatives: tuple[str, ...] = ()
     variant: str = ""
@@ -31,15 +26,9 @@ class Named:
 
 @dataclass(frozen=True)
 class Statement:
-    """What was said of a case.
+    """What was said of a case."""
 
-    Attributes
-    ----------
-    verdict : str
-        match, mismatch or undecided.
-    """
-
-    verdict: str
+    verdict: str  # match, mismatch or undecided
     findings: tuple[Named, ...] = ()
     unexplained: bool = False
 
@@ -91,16 +80,11 @@ def _in_class(truth: Sequence[str], said: Statement) -> bool:
 
 @dataclass(frozen=True)
 class Rate:
-    """A share with its 95 % Wilson interval.
-
-    Attributes
-    ----------
-    low, high : float
-        [1]; 0 and 1 when nothing was counted.
-    """
+    """A share with its 95 % Wilson interval."""
 
     hits: int
     of: int
+    # low, high: [1]; 0 and 1 when nothing was counted.
     low: float
     high: float
 

@@ -36,30 +36,19 @@ _STRANGE_RANGE = (0.35, 1.0)
 
 @dataclass(frozen=True)
 class CasePlan:
-    """What a case is to conceal.
-
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    terms : tuple of str
-        Ids of the catalogue; or kinds outside it, of which the first that can be built is taken.
-    tier : str
-        easy, realistic or hard for singles, else empty.
-    low, high : float
-        Between which the severity of each effect lies; of an effect outside the catalogue, the severity of what
-        the two best terms leave of it.
-    instead : tuple of tuple of str
-        Terms to take in turn where no car, track and driver can be drawn that shows the first ones.
-    """
+    """What a case is to conceal."""
 
     seed: int
     number: int
-    kind: str
+    kind: str  # one of `KINDS`
+    # Ids of the catalogue; or kinds outside it, of which the first that can be built is taken.
     terms: tuple[str, ...]
-    tier: str
+    tier: str  # easy, realistic or hard for singles, else empty
+    # low, high: between which the severity of each effect lies; of an effect outside the catalogue, the severity
+    # of what the two best terms leave of it.
     low: float
     high: float
+    # Terms to take in turn where no car, track and driver can be drawn that shows the first ones.
     instead: tuple[tuple[str, ...], ...] = ()
 
     def rng(self, *stream: int) -> np.random.Generator:

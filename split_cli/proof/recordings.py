@@ -30,30 +30,14 @@ class Alignment:
 
 @dataclass(frozen=True)
 class SensorFault:
-    """What is wrong with the measurement; nothing by default.
+    """What is wrong with the measurement; nothing by default."""
 
-    Attributes
-    ----------
-    dx : float
-        The velocity sensor sits so far ahead of where it is said to be [m].
-    angle : float
-        It is turned counter-clockwise [rad].
-    delay : float
-        Every measured channel is late by it [s].
-    speed_gain : float
-        v_x is recorded so many times too large [1].
-    gyro_curve : float
-        r is recorded as r (1 + curve |r|) [s/rad].
-    gyro_delay : float
-        r alone is late [s].
-    """
-
-    dx: float = 0.0
-    angle: float = 0.0
-    delay: float = 0.0
-    speed_gain: float = 1.0
-    gyro_curve: float = 0.0
-    gyro_delay: float = 0.0
+    dx: float = 0.0  # the velocity sensor sits so far ahead of where it is said to be [m]
+    angle: float = 0.0  # it is turned counter-clockwise [rad]
+    delay: float = 0.0  # every measured channel is late by it [s]
+    speed_gain: float = 1.0  # v_x is recorded so many times too large [1]
+    gyro_curve: float = 0.0  # r is recorded as r (1 + curve |r|) [s/rad]
+    gyro_delay: float = 0.0  # r alone is late [s]
 
 
 def alignment_of(car: CarParameters) -> Alignment:

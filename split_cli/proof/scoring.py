@@ -30,23 +30,15 @@ __all__ = [
 
 @dataclass(frozen=True)
 class CaseScore:
-    """How a case was answered.
-
-    Attributes
-    ----------
-    outcome : str
-        Of `outcome.OUTCOMES`.
-    covered : tuple of (str, bool)
-        ``term.parameter`` of rightly named terms, and whether the 95 % interval holds the truth.
-    removed : float or None
-        Share of the held-out gap the findings remove over what the true terms remove [1].
-    """
+    """How a case was answered."""
 
     name: str
     answer: Answer
     said: Statement
-    outcome: str
+    outcome: str  # of `outcome.OUTCOMES`
+    # ``term.parameter`` of rightly named terms, and whether the 95 % interval holds the truth.
     covered: tuple[tuple[str, bool], ...] = ()
+    # Share of the held-out gap the findings remove over what the true terms remove [1].
     removed: float | None = None
 
     @property
@@ -127,27 +119,17 @@ def _on_the_centreline(values: dict[str, float], answer: Answer) -> dict[str, fl
 
 @dataclass(frozen=True)
 class CaseSetScore:
-    """The score of a set of cases.
+    """The score of a set of cases."""
 
-    Attributes
-    ----------
-    groups : tuple of (str, dict of str to Rate)
-        For each kind and tier, the rate of each outcome.
-    targets : tuple of (str, str, Rate or float, bool or None)
-        What is asked for, in words; the goal; what was reached; whether it is met (None when nothing counted).
-    confusion : tuple of (str, str, int)
-        Truth, statement, how often; only where they differ from the truth alone.
-    coverage_by_parameter : tuple of (str, Rate)
-    seconds_median, seconds_most, memory_most : float
-        Of one identification [s], [s], [MB].
-    """
-
-    groups: tuple[tuple[str, dict[str, Rate]], ...]
+    groups: tuple[tuple[str, dict[str, Rate]], ...]  # for each kind and tier, the rate of each outcome
+    # What is asked for, in words; the goal; what was reached; whether it is met (None when nothing counted).
     targets: tuple[tuple[str, str, Rate | float | None, bool | None], ...]
+    # Truth, statement, how often; only where they differ from the truth alone.
     confusion: tuple[tuple[str, str, int], ...]
     coverage: Rate
     coverage_by_parameter: tuple[tuple[str, Rate], ...]
     removed_median: float | None
+    # seconds_median, seconds_most, memory_most: of one identification [s], [s], [MB].
     seconds_median: float = 0.0
     seconds_most: float = 0.0
     memory_most: float = 0.0

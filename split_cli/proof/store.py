@@ -41,20 +41,12 @@ class ShownCase:
 
 @dataclass(frozen=True)
 class Seal:
-    """The seal of a set of answers.
+    """The seal of a set of answers."""
 
-    Attributes
-    ----------
-    sha256 : str
-        Of the list of files and their hashes; printed before anything is identified.
-    version : str
-        Of the program that wrote the cases.
-    """
-
-    sha256: str
+    sha256: str  # of the list of files and their hashes; printed before anything is identified
     cases: int
     seed: int
-    version: str
+    version: str  # of the program that wrote the cases
 
 
 def case_name(number: int) -> str:

@@ -105,18 +105,11 @@ def search_size(
 
 @dataclass(frozen=True)
 class ExactDrive:
-    """A noise-free recording of a run with an effect, and what the world without it gets wrong.
+    """A noise-free recording of a run with an effect, and what the world without it gets wrong."""
 
-    Attributes
-    ----------
-    columns : mapping of str to ndarray, shape (N,)
-        t, s, yaw, vx, vy, r, T, delta at 100 Hz as the (possibly faulty) sensors report them; s along the lap.
-    error : ndarray, shape (K, 3)
-        `world.effect_error`.
-    """
-
+    # (N,): t, s, yaw, vx, vy, r, T, delta at 100 Hz as the (possibly faulty) sensors report them; s along the lap.
     columns: Mapping[str, np.ndarray]
-    error: np.ndarray
+    error: np.ndarray  # (K, 3): `world.effect_error`
 
 
 def exact_drive(run: Trajectory, alignment: Alignment, fault: SensorFault, error: np.ndarray) -> ExactDrive:

@@ -29,24 +29,15 @@ _DRAWS = 6
 
 @dataclass(frozen=True)
 class Piece:
-    """One piece of a car's physics.
+    """One piece of a car's physics."""
 
-    Attributes
-    ----------
-    term : str
-        Id of the term that names it.
-    fields, tire_fields : tuple of str
-        Parameters of the car and of its tyres that a bare car has otherwise.
-    known : callable
-        car -> physical values of the term's parameters; those that are effective are not told.
-    asked : bool
-        Whether the term has to be named where the piece is large; else it is right, but not asked for.
-    """
-
-    term: str
+    term: str  # id of the term that names it
+    # fields, tire_fields: parameters of the car and of its tyres that a bare car has otherwise.
     fields: tuple[str, ...] = ()
     tire_fields: tuple[str, ...] = ()
+    # car -> physical values of the term's parameters; those that are effective are not told.
     known: Callable[[CarParameters], Mapping[str, float]] = lambda car: {}
+    # Whether the term has to be named where the piece is large; else it is right, but not asked for.
     asked: bool = True
 
 

@@ -25,24 +25,15 @@ _FEWEST = 200
 
 @dataclass(frozen=True)
 class Belonging:
-    """What a drive shows of a vehicle's numbers; None where the drive does not excite it.
+    """What a drive shows of a vehicle's numbers; None where the drive does not excite it."""
 
-    Attributes
-    ----------
-    turning : float or None
-        Recorded yaw rate over that of steady turning with the file's wheelbase and stiffnesses [1].
-    grip : float or None
-        Recorded lateral force over the nominal one where the tyres are loaded by more than half their peak [1].
-    peak : float or None
-        Largest steady lateral acceleration (99.5 % quantile) over what both axles' peaks allow [1].
-    traction : float or None
-        Recorded longitudinal force over that of the torque [1].
-    """
-
+    # Recorded yaw rate over that of steady turning with the file's wheelbase and stiffnesses [1].
     turning: float | None
+    # Recorded lateral force over the nominal one where the tyres are loaded by more than half their peak [1].
     grip: float | None
+    # Largest steady lateral acceleration (99.5 % quantile) over what both axles' peaks allow [1].
     peak: float | None
-    traction: float | None
+    traction: float | None  # recorded longitudinal force over that of the torque [1]
 
     def contradictions(self) -> tuple[str, ...]:
         """Return what no recording of this vehicle can show, in words."""

@@ -46,20 +46,12 @@ LABEL_PERSISTENCE = "last label held"
 
 @dataclass(frozen=True)
 class HeldOutSamples:
-    """One drive's test samples.
-
-    Attributes
-    ----------
-    labels : Labels
-        All labels of the drive, in order.
-    z : ndarray, shape (rows of the drive, D)
-        Features of every row.
-    """
+    """One drive's test samples."""
 
     drive: Drive
     split: BlockSplit
-    labels: Labels
-    z: np.ndarray
+    labels: Labels  # all labels of the drive, in order
+    z: np.ndarray  # (rows of the drive, D): features of every row
 
     @property
     def tested(self) -> np.ndarray:
@@ -102,47 +94,29 @@ class ScoreTally:
 
 @dataclass(frozen=True)
 class Score:
-    """Figures of merit of one contestant; arrays are v_x, v_y, r, and the norm where there are four.
+    """Figures of merit of one contestant; arrays are v_x, v_y, r, and the norm where there are four."""
 
-    Attributes
-    ----------
-    name : str
-        ``nominal``, ``velocity held``, ``last label held``, or a predictor.
-    features : str
-        ``z1``, ``z2`` or names; empty for the baselines.
-    drive : str
-        Empty when pooled over all.
-    points : int or None
-        Size of the set behind it.
-    samples, samples_valid : int
-        Test samples, and those inside the valid region.
-    rmse, rmse_valid : ndarray, shape (4,)
-        [m/s^2], [m/s^2], [rad/s^2] and the norm.
-    skill_nominal, skill_velocity_held, skill_label_held : ndarray, shape (4,)
-        1 - MSE/MSE of that baseline.
-    nlpd : ndarray, shape (3,), or None
-        [nat] a sample. The nominal model's is that of a Gaussian with mean 0 and the training labels' mean square.
-    coverage_50, coverage_95 : ndarray, shape (3,), or None
-        Observed share inside the central intervals.
-    time_per_query : float or None
-        [s]
-    """
-
-    name: str
-    features: str
-    drive: str
-    points: int | None
+    name: str  # ``nominal``, ``velocity held``, ``last label held``, or a predictor
+    features: str  # ``z1``, ``z2`` or names; empty for the baselines
+    drive: str  # empty when pooled over all
+    points: int | None  # size of the set behind it
+    # samples, samples_valid: test samples, and those inside the valid region.
     samples: int
     samples_valid: int
+    # rmse, rmse_valid: (4,): [m/s^2], [m/s^2], [rad/s^2] and the norm.
     rmse: np.ndarray
     rmse_valid: np.ndarray
+    # skill_nominal, skill_velocity_held, skill_label_held: (4,): 1 - MSE/MSE of that baseline.
     skill_nominal: np.ndarray
     skill_velocity_held: np.ndarray
     skill_label_held: np.ndarray
+    # (3,): [nat] a sample. The nominal model's is that of a Gaussian with mean 0 and the training labels' mean
+    # square.
     nlpd: np.ndarray | None = None
+    # coverage_50, coverage_95: (3,): observed share inside the central intervals.
     coverage_50: np.ndarray | None = None
     coverage_95: np.ndarray | None = None
-    time_per_query: float | None = None
+    time_per_query: float | None = None  # [s]
     uses_recorded_future: bool = False
 
 

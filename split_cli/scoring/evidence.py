@@ -64,40 +64,21 @@ class TrainingDrive:
 
 @dataclass(frozen=True)
 class TrustEvidence:
-    """Errors of held-out predictions of one state at one horizon.
+    """Errors of held-out predictions of one state at one horizon."""
 
-    Attributes
-    ----------
-    state : int
-        0, 1, 2: v_x, v_y, r.
-    horizon : float
-        [s]; 0 stands for one step, in label units.
-    error : ndarray, shape (N,)
-        Recorded less predicted by the set's vehicle without correction.
-    change : ndarray, shape (N, 3)
-        What the correction of each output alone adds to the nominal prediction.
-    movement : ndarray, shape (N,)
-        By how much the recorded state changes within the horizon, in the unit of `error`.
-    block : ndarray of int, shape (N,)
-    conditions : ndarray, shape (N, C)
-        What the car was doing: see `_conditions`.
-    variance : ndarray, shape (N,), or None
-        The process's latent variance; for one step.
-    rivals : ndarray, shape (N, K), or None
-        Signals outside the features that may be what the correction stands in for: see `_rivals`; for one step.
-    nominal : ndarray, shape (N,), or None
-        Recorded less predicted by the vehicle file, where the set's vehicle holds effects beyond it; else `error`.
-    """
-
-    state: int
-    horizon: float
-    error: np.ndarray
-    change: np.ndarray
-    movement: np.ndarray
-    block: np.ndarray
-    conditions: np.ndarray
-    variance: np.ndarray | None = None
+    state: int  # 0, 1, 2: v_x, v_y, r
+    horizon: float  # [s]; 0 stands for one step, in label units
+    error: np.ndarray  # (N,): recorded less predicted by the set's vehicle without correction
+    change: np.ndarray  # (N, 3): what the correction of each output alone adds to the nominal prediction
+    movement: np.ndarray  # (N,): by how much the recorded state changes within the horizon, in the unit of `error`
+    block: np.ndarray  # (N,)
+    conditions: np.ndarray  # (N, C): what the car was doing: see `_conditions`
+    variance: np.ndarray | None = None  # (N,): the process's latent variance; for one step
+    # (N, K): signals outside the features that may be what the correction stands in for: see `_rivals`; for one
+    # step.
     rivals: np.ndarray | None = None
+    # (N,): recorded less predicted by the vehicle file, where the set's vehicle holds effects beyond it; else
+    # `error`.
     nominal: np.ndarray | None = None
 
     @property
@@ -108,34 +89,16 @@ class TrustEvidence:
 
 @dataclass(frozen=True)
 class _HeldOut:
-    """What one drive is judged by in one fold.
-
-    Attributes
-    ----------
-    test : ndarray of bool, shape (rows,)
-        Rows held out.
-    block : ndarray of int, shape (rows,)
-        The block of each row, -1 outside.
-    z : ndarray, shape (rows, D)
-        Features.
-    at : ndarray, shape (rows, C)
-        Conditions.
-    learned : Predictor
-        From the other blocks.
-    model : SingleTrack
-        The nominal model, with the effects that the set found.
-    of_file : SingleTrack or None
-        The same without them, where there are any.
-    """
+    """What one drive is judged by in one fold."""
 
     part: TrainingDrive
-    test: np.ndarray
-    block: np.ndarray
-    z: np.ndarray
-    at: np.ndarray
-    learned: Predictor
-    model: SingleTrack
-    of_file: SingleTrack | None
+    test: np.ndarray  # bool (rows,): rows held out
+    block: np.ndarray  # (rows,): the block of each row, -1 outside
+    z: np.ndarray  # (rows, D): features
+    at: np.ndarray  # (rows, C): conditions
+    learned: Predictor  # from the other blocks
+    model: SingleTrack  # the nominal model, with the effects that the set found
+    of_file: SingleTrack | None  # the same without them, where there are any
 
 
 def held_out_evidence(

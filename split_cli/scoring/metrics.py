@@ -17,18 +17,10 @@ _LEVELS = np.linspace(0.05, 0.95, 19)
 
 @dataclass(frozen=True)
 class ErrorSums:
-    """Squared errors, pooled: means of root mean squares over drives would favour short ones.
+    """Squared errors, pooled: means of root mean squares over drives would favour short ones."""
 
-    Attributes
-    ----------
-    squared : ndarray, shape (3,)
-        Sum of squares a state.
-    count : int
-        Samples.
-    """
-
-    squared: np.ndarray
-    count: int
+    squared: np.ndarray  # (3,): sum of squares a state
+    count: int  # samples
 
     @classmethod
     def of(cls, errors: np.ndarray) -> ErrorSums:
@@ -65,20 +57,11 @@ def skill(errors: ErrorSums, reference: ErrorSums) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ProbabilitySums:
-    """How well predicted distributions describe the labels, pooled.
+    """How well predicted distributions describe the labels, pooled."""
 
-    Attributes
-    ----------
-    negative_log_density : ndarray, shape (3,)
-        Sum over samples of -log p(y) [nat].
-    inside : ndarray, shape (2, 3)
-        Samples inside the central intervals of `INTERVALS`.
-    reliability : ndarray, shape (19, 3)
-        Samples inside central intervals of 5, 10, ... 95 % probability.
-    """
-
-    negative_log_density: np.ndarray
-    inside: np.ndarray
+    negative_log_density: np.ndarray  # (3,): sum over samples of -log p(y) [nat]
+    inside: np.ndarray  # (2, 3): samples inside the central intervals of `INTERVALS`
+    # (19, 3): samples inside central intervals of 5, 10, ... 95 % probability.
     reliability: np.ndarray
     count: int
 

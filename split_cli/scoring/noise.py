@@ -28,18 +28,10 @@ _LARGE_SHARE = 0.25
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Label rms from sensor noise.
+    """Label rms from sensor noise."""
 
-    Attributes
-    ----------
-    rms : ndarray, shape (3,), or None
-        [m/s^2], [m/s^2], [rad/s^2]; None where it cannot be told.
-    reason : str
-        Why it is None, or what it leaves out; empty otherwise.
-    """
-
-    rms: np.ndarray | None
-    reason: str = ""
+    rms: np.ndarray | None  # (3,): [m/s^2], [m/s^2], [rad/s^2]; None where it cannot be told
+    reason: str = ""  # why it is None, or what it leaves out; empty otherwise
 
     @property
     def norm(self) -> float | None:

@@ -30,69 +30,38 @@ EVALUATION_FORMAT = "split-evaluation/1"
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """What was asked for; the defaults are the same for every car and recording.
+    """What was asked for; the defaults are the same for every car and recording."""
 
-    Attributes
-    ----------
-    protocol : {"held-out", "paper"}
-        Held-out blocks of time, or the SPLIT paper's in-sample comparison on one lap.
-    sizes : tuple of int
-        Sizes of the feature comparison; 0 is all training samples.
-    guard : float
-        [s]
-    rollout : tuple of float
-        Horizons of the multi-step predictions [s].
-    horizon : float
-        Label interval h [s].
-    trust : {"held-out", "full"}
-        How far sets trained here are believed; a set of a file brings its own trust.
-    any_vehicle : bool
-        Score drives that contradict the vehicle all the same, with a warning.
-    held : tuple of str
-        Inputs that keep their value between samples, whatever the files say.
-    """
-
+    # {"held-out", "paper"} Held-out blocks of time, or the SPLIT paper's in-sample comparison on one lap.
     protocol: str = "held-out"
     predictors: tuple[str, ...] = ("bcm", DEFAULT_PREDICTOR)
     features: tuple[str, ...] = ("z2",)
-    sizes: tuple[int, ...] = ()
+    sizes: tuple[int, ...] = ()  # sizes of the feature comparison; 0 is all training samples
     blocks: int = 10
     holdout: float = 0.3
-    guard: float = 1.0
-    rollout: tuple[float, ...] = (0.5, 1.0, 2.0)
-    horizon: float = 0.05
+    guard: float = 1.0  # [s]
+    rollout: tuple[float, ...] = (0.5, 1.0, 2.0)  # horizons of the multi-step predictions [s]
+    horizon: float = 0.05  # label interval h [s]
+    # {"held-out", "full"} How far sets trained here are believed; a set of a file brings its own trust.
     trust: str = "held-out"
-    any_vehicle: bool = False
-    held: tuple[str, ...] = ()
+    any_vehicle: bool = False  # score drives that contradict the vehicle all the same, with a warning
+    held: tuple[str, ...] = ()  # inputs that keep their value between samples, whatever the files say
 
 
 @dataclass(frozen=True)
 class DriveFacts:
-    """One drive of an evaluation.
-
-    Attributes
-    ----------
-    duration : float
-        [s]
-    labels, tested, tested_valid : int
-        Labels, test samples, and those inside the valid region.
-    in_sample : bool
-        Whether the set was trained on this very file.
-    held_out : tuple of (float, float)
-        Time intervals that test [s].
-    noise_floor : NoiseFloor
-        Of the labels, over the test samples.
-    """
+    """One drive of an evaluation."""
 
     name: str
     sha256: str
-    duration: float
+    duration: float  # [s]
+    # labels, tested, tested_valid: labels, test samples, and those inside the valid region.
     labels: int
     tested: int
     tested_valid: int
-    in_sample: bool
-    held_out: tuple[tuple[float, float], ...]
-    noise_floor: NoiseFloor
+    in_sample: bool  # whether the set was trained on this very file
+    held_out: tuple[tuple[float, float], ...]  # time intervals that test [s]
+    noise_floor: NoiseFloor  # of the labels, over the test samples
     notes: tuple[str, ...]
 
 
@@ -110,64 +79,39 @@ class SetFacts:
 
 @dataclass(frozen=True)
 class SizeScore:
-    """A dense process on the most informative samples of a feature set.
+    """A dense process on the most informative samples of a feature set."""
 
-    Attributes
-    ----------
-    size : int
-        Asked for; 0 is all. The true size is ``score.points``.
-    """
-
+    # Asked for; 0 is all. The true size is ``score.points``.
     size: int
     score: Score
 
 
 @dataclass(frozen=True)
 class RolloutScore:
-    """Multi-step prediction at one horizon, pooled over drives.
-
-    Attributes
-    ----------
-    horizon : float
-        [s]
-    starts, diverged : int
-        Start points, and those left out since some model left the finite numbers.
-    rmse : ndarray, shape (3,)
-        v_x, v_y [m/s], r [rad/s].
-    distance : float
-        Position [m]; NaN without a recorded position.
-    """
+    """Multi-step prediction at one horizon, pooled over drives."""
 
     name: str
     features: str
-    horizon: float
+    horizon: float  # [s]
+    # starts, diverged: start points, and those left out since some model left the finite numbers.
     starts: int
     diverged: int
-    rmse: np.ndarray
-    distance: float
+    rmse: np.ndarray  # (3,): v_x, v_y [m/s], r [rad/s]
+    distance: float  # position [m]; NaN without a recorded position
 
 
 @dataclass(frozen=True)
 class IntervalShares:
-    """What the intervals of one predictor held, near the points of its set or beyond, pooled over drives.
+    """What the intervals of one predictor held, near the points of its set or beyond, pooled over drives."""
 
-    Attributes
-    ----------
-    name, features : str
-        Of the predictor.
-    near : bool
-        Whether these samples lie within a length scale of a point (`belonging.near_points`).
-    share : float
-        Of all test samples [1].
-    coverage_50, coverage_90, coverage_95 : ndarray, shape (3,)
-        Observed share of labels inside the central intervals, of v_x, v_y and r [1].
-    """
-
+    # name, features: of the predictor.
     name: str
     features: str
-    near: bool
+    near: bool  # whether these samples lie within a length scale of a point (`belonging.near_points`)
     samples: int
-    share: float
+    share: float  # of all test samples [1]
+    # coverage_50, coverage_90, coverage_95: (3,): observed share of labels inside the central intervals, of v_x,
+    # v_y and r [1].
     coverage_50: np.ndarray
     coverage_90: np.ndarray
     coverage_95: np.ndarray
@@ -175,34 +119,21 @@ class IntervalShares:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The result of `split evaluate`.
-
-    Attributes
-    ----------
-    scores : tuple of Score
-        Pooled over drives first, then drive by drive when there are several.
-    noise_floor : NoiseFloor
-        Pooled over drives.
-    comparisons : tuple of Comparison
-        Corrected beside nominal and persistence, by state and horizon, with intervals.
-    verdicts : tuple of str
-        One sentence a predictor and feature set.
-    intervals : tuple of IntervalShares
-        What the intervals of each predictor held near the points of its set and beyond.
-    notes : tuple of str
-        What the reader must know: recorded future used, in-sample scores, what could not be computed.
-    """
+    """The result of `split evaluate`."""
 
     settings: EvaluationSettings
     vehicle: str
     drives: tuple[DriveFacts, ...]
     sets: tuple[SetFacts, ...]
-    scores: tuple[Score, ...]
-    noise_floor: NoiseFloor
+    scores: tuple[Score, ...]  # pooled over drives first, then drive by drive when there are several
+    noise_floor: NoiseFloor  # pooled over drives
     rollouts: tuple[RolloutScore, ...]
     sizes: tuple[SizeScore, ...]
+    # Corrected beside nominal and persistence, by state and horizon, with intervals.
     comparisons: tuple[Comparison, ...]
-    verdicts: tuple[str, ...]
+    verdicts: tuple[str, ...]  # one sentence a predictor and feature set
+    # What the intervals of each predictor held near the points of its set and beyond.
     intervals: tuple[IntervalShares, ...]
+    # What the reader must know: recorded future used, in-sample scores, what could not be computed.
     notes: tuple[str, ...]
     format: str = EVALUATION_FORMAT

@@ -28,41 +28,21 @@ _VELOCITIES = ("vx", "vy", "r")
 
 @dataclass(frozen=True)
 class Correction:
-    """A residual model in a rollout.
-
-    Attributes
-    ----------
-    z : ndarray, shape (rows of the drive, D)
-        Recorded features.
-    residual : callable
-        Features (N, D) to g (N, 3).
-    """
+    """A residual model in a rollout."""
 
     features: FeatureSet
-    z: np.ndarray
-    residual: Callable[[np.ndarray], np.ndarray]
+    z: np.ndarray  # (rows of the drive, D): recorded features
+    residual: Callable[[np.ndarray], np.ndarray]  # features (N, D) to g (N, 3)
 
 
 @dataclass(frozen=True)
 class RolloutSums:
-    """Squared errors of rollouts at the end of every step, pooled over starts and drives.
+    """Squared errors of rollouts at the end of every step, pooled over starts and drives."""
 
-    Attributes
-    ----------
-    squared : ndarray, shape (K, 3)
-        Of v_x, v_y [m^2/s^2] and r [rad^2/s^2].
-    squared_distance : ndarray, shape (K,)
-        Of the position [m^2]; NaN where the drive has none.
-    count : int
-        Start points.
-    diverged : int
-        Start points left out for every model because one of them left the finite numbers.
-    """
-
-    squared: np.ndarray
-    squared_distance: np.ndarray
-    count: int
-    diverged: int
+    squared: np.ndarray  # (K, 3): of v_x, v_y [m^2/s^2] and r [rad^2/s^2]
+    squared_distance: np.ndarray  # (K,): of the position [m^2]; NaN where the drive has none
+    count: int  # start points
+    diverged: int  # start points left out for every model because one of them left the finite numbers
 
     def __add__(self, other: RolloutSums) -> RolloutSums:
         return RolloutSums(

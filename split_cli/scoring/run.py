@@ -22,22 +22,14 @@ DRAWN_ROWS = 2**18
 
 @dataclass(frozen=True)
 class Trace:
-    """Test samples of one drive with the predictions of one predictor.
-
-    Attributes
-    ----------
-    tested : Labels
-        In the order of the predictions.
-    noise_variance : ndarray, shape (3,)
-        Of a label, which its band holds beside the latent variance.
-    """
+    """Test samples of one drive with the predictions of one predictor."""
 
     name: str
     features: str
     held: HeldOutSamples
-    tested: Labels
+    tested: Labels  # in the order of the predictions
     prediction: Prediction
-    noise_variance: np.ndarray
+    noise_variance: np.ndarray  # (3,): of a label, which its band holds beside the latent variance
 
     def drawn(self) -> Trace:
         """Return the trace of at most `DRAWN_ROWS` rows about the middle one that tests."""
@@ -63,23 +55,11 @@ class Trace:
 
 @dataclass(frozen=True)
 class EvaluationRun:
-    """A report, and what figures are drawn from.
-
-    Attributes
-    ----------
-    sets : tuple of TrainingSet
-        One a feature set.
-    held : tuple of tuple of HeldOutSamples
-        One a feature set, in each one a drive.
-    tallies : mapping of (str, str) to ScoreTally
-        Pooled, by name and features.
-    rollouts : mapping of (str, str) to RolloutSums
-        Pooled, by name and features.
-    """
+    """A report, and what figures are drawn from."""
 
     report: Evaluation
-    sets: tuple[TrainingSet, ...]
-    held: tuple[tuple[HeldOutSamples, ...], ...]
+    sets: tuple[TrainingSet, ...]  # one a feature set
+    held: tuple[tuple[HeldOutSamples, ...], ...]  # one a feature set, in each one a drive
     traces: tuple[Trace, ...]
-    tallies: Mapping[tuple[str, str], ScoreTally]
-    rollouts: Mapping[tuple[str, str], RolloutSums]
+    tallies: Mapping[tuple[str, str], ScoreTally]  # pooled, by name and features
+    rollouts: Mapping[tuple[str, str], RolloutSums]  # pooled, by name and features

@@ -14,93 +14,49 @@ __all__ = ["SelectionSettings", "SetCandidate", "SetSelection", "choose", "relat
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Candidates: every combination of these is tried.
+    """Candidates: every combination of these is tried."""
 
-    Attributes
-    ----------
-    features : tuple of str
-        ``z1``, ``z2`` or comma-separated names.
-    capacities : tuple of int
-        Points a cell keeps.
-    thresholds : tuple of float
-        Gain that a point needs to enter a cell with room.
-    cell_edges : tuple of float
-        Edge of the cells, in usual edges.
-    horizon : float
-        Label interval [s].
-    """
-
-    features: tuple[str, ...] = ("z2",)
-    capacities: tuple[int, ...] = (5, 10, 20)
-    thresholds: tuple[float, ...] = (1e-3, 1e-2, 1e-1)
-    cell_edges: tuple[float, ...] = (1.0, 2.0)
+    features: tuple[str, ...] = ("z2",)  # ``z1``, ``z2`` or comma-separated names
+    capacities: tuple[int, ...] = (5, 10, 20)  # points a cell keeps
+    thresholds: tuple[float, ...] = (1e-3, 1e-2, 1e-1)  # gain that a point needs to enter a cell with room
+    cell_edges: tuple[float, ...] = (1.0, 2.0)  # edge of the cells, in usual edges
     predictor: str = DEFAULT_PREDICTOR
-    horizon: float = 0.05
+    horizon: float = 0.05  # label interval [s]
 
 
 @dataclass(frozen=True)
 class SetCandidate:
-    """One combination of settings, and what it gave on held-out blocks.
-
-    Attributes
-    ----------
-    cell_edge : float
-        In usual edges.
-    error : float
-        Root mean over v_x, v_y and r of the squared error over the nominal model's: 1 is no gain.
-    behind : float
-        How much larger the mean square behind `error` is than the best candidate's.
-    behind_error : float
-        Standard error of `behind` over blocks.
-    rmse : ndarray, shape (3,)
-        [m/s^2], [m/s^2], [rad/s^2].
-    points : float
-        Size of the set, mean over folds: what memory and exports grow with.
-    cells : float
-        Non-empty cells, mean over folds.
-    microseconds : float
-        Median of one query with variance, asked one at a time [us].
-    on_front : bool
-        Whether no candidate with as few points has a smaller error.
-    usual : bool
-        Whether these are the settings of `split train` without options.
-    """
+    """One combination of settings, and what it gave on held-out blocks."""
 
     features: str
     capacity: int
     threshold: float
-    cell_edge: float
-    error: float
-    behind: float
-    behind_error: float
-    rmse: np.ndarray
-    points: float
-    cells: float
-    microseconds: float
-    on_front: bool = False
+    cell_edge: float  # in usual edges
+    error: float  # root mean over v_x, v_y and r of the squared error over the nominal model's: 1 is no gain
+    behind: float  # how much larger the mean square behind `error` is than the best candidate's
+    behind_error: float  # standard error of `behind` over blocks
+    rmse: np.ndarray  # (3,): [m/s^2], [m/s^2], [rad/s^2]
+    points: float  # size of the set, mean over folds: what memory and exports grow with
+    cells: float  # non-empty cells, mean over folds
+    microseconds: float  # median of one query with variance, asked one at a time [us]
+    on_front: bool = False  # whether no candidate with as few points has a smaller error
     chosen: bool = False
-    usual: bool = False
+    usual: bool = False  # whether these are the settings of `split train` without options
 
 
 @dataclass(frozen=True)
 class SetSelection:
-    """All candidates, fewest points first.
-
-    Attributes
-    ----------
-    labels, blocks, folds : int
-        Held-out labels, the blocks of time they are from, and how many sets each candidate trained.
-    command : str
-        `split train` with the settings chosen.
-    """
+    """All candidates, fewest points first."""
 
     vehicle: str
     drives: tuple[str, ...]
+    # labels, blocks, folds: held-out labels, the blocks of time they are from, and how many sets each candidate
+    # trained.
     labels: int
     blocks: int
     folds: int
     candidates: tuple[SetCandidate, ...]
-    command: str
+    command: str  # `split train` with the settings chosen
 
 
 def relative_error(errors: np.ndarray, nominal: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

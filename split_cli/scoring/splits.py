@@ -18,25 +18,14 @@ DEFAULT_GUARD = 1.0
 
 @dataclass(frozen=True)
 class BlockSplit:
-    """Which rows of a drive train and which test.
+    """Which rows of a drive train and which test."""
 
-    Attributes
-    ----------
-    train, test : ndarray of bool, shape (N,)
-        Never both; rows of the guards are neither.
-    block : ndarray of int32, shape (N,)
-        Block number of every row.
-    held_out : tuple of int
-        Blocks that test.
-    intervals : tuple of (float, float)
-        First and last time stamp of each held-out block [s].
-    """
-
+    # train, test: bool (N,): never both; rows of the guards are neither.
     train: np.ndarray
     test: np.ndarray
-    block: np.ndarray
-    held_out: tuple[int, ...]
-    intervals: tuple[tuple[float, float], ...]
+    block: np.ndarray  # int32 (N,): block number of every row
+    held_out: tuple[int, ...]  # blocks that test
+    intervals: tuple[tuple[float, float], ...]  # first and last time stamp of each held-out block [s]
 
 
 def hold_out_blocks(

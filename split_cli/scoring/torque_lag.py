@@ -38,21 +38,11 @@ _LATE = ("drive_lag", "drive_delay", "sensor_delay")
 
 @dataclass(frozen=True)
 class Prepared(Generic[Made]):
-    """A set before it learns, and what it will learn from.
+    """A set before it learns, and what it will learn from."""
 
-    Attributes
-    ----------
-    empty : TrainingSet
-        Without points; its vehicle is that of the labels.
-    drives : sequence of TrainingDrive
-        What its trust is found on.
-    made : object
-        What else whoever prepared it needs of it later.
-    """
-
-    empty: TrainingSet
-    drives: Sequence[TrainingDrive]
-    made: Made
+    empty: TrainingSet  # without points; its vehicle is that of the labels
+    drives: Sequence[TrainingDrive]  # what its trust is found on
+    made: Made  # what else whoever prepared it needs of it later
 
 
 def decide(

@@ -27,53 +27,32 @@ _FEWEST_BLOCKS = 4
 
 @dataclass(frozen=True)
 class BlockErrors:
-    """Errors of three models on the same samples of one horizon.
+    """Errors of three models on the same samples of one horizon."""
 
-    Attributes
-    ----------
-    horizon : float
-        [s]; 0 is one step, in label units.
-    corrected, nominal, held : ndarray, shape (N, 3)
-        Errors of v_x, v_y, r; `held` is persistence: velocities as they were.
-    block : ndarray of int, shape (N,)
-        Block of time of each sample; numbers of different drives differ.
-    """
-
-    horizon: float
+    horizon: float  # [s]; 0 is one step, in label units
+    # corrected, nominal, held: (N, 3): errors of v_x, v_y, r; `held` is persistence: velocities as they were.
     corrected: np.ndarray
     nominal: np.ndarray
     held: np.ndarray
-    block: np.ndarray
+    block: np.ndarray  # (N,): block of time of each sample; numbers of different drives differ
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The corrected model beside the nominal one and persistence, one state at one horizon.
+    """The corrected model beside the nominal one and persistence, one state at one horizon."""
 
-    Attributes
-    ----------
-    name, features : str
-        Predictor and features of the correction.
-    state : {"v_x", "v_y", "r"}
-    horizon : float
-        [s]; 0 is one step, in label units.
-    blocks : int
-        Blocks of time that were resampled.
-    corrected, nominal, held : float
-        Root mean square errors.
-    to_nominal, to_held : tuple of float
-        Corrected over the other: the ratio, and the ends of its 95 % interval (block bootstrap); NaN with fewer
-        than four blocks.
-    """
-
+    # name, features: predictor and features of the correction.
     name: str
     features: str
-    state: str
-    horizon: float
-    blocks: int
+    state: str  # {"v_x", "v_y", "r"}
+    horizon: float  # [s]; 0 is one step, in label units
+    blocks: int  # blocks of time that were resampled
+    # corrected, nominal, held: root mean square errors.
     corrected: float
     nominal: float
     held: float
+    # to_nominal, to_held: corrected over the other: the ratio, and the ends of its 95 % interval (block
+    # bootstrap); NaN with fewer than four blocks.
     to_nominal: tuple[float, float, float]
     to_held: tuple[float, float, float]
 

@@ -28,43 +28,23 @@ _WRAPPERS = ("vehicle_params", "params", "vehicle", "ros__parameters", "bridge",
 
 @dataclass(frozen=True)
 class TireConversion:
-    """How well B, C, D repeat the source's tyre.
-
-    Attributes
-    ----------
-    law : str
-        The source's law, in words.
-    largest_deviation : float
-        Over +-alpha_max [N].
-    at : float
-        Slip angle of the largest deviation [rad].
-    peak : float
-        D [N], to compare with.
-    """
+    """How well B, C, D repeat the source's tyre."""
 
     axle: str
-    law: str
-    largest_deviation: float
-    at: float
-    peak: float
+    law: str  # the source's law, in words
+    largest_deviation: float  # over +-alpha_max [N]
+    at: float  # slip angle of the largest deviation [rad]
+    peak: float  # D [N], to compare with
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """A converted vehicle.
-
-    Attributes
-    ----------
-    kind : str
-        ``CommonRoad``, ``F1TENTH`` or ``ForzaETH``.
-    assumed : tuple of str
-        What the source does not hold, in words.
-    """
+    """A converted vehicle."""
 
     vehicle: Vehicle
-    kind: str
+    kind: str  # ``CommonRoad``, ``F1TENTH`` or ``ForzaETH``
     tires: tuple[TireConversion, ...]
-    assumed: tuple[str, ...]
+    assumed: tuple[str, ...]  # what the source does not hold, in words
 
 
 @dataclass(frozen=True)

@@ -18,23 +18,12 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True)
 class Slopes:
-    """A cost's first derivatives and its Gauss-Newton curvature at one place.
+    """A cost's first derivatives and its Gauss-Newton curvature at one place."""
 
-    Attributes
-    ----------
-    jacobian : ndarray, shape (M, P)
-        Of the residuals.
-    gradient : ndarray, shape (P,)
-        Half of the cost's: J^T r, weights and priors included.
-    curvature : ndarray, shape (P, P)
-        Half of the cost's: J^T J, weights and priors included.
-    doubt : float
-        What may be gained yet, in units of the cost, since the derivatives are not quite those of this place.
-    """
-
-    jacobian: np.ndarray
-    gradient: np.ndarray
-    curvature: np.ndarray
+    jacobian: np.ndarray  # (M, P): of the residuals
+    gradient: np.ndarray  # (P,): half of the cost's: J^T r, weights and priors included
+    curvature: np.ndarray  # (P, P): half of the cost's: J^T J, weights and priors included
+    # What may be gained yet, in units of the cost, since the derivatives are not quite those of this place.
     doubt: float = 0.0
 
     def step(self, damping: float, free: np.ndarray) -> np.ndarray:
@@ -53,21 +42,12 @@ class Slopes:
 
 @dataclass(frozen=True)
 class Descent(Generic[State]):
-    """Where a descent ended.
+    """Where a descent ended."""
 
-    Attributes
-    ----------
-    parameters : ndarray, shape (P,)
-    state : object
-        What `evaluate` returned beside the cost.
-    slopes : Slopes
-        Of the last linearisation, which is that before the last step, or as they followed that.
-    """
-
-    parameters: np.ndarray
+    parameters: np.ndarray  # (P,)
     cost: float
-    state: State
-    slopes: Slopes
+    state: State  # what `evaluate` returned beside the cost
+    slopes: Slopes  # of the last linearisation, which is that before the last step, or as they followed that
 
 
 def descend(

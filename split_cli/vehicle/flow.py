@@ -26,39 +26,18 @@ class AxleFlow:
 
 @dataclass
 class Flow:
-    """Everything a term may read or alter while the derivative is evaluated, in SI units and CG frame.
-
-    Attributes
-    ----------
-    vx, vy, r : array or symbol
-        Velocities at the CG [m/s], [m/s], [rad/s].
-    T, delta : array or symbol
-        Torque [N m] and road-wheel angle [rad], as commanded until the stage `actuate` has passed.
-    yaw, t, s : array or symbol
-        Yaw angle [rad], time [s], track position [m]; 0 where the caller has none.
-    mass, yaw_inertia, l_f, l_r : array or symbol
-    sine, cosine : array or symbol
-        Of `delta` once `actuate` has passed.
-    force_x, force_y, moment : array or symbol
-        External forces [N] and moment [N m] at the CG.
-    states : mapping of str to array, or None
-        Values of the terms' states; None means steady, each state at what it would settle at.
-    recording : Recording or None
-        Given when the arrays are a whole recording: then states and delays are solved along it, from steady at
-        each segment's start.
-    rates, values : dict
-        What the terms' states change by, each per second, and what they are; filled by the terms.
-    pulled : dict
-        Of states that are a play: where the source of this moment drags them at once, without the closing rate.
-    """
+    """Everything a term may read or alter while the derivative is evaluated, in SI units and CG frame."""
 
     ops: Operations
     vehicle: Vehicle
+    # vx, vy, r: velocities at the CG [m/s], [m/s], [rad/s].
     vx: Any
     vy: Any
     r: Any
+    # T, delta: torque [N m] and road-wheel angle [rad], as commanded until the stage `actuate` has passed.
     T: Any
     delta: Any
+    # yaw, t, s: yaw angle [rad], time [s], track position [m]; 0 where the caller has none.
     yaw: Any
     t: Any
     s: Any
@@ -68,15 +47,22 @@ class Flow:
     l_r: Any
     front: AxleFlow
     rear: AxleFlow
+    # sine, cosine: of `delta` once `actuate` has passed.
     sine: Any = 0.0
     cosine: Any = 1.0
+    # force_x, force_y, moment: external forces [N] and moment [N m] at the CG.
     force_x: Any = 0.0
     force_y: Any = 0.0
     moment: Any = 0.0
+    # Values of the terms' states; None means steady, each state at what it would settle at.
     states: Mapping[str, Any] | None = None
+    # Given when the arrays are a whole recording: then states and delays are solved along it, from steady at each
+    # segment's start.
     recording: Any = None
+    # rates, values: what the terms' states change by, each per second, and what they are; filled by the terms.
     rates: dict[str, Any] = field(default_factory=dict)
     values: dict[str, Any] = field(default_factory=dict)
+    # Of states that are a play: where the source of this moment drags them at once, without the closing rate.
     pulled: dict[str, Any] = field(default_factory=dict)
 
 

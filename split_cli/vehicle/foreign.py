@@ -21,22 +21,13 @@ _GRAVITY = 9.81  # as in `converters`, so that forces come out the same
 
 @dataclass(frozen=True)
 class ForeignParameters:
-    """A vehicle in another project's words.
-
-    Attributes
-    ----------
-    content : dict
-        Keys and numbers of the file.
-    deviations : tuple of float
-        Largest difference of the lateral force of the front and the rear axle over +-alpha_max [N].
-    lost : tuple of str
-        What the format has no place for, in words.
-    """
+    """A vehicle in another project's words."""
 
     kind: str
-    content: dict[str, Any]
+    content: dict[str, Any]  # keys and numbers of the file
+    # Largest difference of the lateral force of the front and the rear axle over +-alpha_max [N].
     deviations: tuple[float, float]
-    lost: tuple[str, ...]
+    lost: tuple[str, ...]  # what the format has no place for, in words
 
 
 def foreign_parameters(vehicle: Vehicle, kind: str, alpha_max: float = 0.18) -> ForeignParameters:

@@ -27,19 +27,13 @@ speed, is to blame for steps that are too long."""
 
 @dataclass(frozen=True)
 class Situation:
-    """What a model is told beside velocities and inputs: when and where, its yaw, and what its terms remember.
+    """What a model is told beside velocities and inputs: when and where, its yaw, and what its terms remember."""
 
-    Attributes
-    ----------
-    t, s, yaw : array of shape (N,) or float
-        Time [s], track position [m], yaw angle [rad]; 0 where nothing is known.
-    states : ndarray, shape (N, S), or None
-        The terms' states, in the order of ``model.state_names``; None means steady.
-    """
-
+    # t, s, yaw: (N,): time [s], track position [m], yaw angle [rad]; 0 where nothing is known.
     t: Any = 0.0
     s: Any = 0.0
     yaw: Any = 0.0
+    # (N, S): the terms' states, in the order of ``model.state_names``; None means steady.
     states: np.ndarray | None = None
 
     def at(self, rows: np.ndarray) -> Situation:

@@ -12,21 +12,11 @@ __all__ = ["MagicFormula", "lateral_force", "lateral_force_slope"]
 
 @dataclass(frozen=True)
 class MagicFormula:
-    """Coefficients of one axle's lateral force.
+    """Coefficients of one axle's lateral force."""
 
-    Attributes
-    ----------
-    B : float
-        Stiffness factor [1/rad], positive.
-    C : float
-        Shape factor [1], in (0, 2).
-    D : float
-        Peak lateral force of the whole axle [N], friction and load included.
-    """
-
-    B: float
-    C: float
-    D: float
+    B: float  # stiffness factor [1/rad], positive
+    C: float  # shape factor [1], in (0, 2)
+    D: float  # peak lateral force of the whole axle [N], friction and load included
 
     @property
     def cornering_stiffness(self) -> float:

@@ -19,26 +19,15 @@ _MOST_SUBSTEPS = 1_000
 
 @dataclass(frozen=True)
 class RecordedInputs:
-    """What a model, with memory or without, needs to start a window anywhere in a recording.
+    """What a model, with memory or without, needs to start a window anywhere in a recording."""
 
-    Attributes
-    ----------
-    period : float
-        Sample period [s].
-    torque, steer_angle : ndarray, shape (N,)
-        Recorded T [N m] and delta [rad], late by the delays among the terms. Of a held input this is the mean over
-        the sample that begins at the row: a late staircase steps inside its samples.
-    situation : Situation
-        At every sample; the terms' states from steady at each segment.
-    held : tuple of str
-        Inputs that are constant over each sample; the others run in straight lines.
-    """
-
-    period: float
+    period: float  # sample period [s]
+    # torque, steer_angle: (N,): recorded T [N m] and delta [rad], late by the delays among the terms. Of a held
+    # input this is the mean over the sample that begins at the row: a late staircase steps inside its samples.
     torque: np.ndarray
     steer_angle: np.ndarray
-    situation: Situation
-    held: tuple[str, ...] = ()
+    situation: Situation  # at every sample; the terms' states from steady at each segment
+    held: tuple[str, ...] = ()  # inputs that are constant over each sample; the others run in straight lines
 
     def windows(self, rows: np.ndarray, length: int) -> Windows:
         """Return the windows of `length` samples that begin at `rows`, shape (N,); each inside one segment."""
@@ -48,25 +37,14 @@ class RecordedInputs:
 
 @dataclass(frozen=True)
 class Windows:
-    """Stretches of a recording that begin at some rows and have one length.
+    """Stretches of a recording that begin at some rows and have one length."""
 
-    Attributes
-    ----------
-    period : float
-        Sample period [s].
-    torque, steer_angle : ndarray, shape (N, K + 1)
-        On the samples of each window [N m], [rad].
-    situation : Situation
-        At the windows' begin.
-    held : tuple of str
-        As of `RecordedInputs`.
-    """
-
-    period: float
+    period: float  # sample period [s]
+    # torque, steer_angle: (N, K + 1): on the samples of each window [N m], [rad].
     torque: np.ndarray
     steer_angle: np.ndarray
-    situation: Situation
-    held: tuple[str, ...] = ()
+    situation: Situation  # at the windows' begin
+    held: tuple[str, ...] = ()  # as of `RecordedInputs`
 
     def jacobian(self, model: SingleTrack, state: np.ndarray) -> np.ndarray:
         """Return the velocity Jacobian at the windows' begin, (N, 3, 3), of states as `predict` takes them."""

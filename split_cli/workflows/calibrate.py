@@ -23,17 +23,11 @@ __all__ = ["DriveUse", "calibrate_files", "convert_files", "motion_runs", "write
 
 @dataclass(frozen=True)
 class DriveUse:
-    """How much of a drive the calibration used.
-
-    Attributes
-    ----------
-    seconds : float
-        Of what was used [s].
-    """
+    """How much of a drive the calibration used."""
 
     name: str
     sha256: str
-    seconds: float
+    seconds: float  # of what was used [s]
 
 
 def calibrate_files(

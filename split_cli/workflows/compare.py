@@ -28,43 +28,26 @@ _VELOCITIES = ("vx", "vy", "r")
 
 @dataclass(frozen=True)
 class ComparedModel:
-    """A model that runs freely: a vehicle, with a trained set's correction or without.
-
-    Attributes
-    ----------
-    predictor : str
-        Name of the predictor; empty without a set.
-    """
+    """A model that runs freely: a vehicle, with a trained set's correction or without."""
 
     name: str
     vehicle: Vehicle
     trained: TrainingSet | None = None
-    predictor: str = ""
+    predictor: str = ""  # name of the predictor; empty without a set
 
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """What was compared, and what came out.
-
-    Attributes
-    ----------
-    starts, diverged : int
-        Free runs that count, and those left out for all since some model left the finite numbers.
-    scores : tuple of ModelScore
-        Over all drives, horizon by horizon.
-    by_drive : tuple of (str, tuple of ModelScore)
-        Drive by drive, where there are several.
-    worse : tuple of str
-        Where the first model is worse than another one beyond chance.
-    """
+    """What was compared, and what came out."""
 
     models: tuple[str, ...]
     drives: tuple[str, ...]
+    # starts, diverged: free runs that count, and those left out for all since some model left the finite numbers.
     starts: int
     diverged: int
-    scores: tuple[ModelScore, ...]
-    by_drive: tuple[tuple[str, tuple[ModelScore, ...]], ...]
-    worse: tuple[str, ...]
+    scores: tuple[ModelScore, ...]  # over all drives, horizon by horizon
+    by_drive: tuple[tuple[str, tuple[ModelScore, ...]], ...]  # drive by drive, where there are several
+    worse: tuple[str, ...]  # where the first model is worse than another one beyond chance
     notes: tuple[str, ...]
 
 

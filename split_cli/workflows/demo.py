@@ -24,18 +24,10 @@ INSTALLED = Path("share/split-cli/sample_logs")
 
 @dataclass(frozen=True)
 class DemoStep:
-    """One command of the demo.
+    """One command of the demo."""
 
-    Attributes
-    ----------
-    title : str
-        What it does, for the reader.
-    arguments : tuple of str
-        As typed after ``split``.
-    """
-
-    title: str
-    arguments: tuple[str, ...]
+    title: str  # what it does, for the reader
+    arguments: tuple[str, ...]  # as typed after ``split``
 
     @property
     def command(self) -> str:

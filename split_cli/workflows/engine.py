@@ -36,22 +36,13 @@ _MOST_UNASKED = 4
 
 @dataclass(frozen=True)
 class Engine:
-    """Applies a function to items; results come in the order of the items, whoever is done first.
+    """Applies a function to items; results come in the order of the items, whoever is done first."""
 
-    Attributes
-    ----------
-    name : str
-        In words, for the report.
-    apply : callable
-        ``apply(function, items)`` yields results in order; an error of an item is raised at its place.
-    carries_closures : bool
-        Whether functions within functions can travel, too.
-    """
-
-    name: str
+    name: str  # in words, for the report
     workers: int
+    # ``apply(function, items)`` yields results in order; an error of an item is raised at its place.
     apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[Any]]
-    carries_closures: bool = False
+    carries_closures: bool = False  # whether functions within functions can travel, too
 
     def map(self, function: Callable[[_T], _R], items: Iterable[_T]) -> Iterator[_R]:
         """Yield ``function(item)`` of every item, in order.

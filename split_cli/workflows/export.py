@@ -19,13 +19,7 @@ __all__ = ["ExportResult", "export_doubts", "export_set"]
 
 @dataclass(frozen=True)
 class ExportResult:
-    """What was exported.
-
-    Attributes
-    ----------
-    doubts : tuple of str
-        Why the set should not drive a car yet, exported because the user insisted.
-    """
+    """What was exported."""
 
     folder: str
     name: str
@@ -33,7 +27,7 @@ class ExportResult:
     points: int
     cells: int
     targets: tuple[TargetResult, ...]
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()  # why the set should not drive a car yet, exported because the user insisted
 
 
 def export_doubts(training_set: TrainingSet) -> tuple[str, ...]:

@@ -17,19 +17,11 @@ __all__ = ["FileDescription", "describe_file"]
 
 @dataclass(frozen=True)
 class FileDescription:
-    """What a file is.
-
-    Attributes
-    ----------
-    kind : str
-        drive, labels, trained set, vehicle, signal map, export, diagnosis, or recording.
-    facts : tuple of (str, str)
-        What is known of it, in reading order.
-    """
+    """What a file is."""
 
     path: str
-    kind: str
-    facts: tuple[tuple[str, str], ...]
+    kind: str  # drive, labels, trained set, vehicle, signal map, export, diagnosis, or recording
+    facts: tuple[tuple[str, str], ...]  # what is known of it, in reading order
 
 
 def describe_file(path: str | Path) -> FileDescription:

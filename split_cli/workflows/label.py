@@ -27,30 +27,16 @@ __all__ = ["LabelResult", "drive_notes", "label_drive", "label_drives"]
 
 @dataclass(frozen=True)
 class LabelResult:
-    """What became of a drive's samples.
-
-    Attributes
-    ----------
-    horizon : float
-        Label interval [s], a whole number of samples.
-    window : int
-        Samples in it.
-    rejected : tuple of (str, int)
-        By reason, in the order of the tests.
-    rms : tuple of float or None
-        Root mean square of the accepted labels of v_x, v_y [m/s^2] and r [rad/s^2].
-    notes : tuple of str
-        What a reader should know of the labels.
-    """
+    """What became of a drive's samples."""
 
     drive: str
-    horizon: float
-    window: int
+    horizon: float  # label interval [s], a whole number of samples
+    window: int  # samples in it
     samples: int
     accepted: int
-    rejected: tuple[tuple[str, int], ...]
-    rms: tuple[float, ...] | None
-    notes: tuple[str, ...]
+    rejected: tuple[tuple[str, int], ...]  # by reason, in the order of the tests
+    rms: tuple[float, ...] | None  # root mean square of the accepted labels of v_x, v_y [m/s^2] and r [rad/s^2]
+    notes: tuple[str, ...]  # what a reader should know of the labels
 
 
 def label_drive(

@@ -37,82 +37,45 @@ _BETWEEN = {"T": "held", "delta": "held"}
 
 @dataclass(frozen=True)
 class SimulateSettings:
-    """What to drive and how to record it.
-
-    Attributes
-    ----------
-    track : str or None
-        Laps of this track with a driver.
-    maneuver : str or None
-        Instead of laps, a standard test.
-    calibration_tests : bool
-        Instead of either, the set of gentle tests as one drive, a segment a test.
-    duration : float or None
-        Instead of a number of laps [s].
-    aggressiveness : float or None
-        Share of the car's grip that is used [1]; by default 0.6 for laps, 0.35 for tests.
-    format : str or None
-        mcap, csv or parquet; by default from the name of the output.
-    instruments : str
-        full, lean or perfect.
-    workshop_units : bool
-        A CSV in km/h, deg, deg/s and g.
-    lead_in : float
-        Recording begins so long after the start, when tyres and actuators have settled [s].
-    effects : tuple of str
-        What the driver does not know of, each as ``NAME:parameter=value,...``; see `plant.effects`.
-    """
+    """What to drive and how to record it."""
 
     car: str = "road_car"
-    track: str | None = None
-    maneuver: str | None = None
-    calibration_tests: bool = False
+    track: str | None = None  # laps of this track with a driver
+    maneuver: str | None = None  # instead of laps, a standard test
+    calibration_tests: bool = False  # instead of either, the set of gentle tests as one drive, a segment a test
     laps: float = 1.0
-    duration: float | None = None
+    duration: float | None = None  # instead of a number of laps [s]
     driver: str = "brisk"
+    # Share of the car's grip that is used [1]; by default 0.6 for laps, 0.35 for tests.
     aggressiveness: float | None = None
     seed: int = 0
-    format: str | None = None
-    instruments: str = "full"
-    workshop_units: bool = False
-    lead_in: float = 0.0
+    format: str | None = None  # mcap, csv or parquet; by default from the name of the output
+    instruments: str = "full"  # full, lean or perfect
+    workshop_units: bool = False  # a CSV in km/h, deg, deg/s and g
+    lead_in: float = 0.0  # recording begins so long after the start, when tyres and actuators have settled [s]
+    # What the driver does not know of, each as ``NAME:parameter=value,...``; see `plant.effects`.
     effects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class SimulatedLog:
-    """What was driven and written.
-
-    Attributes
-    ----------
-    sha256 : str
-        Of the output.
-    what : str
-        The car and what it did, in words.
-    duration, distance : float
-        [s], [m]
-    top_speed : float
-        [m/s]
-    lateral_peak, driving_peak, braking_peak : float
-        Greatest specific forces: across either way, forward, backward [m/s^2].
-    rates : tuple of (str, float)
-        Device and reports per second [Hz].
-    effects : tuple of str
-        What was changed, every parameter told.
-    """
+    """What was driven and written."""
 
     output: Path
-    sha256: str
+    sha256: str  # of the output
     truth: Path | None
-    what: str
+    what: str  # the car and what it did, in words
+    # duration, distance: [s], [m]
     duration: float
     distance: float
-    top_speed: float
+    top_speed: float  # [m/s]
+    # lateral_peak, driving_peak, braking_peak: greatest specific forces: across either way, forward, backward
+    # [m/s^2].
     lateral_peak: float
     driving_peak: float
     braking_peak: float
-    rates: tuple[tuple[str, float], ...]
-    effects: tuple[str, ...] = ()
+    rates: tuple[tuple[str, float], ...]  # device and reports per second [Hz]
+    effects: tuple[str, ...] = ()  # what was changed, every parameter told
     notes: tuple[str, ...] = ()
 
 

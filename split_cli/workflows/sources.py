@@ -28,18 +28,10 @@ _COPY_BYTES = 1 << 22
 
 @dataclass(frozen=True)
 class SourceFile:
-    """One input, wherever it is.
+    """One input, wherever it is."""
 
-    Attributes
-    ----------
-    address : str
-        Path, or ``protocol://...``.
-    place : str
-        Its name below the folder that was asked for, with ``/``: ``lap.mcap``, ``monday/lap.mcap``.
-    """
-
-    address: str
-    place: str
+    address: str  # path, or ``protocol://...``
+    place: str  # its name below the folder that was asked for, with ``/``: ``lap.mcap``, ``monday/lap.mcap``
 
     @property
     def name(self) -> str:

@@ -31,25 +31,13 @@ _MOST_DOTS = 1500
 
 @dataclass(frozen=True)
 class Subject:
-    """What is drawn beside a measured drive: another recording, or a model over the recorded inputs.
-
-    Attributes
-    ----------
-    role : str
-        Of the palette.
-    drive : Drive
-        The recording itself, or what the model runs over.
-    vehicle : Vehicle or None
-        The model; None where the drive itself is the subject.
-    correction : Correction or None
-        A learned residual on top of the model.
-    """
+    """What is drawn beside a measured drive: another recording, or a model over the recorded inputs."""
 
     name: str
-    role: str
-    drive: Drive
-    vehicle: Vehicle | None = None
-    correction: Correction | None = None
+    role: str  # of the palette
+    drive: Drive  # the recording itself, or what the model runs over
+    vehicle: Vehicle | None = None  # the model; None where the drive itself is the subject
+    correction: Correction | None = None  # a learned residual on top of the model
     shown: bool = True
 
     @cached_property

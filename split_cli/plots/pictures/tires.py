@@ -24,19 +24,11 @@ _TWO_SIDED_95 = 1.959964
 
 @dataclass(frozen=True)
 class LearnedForces:
-    """A learned residual at the labels of the nominal model it was learned on.
-
-    Attributes
-    ----------
-    rows : ndarray of int, shape (K,)
-        Rows of the drive that it was asked at.
-    prediction : Prediction
-        Of K queries.
-    """
+    """A learned residual at the labels of the nominal model it was learned on."""
 
     name: str
-    rows: np.ndarray
-    prediction: Prediction
+    rows: np.ndarray  # (K,): rows of the drive that it was asked at
+    prediction: Prediction  # of K queries
 
 
 def tire_charts(

@@ -18,22 +18,12 @@ __all__ = ["AxleForces", "axle_forces", "binned", "forces_of_rates"]
 
 @dataclass(frozen=True)
 class AxleForces:
-    """Forces over one drive; columns are total longitudinal, front lateral and rear lateral force [N].
+    """Forces over one drive; columns are total longitudinal, front lateral and rear lateral force [N]."""
 
-    Attributes
-    ----------
-    labels : Labels
-        Of the nominal model, finite ones only.
-    slip : ndarray, shape (N, 2)
-        Front and rear slip angle of the nominal model [rad].
-    torque : ndarray, shape (N,)
-        [N m]
-    nominal, measured : ndarray, shape (N, 3)
-    """
-
-    labels: Labels
-    slip: np.ndarray
-    torque: np.ndarray
+    labels: Labels  # of the nominal model, finite ones only
+    slip: np.ndarray  # (N, 2): front and rear slip angle of the nominal model [rad]
+    torque: np.ndarray  # (N,): [N m]
+    # nominal, measured: (N, 3)
     nominal: np.ndarray
     measured: np.ndarray
 

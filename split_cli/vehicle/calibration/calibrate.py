@@ -29,33 +29,17 @@ PARTS = ("tires", "drag", "rolling", "splits", "inertia")
 
 @dataclass(frozen=True)
 class CalibrationSettings:
-    """What is fitted and which samples count.
+    """What is fitted and which samples count."""
 
-    Attributes
-    ----------
-    parts : tuple of str
-        Of `PARTS`.
-    alpha_max : float
-        Samples of larger slip angles are left out, and curves compared up to it [rad].
-    max_longitudinal_acceleration : float
-        For the tyres, samples beyond it are left out: braking and driving take lateral grip and move load, which
-        the nominal model does not know [m/s^2].
-    max_lateral_acceleration : float
-        For the resistances, samples beyond it are left out [m/s^2].
-    smoothing : float or None
-        Standard deviation of the kernel [s]; None as `motion_samples` has it.
-    offsets : bool
-        Whether constant offsets of the slip angles are fitted.
-    draws, seed : int
-        How often blocks of time are resampled, and the seed.
-    """
-
-    parts: tuple[str, ...] = ("tires", "drag", "rolling")
-    alpha_max: float = 0.18
+    parts: tuple[str, ...] = ("tires", "drag", "rolling")  # of `PARTS`
+    alpha_max: float = 0.18  # samples of larger slip angles are left out, and curves compared up to it [rad]
+    # For the tyres, samples beyond it are left out: braking and driving take lateral grip and move load, which the
+    # nominal model does not know [m/s^2].
     max_longitudinal_acceleration: float = 2.0
-    max_lateral_acceleration: float = 2.0
-    smoothing: float | None = None
-    offsets: bool = False
+    max_lateral_acceleration: float = 2.0  # for the resistances, samples beyond it are left out [m/s^2]
+    smoothing: float | None = None  # standard deviation of the kernel [s]; None as `motion_samples` has it
+    offsets: bool = False  # whether constant offsets of the slip angles are fitted
+    # draws, seed: how often blocks of time are resampled, and the seed.
     draws: int = 200
     seed: int = 0
 
@@ -69,28 +53,16 @@ class CalibrationSettings:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A calibrated vehicle and what is known of it.
+    """A calibrated vehicle and what is known of it."""
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        Calibrated values are marked so, the rest as it was.
-    curves : tuple of ForceCurve
-        Front and rear; empty when tyres were not fitted.
-    estimates : tuple of IntervalEstimate
-        Yaw inertia and splits, where asked for.
-    samples, blocks : int
-        Smoothed samples above the minimum speed, and blocks of time.
-    slip_front, force_front, slip_rear, force_rear : ndarray
-        The samples behind the curves [rad], [N], for figures.
-    """
-
-    vehicle: Vehicle
-    curves: tuple[ForceCurve, ...]
+    vehicle: Vehicle  # calibrated values are marked so, the rest as it was
+    curves: tuple[ForceCurve, ...]  # front and rear; empty when tyres were not fitted
     resistance: Resistance | None
-    estimates: tuple[IntervalEstimate, ...]
+    estimates: tuple[IntervalEstimate, ...]  # yaw inertia and splits, where asked for
+    # samples, blocks: smoothed samples above the minimum speed, and blocks of time.
     samples: int
     blocks: int
+    # slip_front, force_front, slip_rear, force_rear: the samples behind the curves [rad], [N], for figures.
     slip_front: np.ndarray
     force_front: np.ndarray
     slip_rear: np.ndarray

@@ -24,72 +24,45 @@ _MINIMUM_BLOCKS = 6
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """Errors on blocks of time that the fit did not see, pooled over five folds.
+    """Errors on blocks of time that the fit did not see, pooled over five folds."""
 
-    Attributes
-    ----------
-    calibrated : float
-        Root mean square of measured minus calibrated [N].
-    start : float
-        The same for the vehicle one started from [N].
-    signal : float
-        Root mean square of what was measured [N]: the error of predicting 0.
-    """
-
-    calibrated: float
-    start: float
-    signal: float
+    calibrated: float  # root mean square of measured minus calibrated [N]
+    start: float  # the same for the vehicle one started from [N]
+    signal: float  # root mean square of what was measured [N]: the error of predicting 0
 
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """What drives say about one axle's lateral force.
+    """What drives say about one axle's lateral force."""
 
-    Attributes
-    ----------
-    axle : str
-        ``front`` or ``rear``.
-    tire : MagicFormula
-        The calibrated coefficients, or the start's where not even the slope is settled.
-    determined : tuple of str
-        Which of B, C, D the data settle; the others were given. Empty when the start's tyre is kept.
-    slip_offset : float
-        Added to the measured slip angle [rad]; 0 unless offsets were fitted.
-    covered : float
-        The data reach |slip angle| up to here [rad]: the 99 % quantile.
-    cornering_stiffness : tuple of float
-        Slope that the data fit best, lower and upper end of its 95 % interval, at the given D [N/rad].
-    peak : tuple of float
-        Lower and upper end of the 95 % interval of D [N]; the upper is infinite where the data set no limit.
-    slip_angle, force, lower, upper : ndarray, shape (G,)
-        The curve over 0 to alpha_max [rad], [N], and its 95 % confidence band from resampled blocks [N].
-    alike_lower, alike_upper : ndarray, shape (G,)
-        Envelope of all curves that fit equally well (within the 95 % likelihood interval of D) [N].
-    deviation_covered, deviation_everywhere : float
-        Largest distance between two equally good curves, inside the covered slip angles and up to alpha_max [N].
-    remarks : tuple of str
-        What the reader must know, in sentences.
-    """
-
-    axle: str
-    tire: MagicFormula
+    axle: str  # ``front`` or ``rear``
+    tire: MagicFormula  # the calibrated coefficients, or the start's where not even the slope is settled
+    # Which of B, C, D the data settle; the others were given. Empty when the start's tyre is kept.
     determined: tuple[str, ...]
-    slip_offset: float
-    covered: float
+    slip_offset: float  # added to the measured slip angle [rad]; 0 unless offsets were fitted
+    covered: float  # the data reach |slip angle| up to here [rad]: the 99 % quantile
+    # Slope that the data fit best, lower and upper end of its 95 % interval, at the given D [N/rad].
     cornering_stiffness: tuple[float, float, float]
+    # Lower and upper end of the 95 % interval of D [N]; the upper is infinite where the data set no limit.
     peak: tuple[float, float]
+    # slip_angle, force, lower, upper: (G,): the curve over 0 to alpha_max [rad], [N], and its 95 % confidence band
+    # from resampled blocks [N].
     slip_angle: np.ndarray
     force: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+    # alike_lower, alike_upper: (G,): envelope of all curves that fit equally well (within the 95 % likelihood
+    # interval of D) [N].
     alike_lower: np.ndarray
     alike_upper: np.ndarray
+    # deviation_covered, deviation_everywhere: largest distance between two equally good curves, inside the covered
+    # slip angles and up to alpha_max [N].
     deviation_covered: float
     deviation_everywhere: float
     held_out: HeldOutError
     samples: int
     blocks: int
-    remarks: tuple[str, ...]
+    remarks: tuple[str, ...]  # what the reader must know, in sentences
 
     @property
     def slope_is_known(self) -> bool:

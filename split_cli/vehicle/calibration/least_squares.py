@@ -21,28 +21,14 @@ _TRIES = 12
 
 @dataclass(frozen=True)
 class LeastSquaresFit:
-    """A solution of robust least squares.
+    """A solution of robust least squares."""
 
-    Attributes
-    ----------
-    parameters : ndarray, shape (P,)
-    cost : float
-        Sum of weight times Huber loss, in units of the squared residual.
-    scale : float
-        Robust standard deviation of the residuals.
-    curvature : ndarray, shape (F, F)
-        J^T W J of the free parameters.
-    scores : ndarray, shape (M, F)
-        Each sample's share of the gradient, for sums over blocks.
-    free : ndarray of int, shape (F,)
-    """
-
-    parameters: np.ndarray
-    cost: float
-    scale: float
-    curvature: np.ndarray
-    scores: np.ndarray
-    free: np.ndarray
+    parameters: np.ndarray  # (P,)
+    cost: float  # sum of weight times Huber loss, in units of the squared residual
+    scale: float  # robust standard deviation of the residuals
+    curvature: np.ndarray  # (F, F): J^T W J of the free parameters
+    scores: np.ndarray  # (M, F): each sample's share of the gradient, for sums over blocks
+    free: np.ndarray  # (F,)
 
     def covariance(self, block: np.ndarray) -> np.ndarray:
         """Return the covariance of the free parameters, shape (F, F), robust to correlation within blocks.

@@ -20,36 +20,22 @@ _MINIMUM_BLOCKS = 6
 
 @dataclass(frozen=True)
 class Resistance:
-    """What drives say about the force against straight travel.
+    """What drives say about the force against straight travel."""
 
-    Attributes
-    ----------
-    drag : float
-        C_w [N/(m/s)^2].
-    rolling : float
-        C_fr + C_rr [N].
-    determined : tuple of str
-        Which of ``drag``, ``rolling`` the data settle.
-    drag_error, rolling_error : float
-        Half widths of the 95 % intervals of a fit of both.
-    torque_gain : tuple of float
-        Force that arrives per T/r_e: estimate and half width of its 95 % interval; 1 in the nominal model.
-    speed, force, half_width : ndarray, shape (G,)
-        The resistance C_fr + C_rr + C_w v_x^2 over the speeds covered [m/s], [N], and its 95 % half width [N].
-    held_out : HeldOutError
-        Of the longitudinal force.
-    """
-
-    drag: float
-    rolling: float
-    determined: tuple[str, ...]
+    drag: float  # C_w [N/(m/s)^2]
+    rolling: float  # C_fr + C_rr [N]
+    determined: tuple[str, ...]  # which of ``drag``, ``rolling`` the data settle
+    # drag_error, rolling_error: half widths of the 95 % intervals of a fit of both.
     drag_error: float
     rolling_error: float
+    # Force that arrives per T/r_e: estimate and half width of its 95 % interval; 1 in the nominal model.
     torque_gain: tuple[float, float]
+    # speed, force, half_width: (G,): the resistance C_fr + C_rr + C_w v_x^2 over the speeds covered [m/s], [N],
+    # and its 95 % half width [N].
     speed: np.ndarray
     force: np.ndarray
     half_width: np.ndarray
-    held_out: HeldOutError
+    held_out: HeldOutError  # of the longitudinal force
     samples: int
     blocks: int
     remarks: tuple[str, ...]

@@ -19,67 +19,44 @@ _BLOCK_SECONDS = 5.0  # of a block of time
 
 @dataclass(frozen=True)
 class MotionRun:
-    """A stretch of a drive without a gap.
+    """A stretch of a drive without a gap."""
 
-    Attributes
-    ----------
-    period : float
-        Sample period [s].
-    vx, vy, r : ndarray, shape (N,)
-        Velocities at the CG [m/s], [m/s], [rad/s].
-    T, delta : ndarray, shape (N,)
-        Total wheel torque [N m] and road-wheel angle [rad].
-    ay : ndarray, shape (N,), or None
-        Measured lateral specific force [m/s^2] where it is to be used; None takes v_y' + v_x r.
-    """
-
-    period: float
+    period: float  # sample period [s]
+    # vx, vy, r: (N,): velocities at the CG [m/s], [m/s], [rad/s].
     vx: np.ndarray
     vy: np.ndarray
     r: np.ndarray
+    # T, delta: (N,): total wheel torque [N m] and road-wheel angle [rad].
     T: np.ndarray
     delta: np.ndarray
+    # (N,): measured lateral specific force [m/s^2] where it is to be used; None takes v_y' + v_x r.
     ay: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class MotionSamples:
-    """Smoothed motion, thinned to one sample in two smoothing widths, with blocks of time; every array `(M,)`.
+    """Smoothed motion, thinned to one sample in two smoothing widths, with blocks of time; every array `(M,)`."""
 
-    Attributes
-    ----------
-    vx, vy, r : ndarray
-        Velocities at the CG [m/s], [m/s], [rad/s].
-    T, delta : ndarray
-        Torque [N m], road-wheel angle [rad].
-    ax, ay : ndarray
-        v_x' - v_y r and v_y' + v_x r (or the measured one) [m/s^2].
-    yaw_acceleration : ndarray
-        r' [rad/s^2].
-    slip_front, slip_rear : ndarray
-        Slip angles [rad].
-    slip_noise_front, slip_noise_rear : ndarray
-        Standard deviation of what sensor noise leaves in them after smoothing [rad].
-    yaw_acceleration_noise : ndarray
-        The same of r' [rad/s^2].
-    block : ndarray of int
-        Block of time; blocks are what is held out and resampled.
-    """
-
+    # vx, vy, r: velocities at the CG [m/s], [m/s], [rad/s].
     vx: np.ndarray
     vy: np.ndarray
     r: np.ndarray
+    # T, delta: torque [N m], road-wheel angle [rad].
     T: np.ndarray
     delta: np.ndarray
+    # ax, ay: v_x' - v_y r and v_y' + v_x r (or the measured one) [m/s^2].
     ax: np.ndarray
     ay: np.ndarray
-    yaw_acceleration: np.ndarray
+    yaw_acceleration: np.ndarray  # r' [rad/s^2]
+    # slip_front, slip_rear: slip angles [rad].
     slip_front: np.ndarray
     slip_rear: np.ndarray
+    # slip_noise_front, slip_noise_rear: standard deviation of what sensor noise leaves in them after smoothing
+    # [rad].
     slip_noise_front: np.ndarray
     slip_noise_rear: np.ndarray
-    yaw_acceleration_noise: np.ndarray
-    block: np.ndarray
+    yaw_acceleration_noise: np.ndarray  # the same of r' [rad/s^2]
+    block: np.ndarray  # block of time; blocks are what is held out and resampled
 
     def __len__(self) -> int:
         return len(self.vx)

@@ -17,22 +17,13 @@ __all__ = ["IntervalEstimate", "estimate_splits", "estimate_yaw_inertia", "with_
 
 @dataclass(frozen=True)
 class IntervalEstimate:
-    """One number with its 95 % interval.
+    """One number with its 95 % interval."""
 
-    Attributes
-    ----------
-    name : str
-        Key of the vehicle file.
-    value, error : float
-        Estimate and half width, in the key's unit.
-    settled : bool
-        Whether the data settle it; if not, the start value is kept.
-    """
-
-    name: str
+    name: str  # key of the vehicle file
+    # value, error: estimate and half width, in the key's unit.
     value: float
     error: float
-    settled: bool
+    settled: bool  # whether the data settle it; if not, the start value is kept
 
 
 def _tire_columns(slip: np.ndarray, tire: MagicFormula) -> np.ndarray:

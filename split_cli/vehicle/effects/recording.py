@@ -24,43 +24,24 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Handover:
-    """What terms remember where one piece of a recording ends and the next one begins.
+    """What terms remember where one piece of a recording ends and the next one begins."""
 
-    Attributes
-    ----------
-    row : int
-        Row of this piece at which the next one begins.
-    entering : mapping of str to float
-        States at row 0; one that is not named begins steady.
-    leaving : dict of str to float
-        States at `row`, filled while the piece is evaluated.
-    """
-
-    row: int
-    entering: Mapping[str, float]
-    leaving: dict[str, float] = field(default_factory=dict)
+    row: int  # row of this piece at which the next one begins
+    entering: Mapping[str, float]  # states at row 0; one that is not named begins steady
+    leaving: dict[str, float] = field(default_factory=dict)  # states at `row`, filled while the piece is evaluated
 
 
 @dataclass(frozen=True)
 class Recording:
-    """The clock of a recording that the model is evaluated along.
+    """The clock of a recording that the model is evaluated along."""
 
-    Attributes
-    ----------
-    period : float
-        Sample period [s].
-    segments : tuple of (int, int)
-        First row and one past the last, of every run without a gap; memory starts anew, steady, at each.
-    means : bool
-        Whether the rows are means over the sample that begins there, instead of values at its begin.
-    memory : Handover or None
-        Where the rows are a piece of a longer recording. The response is then the whole recording's, to the bit.
-        Shifts do not cross the piece's begin.
-    """
-
-    period: float
+    period: float  # sample period [s]
+    # First row and one past the last, of every run without a gap; memory starts anew, steady, at each.
     segments: tuple[tuple[int, int], ...]
+    # Whether the rows are means over the sample that begins there, instead of values at its begin.
     means: bool = False
+    # Where the rows are a piece of a longer recording. The response is then the whole recording's, to the bit.
+    # Shifts do not cross the piece's begin.
     memory: Handover | None = None
 
     @classmethod

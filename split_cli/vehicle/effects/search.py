@@ -17,32 +17,20 @@ _WIDER = 4.0  # how far beyond what a car can have an explanation is followed, t
 
 @dataclass(frozen=True)
 class Range:
-    """What values of one parameter a real car of this size can have: the prior of a diagnosis.
+    """What values of one parameter a real car of this size can have: the prior of a diagnosis."""
 
-    Attributes
-    ----------
-    lower, upper, step : float
-        Bounds, and the step its derivative is taken with, all in its unit.
-    source : str
-        Why no real car lies beyond: a text, a standard, or a judgement, said so.
-    ends_at_none : bool
-        Whether the lower bound is where all there is has been taken off, so that a value there is sound.
-    ends_as_another : bool
-        Whether the term is another one at the lower bound, so that a value there is no explanation of its own.
-    everyday : float
-        Distance from no effect up to which any sound recording may have it, so that it is no fault, in its unit.
-    unwitnessed : float
-        The same where no position was recorded, which tells a sensor from the car.
-    """
-
+    # lower, upper, step: bounds, and the step its derivative is taken with, all in its unit.
     lower: float
     upper: float
     step: float
-    source: str = ""
+    source: str = ""  # why no real car lies beyond: a text, a standard, or a judgement, said so
+    # Whether the lower bound is where all there is has been taken off, so that a value there is sound.
     ends_at_none: bool = False
+    # Whether the term is another one at the lower bound, so that a value there is no explanation of its own.
     ends_as_another: bool = False
+    # Distance from no effect up to which any sound recording may have it, so that it is no fault, in its unit.
     everyday: float = 0.0
-    unwitnessed: float = 0.0
+    unwitnessed: float = 0.0  # the same where no position was recorded, which tells a sensor from the car
 
     def times(self, size: float) -> Range:
         """Return the range in another unit."""
@@ -62,23 +50,13 @@ class Range:
 
 @dataclass(frozen=True)
 class Search:
-    """Where to look for the parameters of one variant of a term.
+    """Where to look for the parameters of one variant of a term."""
 
-    Attributes
-    ----------
-    ranges : mapping of str to Range
-        What a real car of this size can have, with the source.
-    starts : tuple of mapping of str to float
-        Several where the cost has several valleys.
-    located : str
-        ``patch``, ``stretch`` or ``wave`` where start and end along the track, or a wavelength, are scanned for.
-    complexity : float or None
-        Parameters that are effectively searched for; a place counts more than a scale. By default their number.
-    """
-
-    ranges: Mapping[str, Range]
-    starts: tuple[Mapping[str, float], ...] = ()
+    ranges: Mapping[str, Range]  # what a real car of this size can have, with the source
+    starts: tuple[Mapping[str, float], ...] = ()  # several where the cost has several valleys
+    # ``patch``, ``stretch`` or ``wave`` where start and end along the track, or a wavelength, are scanned for.
     located: str = ""
+    # Parameters that are effectively searched for; a place counts more than a scale. By default their number.
     complexity: float | None = None
 
     def times(self, sizes: Mapping[str, float]) -> Search:
@@ -92,18 +70,10 @@ class Search:
 
 @dataclass(frozen=True)
 class Course:
-    """What of a recording limits a search.
+    """What of a recording limits a search."""
 
-    Attributes
-    ----------
-    duration : float
-        [s]
-    reach : float
-        Length of the lap, or of the way driven [m].
-    """
-
-    duration: float
-    reach: float
+    duration: float  # [s]
+    reach: float  # length of the lap, or of the way driven [m]
 
 
 # What is late by ten times as much promises nothing, so starts stand close; in units of `time_unit`.

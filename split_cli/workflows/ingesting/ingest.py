@@ -40,18 +40,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class IngestResult:
-    """One recording made a drive.
-
-    Attributes
-    ----------
-    period : float
-        [s].
-    """
+    """One recording made a drive."""
 
     log: str
     drive_path: Path
     rows: int
-    period: float
+    period: float  # [s]
     quality: QualityReport
     metadata: DriveMetadata
 
@@ -106,21 +100,11 @@ class IngestFailure:
 
 
 class IngestRun(NamedTuple):
-    """What became of the recordings.
+    """What became of the recordings."""
 
-    Attributes
-    ----------
-    results : tuple of IngestResult
-        Drives that were made.
-    failures : tuple of IngestFailure
-        Only with `keep_going`.
-    unchanged : tuple of str
-        Sources whose drive was there already.
-    """
-
-    results: tuple[IngestResult, ...]
-    failures: tuple[IngestFailure, ...]
-    unchanged: tuple[str, ...]
+    results: tuple[IngestResult, ...]  # drives that were made
+    failures: tuple[IngestFailure, ...]  # only with `keep_going`
+    unchanged: tuple[str, ...]  # sources whose drive was there already
 
 
 def ingest_logs(

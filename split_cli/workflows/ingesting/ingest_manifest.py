@@ -27,15 +27,10 @@ _SECONDS_BETWEEN_WRITES = 5.0
 
 @dataclass
 class IngestManifest:
-    """Which source and settings each drive of a folder was made with.
-
-    Attributes
-    ----------
-    entries : dict
-        By the source's place: ``source`` (fingerprint), ``settings`` (digest), ``drive`` (file), ``sha256`` of it.
-    """
+    """Which source and settings each drive of a folder was made with."""
 
     path: Path
+    # By the source's place: ``source`` (fingerprint), ``settings`` (digest), ``drive`` (file), ``sha256`` of it.
     entries: dict[str, dict[str, str]] = field(default_factory=dict)
     _written: float = field(default=0.0, repr=False)
 

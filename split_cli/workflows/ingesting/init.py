@@ -48,18 +48,12 @@ rear_tire: {B: 10.0, C: 1.4, D: }    # D in N
 
 @dataclass(frozen=True)
 class InitResult:
-    """What was written and what comes next.
-
-    Attributes
-    ----------
-    log : str
-        As the user named it, for the command to run.
-    """
+    """What was written and what comes next."""
 
     map_path: Path
     vehicle_path: Path
     draft: Draft
-    log: str
+    log: str  # as the user named it, for the command to run
 
     @property
     def next_steps(self) -> tuple[str, ...]:

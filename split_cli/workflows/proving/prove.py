@@ -37,14 +37,7 @@ Report = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class ProofScore:
-    """The score of a diagnosis, and of the baselines on the same cases.
-
-    Attributes
-    ----------
-    baselines : tuple of (str, CaseSetScore)
-    failed : tuple of (str, str)
-        Cases the diagnosis gave an error for; they count as undecided.
-    """
+    """The score of a diagnosis, and of the baselines on the same cases."""
 
     seal: Seal
     identified: int
@@ -52,7 +45,7 @@ class ProofScore:
     diagnosis: CaseSetScore
     baselines: tuple[tuple[str, CaseSetScore], ...]
     scores: tuple[CaseScore, ...]
-    failed: tuple[tuple[str, str], ...]
+    failed: tuple[tuple[str, str], ...]  # cases the diagnosis gave an error for; they count as undecided
 
 
 def identify_cases(

@@ -28,30 +28,17 @@ __all__ = ["InjectionResult", "diagnose_pair", "injection_result", "prove_record
 
 @dataclass(frozen=True)
 class InjectionResult:
-    """What became of one fault.
-
-    Attributes
-    ----------
-    term : str
-        That names it.
-    value : float or None
-        What was put in; None for the pair without a fault.
-    outcome : str
-        Of `proof.outcome.OUTCOMES`, or ``not put in`` where the car with the fault could not have made the drive.
-    found : float or None
-        The named parameter.
-    interval : str
-        Its 95 % interval.
-    """
+    """What became of one fault."""
 
     drive: str
     fault: str
-    term: str
-    value: float | None
+    term: str  # that names it
+    value: float | None  # what was put in; None for the pair without a fault
+    # Of `proof.outcome.OUTCOMES`, or ``not put in`` where the car with the fault could not have made the drive.
     outcome: str
     said: str
-    found: float | None
-    interval: str
+    found: float | None  # the named parameter
+    interval: str  # its 95 % interval
 
 
 def prove_recording(

@@ -31,33 +31,17 @@ KEPT_BYTES = 256 * 2**20
 
 @dataclass(frozen=True)
 class Labelling:
-    """How drives are labelled.
-
-    Attributes
-    ----------
-    horizon : float
-        Label interval [s].
-    stride : int or None
-        Samples between labels; the horizon if None.
-    plain : bool
-        Use the paper's plain difference.
-    exclude : tuple of (float, float)
-        Stretches of time that are not learned [s].
-    held : tuple of str
-        Inputs that keep their value between samples, whatever the files say.
-    any_vehicle : bool
-        Warn, where a drive contradicts the vehicle, instead of refusing.
-    """
+    """How drives are labelled."""
 
     vehicle: Vehicle
     features: FeatureSet
     region: Region
-    horizon: float
-    stride: int | None = None
-    plain: bool = False
-    exclude: tuple[tuple[float, float], ...] = ()
-    held: tuple[str, ...] = ()
-    any_vehicle: bool = False
+    horizon: float  # label interval [s]
+    stride: int | None = None  # samples between labels; the horizon if None
+    plain: bool = False  # use the paper's plain difference
+    exclude: tuple[tuple[float, float], ...] = ()  # stretches of time that are not learned [s]
+    held: tuple[str, ...] = ()  # inputs that keep their value between samples, whatever the files say
+    any_vehicle: bool = False  # warn, where a drive contradicts the vehicle, instead of refusing
 
 
 @dataclass(frozen=True)

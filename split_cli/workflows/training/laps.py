@@ -17,38 +17,19 @@ __all__ = ["LapRow", "lap_rows"]
 
 @dataclass(frozen=True)
 class LapRow:
-    """One lap of the table (SPLIT paper, table of the racing experiments).
-
-    Attributes
-    ----------
-    lap : int
-        From 1.
-    time : float
-        [s]; of the last lap only when it was finished.
-    finished : bool
-        Whether another lap began after it.
-    mean_speed : float
-        [m/s].
-    largest_lateral_acceleration : float
-        Of v_x r, 99.9 % quantile [m/s^2].
-    updates : int
-        Insertions and replacements.
-    points, cells : int
-        Size of the set and non-empty cells after the lap.
-    valid_share : float or None
-        Of the valid region's cells, how many are not empty [1].
-    """
+    """One lap of the table (SPLIT paper, table of the racing experiments)."""
 
     drive: str
-    lap: int
-    time: float
-    finished: bool
-    mean_speed: float
-    largest_lateral_acceleration: float
-    updates: int
+    lap: int  # from 1
+    time: float  # [s]; of the last lap only when it was finished
+    finished: bool  # whether another lap began after it
+    mean_speed: float  # [m/s]
+    largest_lateral_acceleration: float  # of v_x r, 99.9 % quantile [m/s^2]
+    updates: int  # insertions and replacements
+    # points, cells: size of the set and non-empty cells after the lap.
     points: int
     cells: int
-    valid_share: float | None
+    valid_share: float | None  # of the valid region's cells, how many are not empty [1]
 
 
 def lap_rows(drive: Drive, labels: Labels, begin: TrainingSet) -> tuple[LapRow, ...]:

@@ -34,122 +34,62 @@ __all__ = ["TrainResult", "TrainRow", "TrainSettings", "train_set"]
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """How to train; None means the default for a new set, and the set's own when appending.
+    """How to train; None means the default for a new set, and the set's own when appending."""
 
-    Attributes
-    ----------
-    features : str or None
-        ``z2`` (default), ``z1`` or a comma-separated list of names.
-    hyperparameters : str or None
-        ``fit`` (default), ``default``, or a YAML file; only for a new set.
-    horizon : float or None
-        Label interval [s], 0.05 by default.
-    stride : int or None
-        Samples between labels; the horizon by default.
-    capacity : int or None
-        Points a cell, 10 by default.
-    threshold : float or None
-        Gain that a point needs to enter a cell with room, 1e-3 by default.
-    cell_edge : float or None
-        Edge of the cells in usual edges, 1 by default; only for a new set.
-    forgetting : float or None
-        Time constant [s]; off by default.
-    plain : bool
-        Use the paper's plain difference as label.
-    exclude : tuple of (float, float)
-        Stretches of time of every drive [s] that are not learned.
-    learner : str or None
-        ``split`` (default), or ``iol``: one dictionary of `capacity` points, 300 by default.
-    held : tuple of str
-        Inputs that keep their value between samples, whatever the files say.
-    trust : str or None
-        ``held-out`` (default): found on held-out blocks of the drives; ``full``: the plain method; or three
-        numbers from 0 to 1 for v_x, v_y and r, separated by commas. Only for a new set.
-    lag : str or None
-        ``held-out`` (default): a lag of the torque that labels show is put into the set's model where held-out
-        blocks gain by it; ``none``: the vehicle file as it is. Only for a new set whose trust is held-out.
-    any_vehicle : bool
-        Learn drives that contradict the vehicle all the same, with a warning.
-    """
-
-    features: str | None = None
-    hyperparameters: str | None = None
-    horizon: float | None = None
-    stride: int | None = None
-    capacity: int | None = None
-    threshold: float | None = None
-    cell_edge: float | None = None
-    forgetting: float | None = None
-    plain: bool = False
-    exclude: tuple[tuple[float, float], ...] = ()
+    features: str | None = None  # ``z2`` (default), ``z1`` or a comma-separated list of names
+    hyperparameters: str | None = None  # ``fit`` (default), ``default``, or a YAML file; only for a new set
+    horizon: float | None = None  # label interval [s], 0.05 by default
+    stride: int | None = None  # samples between labels; the horizon by default
+    capacity: int | None = None  # points a cell, 10 by default
+    threshold: float | None = None  # gain that a point needs to enter a cell with room, 1e-3 by default
+    cell_edge: float | None = None  # edge of the cells in usual edges, 1 by default; only for a new set
+    forgetting: float | None = None  # time constant [s]; off by default
+    plain: bool = False  # use the paper's plain difference as label
+    exclude: tuple[tuple[float, float], ...] = ()  # stretches of time of every drive [s] that are not learned
+    # ``split`` (default), or ``iol``: one dictionary of `capacity` points, 300 by default.
     learner: str | None = None
-    held: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()  # inputs that keep their value between samples, whatever the files say
+    # ``held-out`` (default): found on held-out blocks of the drives; ``full``: the plain method; or three numbers
+    # from 0 to 1 for v_x, v_y and r, separated by commas. Only for a new set.
     trust: str | None = None
+    # ``held-out`` (default): a lag of the torque that labels show is put into the set's model where held-out
+    # blocks gain by it; ``none``: the vehicle file as it is. Only for a new set whose trust is held-out.
     lag: str | None = None
-    any_vehicle: bool = False
+    any_vehicle: bool = False  # learn drives that contradict the vehicle all the same, with a warning
 
 
 @dataclass(frozen=True)
 class TrainRow:
-    """What one drive, or all, did to the set.
-
-    Attributes
-    ----------
-    samples, accepted : int
-        Labels, and those inside the valid region.
-    rejected : tuple of (str, int)
-        By reason.
-    updates : int
-        Insertions and replacements.
-    points, cells : int
-        Set size and non-empty cells afterwards.
-    valid_share : float or None
-        Share of the valid region's cells that hold points; None for features other than z2.
-    microseconds : float
-        Labelling and learning, a sample [us].
-    megabytes : float
-        Memory of the set [MB].
-    """
+    """What one drive, or all, did to the set."""
 
     drive: str
+    # samples, accepted: labels, and those inside the valid region.
     samples: int
     accepted: int
-    rejected: tuple[tuple[str, int], ...]
-    updates: int
+    rejected: tuple[tuple[str, int], ...]  # by reason
+    updates: int  # insertions and replacements
+    # points, cells: set size and non-empty cells afterwards.
     points: int
     cells: int
+    # Share of the valid region's cells that hold points; None for features other than z2.
     valid_share: float | None
-    microseconds: float
-    megabytes: float
+    microseconds: float  # labelling and learning, a sample [us]
+    megabytes: float  # memory of the set [MB]
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What training did.
-
-    Attributes
-    ----------
-    rows : tuple of TrainRow
-        One a drive of this run.
-    total : TrainRow
-        Of all drives the set has seen; time is of this run.
-    horizons : tuple of float
-        Label interval of each drive of this run [s].
-    trust : Trust
-        How far each output of the set is believed.
-    laps : tuple of LapRow
-        With `per_lap`, one a lap of each drive.
-    """
+    """What training did."""
 
     output: str
-    rows: tuple[TrainRow, ...]
-    total: TrainRow
-    horizons: tuple[float, ...]
+    rows: tuple[TrainRow, ...]  # one a drive of this run
+    total: TrainRow  # of all drives the set has seen; time is of this run
+    horizons: tuple[float, ...]  # label interval of each drive of this run [s]
     kernel: Kernel
     fit: KernelFit | None
-    trust: Trust
+    trust: Trust  # how far each output of the set is believed
     notes: tuple[str, ...]
-    laps: tuple[LapRow, ...] = ()
+    laps: tuple[LapRow, ...] = ()  # with `per_lap`, one a lap of each drive
 
 
 def train_set(

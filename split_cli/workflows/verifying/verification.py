@@ -11,14 +11,9 @@ __all__ = ["Verification", "VerifiedItem", "item"]
 
 @dataclass(frozen=True)
 class Verification:
-    """What checking a file or folder found.
+    """What checking a file or folder found."""
 
-    Attributes
-    ----------
-    path, kind : str
-        Kind is what it was found to be: ``trained set``, ``export``, ``drive`` ...
-    """
-
+    # path, kind: kind is what it was found to be: ``trained set``, ``export``, ``drive`` ...
     path: str
     kind: str
     items: tuple[VerifiedItem, ...]
