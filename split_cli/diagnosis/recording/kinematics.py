@@ -28,30 +28,18 @@ _LEAST_WINDOWS = 12
 
 @dataclass(frozen=True)
 class KinematicResiduals:
-    """Lateral displacements of one recording.
-
-    Attributes
-    ----------
-    series : Series
-    begin, end : ndarray of int64, shape (W,)
-        First and last row of every window.
-    across, along : ndarray, shape (W,)
-        Displacement to the car's left and ahead at mid-window, from positions [m].
-    angle : ndarray, shape (N,)
-        Yaw, quiet [rad].
-    scale : float
-        Spread of what velocities leave of it [m], faults of the sensor taken off.
-    habit : ndarray, shape (2,)
-        Share of yaw angle [m] and of distance [1] that the simulation's recordings leave too.
-    """
+    """Lateral displacements of one recording."""
 
     series: Series
+    # begin, end: int64 (W,): first and last row of every window.
     begin: np.ndarray
     end: np.ndarray
+    # across, along: (W,): displacement to the car's left and ahead at mid-window, from positions [m].
     across: np.ndarray
     along: np.ndarray
-    angle: np.ndarray
-    scale: float
+    angle: np.ndarray  # (N,): yaw, quiet [rad]
+    scale: float  # spread of what velocities leave of it [m], faults of the sensor taken off
+    # (2,): share of yaw angle [m] and of distance [1] that the simulation's recordings leave too.
     habit: np.ndarray
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:

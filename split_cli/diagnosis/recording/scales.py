@@ -38,7 +38,6 @@ def out_of_scale(
         Without any simulated, scales are held against 1.
     terms : sequence of Term
         Found; the real sensors are corrected by them.
-    rules : Screening
     """
     out, least = [], rules.least_scale_error
     for name, words in _WORDS.items():

@@ -92,9 +92,6 @@ def unfit(
 
     Parameters
     ----------
-    drive : Drive
-    vehicle : Vehicle
-    rules : Screening
     simulated : sequence of Drive
         That the drive is compared with: what these have as well speaks of the vehicle file, not of another car.
     """

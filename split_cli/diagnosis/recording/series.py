@@ -28,38 +28,25 @@ _WORTHLESS = 1e3
 
 @dataclass(frozen=True)
 class Series:
-    """One drive, ready for evaluation.
+    """One drive, ready for evaluation."""
 
-    Attributes
-    ----------
-    name, role : str
-        Role is ``real``, ``sim`` or ``holdout``.
-    drive : Drive
-    recording : Recording
-        Its clock.
-    measured, smooth : ndarray, shape (N, 3)
-        v_x, v_y, r as recorded, and smoothed.
-    torque, steer_angle : ndarray, shape (N,)
-        Means over the sample that begins at each row [N m], [rad]: the value itself of a held input, halfway to
-        the next sample of one that runs in straight lines.
-    t, s, yaw : ndarray, shape (N,)
-        [s] from the drive's first sample, [m], [rad].
-    noise : ndarray, shape (3,)
-        Standard deviation of a sample of v_x, v_y, r.
-    """
-
+    # name, role: role is ``real``, ``sim`` or ``holdout``.
     name: str
     role: str
     drive: Drive
-    recording: Recording
+    recording: Recording  # its clock
+    # measured, smooth: (N, 3): v_x, v_y, r as recorded, and smoothed.
     measured: np.ndarray
     smooth: np.ndarray
+    # torque, steer_angle: (N,): means over the sample that begins at each row [N m], [rad]: the value itself of a
+    # held input, halfway to the next sample of one that runs in straight lines.
     torque: np.ndarray
     steer_angle: np.ndarray
+    # t, s, yaw: (N,): [s] from the drive's first sample, [m], [rad].
     t: np.ndarray
     s: np.ndarray
     yaw: np.ndarray
-    noise: np.ndarray
+    noise: np.ndarray  # (3,): standard deviation of a sample of v_x, v_y, r
     lap_length: float | None = None
     place_reference: str = "dead_reckoned"
     # Made anew for a copy with other arrays.

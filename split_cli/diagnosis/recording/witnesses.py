@@ -38,30 +38,16 @@ _LEAST_SPREAD = 1e-3
 
 @dataclass(frozen=True)
 class Witness:
-    """One instrument of a recording against its velocities, window by window.
+    """One instrument of a recording against its velocities, window by window."""
 
-    Attributes
-    ----------
-    kind : str
-        ``turn`` (yaw against r) [rad], ``way`` (positions against v_x) [m], ``a_x`` or ``a_y`` [m/s].
-    series : Series
-    begin, end : ndarray of int64, shape (W,)
-        First and last row of every window.
-    position : KinematicResiduals or None
-        With the ways of the windows, for ``way`` and ``turn``.
-    scale : float
-        Spread of what the velocities leave.
-    habit : ndarray, shape (3,)
-        What the simulation's recordings leave by scale, bias and delay.
-    """
-
-    kind: str
+    kind: str  # ``turn`` (yaw against r) [rad], ``way`` (positions against v_x) [m], ``a_x`` or ``a_y`` [m/s]
     series: Series
+    # begin, end: int64 (W,): first and last row of every window.
     begin: np.ndarray
     end: np.ndarray
-    position: KinematicResiduals | None
-    scale: float
-    habit: np.ndarray
+    position: KinematicResiduals | None  # with the ways of the windows, for ``way`` and ``turn``
+    scale: float  # spread of what the velocities leave
+    habit: np.ndarray  # (3,): what the simulation's recordings leave by scale, bias and delay
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what the velocities, sensors corrected, leave of the instrument, in spreads, shape (W,)."""

@@ -21,19 +21,10 @@ _NEAR_ROWS = 4
 
 @dataclass(frozen=True)
 class ResidualAutocorrelation:
-    """How much rows vary together.
+    """How much rows vary together."""
 
-    Attributes
-    ----------
-    ratio : float
-        Long-run variance over that of a row, at least 1; the worst of v_x, v_y and r.
-    effect_to_noise : float
-        Root of the variance that neighbouring rows share, over that of their noise.
-    rows : int
-    """
-
-    ratio: float
-    effect_to_noise: float
+    ratio: float  # long-run variance over that of a row, at least 1; the worst of v_x, v_y and r
+    effect_to_noise: float  # root of the variance that neighbouring rows share, over that of their noise
     rows: int
 
     def p_value(self, usual: float, rules: SelfTestRules = STANDARD.self_test) -> float:

@@ -25,20 +25,11 @@ _BESIDE_SECONDS = 0.09  # of samples on either side of what is left out, through
 
 @dataclass(frozen=True)
 class FlexibleRows:
-    """What each function adds to a recording, row by row.
+    """What each function adds to a recording, row by row."""
 
-    Attributes
-    ----------
-    whitened : ndarray, shape (G, 3, Q)
-    windows : ndarray, shape (G, 3, Q)
-        Prediction errors over 0.05 s about each row.
-    groups : tuple of str
-        Group of each function.
-    """
-
-    whitened: np.ndarray
-    windows: np.ndarray
-    groups: tuple[str, ...]
+    whitened: np.ndarray  # (G, 3, Q)
+    windows: np.ndarray  # (G, 3, Q): prediction errors over 0.05 s about each row
+    groups: tuple[str, ...]  # group of each function
 
 
 def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy, *, uncompared: bool = False) -> FlexibleRows:
@@ -46,8 +37,6 @@ def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy, *, uncompared: 
 
     Parameters
     ----------
-    one : Evidence
-    discrepancy : SharedDiscrepancy
     uncompared : bool
         Whether no simulation shows what the functions make of noise. Noise of a smoothed state is part of the row
         that the state lies in, too. Functions of it follow that noise where slips are small beside it, and look

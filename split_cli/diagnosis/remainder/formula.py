@@ -28,11 +28,9 @@ def sparse_formula(
 
     Parameters
     ----------
-    evidence : sequence of Evidence
     forces : sequence of ndarray, shape (N, 3)
         Gap forces of each recording that no finding explains [N].
     keep : sequence of ndarray of bool, shape (G,)
-    rules : Reporting
 
     Returns
     -------

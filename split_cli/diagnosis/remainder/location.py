@@ -75,12 +75,10 @@ def locate(
 
     Parameters
     ----------
-    evidence : sequence of Evidence
     before, after : sequence of ndarray, shape (N, 3)
         Gap forces of each recording [N], and what the findings leave of them.
     keep : sequence of ndarray of bool, shape (G,)
         Rows that are compared.
-    rules : Reporting
     """
     rows = [one.at[mask] for one, mask in zip(evidence, keep, strict=True)]
     gap = np.concatenate([force[at] for force, at in zip(before, rows, strict=True)])

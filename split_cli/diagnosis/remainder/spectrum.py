@@ -26,30 +26,15 @@ _CHANNELS = ("v_x", "v_y", "r")
 
 @dataclass(frozen=True)
 class Line:
-    """One line.
+    """One line."""
 
-    Attributes
-    ----------
-    over : str
-        ``time`` or ``distance``.
-    frequency : float
-        [Hz] or [1/m].
-    channel : str
-        v_x, v_y or r.
-    amplitude : float
-        Of its rate, [m/s^2] or [rad/s^2].
-    effect_to_noise : float
-        Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
-    p_value : float
-        Of a line as strong as this in noise, all frequencies and channels counted.
-    """
-
-    over: str
-    frequency: float
-    channel: str
-    amplitude: float
+    over: str  # ``time`` or ``distance``
+    frequency: float  # [Hz] or [1/m]
+    channel: str  # v_x, v_y or r
+    amplitude: float  # of its rate, [m/s^2] or [rad/s^2]
+    # Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
     effect_to_noise: float
-    p_value: float
+    p_value: float  # of a line as strong as this in noise, all frequencies and channels counted
 
     def like(self, other: Line) -> float:
         """Return another line's amplitude where it is of the same channel and clock, else 0."""

@@ -32,49 +32,26 @@ _RIDGE_SHARE = 2e-3
 
 @dataclass(frozen=True)
 class FlexibleFit:
-    """What a flexible fit makes of whitened residuals.
+    """What a flexible fit makes of whitened residuals."""
 
-    Attributes
-    ----------
-    saved : float
-        Cost it saves.
-    freedom : float
-        Effective number of parameters.
-    effect_to_noise : float
-        Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
-    p_value : float
-        Of the hypothesis that the difference does not exceed the allowance.
-    group_saved : tuple of (str, float)
-        What each group of functions saves alone.
-    """
-
-    saved: float
-    freedom: float
+    saved: float  # cost it saves
+    freedom: float  # effective number of parameters
+    # Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
     effect_to_noise: float
-    p_value: float
-    group_saved: tuple[tuple[str, float], ...]
+    p_value: float  # of the hypothesis that the difference does not exceed the allowance
+    group_saved: tuple[tuple[str, float], ...]  # what each group of functions saves alone
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Whitened columns of the flexible fit on an objective's rows.
-
-    Attributes
-    ----------
-    objective : MarginalLikelihood
-    columns : ndarray, shape (R, Q)
-        Whitened, the shared discrepancy's part that is still free taken out.
-    sizes : tuple of ndarray, shape (3, Q, Q)
-        Mean products of what any two functions add over 0.05 s about the compared rows of a recording, over the
-        variance of noise, of v_x, v_y and r: quadratic forms of the squared effect-to-noise ratios [1].
-    groups : tuple of str
-        Group of each column.
-    """
+    """Whitened columns of the flexible fit on an objective's rows."""
 
     objective: MarginalLikelihood
-    columns: np.ndarray
+    columns: np.ndarray  # (R, Q): whitened, the shared discrepancy's part that is still free taken out
+    # (3, Q, Q): mean products of what any two functions add over 0.05 s about the compared rows of a recording,
+    # over the variance of noise, of v_x, v_y and r: quadratic forms of the squared effect-to-noise ratios [1].
     sizes: tuple[np.ndarray, ...]
-    groups: tuple[str, ...]
+    groups: tuple[str, ...]  # group of each column
     factor: np.ndarray
 
     def fit(self, residuals: np.ndarray, variance_inflation: float) -> FlexibleFit:
@@ -177,7 +154,6 @@ def minimum_effect_p(
         Parameters that saved it.
     size : float
         Effect-to-noise ratio of the fitted effect.
-    variance_inflation : float
     floor : float
         Saving that is allowed whatever the size.
     allowance : float

@@ -13,27 +13,17 @@ _SHOWS = 1.25  # error before over the noise floor, from which on held-out rollo
 
 @dataclass(frozen=True)
 class StateChange:
-    """Held-out rms errors of one velocity at the end of free running: nominal model and corrected vehicle.
-
-    Attributes
-    ----------
-    channel, unit : str
-    horizon : float
-        [s]
-    nominal, corrected, persistence, noise_floor : float
-        In `unit`.
-    change : float
-        Of the squared error, corrected less nominal, in standard errors by blocks of time [1].
-    """
+    """Held-out rms errors of one velocity at the end of free running: nominal model and corrected vehicle."""
 
     channel: str
     unit: str
-    horizon: float
+    horizon: float  # [s]
+    # nominal, corrected, persistence, noise_floor: in `unit`.
     nominal: float
     corrected: float
     persistence: float
     noise_floor: float
-    change: float
+    change: float  # of the squared error, corrected less nominal, in standard errors by blocks of time [1]
 
     @property
     def is_worse(self) -> bool:
@@ -48,14 +38,9 @@ class StateChange:
 
 @dataclass(frozen=True)
 class CorrectedVehicle:
-    """The vehicle with what was found of the car, judged beside the nominal model on held-out time.
+    """The vehicle with what was found of the car, judged beside the nominal model on held-out time."""
 
-    Attributes
-    ----------
-    states : tuple of StateChange
-        Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most.
-    """
-
+    # Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most.
     states: tuple[StateChange, ...]
 
     @property
@@ -66,35 +51,22 @@ class CorrectedVehicle:
 
 @dataclass(frozen=True)
 class HorizonErrors:
-    """Held-out rms errors of open-loop rollouts of one length: v_x, v_y [m/s], r [rad/s].
+    """Held-out rms errors of open-loop rollouts of one length: v_x, v_y [m/s], r [rad/s]."""
 
-    Attributes
-    ----------
-    horizon : float
-        [s]
-    before, physics, split_only, after, persistence : tuple of three floats
-        As in `Improvement`.
-    noise_floor : tuple of three floats
-        What sensor noise at the start and at the end makes.
-    confidence : mapping of str to list
-        95 % intervals by block bootstrap, channel by channel, and the number of ``blocks``.
-    starts : int
-    change : mapping of str to (float, float, float)
-        Of a stage's squared error against ``before``, in standard errors by blocks of time [1].
-    mean : mapping of str to (float, float, float)
-        Mean error of a stage over all starts, model less recording.
-    """
-
-    horizon: float
+    horizon: float  # [s]
+    # before, physics, split_only, after, persistence: three: as in `Improvement`.
     before: tuple[float, ...]
     physics: tuple[float, ...]
     split_only: tuple[float, ...]
     after: tuple[float, ...]
     persistence: tuple[float, ...]
-    noise_floor: tuple[float, ...]
+    noise_floor: tuple[float, ...]  # three: what sensor noise at the start and at the end makes
+    # 95 % intervals by block bootstrap, channel by channel, and the number of ``blocks``.
     confidence: Mapping[str, object]
     starts: int
+    # Of a stage's squared error against ``before``, in standard errors by blocks of time [1].
     change: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    # Mean error of a stage over all starts, model less recording.
     mean: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def mean_share(self, stage: str, k: int) -> float | None:
@@ -120,38 +92,26 @@ class HorizonErrors:
 
 @dataclass(frozen=True)
 class Improvement:
-    """Held-out one-step errors in label units, of v_x, v_y [m/s^2] and r [rad/s^2].
+    """Held-out one-step errors in label units, of v_x, v_y [m/s^2] and r [rad/s^2]."""
 
-    Attributes
-    ----------
-    before, physics, after, split_only, persistence : tuple of three floats
-        Simulation as learned; plus terms; plus terms and SPLIT; plus SPLIT alone; last velocities held.
-    noise_floor : tuple of three floats or None
-    confidence : mapping of str to list
-        95 % intervals by block bootstrap, channel by channel.
-    rollouts : tuple of HorizonErrors
-        Shortest first; none where no horizon fits into the held-out time.
-    removed : mapping of str to (float, float, float) or None
-        For ``physics``, ``split_only`` and ``after``: the share of the squared error above the noise floor that is
-        gone, channels weighed by their noise, and its 95 % interval; None where nothing was left to improve.
-    simulation_part : mapping of str to mapping
-        What of the simulation the models ``before`` and ``physics`` hold, ``longitudinal`` and ``lateral``:
-        ``nominal`` for the nominal model alone, ``taught`` with what the simulation taught at recorded states,
-        ``taught_elsewhere`` also of others.
-    trust : mapping of str to (float, float, float)
-        Share of SPLIT's prediction that ``split_only`` and ``after`` apply, an output [1].
-    """
-
+    # before, physics, after, split_only, persistence: three: simulation as learned; plus terms; plus terms and
+    # SPLIT; plus SPLIT alone; last velocities held.
     before: tuple[float, ...]
     physics: tuple[float, ...]
     after: tuple[float, ...]
     split_only: tuple[float, ...]
     persistence: tuple[float, ...]
-    noise_floor: tuple[float, ...] | None
-    confidence: Mapping[str, object]
-    rollouts: tuple[HorizonErrors, ...] = ()
+    noise_floor: tuple[float, ...] | None  # three
+    confidence: Mapping[str, object]  # 95 % intervals by block bootstrap, channel by channel
+    rollouts: tuple[HorizonErrors, ...] = ()  # shortest first; none where no horizon fits into the held-out time
+    # For ``physics``, ``split_only`` and ``after``: the share of the squared error above the noise floor that is
+    # gone, channels weighed by their noise, and its 95 % interval; None where nothing was left to improve.
     removed: Mapping[str, tuple[float, float, float] | None] = field(default_factory=dict)
+    # What of the simulation the models ``before`` and ``physics`` hold, ``longitudinal`` and ``lateral``:
+    # ``nominal`` for the nominal model alone, ``taught`` with what the simulation taught at recorded states,
+    # ``taught_elsewhere`` also of others.
     simulation_part: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    # Share of SPLIT's prediction that ``split_only`` and ``after`` apply, an output [1].
     trust: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property

@@ -75,7 +75,6 @@ class RivalSummary:
 
     Attributes
     ----------
-    term, variant : str
     excess : float
         How much worse it explains the recording, in units of chi squared.
     z : float
@@ -94,13 +93,10 @@ class Finding:
 
     Attributes
     ----------
-    term, variant : str
-    parameters : mapping of str to ParameterEstimate
     gap_explained : float
         Share of the held-out squared error above the noise floor that returns when this term alone is removed.
     alternatives : tuple of str
         Terms that fit as well on this data, and exact degeneracies; a pair is written ``a+b``.
-    sentence : str
     effect_to_noise : float
         Rms of its 0.05 s prediction error over that of sensor noise, in the worst channel [1].
     runners_up : tuple of RivalSummary
@@ -141,7 +137,6 @@ class Lead:
 
     Attributes
     ----------
-    term, variant : str
     parameters : mapping of str to ParameterEstimate
         What it would need.
     limits : mapping of str to (float, float)
@@ -150,7 +145,6 @@ class Lead:
         Of what the best explanation saves, how much this one would save alone.
     instead : tuple of str
         Terms that explain nearly as much within what a car can have, best first.
-    sentence : str
     """
 
     term: str
@@ -186,7 +180,6 @@ class Location:
         Variables and scores, strongest first; a score is the share of the gap the variable alone explains.
     region : mapping of str to (float, float)
         Where the gap is larger than elsewhere, by variable, SI.
-    place : Place or None
     time : (float, float) or None
         In the real drive's t [s].
     share_of_gap, share_of_samples : float
@@ -208,10 +201,8 @@ class RemainderTest:
 
     Attributes
     ----------
-    p_value : float
     share : float
         Of the gap that has no name [1].
-    effect_to_noise : float
     by_group : tuple of (str, float)
         What kinds of dependence explain of it, strongest first, in units of chi squared.
     formula : str
@@ -248,7 +239,6 @@ class Detectable:
 
     Attributes
     ----------
-    term : str
     parameters : mapping of str to (float, str)
         Value and unit, of each the value it needs while the others are as without the effect; those are left out
         that would be named at no size.
@@ -273,7 +263,6 @@ class GapSeries:
 
     Attributes
     ----------
-    drive : str
     t, s : ndarray, shape (G,)
     row : ndarray of int64, shape (G,)
     x, y : ndarray, shape (G,)
@@ -307,19 +296,10 @@ class Diagnosis:
     Attributes
     ----------
     verdict : {"match", "mismatch", "undecided"}
-    p_value : float or None
     compared_share : float
         Share of the real drive where both have been.
-    not_judged : tuple of str
-    location : Location or None
     findings : tuple of Finding
         Strongest first.
-    unexplained : bool
-    remainder : RemainderTest or None
-    improvement : Improvement or None
-    inputs : tuple of InputFile
-    settings : mapping
-    gaps : tuple of GapSeries
     history : tuple of str
         Steps of the selection, in words.
     summary : str

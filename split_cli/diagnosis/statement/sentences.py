@@ -49,8 +49,6 @@ def sentence_for(
 
     Parameters
     ----------
-    term, variant : str
-    parameters : mapping of str to ParameterEstimate
     alternatives : sequence of str
         Ids; a combination is written ``a+b``.
     vehicle : Vehicle, optional
@@ -100,14 +98,12 @@ def lead_sentence(
 
     Parameters
     ----------
-    term, variant : str
     parameters : mapping of str to ParameterEstimate
         What it would need.
     sources : sequence of str
         Of the limits.
     instead : sequence of (str, str, mapping)
         Term, variant and parameters of explanations within what a car can have.
-    vehicle : Vehicle, optional
     """
     kind = CATALOGUE[term]
     parts = [
@@ -149,7 +145,6 @@ def acting_in_a_part(
     ----------
     readings : sequence of (str, str, ParameterEstimate)
         Terms, a parameter of each, and what it is there; best first.
-    begin, end : float
     most : int
         Of how many more than one terms no name is given.
     number_of_drive : int, optional

@@ -13,21 +13,11 @@ __all__ = ["Separation", "exact_mimics", "look_alike", "separation", "told_apart
 
 @dataclass(frozen=True)
 class Separation:
-    """How a term differs from an alternative.
+    """How a term differs from an alternative."""
 
-    Attributes
-    ----------
-    alternative : str
-        Id; a combination is written ``a+b``.
-    hint : str
-        The excitation or channel that would tell them apart, or why nothing can.
-    exact : bool
-        Whether no drive can.
-    """
-
-    alternative: str
-    hint: str
-    exact: bool
+    alternative: str  # id; a combination is written ``a+b``
+    hint: str  # the excitation or channel that would tell them apart, or why nothing can
+    exact: bool  # whether no drive can
 
     @property
     def words(self) -> str:

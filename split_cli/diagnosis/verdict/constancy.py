@@ -34,20 +34,11 @@ _FREE = 1e6  # variance of what the parameters themselves may take, in units of 
 
 @dataclass(frozen=True)
 class Drift:
-    """How much cost a fit saves when its parameters may follow one variable.
-
-    Attributes
-    ----------
-    variable : str
-    saved : float
-        Cost saved, in units of chi squared.
-    freedom : int
-        Parameters that may follow.
-    """
+    """How much cost a fit saves when its parameters may follow one variable."""
 
     variable: str
-    saved: float
-    freedom: int
+    saved: float  # cost saved, in units of chi squared
+    freedom: int  # parameters that may follow
 
 
 def parameter_drifts(objective: MarginalLikelihood, fit: Fit) -> tuple[Drift, ...]:
@@ -74,21 +65,12 @@ def parameter_drifts(objective: MarginalLikelihood, fit: Fit) -> tuple[Drift, ..
 
 @dataclass(frozen=True)
 class Bend:
-    """How much of what one term does has to change with something that its parameters do not depend on.
-
-    Attributes
-    ----------
-    term, variable : str
-    size : float
-        What changes over what the term does, root mean square on whitened rows [1].
-    p_value : float
-        Of a change no larger than what a single track gets wrong of a term.
-    """
+    """How much of what one term does has to change with something that its parameters do not depend on."""
 
     term: str
     variable: str
-    size: float
-    p_value: float
+    size: float  # what changes over what the term does, root mean square on whitened rows [1]
+    p_value: float  # of a change no larger than what a single track gets wrong of a term
 
 
 def bends(
@@ -98,10 +80,7 @@ def bends(
 
     Parameters
     ----------
-    objective : MarginalLikelihood
-    fit : Fit
     named : sequence of bool, length of the parts
-    variance_inflation : float
 
     Notes
     -----
@@ -159,10 +138,7 @@ def beyond_form_error(
 
     Parameters
     ----------
-    objective : MarginalLikelihood
-    fit : Fit
     named : sequence of bool, length of the parts
-    variance_inflation : float
 
     Notes
     -----

@@ -40,7 +40,6 @@ def learn_correction(
         Real recordings and which of their rows are held out; nothing is learned or judged there.
     stages : sequence of Stage
         The model, a recording each.
-    parts : sequence of LabelErrors
     errors : sequence of ndarray, shape (L, 3)
         Label errors of the model [m/s^2], [m/s^2], [rad/s^2].
 
@@ -121,20 +120,11 @@ def _trust_in_labels(parts, errors, folds, others: Sequence[LearnedCorrection | 
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """SPLIT at every row as learned from the other quarters of the recording; a `LearnedCorrection` for rollouts.
+    """SPLIT at each row as learned from the other quarters of the recording; a `LearnedCorrection` for rollouts."""
 
-    Attributes
-    ----------
-    others : sequence of LearnedCorrection or None
-        Learned without each quarter.
-    fold : ndarray of int, shape (N,)
-        Quarter of each row, -1 for held-out ones.
-    trust : ndarray, shape (3,)
-    """
-
-    others: Sequence[LearnedCorrection | None]
-    fold: np.ndarray
-    trust: np.ndarray
+    others: Sequence[LearnedCorrection | None]  # learned without each quarter
+    fold: np.ndarray  # (N,): quarter of each row, -1 for held-out ones
+    trust: np.ndarray  # (3,)
 
     def at(self, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
         out = np.zeros((len(z), 3))

@@ -39,7 +39,6 @@ def smallest_named(
         sensors.
     candidates : sequence of Candidate
         Those that act at a place are left out: it depends on the place.
-    variance_inflation : float
     level : float
         Of the minimum-effect test.
 

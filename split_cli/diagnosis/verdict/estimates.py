@@ -23,18 +23,11 @@ _COLLINEAR = 1e-10  # of a scaled normal matrix, below which a direction is not 
 
 @dataclass(frozen=True)
 class PartEstimate:
-    """What is known of the parameters of one part.
+    """What is known of the parameters of one part."""
 
-    Attributes
-    ----------
-    parameters : dict of str to ParameterEstimate
-        Each by itself.
-    regions : tuple of JointRegion
-        Of all that have a neutral value together; with another law of load, see `moved_between_load_laws`, a
-        second one. Empty where there is no such parameter.
-    """
-
-    parameters: dict[str, ParameterEstimate]
+    parameters: dict[str, ParameterEstimate]  # each by itself
+    # Of all that have a neutral value together; with another law of load, see `moved_between_load_laws`, a second
+    # one. Empty where there is no such parameter.
     regions: tuple[JointRegion, ...]
 
 

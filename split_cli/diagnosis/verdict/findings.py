@@ -40,20 +40,11 @@ _SHOWN_RIVALS = 6
 
 @dataclass(frozen=True)
 class _Told:
-    """A finding, and what else was worked out of it.
-
-    Attributes
-    ----------
-    finding : Finding
-    regions : tuple of JointRegion
-        Of its parameters together, by every explanation that may be the true one.
-    declared : tuple of str
-        Which of the alternatives are such whatever the data say.
-    """
+    """A finding, and what else was worked out of it."""
 
     finding: Finding
-    regions: tuple[JointRegion, ...]
-    declared: tuple[str, ...]
+    regions: tuple[JointRegion, ...]  # of its parameters together, by every explanation that may be the true one
+    declared: tuple[str, ...]  # which of the alternatives are such whatever the data say
 
 
 def describe(
@@ -63,7 +54,6 @@ def describe(
 
     Parameters
     ----------
-    outcome : SearchOutcome
     contradicted : bool
         Whether speed or yaw rate is out of scale: then physics is not named, which might stand for it.
     """
@@ -223,8 +213,6 @@ def known_together(
 
     Parameters
     ----------
-    term : str
-    parameters : mapping of str to ParameterEstimate
     regions : sequence of JointRegion
         Of the same parameters together, by every explanation that may be the true one.
     """

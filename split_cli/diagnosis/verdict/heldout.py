@@ -19,20 +19,11 @@ __all__ = ["HeldOut", "explained_shares", "explained_together", "hold_out"]
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The real recordings' rows in two.
-
-    Attributes
-    ----------
-    training : MarginalLikelihood
-    testing : MarginalLikelihood or None
-        None where too little is kept out to judge by.
-    masks : tuple of ndarray of bool, shape (N,)
-        Samples kept out of each real recording.
-    """
+    """The real recordings' rows in two."""
 
     training: MarginalLikelihood
-    testing: MarginalLikelihood | None
-    masks: tuple[np.ndarray, ...]
+    testing: MarginalLikelihood | None  # None where too little is kept out to judge by
+    masks: tuple[np.ndarray, ...]  # bool (N,): samples kept out of each real recording
 
 
 def hold_out(
@@ -57,7 +48,6 @@ def hold_out(
         Rows that are compared.
     knowledge, common, kinematics
         As for `build_objective`.
-    policy : Policy
     fixed_baseline : bool
         Whether the simulation is a fixed baseline.
     """
@@ -87,7 +77,6 @@ def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
 
     Parameters
     ----------
-    split : HeldOut
     fit : Fit
         On the training rows.
 

@@ -50,7 +50,6 @@ def measure_improvement(
         Real recordings and which of their rows are held out; SPLIT learns what the others leave.
     terms : sequence of Term
         Fitted without the held-out rows.
-    discrepancy : SharedDiscrepancy
     posterior : DiscrepancyPosterior or None
         What the simulation taught.
     simulated : sequence of Evidence

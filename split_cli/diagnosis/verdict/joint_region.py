@@ -19,23 +19,12 @@ _STEPS = 500  # towards the point nearest to no effect
 
 @dataclass(frozen=True)
 class JointRegion:
-    """An ellipsoid that holds the true parameters of a term with a probability of 95 %.
+    """An ellipsoid that holds the true parameters of a term with a probability of 95 %."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Parameters that have a neutral value.
-    centre : ndarray, shape (P,)
-        How far they are from neutral, in their units.
-    covariance : ndarray, shape (P, P)
-    radius : float
-        Mahalanobis distance from the centre to the surface, see `radius_95`.
-    """
-
-    names: tuple[str, ...]
-    centre: np.ndarray
-    covariance: np.ndarray
-    radius: float
+    names: tuple[str, ...]  # parameters that have a neutral value
+    centre: np.ndarray  # (P,): how far they are from neutral, in their units
+    covariance: np.ndarray  # (P, P)
+    radius: float  # Mahalanobis distance from the centre to the surface, see `radius_95`
 
     def moved(self, by: np.ndarray) -> JointRegion:
         """Return the region elsewhere, by a step of the parameters, shape (P,)."""

@@ -26,24 +26,15 @@ _SHORTEST_BLOCK = 0.5
 
 @dataclass(frozen=True)
 class LabelErrors:
-    """Errors of labels on one recording, in label units, and which windows are held out.
+    """Errors of labels on one recording, in label units, and which windows are held out."""
 
-    Attributes
-    ----------
-    labels : Labels
-        Of the simulation as learned: nominal less the shared discrepancy.
-    before, physics, persistence : ndarray, shape (L, 3)
-    held : ndarray of bool, shape (L,)
-    floor : ndarray, shape (L, 3)
-        Variance that sensor noise alone makes.
-    """
-
-    labels: Labels
+    labels: Labels  # of the simulation as learned: nominal less the shared discrepancy
+    # before, physics, persistence: (L, 3)
     before: np.ndarray
     physics: np.ndarray
     persistence: np.ndarray
-    held: np.ndarray
-    floor: np.ndarray
+    held: np.ndarray  # bool (L,)
+    floor: np.ndarray  # (L, 3): variance that sensor noise alone makes
 
 
 def label_errors(
@@ -57,8 +48,6 @@ def label_errors(
 
     Parameters
     ----------
-    evidence : Evidence
-    terms : sequence of Term
     shared, shared_named : SharedRates or None
         What the simulation knows beyond the nominal model along this recording, as it is and with the terms.
     held_rows : ndarray of bool, shape (N,)

@@ -19,7 +19,6 @@ def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lea
 
     Parameters
     ----------
-    objective : MarginalLikelihood
     selection : Selection
         With what every term explains alone.
 

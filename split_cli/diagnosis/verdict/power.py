@@ -22,21 +22,12 @@ _PREDICTED_SECONDS = 2.0  # the longest horizon of the report
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """A big effect that would not have been seen on these drives.
-
-    Attributes
-    ----------
-    term, parameter : str
-    value : float
-        A fair share of what a car can have.
-    share : float
-        How much of the forces on these drives it would be, see `force_share` [1].
-    """
+    """A big effect that would not have been seen on these drives."""
 
     term: str
     parameter: str
-    value: float
-    share: float
+    value: float  # a fair share of what a car can have
+    share: float  # how much of the forces on these drives it would be, see `force_share` [1]
 
     @property
     def words(self) -> str:
@@ -54,7 +45,6 @@ def hidden_effects(
 
     Parameters
     ----------
-    objective : MarginalLikelihood
     candidates : sequence of Candidate
         That these recordings can tell.
     gap_to_noise : float

@@ -35,18 +35,10 @@ _STARTS = 40
 
 @dataclass(frozen=True)
 class SimulationPart:
-    """What of a simulation predicts beside the nominal model, one of `OFFERS` each.
+    """What of a simulation predicts beside the nominal model, one of `OFFERS` each."""
 
-    Attributes
-    ----------
-    longitudinal : str
-        In v_x.
-    lateral : str
-        In v_y and r.
-    """
-
-    longitudinal: str = "nominal"
-    lateral: str = "nominal"
+    longitudinal: str = "nominal"  # in v_x
+    lateral: str = "nominal"  # in v_y and r
 
 
 def part_of(part: SimulationPart, whole: SharedRates | None) -> SharedRates | None:
@@ -71,11 +63,8 @@ def believed_parts(
     ----------
     recordings : sequence of (Evidence, ndarray of bool of shape (N,))
         Real recordings and which of their rows are held out; those are not looked at.
-    simulated : sequence of Evidence
-    discrepancy : SharedDiscrepancy
     plain, named : sequence of SharedRates or None
         All that the simulation knows along each recording, without and with terms.
-    terms : sequence of Term
 
     Notes
     -----
