@@ -120,7 +120,7 @@ def _trust_in_labels(parts, errors, folds, others: Sequence[LearnedCorrection | 
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """SPLIT at each row as learned from the other quarters of the recording; a `LearnedCorrection` for rollouts."""
+    """SPLIT at each row as learned from the other quarters of a recording; a `LearnedCorrection` for rollouts."""
 
     others: Sequence[LearnedCorrection | None]  # learned without each quarter
     fold: np.ndarray  # (N,): quarter of each row, -1 for held-out ones
