@@ -55,9 +55,19 @@ def test_races_of_another_group_are_compared_with_the_nominal_ones_of_their_road
         "c": result("c", "split", [lap(0, 50.0), lap(1, 45.0)], "lagged-wet", 0.5),
     }
     made = tables(races)
-    assert made["gain-lagged-wet"].endswith("| split | 0 | 1 of 1 | 45.00 | 10.0 | 45.00 | 10.0 |")
+    assert "| split | 1 of 1 | 45.00 | 10.0 | 45.00 | 10.0 |" in made["race-lagged-wet"]
     del races["b"]
-    assert tables(races)["gain-lagged-wet"].endswith("| 45.00 | - | 45.00 | - |")
+    assert "| split | 1 of 1 | 45.00 | - | 45.00 | - |" in tables(races)["race-lagged-wet"]
+
+
+def test_seeds_of_a_model_stand_side_by_side():
+    races = {str(k): result(str(k), "split", [lap(0, 40.0), lap(1, 38.0 + k)]) for k in range(2)}
+    races["1"]["settings"] |= {"seed": 1}
+    made = tables(races)
+    assert made["times-small"].endswith("| 1 | 38.00 / 39.00 |")
+    assert "| split | 1 of 1 / 1 of 1 | 38.00 / 39.00 | - |" in made["race-small"]
+    # Medians 8, 99 % values 12 and worst values 15 ms of two races.
+    assert "| split | 2 | 5.0 / 9.0 / 10.0 | 8.0 / 12.0 / 15.0 | 1.0 / 2.0 / 3.0 | 0 |" in made["timing"]
 
 
 def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sample_logs):
@@ -67,14 +77,12 @@ def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sam
     }
     made = tables(races)
     # Lap 0 of a learner is the nominal model's, and no gain of its own.
-    assert "| nominal | 0 | 1 of 3 | 40.00 | 0.0 | 40.00 | 0.0 |" in made["gain-small"]
-    assert "| split | 0 | 2 of 2 | 36.00 | 10.0 | 37.00 | 7.5 |" in made["gain-small"]
-    assert "0.50 | 0.80 | 16.00" in made["laps-small"] and "not finished" in made["laps-small"]
-    assert "1.00 / 0.50 / 0.33" in made["laps-small"]
+    assert "| nominal | 1 of 3 | 40.00 | 0.0 | 40.00 | 0.0 |" in made["race-small"]
     # The motion's error fell from 0.4, 0.5, 0.3 to 0.2, 0.1, 0.03.
-    assert "| split | 0 | 2 | 0.400, 0.500, 0.300 | 0.200, 0.100, 0.030 | 50 / 80 / 90 |" in made["errors-small"]
+    assert "| split | 2 of 2 | 36.00 | 10.0 | 37.00 | 7.5 | 0.85 | 3 | 2 | 50 | 80 | 90 |" in made["race-small"]
+    assert "| 0 | 38.00 (0.50) | 40.00 |" in made["times-small"] and "not finished" in made["times-small"]
     page = tmp_path / "page.md"
-    page.write_text("before\n<!-- table: gain-small -->\nold\n<!-- end -->\nafter\n")
+    page.write_text("before\n<!-- table: race-small -->\nold\n<!-- end -->\nafter\n")
     figures = fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text and "36.00" in text

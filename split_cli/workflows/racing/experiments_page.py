@@ -42,7 +42,7 @@ def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> l
         raise SplitError("no such page", where=str(page), advice="Name the page with --page.")
     text, made = page.read_text(encoding="utf-8"), tables(results)
     known = {"maneuvers", "timing"}
-    known |= {f"{kind}-{e.group}" for kind in ("laps", "gain", "errors") for e in PLAN.experiments}
+    known |= {f"{kind}-{e.group}" for kind in ("times", "race") for e in PLAN.experiments}
 
     def put(found: re.Match) -> str:
         name = found.group(1)
@@ -67,14 +67,12 @@ def tables(results: dict[str, dict]) -> dict[str, str]:
     groups: dict[str, list[dict]] = {}
     for result in results.values():
         groups.setdefault(result["group"], []).append(result)
-    made = {f"laps-{name}": _lap_table(group) for name, group in groups.items() if "laps" in group[0]["result"]}
     races = [result for result in results.values() if "laps" in result["result"]]
-    made |= {
-        f"gain-{name}": _gain_table(group, races) for name, group in groups.items() if "laps" in group[0]["result"]
-    }
-    made |= {
-        f"errors-{name}": _error_table(group) for name, group in groups.items() if "laps" in group[0]["result"]
-    }
+    made = {}
+    for name, group in groups.items():
+        if "laps" in group[0]["result"]:
+            made[f"times-{name}"] = _times_table(group)
+            made[f"race-{name}"] = _race_table(group, races)
     # A run at one speed only teaches what a sweep then drives with.
     sweeps = [result for result in results.values() if len(result["result"].get("runs", ())) > 1]
     made |= {"maneuvers": _sweep_table(sweeps)} if sweeps else {}
@@ -87,50 +85,48 @@ def _markdown(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)])
 
 
-def _lap_table(group: list[dict]) -> str:
-    header = [
-        "model", "seed", "lap", "time s", "outside m", "margin m", "mean speed m/s", "max a_y g", "updates", "set",
-        "cells", "error v_x, v_y, r", "of nominal", "failures",
-    ]  # fmt: skip
+def _by_model(races: list[dict]) -> dict[str, dict[int, dict]]:
+    """Return the races of each model, by seed."""
+    found: dict[str, dict[int, dict]] = {}
+    for race in races:
+        found.setdefault(race["model"], {})[race["settings"]["seed"]] = race
+    return found
+
+
+def _times_table(group: list[dict]) -> str:
+    """Return a row for each lap, a column for each model, and in it the times of its seeds in order."""
+    models = _by_model(group)
     rows = []
-    for race in group:
-        for lap in race["result"]["laps"]:
-            after, before = np.array(lap["error_after"]), np.array(lap["error_before"])
-            share = " / ".join(f"{a / b:.2f}" if b else "-" for a, b in zip(after, before, strict=True))
-            time = "not finished" if lap["time"] is None else f"{lap['time']:.2f}"
-            rows.append([
-                race["model"], str(race["settings"]["seed"]), str(lap["number"]), time,
-                f"{lap['outside']:.2f}", f"{lap['margin']:.2f}",
-                f"{lap['mean_speed']:.2f}", f"{lap['max_lateral']:.2f}", str(lap["updates"]), str(lap["size"]),
-                str(lap["cells"]), ", ".join(f"{v:.3f}" for v in after), share, str(lap["failures"]),
-            ])  # fmt: skip
-    return _markdown(header, rows)
+    for number in sorted({lap["number"] for race in group for lap in race["result"]["laps"]}):
+        told = []
+        for races in models.values():
+            found = [lap for race in races.values() for lap in race["result"]["laps"] if lap["number"] == number]
+            told.append(" / ".join(map(_time, found)) or "-")
+        rows.append([str(number), *told])
+    return _markdown(["lap", *models], rows)
 
 
-def _error_table(group: list[dict]) -> str:
-    """Return what is left of the error of the exact motion in each race's last finished lap.
+def _time(lap: dict) -> str:
+    if lap["time"] is None:
+        return "not finished"
+    return f"{lap['time']:.2f}" + (f" ({lap['outside']:.2f})" if lap["outside"] > 0.0 else "")
 
-    The drop is told against the gentle nominal file on the last lap that ``split`` drove with the same seed, since
-    errors grow with the pace of driving.
+
+def _motion(race: dict) -> dict | None:
+    """Return the last finished lap in which errors of the exact motion were computed."""
+    laps = [lap for lap in race["result"]["laps"] if lap["time"] is not None and any(lap.get("motion_before", ()))]
+    return laps[-1] if laps else None
+
+
+def _falls(race: dict, reference: dict | None) -> list[str]:
+    """Return by how many percent the errors are below those of the gentle file on the lap that ``split`` drove.
+
+    Errors grow with the pace, so all models are compared with the file's errors on one drive.
     """
-    last = {}
-    for race in group:
-        finished = [lap for lap in race["result"]["laps"] if lap["time"] is not None]
-        laps = [lap for lap in finished if any(lap.get("motion_before", ()))]
-        if laps:
-            last[race["model"], race["settings"]["seed"]] = laps[-1]
-    rows = []
-    for (model, seed), lap in last.items():
-        before, after = np.array(lap["motion_before"]), np.array(lap["motion_after"])
-        reference = last.get(("split", seed))
-        drop = "-"
-        if reference is not None:
-            share = 1.0 - after / np.array(reference["motion_before"])
-            drop = " / ".join(f"{100.0 * value:.0f}" for value in share)
-        rows.append([model, str(seed), str(lap["number"]), ", ".join(f"{v:.3f}" for v in before),
-                     ", ".join(f"{v:.3f}" for v in after), drop])  # fmt: skip
-    header = ["model", "seed", "lap", "its vehicle file", "with what it learned", "less than the gentle file %"]
-    return _markdown(header, rows)
+    own, told = _motion(race), None if reference is None else _motion(reference)
+    if own is None or told is None:
+        return ["-"] * 3
+    return [f"{100.0 * (1.0 - a / b):.0f}" for a, b in zip(own["motion_after"], told["motion_before"], strict=True)]
 
 
 def clean_times(race: dict) -> list[float]:
@@ -150,30 +146,35 @@ def _own_laps(race: dict) -> list[dict]:
     return [lap for lap in race["result"]["laps"] if nominal or lap["number"] > 0]
 
 
-def _gain_table(group: list[dict], races: list[dict]) -> str:
-    """Return the clean laps of each race, best and median, against the nominal ones of the same group and seed.
+def _race_table(group: list[dict], races: list[dict]) -> str:
+    """Return a row for each model: clean laps, best and median, what was learned, errors; seeds in order.
 
-    A group without nominal races is compared with those of the same road among all `races`.
-    Laps scatter, and the best of many is better than the best of few: so the medians stand beside the best.
+    Gains are on the nominal races of the same group and seed, or where a group has none, of the same road among
+    all `races`. Laps scatter, and the best of many is better than the best of few: so medians stand beside them.
     """
-    rows = []
     bases = [race for race in group if race["model"] == "nominal"]
     bases = bases or [race for race in group if race["model"].startswith("nominal")]
     bases = bases or [
         race for race in races if race["model"] == "nominal" and _road(race) == _road(group[0])
     ]  # fmt: skip
     nominal = {race["settings"]["seed"]: clean_times(race) for race in bases}
-    for race in group:
-        own, base = clean_times(race), nominal.get(race["settings"]["seed"])
-        cells = []
-        for pick in (np.min, np.median):
-            cells.append(f"{pick(own):.2f}" if own else "none")
-            cells.append(f"{100 * (1 - pick(own) / pick(base)):.1f}" if own and base else "-")
-        rows.append(
-            [race["model"], str(race["settings"]["seed"]), f"{len(own)} of {len(_own_laps(race))}", *cells]
-        )
-    header = ["model", "seed", "clean laps", "best clean lap s", "gain on nominal %", "median clean lap s",
-              "gain on nominal %"]  # fmt: skip
+    models = _by_model(group)
+    rows = []
+    for model, seeds in models.items():
+        columns = []
+        for seed, race in seeds.items():
+            own, base, laps = clean_times(race), nominal.get(seed), race["result"]["laps"]
+            cells = [f"{len(own)} of {len(_own_laps(race))}"]
+            for pick in (np.min, np.median):
+                cells.append(f"{pick(own):.2f}" if own else "none")
+                cells.append(f"{100 * (1 - pick(own) / pick(base)):.1f}" if own and base else "-")
+            cells.append(f"{max(lap['max_lateral'] for lap in laps):.2f}")
+            cells += [str(laps[-1]["size"] or "-"), str(laps[-1]["cells"] or "-")]
+            columns.append([*cells, *_falls(race, models.get("split", {}).get(seed))])
+        told = [" / ".join(cells) for cells in zip(*columns, strict=True)]
+        rows.append([model, *("-" if set(cell) <= set("- /") else cell for cell in told)])
+    header = ["model", "clean laps", "best clean s", "gain %", "median clean s", "gain %", "max a_y g", "points",
+              "cells", "v_x falls by %", "v_y", "r"]  # fmt: skip
     return _markdown(header, rows)
 
 
@@ -202,15 +203,23 @@ def _ended(run: dict) -> str:
 
 
 def _timing_table(races: list[dict]) -> str:
-    rows = []
+    """Return a row for each model: the largest median of a race, the largest 99 % and worst value of any lap."""
+    models: dict[str, list[dict]] = {}
     for race in races:
-        laps = race["result"]["laps"]
+        past = "" if race["settings"].get("features", "z2") == "z2" else ", lagged"
+        models.setdefault(f"{race['model']}{past}", []).append(race)
+    rows = []
+    for model, alike in models.items():
         cells = []
         for name in ("solver_ms", "step_ms", "update_ms"):
-            middle, most, worst = (np.array([lap[name][k] for lap in laps]) for k in range(3))
-            cells.append(f"{np.median(middle):.1f} / {most.max():.1f} / {worst.max():.1f}")
-        rows.append([race["name"], *cells, str(sum(lap["failures"] for lap in laps))])
-    return _markdown(["race", "HPIPM ms", "whole step ms", "label and update ms", "failures"], rows)
+            values = [np.array([lap[name] for lap in race["result"]["laps"]]) for race in alike]
+            middle, most, worst = (
+                max(pick(v[:, k]) for v in values) for k, pick in enumerate((np.median, np.max, np.max))
+            )
+            cells.append(f"{middle:.1f} / {most:.1f} / {worst:.1f}")
+        failures = sum(lap["failures"] for race in alike for lap in race["result"]["laps"])
+        rows.append([model, str(len(alike)), *cells, str(failures)])
+    return _markdown(["model", "races", "HPIPM ms", "whole step ms", "label and update ms", "failures"], rows)
 
 
 def _picture(race: dict, vehicle: Vehicle) -> RacePicture:
