@@ -51,5 +51,7 @@ def command(vehicle_path, limit_vehicle, physics_vehicle, formula_vehicle, only,
     )
     click.echo(f"run: {', '.join(ran) or 'nothing new'}")
     if page is not None:
-        figures = fill_page(page, stored(output), read_vehicle(vehicle_path))
-        click.echo(f"written: {page}, {', '.join(figures)}")
+        figures, left_out = fill_page(page, stored(output), read_vehicle(vehicle_path))
+        click.echo(f"written: {', '.join([str(page), *figures])}")
+        if left_out:
+            click.echo(f"not on the page, which has no marks for them: {', '.join(left_out)}")

@@ -83,9 +83,10 @@ def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sam
     assert "| 0 | 38.00 (0.50) | 40.00 |" in made["times-small"] and "not finished" in made["times-small"]
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- table: race-small -->\nold\n<!-- end -->\nafter\n")
-    figures = fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
+    figures, left_out = fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text and "36.00" in text
+    assert left_out == ["times-small", "timing"]
     assert all((tmp_path / "figures" / name).stat().st_size > 5000 for name in figures) and len(figures) == 3
     page.write_text("<!-- table: maneuvers -->\nearlier\n<!-- end -->\n")
     fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))

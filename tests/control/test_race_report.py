@@ -84,6 +84,25 @@ def test_the_best_clean_lap_of_each_learner_is_shown_at_first():
     assert numbers["laps"][0]["name"] == "nominal, lap 0"
 
 
+def test_one_lap_of_two_learners_is_called_no_comparison():
+    split = race()
+    one = replace(split, laps=split.laps[:2], traces=split.traces[:2])
+    other = replace(one, learner="iol")
+    assert "not a comparison" in race_page([one, other], split.path)
+    assert "not a comparison" not in race_page([split, other], split.path)
+    assert "not a comparison" not in race_page([one, replace(one, learner="none")], split.path)
+
+
+def test_a_lap_that_was_lost_at_once_stands_in_the_tables():
+    """It has no trace to draw, and its row says why."""
+    result = race()
+    lost = replace(result.laps[2], time=None, ended="no plan")
+    result = replace(result, laps=(*result.laps[:2], lost), traces=(*result.traces[:2], np.empty((0, 13))))
+    page = race_page([result], result.path)
+    assert "not finished: no plan" in page
+    assert len(race_charts([result])[0].series) == 2
+
+
 def test_a_name_cannot_act():
     result = race(HOSTILE)
     page = race_page([result], result.path)

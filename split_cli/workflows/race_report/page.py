@@ -47,7 +47,7 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     charts = race_charts(races)
     package = files("split_cli.workflows.race_report")
     body = Template(package.joinpath("race.html").read_text("utf-8")).substitute(
-        headline=heading(_headline(races)), table=_table(races), timing=_timing(races),
+        headline=heading(_headline(races)), caution=_caution(races), table=_table(races), timing=_timing(races),
         strips=charts_block([chart for chart in charts if chart.wide]),
         plane=charts_block([chart for chart in charts if not chart.wide]),
     )  # fmt: skip
@@ -90,14 +90,21 @@ def _called(race: RaceResult) -> str:
     return "nominal" if race.learner == "none" else race.learner
 
 
-def _laps(races: Sequence[RaceResult]) -> list[tuple[str, Lap, np.ndarray]]:
+def _names(races: Sequence[RaceResult]) -> list[tuple[str, Lap]]:
+    """Return every lap with what the page calls it."""
     several = len(races) > 1
     return [
-        (f"{_called(race)}, lap {lap.number}" if several else f"lap {lap.number}", lap, trace)
+        (f"{_called(race)}, lap {lap.number}" if several else f"lap {lap.number}", lap)
         for race in races
-        for lap, trace in zip(race.laps, race.traces, strict=True)
-        if len(trace)
+        for lap in race.laps
     ]
+
+
+def _laps(races: Sequence[RaceResult]) -> list[tuple[str, Lap, np.ndarray]]:
+    """Return the laps that can be drawn: one that was lost in its first interval has no trace."""
+    traces = [trace for race in races for trace in race.traces]
+    named = zip(_names(races), traces, strict=True)
+    return [(name, lap, trace) for (name, lap), trace in named if len(trace)]
 
 
 def _first(races: Sequence[RaceResult]) -> set[int]:
@@ -130,6 +137,18 @@ def _headline(races: Sequence[RaceResult]) -> str:
     return f"The best clean lap took {best:.2f} s ({name}), {gain:.1f} % less than the best nominal one."
 
 
+def _caution(races: Sequence[RaceResult]) -> str:
+    """Return a paragraph where learners stand beside each other after one lap each; nothing otherwise."""
+    learning = [race for race in races if race.learner != "none"]
+    if len(learning) < 2 or max(lap.number for race in learning for lap in race.laps) > 1:
+        return ""
+    return (
+        "<p>Each learner drove one lap with what lap 0 had taught. One lap of learning is not a comparison of the "
+        "learners: laps scatter by tenths of a second, and learning goes on. Compare them over ten laps "
+        "(<code>--laps 10</code>) and several seeds.</p>"
+    )
+
+
 def _about(race: RaceResult) -> str:
     return f"{race.track}, {race.length:.0f} m a lap, {race.car} with the vehicle file {race.vehicle}"
 
@@ -138,7 +157,7 @@ def _table(races: Sequence[RaceResult]) -> str:
     header = ("lap", "time [s]", "mean speed [m/s]", "largest a_y [g]", "updates", "points", "cells", "error v_x",
               "error v_y", "error r", "outside [m]")  # fmt: skip
     rows = []
-    for name, lap, _ in _laps(races):
+    for name, lap in _names(races):
         time = f"{lap.time:.2f}" if lap.time is not None else f"not finished: {lap.ended}"
         errors = [f"{a:.3f} / {b:.3f}" for a, b in zip(lap.error_after, lap.error_before, strict=True)]
         speeds = f"{lap.mean_speed:.2f}", f"{lap.max_lateral:.2f}"
@@ -150,7 +169,7 @@ def _table(races: Sequence[RaceResult]) -> str:
 def _timing(races: Sequence[RaceResult]) -> str:
     header = ("lap", "solver HPIPM [ms]", "whole step [ms]", "label and update [ms]", "solver failures")
     rows = []
-    for name, lap, _ in _laps(races):
+    for name, lap in _names(races):
         times = [" / ".join(f"{v:.1f}" for v in t) for t in (lap.solver_ms, lap.step_ms, lap.update_ms)]
         rows.append((name, *times, str(lap.failures)))
     return plain_table(header, rows, "table-timing")

@@ -27,10 +27,17 @@ from split_cli.workflows.racing.experiments import PLAN
 __all__ = ["fill_page", "tables"]
 
 
-def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> list[str]:
-    """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, figures beside the page; return figures.
+def fill_page(
+    page: str | Path, results: dict[str, dict], vehicle: Vehicle
+) -> tuple[list[str], list[str]]:  # fmt: skip
+    """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, and figures beside the page.
 
     A table none of whose experiments was kept stays as it is.
+
+    Returns
+    -------
+    figures, left_out : list of str
+        Files that were drawn, and tables that the page does not ask for.
 
     Raises
     ------
@@ -59,7 +66,7 @@ def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> l
     text = re.sub(r"<!-- table: ([\w-]+) -->\n.*?<!-- end -->", put, text, flags=re.S)
     figures = _figures(results, vehicle, page.parent / "figures")
     atomic_write_text(page, text)
-    return figures
+    return figures, [name for name in made if f"<!-- table: {name} -->" not in text]
 
 
 def tables(results: dict[str, dict]) -> dict[str, str]:
