@@ -1,7 +1,5 @@
 """A headless browser for pages of ours."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

@@ -4,8 +4,6 @@ Lines are counted while modules are imported and while tests of these layers run
 sixth more time. Each worker counts for itself, and the process that started them adds up.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """The linearised exact discretisation of a single track, slowly: what fast steps are compared with."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import expm
 

@@ -1,7 +1,5 @@
 """Cars, drives and trained sets made in memory, for any test that needs one quickly."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Modules that some tests need and not every installation has: skipped at home, missed where all should be."""
 
-from __future__ import annotations
-
 import importlib
 import os
 from types import ModuleType

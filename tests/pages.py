@@ -1,7 +1,5 @@
 """Pages of the documentation whose commands are run as printed."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -9,8 +9,6 @@ same steps on the same inputs with the code at hand. It says of each file whethe
 compared itself, and `settings`, of which those that both sides list have to agree.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """Shares of statements, against a module whose statements are counted by hand."""
 
-from __future__ import annotations
-
 import runpy
 
 import coverage

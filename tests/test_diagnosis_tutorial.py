@@ -1,7 +1,5 @@
 """docs/diagnosis.md: its commands run as printed, in an empty folder, and find what the page says they find."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the documentation shows is what the program accepts."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

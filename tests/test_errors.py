@@ -1,7 +1,5 @@
 """The text a user reads: what, where, what to do, on one line; and the nearest names."""
 
-from __future__ import annotations
-
 import pickle
 
 import pytest

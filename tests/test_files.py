@@ -1,7 +1,5 @@
 """Atomic writing: the old file or the new one, after exceptions, a full disk and kill -9 alike."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

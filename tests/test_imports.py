@@ -1,7 +1,5 @@
 """Imports run one way, read from the syntax tree; and each heavy library stays in its place."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Names: one name, one meaning."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The notebook of the documentation runs as it is printed, and its numbers are what the data were made with."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """A module that a test needs and that is missing: a skip at home, a failure where all should be installed."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a project owes those who install it: metadata, dependencies it uses, a package and a site that build."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

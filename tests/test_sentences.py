@@ -1,7 +1,5 @@
 """Sentences of the documentation and of every command's help are short enough to be understood at once."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

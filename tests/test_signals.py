@@ -1,7 +1,5 @@
 """Units: known factors, both ways, and no guess where a spelling has two meanings."""
 
-from __future__ import annotations
-
 import math
 import string
 

@@ -1,7 +1,5 @@
 """docs/tutorial.md: its commands run as printed, in an empty folder, and do what the page says they do."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

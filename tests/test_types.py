@@ -1,7 +1,5 @@
 """Types: mypy, with the settings of pyproject.toml, finds nothing in the packages that others build on."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ Run ``python tests/benchmarks/bench_learning.py``. Both sides are compiled by nu
 process; times are processor time, so that neighbours on the machine count little.
 """
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")

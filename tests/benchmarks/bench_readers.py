@@ -5,8 +5,6 @@ and, but for the raw iteration, hand over the same numbers: time and three field
 in place of a number it reads a plain table of a million rows beside pyarrow and pandas instead.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

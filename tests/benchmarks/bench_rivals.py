@@ -11,8 +11,6 @@ folders with code of two streaming learners, which is no part of this project: `
 `--stream` writes the samples and queries for programs that are measured beside this one.
 """
 
-from __future__ import annotations
-
 import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):

@@ -3,8 +3,6 @@
 Every case runs the commands that are printed above its table, with the same settings.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

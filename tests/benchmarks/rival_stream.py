@@ -1,7 +1,5 @@
 """The stream that all contestants of `bench_rivals` get, and how they are timed and scored."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Their code is no part of this project. Each function takes the folder of a clone
 it, gives it the kernel that the stream's labels were made for, and offers it every sample once, in order.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import io

@@ -1,7 +1,5 @@
 """A folder with all that a command may be given."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Run the command line where it is used badly, and see that nothing was lost."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

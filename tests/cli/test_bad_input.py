@@ -1,7 +1,5 @@
 """Hostile use of every command: one line that says what, exit code 1, and what was there before untouched."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

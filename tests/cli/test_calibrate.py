@@ -1,7 +1,5 @@
 """`split calibrate` run as users run it: its files reopened, its figures compared."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every command is documented, quick to ask for help, and fails in one line."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`split demo`: its steps feed each other, and the last one diagnoses the bundled pair."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`split diagnose`: what goes to stdout and stderr, exit codes, and vehicles of the library."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`split evaluate` as a user runs it: its table, its JSON, its figures, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Explained columns, options from a file, how much is said, progress, the manual page, completion."""
 
-from __future__ import annotations
-
 import ast
 import io
 import os

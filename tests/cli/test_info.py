@@ -1,7 +1,5 @@
 """`split info` names every kind of file and tells what is in it."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`split init`: two files that the next commands take, and what comes next."""
 
-from __future__ import annotations
-
 import pytest
 from click.testing import CliRunner
 

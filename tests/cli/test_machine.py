@@ -1,7 +1,5 @@
 """A full disk, a closed stdout and a stop at any moment leave the old file, or none, or the new one."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

@@ -1,7 +1,5 @@
 """`split label` and `split train` as a user runs them: files reopened with the library, values compared."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """Small trained sets, and a compiler where there is one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

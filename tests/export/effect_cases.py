@@ -1,7 +1,5 @@
 """Every exported term and variant with plausible parameters, and some of them together."""
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass, replace
 from pathlib import Path

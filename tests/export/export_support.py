@@ -1,7 +1,5 @@
 """What several export tests make: the C of a set, smaller sets, and a caller in place of acados."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The exported C: compiled as strictly as users do, compared with Python, and broken on purpose."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from dataclasses import replace

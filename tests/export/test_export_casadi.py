@@ -1,7 +1,5 @@
 """CasADi's functions and the C it generates: value, Jacobian, Hessian and step."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi

@@ -1,7 +1,5 @@
 """split export and split verify from the command line to the files, and when something is wrong."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A corrected vehicle file from a drive to the controller: trained, exported, driven, verified, forged."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """npz and json: read by the twenty lines the documentation prints, and by a JSON schema validator."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Exports of vehicles with effects: every term and variant, alone and together, in C and CasADi."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from dataclasses import replace

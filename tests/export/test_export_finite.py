@@ -1,7 +1,5 @@
 """The step of the exported C at any finite argument: fuzzed, at standstill, backwards, and beyond any car."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Limits over speed against closed forms, and as files a planner reads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Robust committee, table and projected process exported as C, CasADi, npz, json; the valid region."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The reference that every export is held to, against extended precision and the dense process."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

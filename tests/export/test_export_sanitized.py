@@ -1,7 +1,5 @@
 """The exported C under address and undefined-behaviour sanitizers at inputs of every kind, and under cppcheck."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 

@@ -1,7 +1,5 @@
 """The ROS 2 recipe: its node compiles against stand-ins, and publishes what the exported model says."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import re

@@ -4,8 +4,6 @@
 `--only` takes some. `docs/natural.md` tells what an engineer knows of each, and what came out.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Calibration on the recordings of others: what the project's vehicle files claim comes out again."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The recordings of others, each by one command with a map and a vehicle of the project."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Natural experiments: what an engineer measures beside the diagnosis, and what the diagnosis says of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

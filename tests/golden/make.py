@@ -4,8 +4,6 @@ They are committed once a format version and never written again: every later ve
 version adds files beside the old ones.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that earlier versions wrote open in this one, with the numbers they had; and without our code."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

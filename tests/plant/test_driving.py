@@ -1,7 +1,5 @@
 """Drivers stay on the road, use the grip they are given, differ and repeat; scripts are carried out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The double track against hand calculation, symmetry, energy and its own order of integration."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Effects that `split simulate` conceals: each does what its name says, and nothing at its neutral value."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs say what the sensors said, to readers that are not ours; the bundled ones can be made again."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections import defaultdict

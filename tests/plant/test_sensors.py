@@ -1,7 +1,5 @@
 """What was planted in the sensors is found again in their readings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`split simulate`: what it writes is what was driven, and settings at fault are told in a line."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

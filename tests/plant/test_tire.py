@@ -1,7 +1,5 @@
 """The tyre against closed forms, finite differences and the friction ellipse."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tracks close, are as long as they say and as smooth; their heading and curvature belong to their points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Figures of a diagnosis show its numbers, and their folder holds nothing of an earlier one."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

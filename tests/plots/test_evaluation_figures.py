@@ -1,7 +1,5 @@
 """Figures show what was computed: plotted numbers are read back and compared."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Colours of series stay apart for every common form of colour vision, and visible on their paper."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

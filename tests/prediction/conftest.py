@@ -1,7 +1,5 @@
 """Trained sets made in memory from given points, without labels or learning."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every predictor against the dense Gaussian process, in the limits where they must agree, and its derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

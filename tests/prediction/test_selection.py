@@ -1,7 +1,5 @@
 """Greedy selection of the most informative samples against the definition, step by step."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.learning.kernel import correlation

@@ -1,7 +1,5 @@
 """The seam for learners of others: what code in a folder answers stands in the rows; an empty one is left out."""
 
-from __future__ import annotations
-
 import builtins
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The table against the process it is filled from, at its edges, and after updates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

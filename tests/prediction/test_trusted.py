@@ -1,7 +1,5 @@
 """Trust acts on every predictor alike: on mean, variance and Jacobian."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings as another car would have made them: the altered car's own equations hold in them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

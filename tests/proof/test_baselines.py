@@ -1,7 +1,5 @@
 """The baselines against planted sparse truths and against the package they stand for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

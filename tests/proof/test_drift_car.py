@@ -1,7 +1,5 @@
 """The drift model in the places of the multi-body state: the same motion as by the package's own state."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

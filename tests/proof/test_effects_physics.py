@@ -7,8 +7,6 @@ window (relaxation 27 mm, that is 1 to 2 ms, and yaw damping of some 1/0.1 s) ta
 force, hence the tolerance on the slope; the shape must fit closely.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Faults put into recordings: the term that names each undoes it, and blocks share no sample."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Faults put into the multi-body car: what each alters, and that it alters nothing else."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Judging statements, intervals of rates, and what becomes of them in a score."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Sets of effects in a nominal car: its equations with the true terms leave nothing but noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sizes are found for a severity, truths by fitting paired runs, and cases lie in their tiers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

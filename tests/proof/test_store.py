@@ -1,7 +1,5 @@
 """Sealing, resuming, and that identification sees no answers."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The plant's own car against the bare one: its pieces are all that differs; what is small is not asked for."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Predictors on drives: FITC's future, features at states of the model's own, terms with memory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A drive against a vehicle file: its own is never refused, another car is told by what contradicts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

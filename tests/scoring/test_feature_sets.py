@@ -1,7 +1,5 @@
 """Informative sets of each size, and the first lap of a drive."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.learning.kernel import Kernel, correlation

@@ -1,7 +1,5 @@
 """Understeer, steering response, axle forces and whiteness against closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

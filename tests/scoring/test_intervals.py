@@ -1,7 +1,5 @@
 """Intervals that are too narrow are told from those that miss by chance."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

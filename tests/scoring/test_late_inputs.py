@@ -1,7 +1,5 @@
 """Late inputs are told from labels: by their size, and not where the inputs are right."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Figures of merit against closed forms, SciPy, and Gaussians whose coverage is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binom, norm

@@ -1,7 +1,5 @@
 """The noise floor against Monte Carlo: noise planted on drives that the nominal model predicts perfectly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

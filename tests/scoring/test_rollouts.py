@@ -1,7 +1,5 @@
 """Multi-step prediction where the answer is known: perfect models, constant missing forces, circular arcs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

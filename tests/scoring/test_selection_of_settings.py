@@ -1,7 +1,5 @@
 """Settings chosen on held-out blocks: errors are those of sets trained by hand, the rule is the one stated."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Held-out blocks: disjoint, guarded, spread, the same every time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

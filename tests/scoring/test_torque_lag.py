@@ -1,7 +1,5 @@
 """A torque that arrives late: found from labels, put into the set where held-out blocks gain, and nowhere else."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

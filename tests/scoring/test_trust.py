@@ -1,7 +1,5 @@
 """Trust found on held-out blocks: a true correction is kept, chance is not believed, and harm is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.learning.cells import empty_set

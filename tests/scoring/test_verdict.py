@@ -1,7 +1,5 @@
 """The verdict: ratios of errors with intervals that cover, and words that follow them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.scoring.verdict import BlockErrors, compare, number_blocks, verdict, warnings_of

@@ -6,8 +6,6 @@ each output as it was or, of several that were named one by one, new and whole; 
 row for each command; exits with 1 if anything else happened.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

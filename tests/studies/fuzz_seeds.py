@@ -3,8 +3,6 @@
 Used by `tests.studies.fuzz`.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec

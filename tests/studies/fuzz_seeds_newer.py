@@ -3,8 +3,6 @@
 Used by `tests.studies.fuzz_seeds`.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Iterator

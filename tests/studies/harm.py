@@ -9,8 +9,6 @@ another: another drive of the same car, or the other half of the same one. Nothi
 a run that was ended goes on where it was. docs/results.md holds the table.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

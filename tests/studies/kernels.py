@@ -6,8 +6,6 @@ multiply in another order. Prints, for each variant and command, the largest rel
 the plain run with one thread; exits with 1 if a name or a verdict differs, or a number by more than is promised.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

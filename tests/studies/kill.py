@@ -5,8 +5,6 @@ step that a command takes on the disk. Prints a row a command: kills, how often 
 found, and what broke a rule; exits with 1 if anything did.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import os

@@ -6,8 +6,6 @@ of 80 ms, it prints length scales in cells, deviations of signal and noise, what
 and the errors of labels in five held-out blocks of time, asked of a dense process.
 """
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

@@ -5,8 +5,6 @@ of the measured v_y and of three errors. They are of the derived v_y, of the ste
 track, and of v_y = 0 (the rms itself). The measured v_y is taken less its direction on straights.
 """
 
-from __future__ import annotations
-
 import argparse
 
 import numpy as np

@@ -3,8 +3,6 @@
 Used by `tests.studies.memory`.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable, Iterator, Mapping

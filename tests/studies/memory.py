@@ -6,8 +6,6 @@ a lap of the samples, repeated with different sensor noise, as a log of any kind
 peak resident memory, wall and processor time, and the time a row.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

@@ -5,8 +5,6 @@ mistake is not counted. A mistake is *named* if its channel is told its words, a
 anything new. Cases in which a channel without a mistake is told something new are counted too.
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from itertools import combinations

@@ -7,8 +7,6 @@ Of each case the table says: *right*, the words of the mistake are said of its c
 said, also that a relation is not judged; *silent*; and *false*, a channel without a mistake is blamed.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 from collections.abc import Callable

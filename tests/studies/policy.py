@@ -9,8 +9,6 @@ another word about what has no name (a decision); values that move by more than 
 anything else that `diagnosis.json` tells. "Never turned": no comparison came out otherwise (`probing.py`).
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import hashlib

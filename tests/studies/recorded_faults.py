@@ -7,8 +7,6 @@ computed again. Of the diagnosis search and findings are run, see `diagnose`. Th
 `recorded_faults_lists.py`; a list is fixed before its first row is run.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -1,7 +1,5 @@
 """Lists of known faults in real recordings, each fixed before its first row was run; see `recorded_faults.py`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 __all__ = ["LISTS", "Row"]

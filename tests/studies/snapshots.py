@@ -6,8 +6,6 @@ Used by `tests.studies.kill`; ``python -m tests.studies.snapshots COPIES -1 ARGU
 into COPIES before each step of ``split ARGUMENTS``, and a number instead of -1 kills it before that step.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -4,8 +4,6 @@ Example: ``python -m tests.studies.tutorial_times``. Processor time hardly depen
 the time on the clock does, and stands beside it.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import resource

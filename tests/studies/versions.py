@@ -4,8 +4,6 @@ Example: ``python -m tests.studies.versions oldest``. The oldest are the lower b
 Prints the versions that were installed and the last line of the tests; exits with the tests' code.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import subprocess

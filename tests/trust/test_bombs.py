@@ -1,7 +1,5 @@
 """Files that unfold into more than a computer holds are refused, in bounded memory and time."""
 
-from __future__ import annotations
-
 import bz2
 import os
 import sqlite3

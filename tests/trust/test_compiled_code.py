@@ -1,7 +1,5 @@
 """Compiled code finds a folder of its own where neither the installation nor the home can be written."""
 
-from __future__ import annotations
-
 import os
 import stat
 import subprocess

@@ -1,7 +1,5 @@
 """A trained set that was forged, with a digest that fits, is refused before anything is computed with it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A short run of the study that mutates files of every kind; the long one is `python -m tests.studies.fuzz`."""
 
-from __future__ import annotations
-
 import gzip
 import random
 import time

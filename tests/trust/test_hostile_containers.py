@@ -1,7 +1,5 @@
 """Containers that unfold without end, go in circles or lead out of the file; pipes and links in folders."""
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Every page of ours in a browser, with names that would act if they could: nothing runs, and the layout stays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Rows, blocks and titles made to take all memory or to go on for ever: JSON, Pi Toolbox, names of columns."""
 
-from __future__ import annotations
-
 import json
 import random
 import time

@@ -3,8 +3,6 @@
 The long form, with every command, is `python -m tests.studies.kill --steps`.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Names of vehicles, files and topics are others' text: a terminal shows them and does nothing else."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

@@ -1,7 +1,5 @@
 """Properties of labels and learning that hold for any driving: mirrors, copies, units."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """`split verify` on every file of ours: what is whole passes, each kind of damage fails the check it concerns."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Folders are exchanged whole, leftovers of killed runs go, and two runs do not lose each other's work."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

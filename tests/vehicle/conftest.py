@@ -1,7 +1,5 @@
 """Cars that the tests of this folder share: textbook sizes, nobody's product."""
 
-from __future__ import annotations
-
 import pytest
 
 from split_cli.vehicle.parameters import Vehicle

@@ -1,7 +1,5 @@
 """Calibration: planted curves, resistances and inertia come back inside the bands that are stated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

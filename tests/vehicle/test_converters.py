@@ -4,8 +4,6 @@ The numbers are made up; the keys are those of CommonRoad's vehicle models, the 
 ForzaETH's race stack.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

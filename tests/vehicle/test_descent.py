@@ -1,7 +1,5 @@
 """The bounded least-squares iteration: SciPy's answers, bounds, rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import least_squares

@@ -1,7 +1,5 @@
 """Every term of the catalogue against a formula written out again, its neutral point, and mirrored driving."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Terms with a memory: states and delays along a recording, in windows, and what sensors do to a recording."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

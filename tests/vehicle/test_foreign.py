@@ -1,7 +1,5 @@
 """Vehicles written as other projects' parameters and read again by the converters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

@@ -1,7 +1,5 @@
 """Inputs that keep their value between samples: integration, memory and evidence against slow references."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

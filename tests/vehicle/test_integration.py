@@ -1,7 +1,5 @@
 """Discrete time: RK4 over recorded inputs, the exact linear step, and Phi, each against a slower way."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

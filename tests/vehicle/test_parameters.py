@@ -1,7 +1,5 @@
 """The vehicle file: what is written is read back, and what cannot be is told."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 

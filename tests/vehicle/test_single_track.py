@@ -1,7 +1,5 @@
 """The nominal single track against the textbook, a mirror, energy and differences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

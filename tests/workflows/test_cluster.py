@@ -1,7 +1,5 @@
 """Commands on a real cluster: a scheduler and two worker processes give what one process gives, bit for bit."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Models side by side: known errors, honest ties, a gate, and what the command writes."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A long drive is evaluated piece by piece: every number is that of the drive in memory, to the bit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What ingest found wrong with a drive is repeated by train and evaluate, kept in the set, and stops an export."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A folder, a glob or an address stands for its logs, and what is done is not done again."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Labels of a folder of drives: the same bits in one process, in two, and drive by drive."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

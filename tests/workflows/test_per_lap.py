@@ -1,7 +1,5 @@
 """The table of laps: its last row is the set, and its sums are those of the drive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Pages of a recording and of an evaluation: what they say first, and that names of others stay text."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The one page behind every report: its policy, its charts, what a reader does with them, names that stay text."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import hashlib

@@ -1,7 +1,5 @@
 """A folder of drives is learned as its drives are, and a grown one costs only what is new."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

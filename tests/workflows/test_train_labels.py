@@ -1,7 +1,5 @@
 """Training from files of labels: the set that the drives give, and a refusal of labels that do not fit."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
