@@ -1,7 +1,5 @@
 """A drive whose every channel is known at every instant, and recordings of it with planted faults."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 

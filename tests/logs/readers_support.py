@@ -1,7 +1,5 @@
 """One planted drive, and writers that put it into every format the readers know."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Cleaning: every kind of bad sample is dropped or moved, and counted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

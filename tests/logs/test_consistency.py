@@ -1,7 +1,5 @@
 """Consistency: each planted fault is named, with its factor; a sound drive says nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lateral velocity from accelerations: planted truth with bank, roll and bias, and conditioning as oracle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

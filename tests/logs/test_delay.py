@@ -1,7 +1,5 @@
 """Delays: planted ones are recovered to a fraction of a sample, with honest errors; others are refused."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

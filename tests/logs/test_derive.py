@@ -1,7 +1,5 @@
 """Derived channels: inverses of the model, planted truth, convergence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

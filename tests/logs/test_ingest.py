@@ -1,7 +1,5 @@
 """Ingest end to end: from files to drives by workflow and by command, and every kind of bad input."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Logs of the project's own plant, ingested and held to the truth they were measured from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

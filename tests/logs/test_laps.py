@@ -1,7 +1,5 @@
 """Laps are counted where a path comes back, and the set after the last lap is the one of the whole drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """MAT files of either kind whose structures have clocks of their own become one drive."""
 
-from __future__ import annotations
-
 import h5py
 import numpy as np
 import pytest

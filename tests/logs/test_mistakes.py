@@ -1,7 +1,5 @@
 """What ingest says of mistakes of unit and sign, alone and in pairs, on the bundled recordings; and of none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

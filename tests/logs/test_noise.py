@@ -1,7 +1,5 @@
 """Noise: planted levels are recovered, and what is no noise is refused with a reason."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

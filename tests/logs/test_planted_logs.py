@@ -1,7 +1,5 @@
 """Mistakes in a log that units alone do not name: clocks, delays, exchanged wheels, places and crooked sensors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

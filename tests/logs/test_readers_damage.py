@@ -1,7 +1,5 @@
 """Hostile input: a damaged recording gives a `LogError` or fewer values and a note, never a traceback."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mcap.writer import CompressionType

@@ -1,7 +1,5 @@
 """The recordings that others made: what is in them is read, with the units they state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """MCAP: the planted drive comes back bit for bit, whatever the encoding, compression and clock."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, IndexType

@@ -1,7 +1,5 @@
 """Bags: the planted drive comes back bit for bit from every storage; definitions from where they are."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

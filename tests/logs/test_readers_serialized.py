@@ -1,7 +1,5 @@
 """Decoding of ROS payloads, held against mcap-ros2-support and rosbags, which decode message by message."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings

@@ -1,7 +1,5 @@
 """Logs as loggers really write them: .vbo, AiM, rows quoted whole, CAN frames, several clocks, no clock."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables: the planted drive comes back from text, Parquet, Arrow, MAT and MDF, with its units."""
 
-from __future__ import annotations
-
 import datetime
 import gc
 import subprocess

@@ -1,7 +1,5 @@
 """The topics that cars log, in the containers that cars log them in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

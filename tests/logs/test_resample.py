@@ -1,7 +1,5 @@
 """Resampling: exact for polynomials, of the order claimed, low-passed as claimed, nothing across gaps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

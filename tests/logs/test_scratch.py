@@ -1,7 +1,5 @@
 """Columns outside memory hold the same numbers, give their memory back, and make the same drives to the byte."""
 
-from __future__ import annotations
-
 import errno
 import io
 import re

@@ -1,7 +1,5 @@
 """Signal maps: what is written is what is read; what is wrong is named with the nearest right."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

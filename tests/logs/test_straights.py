@@ -1,7 +1,5 @@
 """The direction of v_y on straights over time and its correction; friction, delays, spikes beyond the usual."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Strangers' logs whose axes, clocks or names mislead: velocities of the world, two odometries, right for left."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

@@ -1,7 +1,5 @@
 """Logs of production and model cars: wheel speeds only, messages written out flat, no clock, damaged samples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

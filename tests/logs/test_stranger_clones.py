@@ -1,7 +1,5 @@
 """Faults first seen in logs that were cloned with public projects and taken the whole way, planted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

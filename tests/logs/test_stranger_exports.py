@@ -1,7 +1,5 @@
 """What programs of the field export beside plain tables: structures, indices, titles that hold separators."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What ETAS, SavvyCAN, CarMaker, LabVIEW, spreadsheets and games did to the draft, planted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.io import savemat

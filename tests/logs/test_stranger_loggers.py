@@ -1,7 +1,5 @@
 """What exports of AiM, MoTeC, CarSim, Simulink, phones and motion capture did to the draft, planted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.io import savemat

@@ -1,7 +1,5 @@
 """Faults first seen in logs of public projects, planted: clocks that start again, other axes, cells of dashes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

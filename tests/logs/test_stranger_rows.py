@@ -1,7 +1,5 @@
 """Rows written as JSON, blocks with clocks of their own, and what a name says of wheels, axles and commands."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -6,8 +6,6 @@ what was planted. Right is a channel within the tolerance below; open is one the
 
 # ruff: noqa: E501
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta

@@ -1,7 +1,5 @@
 """Logs as tools write them: coordinates in words, spans of time, a speed in several units, names of CAN."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -2,8 +2,6 @@
 
 # ruff: noqa: E501
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Track position on paths whose length is known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.logs.drive import Drive

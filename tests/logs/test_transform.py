@@ -1,7 +1,5 @@
 """Frames and places: against rigid-body motion, rotation matrices and the ellipsoid's radii."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
