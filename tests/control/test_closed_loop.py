@@ -1,7 +1,5 @@
 """A short manoeuvre and a short lap on the plant, and races that are refused before they begin."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The plan of the experiments hangs together, and its page is filled from what was kept."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Driving with an export's CasADi function alone: it says what its set says, and a car is driven by it."""
 
-from __future__ import annotations
-
 import json
 import runpy
 import shutil

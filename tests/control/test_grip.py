@@ -1,7 +1,5 @@
 """The peaks that labels tell: recovered from forces, left at the file's where nothing came near them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

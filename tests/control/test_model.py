@@ -1,7 +1,5 @@
 """The model in the controller: linearisation, discretisation, residual."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Learning interval by interval is learning the drive; the committee that follows is the committee."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contour and lag errors by hand on a circle, and tracks on which nobody can drive."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The programme of a controller against a dense solver, and what it says of an answer that is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a race: its numbers, names that cannot act, and a page that works in a browser."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Controllers on their own model: tracking to nothing, staying inside, and borders moved in by variance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path as FilePath
 

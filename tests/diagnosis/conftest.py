@@ -1,7 +1,5 @@
 """One small recording of the nominal car, prepared once, for every test of the engine's modules."""
 
-from __future__ import annotations
-
 import pytest
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy

@@ -1,7 +1,5 @@
 """Recordings of a car that differs from its nominal model by known terms, as evidence."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Recordings that tell little or nothing: said so, and never a confident name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

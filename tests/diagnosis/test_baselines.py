@@ -1,7 +1,5 @@
 """Readings with a marginalised baseline and with a fixed baseline."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

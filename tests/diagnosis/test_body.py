@@ -1,7 +1,5 @@
 """The shared discrepancy at another body: forces that stay, and an inertia that is found beside them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Thresholds from the simulation against itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Which rows are compared: where the simulation was asked for the same, or moved the same."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameters that follow a variable give it away; parameters that are constant do not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

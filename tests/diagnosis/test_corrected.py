@@ -1,7 +1,5 @@
 """The corrected vehicle is judged: true physics is accepted, wrong physics is not, and files and words say so."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

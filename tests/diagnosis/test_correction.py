@@ -1,7 +1,5 @@
 """SPLIT beside a model: trusted where it helps on time it has not seen, and nowhere else."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages

@@ -1,7 +1,5 @@
 """What a silence is worth: effects of the told size, and of others, planted and searched for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The shared discrepancy's dictionary against altered vehicles, evaluated in two ways and mirrored."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

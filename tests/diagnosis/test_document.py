@@ -1,7 +1,5 @@
 """`diagnosis.json` against the schema's own content."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The whole diagnosis on short drives: what it names, what it leaves unnamed, what must not change its answer."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Standard errors and intervals against replicates: what the noise really does to an estimate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which rows of a recording are compared at all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Moves that replace one term by two or two by one: taken where they are true, and only there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """What every term would add: promises against fits, and nothing worked out twice."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

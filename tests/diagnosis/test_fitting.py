@@ -1,7 +1,5 @@
 """Fits on drives of our own single track with a planted term, integrated apart from the engine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

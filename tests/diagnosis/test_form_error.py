@@ -1,7 +1,5 @@
 """Costs with a share of every effect free: against dense algebra, and on two terms that do nearly the same."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The sparse formula: planted forces read off again, and nothing read into noise."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

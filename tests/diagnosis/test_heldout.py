@@ -1,7 +1,5 @@
 """What findings explain of the time kept out: shares known from each effect alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Does it help: rollouts and shares against closed forms, planted terms and the noise that was put in."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

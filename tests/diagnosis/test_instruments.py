@@ -1,7 +1,5 @@
 """Faults of single instruments: told by what a recording knows twice, and found again where they were planted."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A lateral velocity integrated from a_y errs slowly: its error makes no physics, and planted physics is found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All terms at once: what a search one by one misses is found, and linear costs are those of refits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

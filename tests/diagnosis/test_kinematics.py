@@ -1,7 +1,5 @@
 """Faults of the velocity sensor, found from position and yaw alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

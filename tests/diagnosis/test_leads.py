@@ -1,7 +1,5 @@
 """What no real car can have is no finding, and is reported as a lead with what it would need."""
 
-from __future__ import annotations
-
 import jsonschema
 import numpy as np
 import pytest

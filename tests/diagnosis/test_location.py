@@ -1,7 +1,5 @@
 """Where the gap is: planted gaps of known dependence, place and noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A term of the diagnosis is one file: written into a folder of its own, it is found, fitted, named and said."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

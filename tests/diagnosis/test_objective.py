@@ -1,7 +1,5 @@
 """Costs of explanations against their dense formula, and against minimising over the shared discrepancy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """A term that acts in a part of the drive only: found where it acts, and nowhere where nothing does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

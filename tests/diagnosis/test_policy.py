@@ -1,7 +1,5 @@
 """Every number that decides is in one place, says what it is and where it comes from, and decides."""
 
-from __future__ import annotations
-
 import ast
 from dataclasses import FrozenInstanceError
 from pathlib import Path

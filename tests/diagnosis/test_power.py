@@ -1,7 +1,5 @@
 """A match is said only where a big difference would have shown; steering held on purpose is no frozen sensor."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

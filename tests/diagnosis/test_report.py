@@ -1,7 +1,5 @@
 """The report: numbers that survive packing, names that cannot act, and a page that works in a browser."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Variants of a term that one step does not tell apart, told by running freely."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

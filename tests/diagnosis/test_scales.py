@@ -1,7 +1,5 @@
 """Speed and yaw rate against position and yaw: a sensor out of scale is reported, and no physics is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jsonschema

@@ -1,7 +1,5 @@
 """Which terms are named: planted ones, against a search of every subset, and what must not be named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from itertools import combinations

@@ -1,7 +1,5 @@
 """The study of the policy's numbers: a run that parts where a number turns something against a run a number."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Words for findings: every term and variant, both signs, small and large cars, what would tell terms apart."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a simulation taught is believed where it predicts, and lets no prediction run away."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lines in the spectrum: planted over time and over distance, absent from noise, shown by the simulation too."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

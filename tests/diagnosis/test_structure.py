@@ -1,7 +1,5 @@
 """Tests for structure without a name: its p values under noise, at the allowance and beyond, and its groups."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The shared discrepancy on other tyres: lateral forces that grow with the peak, and a grip found beside them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

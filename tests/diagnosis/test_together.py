@@ -1,7 +1,5 @@
 """Work in threads gives what work in turn gives."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import threading

@@ -1,7 +1,5 @@
 """The whitener against the dense covariance it stands for."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.diagnosis.innovations.whitening import build_whitener

@@ -1,7 +1,5 @@
 """Sums over windows, compiled, against the passes over whole arrays that they stand for."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 

@@ -1,7 +1,5 @@
 """The fast update against the printed one, and what must not change a trained set."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

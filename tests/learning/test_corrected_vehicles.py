@@ -1,7 +1,5 @@
 """Labels and training with a vehicle file that a diagnosis corrected: sensors' faults taken off, places told."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The fit: gradient by finite differences, planted values found again, blocks of neighbouring cells."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

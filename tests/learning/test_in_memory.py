@@ -1,7 +1,5 @@
 """A set learned in memory: the same from one part or two, and from few labels with the default kernel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

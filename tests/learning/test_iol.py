@@ -1,7 +1,5 @@
 """The dictionary of the online rival against the printed way, and its sets as files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

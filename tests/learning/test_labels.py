@@ -1,7 +1,5 @@
 """Labels: forces recovered, a model's own drive without residual, convergence, gaps, bad samples."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

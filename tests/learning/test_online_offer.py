@@ -1,7 +1,5 @@
 """One label offered from numbers alone: the set that `extend` makes, and the grid's own cell numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

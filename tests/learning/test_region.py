@@ -1,7 +1,5 @@
 """Cells and the valid region: indices by hand, borders, counts, and grids of other features."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The set's file: bit-exact round trip, one batch a cell, and damage that is told, never learned from."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

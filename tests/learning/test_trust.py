@@ -1,7 +1,5 @@
 """Trust: the moments of a mixture, the plain method untouched, and its place in the set's file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
