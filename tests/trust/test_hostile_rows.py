@@ -134,3 +134,41 @@ def test_whatever_a_reader_raises_while_clocks_are_listed_becomes_an_error_of_th
 
     with pytest.raises(LogError, match="not as its format demands"):
         GuardedRecording(Damaged())
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [('10,"20', np.nan), ('10,"a\nb c"', np.nan), ('10,"7"', 7.0)],
+    ids=["open", "lines", "sound"],
+)
+def test_a_quote_that_is_never_closed_takes_no_rows_behind_it(tmp_path, row, expected):
+    """Up to a megabyte of rows went without a word; a cell of two lines stays a cell."""
+    rows = [f"{k},{k / 2}" for k in range(400)]
+    rows[300] = row.replace("10", "300", 1)
+    (tmp_path / "log.csv").write_text("t,v\n" + "\n".join(rows) + "\n")
+    recording = open_recording(tmp_path / "log.csv")
+    signals = recording.read(["t", "v"])
+    values = np.arange(400) / 2
+    values[300] = expected
+    np.testing.assert_array_equal(signals["t"].values, np.arange(400))
+    np.testing.assert_array_equal(signals["v"].values, values)
+    assert sum(note.count for note in recording.notes) == np.isnan(expected)
+
+
+def test_damaged_rows_of_pi_toolbox_are_counted_and_cost_no_others(tmp_path):
+    head, block = "PiToolbox\r\n", "{ChannelBlock}\r\nTime\tv[m/s]\r\n"
+    sound = "0\t1,5\t\r\n1\t2,5\t\r\n"  # a tabulator ends each row
+    rows = f'{sound}\r\n2\r\n3\t"4\t\r\n4\t5.5\t\r\nnan\t1\t\r\n'
+    other = f"{block}2\t3\t4\t5\r\n6\r\n"
+    text = f"{head}{other}{block.replace('v[', 'w[')}{rows}{{End}}\r\n9"
+    (tmp_path / "o.txt").write_bytes(text.encode())
+    recording = open_recording(tmp_path / "o.txt")
+    w = recording.read(["w"])["w"]
+    np.testing.assert_array_equal(w.time, [0.0, 1.0, 3.0, 4.0])
+    np.testing.assert_array_equal(w.values, [1.5, 2.5, np.nan, 5.5])
+    lost = {note.what.split(",")[0]: note.count for note in recording.notes}
+    assert lost == {
+        "rows with too few or too many cells": 3,
+        "cells that are no numbers": 1,
+        "rows without a time": 1,
+    }

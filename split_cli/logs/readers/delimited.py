@@ -27,12 +27,16 @@ from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_gro
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
-__all__ = ["degrees_of", "open_delimited", "seconds_of"]
+__all__ = ["degrees_of", "open_delimited", "read_columns", "seconds_of"]
 
 _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 #: What is parsed at once [bytes]; with 4 MB a plain file takes a tenth more processor time. A row must fit into
 #: it, so a wide table gets as much for each column: the widest that is read has 4 MB.
 _BLOCK_BYTES, _BLOCK_BYTES_A_COLUMN = 1 << 20, 200
+
+
+_Columns = tuple[dict[int, np.ndarray], Counter[int], int]
+"""Values by position, cells of each that are no numbers, and rows that were left out."""
 
 
 def open_delimited(path: Path) -> RawRecording:
@@ -63,7 +67,9 @@ def open_delimited(path: Path) -> RawRecording:
                 raise LogError(f"column {info.name!r} holds text, not numbers", where=path.name, advice=advice)
         chosen = {name: columns[name] for name in names}
         titles = {index: name for name, (index, _) in chosen.items()}
-        values = _read_columns(path, sniffed.dialect, width, titles, notes)
+        values = read_columns(path, sniffed.dialect, width, titles, notes)
+        if not len(next(iter(values.values()))):
+            raise LogError("holds no rows", where=path.name, advice="Export it again.")
         return {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
 
     return LazyTableRecording(path.name, path, infos, load, notes=notes)
@@ -231,26 +237,35 @@ def seconds_of(cell: str) -> float:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def _read_columns(
+def read_columns(
     path: Path, dialect: Dialect, width: int, titles: dict[int, str], notes: list[ReadNote]
 ) -> dict[int, np.ndarray]:
-    """Return the columns at the positions `titles` as numbers."""
+    """Return the columns at the positions `titles` as numbers, shapes (N,).
+
+    Rows of another number of cells than `width`, and cells that are no numbers, are counted in the notes.
+
+    Raises
+    ------
+    LogError
+        If the rows cannot be told apart.
+    """
     import pyarrow as pa
 
-    try:
-        values, bad, ragged = _read_blocks(path, dialect, width, list(titles), pa.float64())
-    except pa.ArrowInvalid:
-        # Some cell is no number: read as text, then cell by cell where the quick conversion fails.
+    def read(quote: str | bool) -> _Columns:
         try:
-            values, bad, ragged = _read_blocks(path, dialect, width, list(titles), pa.string())
-        except pa.ArrowException as error:
-            raise _unreadable(path, error) from error
+            return _read_blocks(path, dialect, width, list(titles), pa.float64(), quote)
+        except pa.ArrowInvalid:
+            # Some cell is no number: read as text, then cell by cell where the quick conversion fails.
+            return _read_blocks(path, dialect, width, list(titles), pa.string(), quote)
+
+    # A quote that is never closed takes the rows behind it; without quotes, a cell of several lines does.
+    quotes = ('"',) if _quotes_close(path, dialect) else ('"', False)
+    try:
+        values, bad, ragged = max(map(read, quotes), key=lambda columns: len(next(iter(columns[0].values()))))
     except pa.ArrowException as error:
         raise _unreadable(path, error) from error
     if ragged:
         note_once(notes, ReadNote("rows with too few or too many cells, left out", path.name, ragged))
-    if not len(next(iter(values.values()))):
-        raise LogError("holds no rows", where=path.name, advice="Export it again.")
     for index, title in titles.items():
         if bad[index]:
             what = "cells that are no numbers, read as missing"
@@ -258,9 +273,22 @@ def _read_columns(
     return values
 
 
+def _quotes_close(path: Path, dialect: Dialect) -> bool:
+    """Tell whether every quote is closed on its line."""
+    with path.open("rb") as stream:
+        stream.seek(dialect.offset)
+        left = (dialect.end or path.stat().st_size) - dialect.offset
+        while left > 0 and (piece := stream.read(min(left, _BLOCK_BYTES))):
+            piece += stream.readline(_BLOCK_BYTES)
+            left -= len(piece)
+            if b'"' in piece and any(line.count(b'"') % 2 for line in piece.splitlines()):
+                return False
+    return True
+
+
 def _read_blocks(
-    path: Path, dialect: Dialect, width: int, indices: list[int], kind: Any
-) -> tuple[dict[int, np.ndarray], Counter[int], int]:
+    path: Path, dialect: Dialect, width: int, indices: list[int], kind: Any, quote: str | bool
+) -> _Columns:
     """Return columns as numbers, cells of each that are none, and rows that were left out; block by block."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -275,9 +303,10 @@ def _read_blocks(
     names = [str(index) for index in range(width)]
     # Arrow's own file: what Python reads for another thread to parse stays in memory until the end.
     with pa.OSFile(str(path)) as stream:
-        stream.seek(dialect.offset)
+        end = stream.size() if dialect.end is None else dialect.end
+        rows = stream.get_stream(dialect.offset, end - dialect.offset)
         blocks = arrow_csv.open_csv(
-            _rewritten(stream, dialect),
+            _rewritten(rows, dialect),
             read_options=arrow_csv.ReadOptions(
                 column_names=names,
                 encoding=dialect.encoding,
@@ -287,6 +316,7 @@ def _read_blocks(
                 delimiter="\t" if dialect.separator == " " else dialect.separator,
                 invalid_row_handler=skip,
                 newlines_in_values=False,
+                quote_char=quote,
             ),
             convert_options=arrow_csv.ConvertOptions(
                 column_types=dict.fromkeys(names, kind),
@@ -348,5 +378,7 @@ def _numbers(texts: Any, decimal: str) -> tuple[np.ndarray, int]:
 
 def _unreadable(path: Path, error: Exception) -> LogError:
     reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+    if "straddl" in reason:
+        reason = f"a row is longer than {_BLOCK_BYTES / 1e6:.0f} MB"
     advice = "Export it again, one row a line, the same separator throughout."
     return LogError(f"cannot be read as delimited text ({reason})", where=path.name, advice=advice)

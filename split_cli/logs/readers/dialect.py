@@ -60,6 +60,8 @@ class Dialect:
         Byte at which the first row of values begins.
     quoted_whole : bool
         Whether each line stands in quotes as one cell, as a spreadsheet saves a file that it did not split.
+    end : int or None
+        Byte at which the rows end, if not with the file.
     """
 
     separator: str
@@ -67,6 +69,7 @@ class Dialect:
     encoding: str
     offset: int
     quoted_whole: bool = False
+    end: int | None = None
 
 
 @dataclass(frozen=True)

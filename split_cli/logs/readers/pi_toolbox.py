@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +17,17 @@ from split_cli.logs.raw import (
     TableRecording,
     UniqueNames,
     column_name_and_unit,
-    note_once,
 )
 from split_cli.logs.readers.budget import refuse_many_columns
-from split_cli.logs.scratch import GrowingColumn
+from split_cli.logs.readers.delimited import read_columns
+from split_cli.logs.readers.dialect import Dialect
 from split_cli.signals import find_unit
 
 __all__ = ["is_pi_toolbox", "open_pi_toolbox"]
 
-_BLOCK = "{channelblock}"
+_BLOCK, _BRACE = b"{channelblock}", ord("{")
 _LONGEST_LINE = 4 << 20
 """[bytes]; judgement: a row of a thousand numbers has 12 kB. What goes on is a line of its own."""
-_NUMBERS_AT_ONCE = 1 << 16
 
 
 def is_pi_toolbox(head: bytes) -> bool:
@@ -42,108 +43,95 @@ def open_pi_toolbox(path: Path) -> RawRecording:
     LogError
         If no block holds a row of numbers, or there are more columns than `refuse_many_columns` allows.
     """
-    notes: list[ReadNote] = []
-    blocks = _blocks(path)
-    bad = sum(block.bad for block in blocks)
-    if bad:
-        note_once(notes, ReadNote("rows with too few or too many cells, or no numbers, left out", path.name, bad))
+    lost: Counter[tuple[str, str]] = Counter()
+    blocks = list(_blocks(path))
     alone = len(blocks) == 1
     signals: dict[str, RawSignal] = {}
     unique = UniqueNames()
     for block in blocks:
+        found: list[ReadNote] = []
+        columns = read_columns(path, block.dialect, block.width, dict(enumerate(block.titles)), found)
+        timed = np.isfinite(columns[0])
+        if not timed.all():
+            found.append(ReadNote("rows without a time, left out", path.name, int((~timed).sum())))
+            columns = {index: values[timed] for index, values in columns.items()}
+        lost.update({(note.what, note.where): note.count for note in found})
+        if not timed.any():
+            continue
         clock, unit = column_name_and_unit(block.titles[0])
         known = find_unit(unit or "s")
-        time, *columns = block.finished()
-        if not len(time):
-            continue
-        time = time * known.factor if known is not None and known.si == "s" else time
+        factor = known.factor if known is not None and known.si == "s" else 1.0
+        time = columns[0] if factor == 1.0 else columns[0] * factor
         if alone:
             signals[unique.of(clock)] = RawSignal(clock, None, time, "s")
-        for place, (title, values) in enumerate(zip(block.titles[1:], columns, strict=True), 2):
+        for place, title in enumerate(block.titles[1:], 1):
             name, unit = column_name_and_unit(title)
-            name = unique.of(name or f"column{place}")
+            name = unique.of(name or f"column{place + 1}")
             known = find_unit(unit) if unit else None
-            signals[name] = RawSignal(name, None if alone else time, values, known.symbol if known else unit)
+            signals[name] = RawSignal(
+                name, None if alone else time, columns[place], known.symbol if known else unit
+            )
     if not signals:
         raise LogError("holds no rows of numbers", where=path.name, advice="Export the outing again.")
+    notes = [ReadNote(what, where, count) for (what, where), count in lost.items()]
     return TableRecording(path.name, path, signals, notes=notes)
 
 
+@dataclass(frozen=True)
 class _Block:
-    """Titles and rows of one block; an empty cell is missing.
+    """Titles of one block, and where its rows stand in the file.
 
     Attributes
     ----------
-    bad : int
-        Rows that are none.
+    titles : list of str
+    width : int
+        Cells of its rows: a tabulator may end each.
+    dialect : Dialect
     """
 
-    def __init__(self, titles: list[str]) -> None:
-        self.titles = titles
-        self.bad = 0
-        self._rows: list[list[float]] = []
-        self._columns = [GrowingColumn() for _ in titles]
-
-    def add(self, row: str) -> None:
-        """Take in one row."""
-        width = len(self.titles)
-        cells = row.replace(",", ".").split("\t")[:width]
-        try:
-            # Python takes 1_5 for 15; no logger writes that.
-            numbers = [float(cell) if cell.strip() else np.nan for cell in cells] if "_" not in row else []
-        except ValueError:
-            numbers = []
-        if len(numbers) != width or not np.isfinite(numbers[0]):
-            self.bad += 1
-            return
-        self._rows.append(numbers)
-        if width * len(self._rows) >= _NUMBERS_AT_ONCE:
-            self._hand_over()
-
-    def finished(self) -> list[np.ndarray]:
-        """Return the columns, shapes (N,)."""
-        self._hand_over()
-        return [column.finished() for column in self._columns]
-
-    def _hand_over(self) -> None:
-        rows = np.array(self._rows, dtype=float).reshape(len(self._rows), len(self.titles))
-        for column, values in zip(self._columns, rows.T, strict=True):
-            column.append(values)
-        self._rows = []
+    titles: list[str]
+    width: int
+    dialect: Dialect
 
 
-def _blocks(path: Path) -> list[_Block]:
-    """Return the blocks of an export that have two columns or more."""
-    found: list[_Block] = []
-    inside = titled = False
+def _blocks(path: Path) -> Iterator[_Block]:
+    """Yield the blocks of an export that have two columns and a row or more."""
     columns = 0
-    for line in _lines(path):
-        if line.startswith("{"):
-            inside, titled = line.strip().lower() == _BLOCK, False
-        elif inside:
-            if titled:
-                found[-1].add(line)
-                continue
-            titles = [title.strip() for title in line.split("\t")]
-            columns += len(titles)
-            refuse_many_columns(columns, path.name)
-            # A block of one column has a time and no channel.
-            titled = inside = len(titles) > 1
-            if titled:
-                found.append(_Block(titles))
-    return found
-
-
-def _lines(path: Path) -> Iterator[str]:
-    """Yield the lines that are not empty, those that are no UTF-8 as Western European."""
+    inside, comma, first = False, False, 0
+    titles: list[str] = []
+    end = width = 0
     with path.open("rb") as stream:
-        mark = b"\xef\xbb\xbf"
-        while raw := stream.readline(_LONGEST_LINE):
-            if raw.isspace():
-                continue
-            raw, mark = raw.removeprefix(mark), b""
-            try:
-                line = raw.decode()
-            except UnicodeDecodeError:
-                line = raw.decode("cp1252", errors="replace")
-            yield line.rstrip("\r\n")
+        while True:
+            line = stream.readline(_LONGEST_LINE)
+            if (not line or line[0] == _BRACE) and len(titles) > 1 and width:
+                yield _Block(titles, width, Dialect("\t", "," if comma else ".", "utf-8", first, end=end))
+            if not line:
+                return
+            begin, end = end, end + len(line)
+            if line[0] == _BRACE:
+                inside, comma, titles, width = line.strip().lower() == _BLOCK, False, [], 0
+            elif inside and not width and not line.isspace():
+                if titles:
+                    first, width = begin, len(titles) + _ends_in_a_tabulator(line, len(titles))
+                else:
+                    titles = [title.strip() for title in _decoded(line).split("\t")]
+                    columns += len(titles)
+                    refuse_many_columns(columns, path.name)
+                    # A block of one column has a time and no channel.
+                    inside = len(titles) > 1
+            if width and not comma:
+                comma = b"," in line
+
+
+def _ends_in_a_tabulator(row: bytes, width: int) -> bool:
+    """Tell whether an empty cell follows those of the titles."""
+    cells = row.split(b"\t")
+    return len(cells) == width + 1 and not cells[-1].strip()
+
+
+def _decoded(line: bytes) -> str:
+    """Return a line; one that is no UTF-8 is Western European."""
+    try:
+        return line.decode()
+    except UnicodeDecodeError:
+        return line.decode("cp1252", errors="replace")
