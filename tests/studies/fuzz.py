@@ -109,7 +109,9 @@ def judge(path: Path, read: Callable[[Path], object], tally: Tally) -> str | Non
         signal.signal(alarm, ring)
     signal.setitimer(signal.ITIMER_PROF, LONGEST_SECONDS)
     signal.setitimer(signal.ITIMER_REAL, LONGEST_WAIT * LONGEST_SECONDS)
-    begin = time.process_time()
+    begin, unheard = time.process_time(), []
+    # What fails in a callback of a library is printed with its traceback, and the reader goes on.
+    sys.unraisablehook = lambda raised: unheard.append(f"printed {raised.exc_type.__name__}: {raised.exc_value}")
     try:
         dropped = read(path)
         tally.dropped += bool(dropped)
@@ -127,7 +129,7 @@ def judge(path: Path, read: Callable[[Path], object], tally: Tally) -> str | Non
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         tally.slowest = max(tally.slowest, time.process_time() - begin)
-    return None
+    return unheard[0][:200] if unheard else None
 
 
 def fuzz(

@@ -172,3 +172,19 @@ def test_damaged_rows_of_pi_toolbox_are_counted_and_cost_no_others(tmp_path):
         "cells that are no numbers": 1,
         "rows without a time": 1,
     }
+
+
+@pytest.mark.parametrize("damage", [b"\xff", b"\xff,\xff,\xff", b"\xd8\x00"])
+@pytest.mark.parametrize("title", ["v [m/s]", "速度"])
+def test_a_byte_of_no_encoding_far_behind_the_beginning_costs_its_row(tmp_path, capfd, title, damage):
+    """The whole log was refused; and a library printed a traceback of its own where the row had too many cells."""
+    rows = [f"{k},{k / 2:.1f}" for k in range(30_000)]
+    encoding = "gb18030" if not title.isascii() else "utf-8"
+    content = bytearray(f"t,{title}\n".encode(encoding) + "\n".join(rows).encode())
+    at = content.index(b"\n29000,") + len("\n29000,")
+    content[at : at + len(damage)] = damage
+    (tmp_path / "log.csv").write_bytes(content)
+    recording = open_recording(tmp_path / "log.csv")
+    time_of = recording.read([info.name for info in recording.channels()])["t"].values
+    np.testing.assert_array_equal(time_of, [k for k in range(30_000) if k != 29_000 or b"," not in damage])
+    assert [note.count for note in recording.notes] == [1] and capfd.readouterr().err == ""

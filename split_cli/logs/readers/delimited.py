@@ -6,6 +6,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -258,8 +259,9 @@ def read_columns(
             # Some cell is no number: read as text, then cell by cell where the quick conversion fails.
             return _read_blocks(path, dialect, width, list(titles), pa.string(), quote)
 
+    dialect, closed = _looked_through(path, dialect)
     # A quote that is never closed takes the rows behind it; without quotes, a cell of several lines does.
-    quotes = ('"',) if _quotes_close(path, dialect) else ('"', False)
+    quotes = ('"',) if closed else ('"', False)
     try:
         values, bad, ragged = max(map(read, quotes), key=lambda columns: len(next(iter(columns[0].values()))))
     except pa.ArrowException as error:
@@ -273,8 +275,12 @@ def read_columns(
     return values
 
 
-def _quotes_close(path: Path, dialect: Dialect) -> bool:
-    """Tell whether every quote is closed on its line."""
+def _looked_through(path: Path, dialect: Dialect) -> tuple[Dialect, bool]:
+    """Return how the rows are written, and whether every quote is closed on its line.
+
+    Rows that are not of the encoding that the beginning has are read byte by byte.
+    """
+    closed = True
     with path.open("rb") as stream:
         stream.seek(dialect.offset)
         left = (dialect.end or path.stat().st_size) - dialect.offset
@@ -282,8 +288,13 @@ def _quotes_close(path: Path, dialect: Dialect) -> bool:
             piece += stream.readline(_BLOCK_BYTES)
             left -= len(piece)
             if b'"' in piece and any(line.count(b'"') % 2 for line in piece.splitlines()):
-                return False
-    return True
+                closed = False
+            if not piece.isascii() and dialect.encoding in ("utf-8", "gb18030"):
+                try:
+                    piece.decode(dialect.encoding)
+                except UnicodeDecodeError:
+                    dialect = replace(dialect, encoding="latin-1")
+    return dialect, closed
 
 
 def _read_blocks(
