@@ -98,17 +98,8 @@ def test_frames_in_tables_are_read_and_what_is_none_is_none(tmp_path):
     assert next(frames_of(tmp_path / "b.csv")) == first
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("0.0,1.5\n0.1,1.6\n", "no row of titles"),
-        ("time,signal,value\n0.0,vx,1.5\n0.1,r,1.6\n", "one value a row"),
-    ],
-)
-def test_tables_of_another_form_are_told_what_to_do(text, told, tmp_path):
-    head, *rows = text.splitlines()
-    lines = [head, *rows * 20] if "time" in head else [head, *rows] * 20
-    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    with pytest.raises(SplitError, match=told):
+def test_a_table_without_titles_is_told_what_to_do(tmp_path):
+    (tmp_path / "a.csv").write_text("0.0,1.5\n0.1,1.6\n" * 20)
+    with pytest.raises(SplitError, match="no row of titles"):
         init_project([tmp_path / "a.csv"], tmp_path / "car")
     assert not (tmp_path / "car").exists()

@@ -140,7 +140,8 @@ def _ways(missing: Sequence[str], mapped: set[str], opened: set[str]) -> list[st
     """Return how missing channels can be derived from what is mapped."""
     chosen = derivations_for(missing, mapped)
     made = {channel for name in chosen for channel in DERIVATIONS[name].makes}
-    ways = [f"{', '.join(DERIVATIONS[name].makes)}: --derive {name}{_NOTES.get(name, '')}." for name in chosen]
+    makes = {name: ", ".join(c for c in DERIVATIONS[name].makes if c in missing) for name in chosen}
+    ways = [f"{makes[name]}: --derive {name}{_NOTES.get(name, '')}." for name in chosen]
     if "vy" in missing and "vy" not in made:
         ways.append("vy: neither lateral velocity, sideslip, pose nor yaw rate with a_y was found; it takes one.")
     if "r" in missing and "r" not in made:

@@ -6,23 +6,9 @@ import re
 from collections.abc import Sequence
 
 from split_cli.logs.raw import RawChannelInfo, RawRecording
+from split_cli.logs.readers.named_values import NAMES, VALUES
 
 __all__ = ["hints_on_the_form"]
-
-_NAMES = (
-    "signal",
-    "channel",
-    "name",
-    "variable",
-    "parameter",
-    "topic",
-    "key",
-    "field",
-    "_field",
-    "metric",
-    "sensor",
-)
-_VALUES = ("value", "_value", "val", "data", "reading", "measurement")
 
 
 def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> tuple[str, ...]:
@@ -41,8 +27,8 @@ def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) 
         )
     texts = {info.name.strip().lower(): info.name for info in infos if info.type_name == "text"}
     numbers = {info.name.strip().lower(): info.name for info in infos if info.type_name != "text"}
-    name = next((texts[n] for n in _NAMES if n in texts), None)
-    value = next((numbers[n] for n in _VALUES if n in numbers), None)
+    name = next((texts[n] for n in NAMES if n in texts), None)
+    value = next((numbers[n] for n in VALUES if n in numbers), None)
     if name is None or value is None:
         return ()
     time = next((i.name for i in infos if "time" in i.name.lower() or i.name == "t"), "time")

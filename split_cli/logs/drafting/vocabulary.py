@@ -23,10 +23,11 @@ _WORDS: dict[str, str] = {
         "accelerations beschleunigung beschl gforce aceleracion accelerazione 加速度"
     ),
     "rate": (
-        "rate rates rt rot rotation rotationrate gyro gyr gyroscope omega dot punkt drehrate geschwindigkeitsrate "
+        "rate rates rt rot rotationrate gyro gyr gyroscope omega dot punkt drehrate geschwindigkeitsrate "
         "角速度"
     ),
     "angular": "angular",
+    "rotation": "rotation rotacion rotazione",
     "yaw": "yaw psi heading hdg gier lacet guinada imbardata 横摆 航向",
     "angle": "angle angles ang winkel angulo angolo 角 角度 转角",
     "position": "pose pos posn position loc location coordinate coord displacement displacements 位置 坐标",
@@ -45,7 +46,7 @@ _WORDS: dict[str, str] = {
         "throttle thr thrt gas accelerator app tps fahrpedal gaspedal accelerateur acelerador acceleratore 油门"
     ),
     "pedal": "pedal ped 踏板",
-    "engine": "engine eng motor mot kurbelwelle 发动机 电机",
+    "engine": "engine eng motor mot vesc gearbox transmission getriebe kurbelwelle 发动机 电机",
     "current": "current curr strom",
     "drive": "drive drv antrieb antriebs total sum axle axles powertrain net gesamt summe 总 驱动",
     "slip": "slip sideslip beta schwimm bodyslip 侧偏",
@@ -91,7 +92,7 @@ _WORDS: dict[str, str] = {
     "": (
         "car vehicle veh vhcl ego body chassis cg cog com cm sensor sens meas measured act actual est "
         "estimated estimate filt filtered filter raw ins imu gps gnss dgps odo odom odometry vbox ecu can "
-        "obd esp abs1 state states signal sig value val fused kf ekf ukf local frame field header twist "
+        "obd esp abs1 state states signal sig value val fused kf ekf ukf local frame field header twist pf amcl slam "
         "msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 of in the at from "
         "to s de del des di du la le della sm tm ii 2d "
         "3d dev device coor sys e1 sim simulated model true truth gt log data input "
@@ -177,6 +178,9 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
                 concepts.add(end[0] + hand[0])
     if {"steer", "wheel"} <= concepts and not concepts & {"road", "front", *_CORNERS}:
         concepts = (concepts - {"steer", "wheel"}) | {"handwheel"}
+    if "rotation" in concepts:
+        # Of an axis it is a rate; the rotation called yaw is an angle beside pitch and roll (CARLA).
+        concepts = (concepts - {"rotation"}) | {"angle" if "yaw" in concepts else "rate"}
     if "roadwheel" in words:
         concepts |= {"road"}
     return concepts, len(words) - len(known)

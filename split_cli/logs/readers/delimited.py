@@ -28,7 +28,7 @@ from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_gro
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
-__all__ = ["degrees_of", "open_delimited", "read_columns", "seconds_of"]
+__all__ = ["degrees_of", "number_of", "open_delimited", "read_columns", "seconds_of"]
 
 _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 #: What is parsed at once [bytes]; with 4 MB a plain file takes a tenth more processor time. A row must fit into
@@ -126,7 +126,7 @@ def _messages_of_fields(sniffed: Sniffed) -> dict[str, dict[int, str]]:
 def _is_text(sniffed: Sniffed, index: int) -> bool:
     cells = [row[index].strip() for row in sniffed.rows if index < len(row)]
     cells = [cell for cell in cells if cell not in EMPTY_CELLS]
-    numeric = sum(np.isfinite(_number(cell, sniffed.dialect.decimal)) for cell in cells)
+    numeric = sum(np.isfinite(number_of(cell, sniffed.dialect.decimal)) for cell in cells)
     return bool(cells) and 2 * numeric < len(cells)
 
 
@@ -136,7 +136,7 @@ def _ungrouped(cell: str) -> str:
     return re.sub(r"[^\d+-]", "", whole) + mark + part
 
 
-def _number(cell: str, decimal: str) -> float:
+def number_of(cell: str, decimal: str) -> float:
     if is_grouped(cell, decimal):
         cell = _ungrouped(cell)
     try:
@@ -382,7 +382,7 @@ def _numbers(texts: Any, decimal: str) -> tuple[np.ndarray, int]:
             other = {",": ".", ".": ","}[decimal]
             whole = re.compile(rf"[+-]?\d{{1,3}}([{other}' \u00a0\u202f]\d{{3}})+")
             cells = [cell and (re.sub(r"[^\d+-]", "", cell) if whole.fullmatch(cell) else cell) for cell in cells]
-        values = np.array([np.nan if cell is None else _number(cell, decimal) for cell in cells])
+        values = np.array([np.nan if cell is None else number_of(cell, decimal) for cell in cells])
         missing = np.flatnonzero(np.isnan(values))
         return values, sum(cells[row] is not None and cells[row] not in EMPTY_CELLS for row in missing)
 

@@ -26,6 +26,7 @@ from split_cli.logs.raw import (
 from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS, refuse_many_columns
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
+from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
 
 __all__ = ["is_json", "open_json"]
@@ -65,9 +66,12 @@ def open_json(path: Path) -> RawRecording:
     if not isinstance(first, dict) or _has_columns(first):
         return _whole(path)
     notes: list[ReadNote] = []
-    known = _names_of(
-        itertools.chain(itertools.islice(_rows(path, []), _LISTED_ROWS), _rows_of_places(path)), path
-    )
+    beginning = list(itertools.islice(_rows(path, []), _LISTED_ROWS))
+    named = open_named_rows(path, beginning, _rows(path, notes))
+    if named is not None:
+        named.notes.extend(notes)
+        return named
+    known = _names_of(itertools.chain(beginning, _rows_of_places(path)), path)
     return _table(path, known, lambda: _rows(path, notes), notes)
 
 

@@ -14,6 +14,7 @@ from split_cli.logs.readers.dialect import KNOWN_FORMATS
 from split_cli.logs.readers.guard import GuardedRecording, guarded
 from split_cli.logs.readers.json_rows import is_json, open_json
 from split_cli.logs.readers.messages import Container, MessageRecording
+from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
 
 __all__ = ["open_recording"]
@@ -155,6 +156,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_pi_toolbox(path)
     if is_json(head):
         return open_json(path)
+    if (places := table_of_named_values(head)) is not None:
+        return open_named_table(path, places)
     # Version 4 has no magic number; its reader tells whether it is one.
     if head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix.lower() == ".mat" and not _is_hdf5(head)):
         from split_cli.logs.readers.mat import open_mat

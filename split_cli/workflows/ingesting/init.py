@@ -87,7 +87,7 @@ class InitResult:
             steps.append(f"Map {', '.join(found)} in {self.map_path}: its comments say what was found.")
         if lost := [channel for channel in left if channel not in opened]:
             steps.append(
-                f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without: another file may "
+                f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without it: another file may "
                 f"hold it (--together), or it has to be recorded. Comments in {self.map_path} say what will do."
             )
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
@@ -100,7 +100,7 @@ class InitResult:
                   for status in ("judged", "unsided", "stated", "assumed", "open")}  # fmt: skip
         words = {
             "judged": "fit the other channels",
-            "unsided": "fit but for left and right: CHECK",
+            "unsided": "fit the other channels in size, CHECK left and right",
             "stated": "unit as the file says, not judged",
             "assumed": "unit assumed: CHECK",
             "open": "left open, with the reason",

@@ -1,0 +1,240 @@
+"""Tables and JSON lines with one value a row, and its signal's name beside it: openXC, InfluxDB, lists of CAN signals.
+
+Each name becomes a signal with a clock of its own.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import (
+    TIME_COLUMNS,
+    RawRecording,
+    RawSignal,
+    ReadNote,
+    TableRecording,
+    UniqueNames,
+    column_name_and_unit,
+    unit_of_time,
+)
+from split_cli.logs.readers.budget import refuse_many_columns
+from split_cli.logs.readers.delimited import number_of
+from split_cli.logs.scratch import GrowingColumn
+from split_cli.signals import find_unit
+
+__all__ = ["NAMES", "VALUES", "Places", "open_named_rows", "open_named_table", "places_in", "table_of_named_values"]
+
+NAMES = ("signal", "signal_name", "channel", "name", "variable", "parameter", "topic", "key", "field", "_field",
+          "metric", "sensor")  # fmt: skip
+VALUES = ("value", "_value", "val", "data", "reading", "measurement", "signal_value", "physical_value")
+_GROUPS = ("message", "_measurement", "measurement", "message_name", "ecu", "device", "topic")
+_TIMES = ("_time", "receive_time", "log_time", *TIME_COLUMNS)
+_SEPARATORS = (",", ";", "\t")
+_ROWS_LOOKED_AT, _LINES_BEFORE = 40, 20
+_AT_ONCE = 4096
+_LONGEST_LINE = 4 << 20  # [bytes]; judgement, as for Pi Toolbox: what goes on is a line of its own
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where a row holds what.
+
+    Attributes
+    ----------
+    time, name, value : int or str
+        Position of a cell, or key of an object.
+    unit, group : int, str or None
+        Of the value, and of what several names stand in, as a message.
+    unit_of_time : str or None
+        As the title says.
+    separator, decimal : str
+        Of a table.
+    """
+
+    time: Any
+    name: Any
+    value: Any
+    unit: Any = None
+    group: Any = None
+    unit_of_time: str | None = None
+    separator: str = ","
+    decimal: str = "."
+
+
+def places_in(titles: Sequence[str]) -> Places | None:
+    """Return where a row of these titles holds time, name and value, by position; None if one is missing."""
+    parted = [column_name_and_unit(title) for title in titles]
+    bare = ["_".join(name.strip().lower().split()) for name, _ in parted]
+
+    def first(known: Sequence[str], *but: int | None) -> int | None:
+        return next((bare.index(n) for n in known if n in bare and bare.index(n) not in but), None)
+
+    time, name = first(_TIMES), first(NAMES)
+    value = first(VALUES, name)
+    if time is None or name is None or value is None:
+        return None
+    return Places(time, name, value, first(("unit", "units")), first(_GROUPS, name, value), parted[time][1])
+
+
+def open_named_rows(path: Path, looked_at: Sequence[dict[str, Any]], rows: Iterable[dict[str, Any]]) -> RawRecording | None:
+    """Open objects with one value each; None if they are of another form.
+
+    Parameters
+    ----------
+    path : Path
+    looked_at : sequence of dict
+        Some objects, which show the form.
+    rows : iterable of dict
+        All of them.
+
+    Raises
+    ------
+    LogError
+        If no name has values that are numbers.
+    """
+    keys = [str(key) for key in dict.fromkeys(key for row in looked_at for key in row)]
+    at = places_in(keys)
+    if at is None or not _are_named([str(row.get(keys[at.name], "")) for row in looked_at]):
+        return None
+    cells = ([row.get(key) for key in keys] for row in rows)
+    return _gathered(path, at, cells)
+
+
+def table_of_named_values(head: bytes) -> Places | None:
+    """Return the form of a table by its first bytes; None if it is another one."""
+    lines = head.decode("utf-8-sig", errors="replace").splitlines()[:-1]
+    for separator in _SEPARATORS:
+        rows = list(csv.reader(lines, delimiter=separator))
+        for number, row in enumerate(rows[:_LINES_BEFORE]):
+            at = places_in(row) if len(row) > 2 else None
+            if at is None:
+                continue
+            below = [r for r in rows[number + 1 : number + 1 + _ROWS_LOOKED_AT] if len(r) == len(row)]
+            values = [r[at.value].strip() for r in below]
+            decimal = "," if separator != "," and any("," in cell for cell in values) else "."
+            numbers = sum(np.isfinite(number_of(cell, decimal)) for cell in values)
+            if 2 * numbers > len(values) and _are_named([r[at.name] for r in below]):
+                return Places(at.time, at.name, at.value, at.unit, at.group, at.unit_of_time, separator, decimal)
+    return None
+
+
+def open_named_table(path: Path, at: Places) -> RawRecording:
+    """Open a table with one value a row; see `open_named_rows`."""
+    rows = csv.reader((line for line in _lines(path) if not line.startswith("#")), delimiter=at.separator)
+    return _gathered(path, at, _whole(rows))
+
+
+def _whole(rows: Any) -> Iterator[list[str]]:
+    while True:
+        try:
+            yield next(rows)
+        except StopIteration:
+            return
+        except csv.Error:  # a cell of over 128 kB
+            yield []
+
+
+def _are_named(names: Sequence[str]) -> bool:
+    """Whether cells are words that come again; a table sorted by name begins with many rows of one."""
+    words = {name for name in names if name and not np.isfinite(number_of(name, "."))}
+    return bool(words) and len(words) < len(names)
+
+
+class _Signal:
+    def __init__(self) -> None:
+        self.unit = ""
+        self.others = 0
+        self._rows: list[tuple[float, float]] = []
+        self._columns = (GrowingColumn(), GrowingColumn())
+
+    def add(self, time: float, value: float) -> None:
+        self._rows.append((time, value))
+        if len(self._rows) >= _AT_ONCE:
+            self._hand_over()
+
+    def finished(self) -> tuple[np.ndarray, np.ndarray]:
+        self._hand_over()
+        return self._columns[0].finished(), self._columns[1].finished()
+
+    def _hand_over(self) -> None:
+        for column, values in zip(self._columns, np.array(self._rows, dtype=float).reshape(-1, 2).T, strict=True):
+            column.append(values)
+        self._rows = []
+
+
+def _gathered(path: Path, at: Places, rows: Iterable[Sequence[Any]]) -> RawRecording:
+    found: dict[tuple[str, str], _Signal] = {}
+    bad = 0
+    width = max(place for place in (at.time, at.name, at.value, at.unit, at.group) if place is not None)
+    for row in rows:
+        name = row[at.name] if len(row) > width else None
+        time = _number(row[at.time], at.decimal) if name else np.nan
+        if not np.isfinite(time):
+            bad += bool(row)
+            continue
+        group = str(row[at.group] or "") if at.group is not None else ""
+        signal = found.get((group, name))
+        if signal is None:
+            refuse_many_columns(len(found) + 1, path.name)
+            signal = found[(group, name)] = _Signal()
+            signal.unit = str(row[at.unit] or "").strip() if at.unit is not None else ""
+        value = _number(row[at.value], at.decimal)
+        if np.isfinite(value):
+            signal.add(time, value)
+        else:
+            signal.others += 1
+    return _recording(path, at, found, bad)
+
+
+def _number(cell: Any, decimal: str) -> float:
+    if isinstance(cell, str):
+        return number_of(cell.strip(), decimal)
+    return float(cell) if isinstance(cell, bool | int | float) and abs(cell) < 1e300 else np.nan
+
+
+def _recording(path: Path, at: Places, found: dict[tuple[str, str], _Signal], bad: int) -> RawRecording:
+    notes = [ReadNote("rows without a name or a time, left out", path.name, bad)] if bad else []
+    shared = Counter(name for _, name in found)
+    unique, signals, words = UniqueNames(), {}, []
+    read = {key: signal.finished() for key, signal in found.items()}
+    longest = max((time for time, _ in read.values()), key=len, default=np.zeros(0))
+    known = find_unit(at.unit_of_time or unit_of_time(longest))
+    scale = known.factor if known is not None and known.si == "s" else 1.0
+    for (group, name), signal in found.items():
+        time, values = read[(group, name)]
+        if signal.others > len(values) or not len(values):
+            words.append(name)
+            continue
+        own, unit = column_name_and_unit(name)
+        own = unique.of(f"{group}.{own or name}" if shared[name] > 1 and group else own or name)
+        stated = find_unit(signal.unit) if signal.unit else None
+        signals[own] = RawSignal(own, time * scale, values, stated.symbol if stated else signal.unit or unit)
+    if words:
+        shown = ", ".join(words[:3]) + (", ..." if len(words) > 3 else "")
+        notes.append(ReadNote(f"names whose values are no numbers, left out: {shown}", path.name, len(words)))
+    if not signals:
+        raise LogError("holds no values that are numbers", where=path.name, advice="Export it again.")
+    return TableRecording(path.name, path, signals, notes=notes)
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Yield the lines that are not empty, those that are no UTF-8 as Western European."""
+    with path.open("rb") as stream:
+        mark = b"\xef\xbb\xbf"
+        while raw := stream.readline(_LONGEST_LINE):
+            if raw.isspace():
+                continue
+            raw, mark = raw.removeprefix(mark), b""
+            try:
+                line = raw.decode()
+            except UnicodeDecodeError:
+                line = raw.decode("cp1252", errors="replace")
+            yield line.rstrip("\r\n")

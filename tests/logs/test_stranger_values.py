@@ -1,0 +1,67 @@
+"""Logs with one value a row and its signal's name beside it, and logs with other odd beginnings, planted."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.readers.opening import open_recording
+from tests.logs.planted import PlantedDrive
+
+DEG = 180.0 / np.pi
+INFLUX = (
+    "#group,false,false,true,true,false,false,true,true\n"
+    "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,string\n"
+    ",result,table,_start,_stop,_time,_value,_field,_measurement\n"
+)
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[tuple[float, str, float, str]]:
+    """Time, name, value and unit of five signals of other rates, in the order of time."""
+    drive = PlantedDrive(seconds=60.0)
+    made = []
+    signals = (("vehicle_speed", "vx", 3.6, 0.05, "km/h"), ("yaw_rate", "r", DEG, 0.02, "deg/s"),
+               ("lateral_acceleration", "ay", 1.0, 0.03, "m/s^2"), ("front_wheel_angle", "delta", DEG, 0.1, "deg"),
+               ("torque_at_transmission", "T", 0.1, 0.1, "Nm"))  # fmt: skip
+    for phase, (name, channel, factor, step, unit) in enumerate(signals):
+        t = 0.001 * phase + np.arange(0.0, 59.0, step)
+        made += [(s, name, v, unit) for s, v in zip(t, factor * drive.at(channel, t), strict=True)]
+    return sorted(made)
+
+
+def written(form: str, rows, path) -> None:
+    if form == "openxc":
+        lines = [json.dumps({"timestamp": 1.7e9 + t, "name": name, "value": v}) for t, name, v, _ in rows]
+        lines[5:5] = [json.dumps({"timestamp": 1.7e9, "name": "gear", "value": "fourth"})] * 3 + ["torn {"]
+        path.write_text("\n".join(lines) + "\n")
+    elif form == "can":
+        lines = [f"{t:.4f};CAN1;0x1F0;{name};{f'{v:.6f}'.replace('.', ',')};{unit}" for t, name, v, unit in rows]
+        path.write_text("Time [s];Bus;Message;Signal;Value;Unit\n" + "\n".join(lines).replace(".", ",") + "\n")
+    else:  # a table for each name, one behind the other
+        lines = [f",,0,,,2026-03-14T14:{int(t // 60):02}:{t % 60:09.6f}Z,{v:.7g},{name},car"
+                 for t, name, v, _ in sorted(rows, key=lambda row: row[1])]  # fmt: skip
+        path.write_text(INFLUX + "\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("form", ["openxc", "can", "influx"])
+def test_one_value_a_row_is_a_signal_for_each_name_with_its_own_clock(form, rows, tmp_path):
+    path = tmp_path / ("a.json" if form == "openxc" else "a.csv")
+    written(form, rows, path)
+    recording = open_recording(path)
+    truth = [(t, v) for t, name, v, _ in rows if name == "yaw_rate"]
+    read = recording.read(["yaw_rate"])["yaw_rate"]
+    assert np.allclose(read.time - read.time[0], [t - truth[0][0] for t, _ in truth], atol=1e-4)
+    assert np.allclose(read.values, [v for _, v in truth], atol=1e-5)
+    units = {info.name: info.unit for info in recording.channels()}
+    assert len(units) == 5 and units["vehicle_speed"] == ("km/h" if form == "can" else None)
+    draft = draft_map(recording)
+    assert draft.of("vx").unit == "km/h" and draft.of("r").unit == "deg/s" and draft.of("ay").status == "unsided"
+    # What leaves the gearbox is turned once more before the wheels.
+    assert draft.of("T") is None and draft.of("engine_torque") is None or draft.of("engine_torque").status == "open"
+    if form == "openxc":
+        assert sorted(note.what for note in recording.notes) == [
+            "lines that hold no object, left out", "names whose values are no numbers, left out: gear"]  # fmt: skip
