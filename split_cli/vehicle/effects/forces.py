@@ -108,10 +108,10 @@ class YawMomentDifferential(Term):
     is the linear part.
 
     Variant ``driven``: the inner wheel carries less load and slips more under the same force. This reduces the
-    difference of the wheel speeds, so r - v_x (F_x/F_z) (a_y/g)/(4 L) replaces r, with F_x and F_z of the
+    difference of the wheel speeds. So r - v_x (F_x/F_z) (a_y/g)/(4 L) replaces r, with F_x and F_z of the
     driving axle. The factor 1/4 was fitted to two of the project's simulated cars (0.25 and 0.26). For small
-    load transfer, theory gives 4 h L/(K w^2) for a car with CG height h, track width w and tyres of slip
-    stiffness K F_z. That is 0.11 and 0.17 for these two cars. Source: Milliken and Milliken (1995), chapter
+    load transfer, theory gives 4 h L/(K w^2). Here h is the CG height, w the track width and K F_z the slip
+    stiffness of a tyre. That is 0.11 and 0.17 for these two cars. Source: Milliken and Milliken (1995), chapter
     20.
     """
 

@@ -264,8 +264,8 @@ class ChannelDelay(_Instrument):
 
     In the variant ``velocity`` v_x and v_y are late, as from a satellite receiver. Only the signal is delayed;
     the noise stays where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities,
-    and accelerations for both, since a_x = v_x' - v_y r and a_y = v_y' + v_x r hold for every car. Velocities
-    that were derived from position cannot be late relative to it. A delay of all channels together is
+    and accelerations for both. For every car a_x = v_x' - v_y r and a_y = v_y' + v_x r hold. Velocities that
+    were derived from position cannot be late relative to it. A delay of all channels together is
     `sensor_delay`.
     """
 
