@@ -163,30 +163,37 @@ def told_of(rows: list[list[str]], standard: dict[str, list[str]]) -> tuple[str,
 
 
 def table(rows: list[list[str]]) -> str:
-    """Return what changes as a Markdown table, one line a number."""
+    """Return what changes as Markdown: a row for each number that was followed, and the others group by group."""
     standard = {row[3]: row for row in rows if row[0] == "standard"}
-    lines = ["| number | value | origin | halved | doubled |", "|---|---|---|---|---|"]
-    asked, never, followed, change = 0, 0, 0, 0
+    lines, others, change = [], {}, 0
     for group, one, value in deciding_numbers():
         mine = [row for row in rows if row[:2] == [group, one.name]]
-        if not mine:
-            continue
-        cells = [told_of([row for row in mine if row[2] == str(factor)], standard) for factor in FACTORS]
-        asked += 1
-        never += all(row[7] == NEVER_TURNED for row in mine)
-        followed += any(row[7] == RUN for row in mine)
-        change += any(changes for _, changes in cells)
-        origin, unit = one.metadata["origin"].partition(":")[0], one.metadata["unit"].removesuffix("1")
-        said = " | ".join(words for words, _ in cells)
-        lines.append(f"| `{group}.{one.name}` | {value:g} {unit} | {origin} | {said} |")
-    cases = [f"- case {case}: {row[4]}" for case, row in sorted(standard.items(), key=lambda pair: int(pair[0]))]
-    total = sum(1 for _ in deciding_numbers())
-    count = (
-        f"Of {total} numbers {asked} were asked about. {never} never turned a comparison in these cases and "
-        f"change nothing there. {followed} were followed to the end in some case; {change} of these changed "
-        "something. Open: the number turned a comparison, and what came of it was not run."
+        told = f"{value:g} {one.metadata['unit'].removesuffix('1')}".strip()
+        if any(row[7] == RUN for row in mine):
+            cells = [told_of([row for row in mine if row[2] == str(factor)], standard) for factor in FACTORS]
+            change += any(changes for _, changes in cells)
+            words = " | ".join(words for words, _ in cells)
+            lines.append(f"| `{group}.{one.name}` | {told} | {words} |")
+        elif mine:
+            turned_some = any(row[7] != NEVER_TURNED for row in mine)
+            others.setdefault(group, ([], []))[turned_some].append(f"`{one.name}` {told}")
+    cases = "; ".join(f"{case} {row[4]}" for case, row in sorted(standard.items(), key=lambda pair: int(pair[0])))
+    never = sum(len(names) for names, _ in others.values())
+    total, asked = (
+        sum(1 for _ in deciding_numbers()),
+        len(lines) + sum(len(a) + len(b) for a, b in others.values()),
     )
-    return "\n".join(["\n".join(cases), "", count, "", *lines, ""])
+    groups = [f"| `{group}` | {', '.join(a)} | {', '.join(b)} |" for group, (a, b) in others.items()]
+    parts = [
+        f"Cases: {cases}.",
+        f"Of {total} numbers {asked} were asked about. {never} never turned a comparison in these cases "
+        f"and change nothing there. {len(lines)} were followed to the end in some case; {change} of these changed something.",
+        "\n".join(["| number | value | halved | doubled |", "|---|---|---|---|", *lines]),
+        "\n".join(
+            ["| group | never turned a comparison | turned one, and was not run on |", "|---|---|---|", *groups]
+        ),
+    ]
+    return "\n\n".join(parts) + "\n"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
