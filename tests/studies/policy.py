@@ -186,8 +186,9 @@ def table(rows: list[list[str]]) -> str:
     groups = [f"| `{group}` | {', '.join(a)} | {', '.join(b)} |" for group, (a, b) in others.items()]
     parts = [
         f"Cases: {cases}.",
-        f"Of {total} numbers {asked} were asked about. {never} never turned a comparison in these cases "
-        f"and change nothing there. {len(lines)} were followed to the end in some case; {change} of these changed something.",
+        f"Of {total} numbers {asked} were asked about. {never} never turned a comparison in these "
+        f"cases and change nothing there. {len(lines)} were followed to the end in some case; {change} of these "
+        "changed something.",
         "\n".join(["| number | value | halved | doubled |", "|---|---|---|---|", *lines]),
         "\n".join(
             ["| group | never turned a comparison | turned one, and was not run on |", "|---|---|---|", *groups]
