@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from scipy import stats
 
 import split_cli.diagnosis.search.forward as forward
 import split_cli.diagnosis.search.selection as selecting
-import split_cli.diagnosis.search.term_tests as term_tests
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
@@ -26,7 +24,7 @@ from split_cli.diagnosis.search.selection import (
     select_terms,
     without_parts,
 )
-from split_cli.diagnosis.search.term_tests import block_t, block_z, is_form_error, is_spread, term_p, term_size
+from split_cli.diagnosis.search.term_tests import is_form_error, term_p, term_size
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
 
@@ -422,73 +420,6 @@ def test_a_stretch_is_named_and_not_the_whole_road():
     objective = objective_of(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
     candidates = candidates_of(objective, "friction_patch", "friction_scale")
     assert named(select_terms(objective, candidates, VARIANCE_INFLATION)) == {"friction_patch"}
-
-
-class TestWithoutRecordings:
-    """Entries that are simply given."""
-
-    def objective(self, blocks: int, rows: int) -> MarginalLikelihood:
-        block = np.repeat(np.arange(blocks), rows)
-        empty = np.zeros(0)
-        return MarginalLikelihood(
-            (), None, None, (), empty, empty.reshape(0, 0), block, np.ones(len(block)), empty
-        )
-
-    def fit(self, residuals: np.ndarray) -> Fit:
-        return Fit((), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
-
-    def test_block_z_is_a_t_of_the_blocks_sums(self):
-        rng = np.random.default_rng(2)
-        one, other = rng.standard_normal((2, 120))
-        sums = [float(np.sum(other[k : k + 10] ** 2 - one[k : k + 10] ** 2)) for k in range(0, 120, 10)]
-        expected = np.mean(sums) / (np.std(sums, ddof=1) / np.sqrt(len(sums)))
-        assert block_z(self.objective(12, 10), self.fit(one), self.fit(other)) == pytest.approx(expected, rel=1e-6)
-
-    def test_what_is_saved_in_one_moment_counts_for_one(self):
-        """All in one of n blocks: z is 1, however much it is; a tenth in every block: z grows without bound."""
-        base = np.ones(200)
-        once, always = base.copy(), base - 0.1 + 1e-3 * np.tile([1.0, -1.0], 100)
-        once[:10] = 0.0
-        objective = self.objective(20, 10)
-        assert block_z(objective, self.fit(once), self.fit(base)) == pytest.approx(1.0, rel=1e-6)
-        assert block_z(objective, self.fit(always), self.fit(base)) > 100.0
-
-    def test_block_t_is_a_regression_on_blocks_own_sizes(self):
-        """Each block tells its own size of d: mean 1, and t is what the spread of these means leaves of it."""
-        rng = np.random.default_rng(3)
-        d = rng.standard_normal(120)
-        sizes = 1.0 + 0.3 * rng.standard_normal(12)
-        without = np.repeat(sizes, 10) * d
-        weight = np.array([float(np.sum(d[k : k + 10] ** 2)) for k in range(0, 120, 10)])
-        best = float(weight @ sizes / weight.sum())
-        left = without - best * d
-        error = np.sqrt(np.sum((weight * (sizes - best)) ** 2)) / weight.sum()
-        assert block_t(self.objective(12, 10), self.fit(left), self.fit(without)) == pytest.approx(
-            best / error, rel=1e-6
-        )
-
-    def test_few_blocks_that_agree_are_believed_and_few_that_do_not_are_not(self, monkeypatch):
-        """In three blocks of forty: z stays below 3.29 however large it is; t asks whether they say the same.
-
-        If they do not, only what is larger than the noise is believed.
-        """
-        rng = np.random.default_rng(4)
-        objective, rules = self.objective(40, 25), STANDARD.selection
-        noise, acts = 0.2 * rng.standard_normal(1000), np.array([4, 16, 29])
-        for sizes, believed in (((1.0, 1.0, 1.0), True), ((2.6, 0.3, 0.1), False)):
-            d, without = np.zeros((40, 25)), noise.reshape(40, 25).copy()
-            d[acts] = 3.0
-            without[acts] += 3.0 * np.array(sizes)[:, None]
-            d, without = d.ravel(), without.ravel()
-            left = without - float(d @ without / (d @ d)) * d
-            fit = replace(self.fit(left), parts=(Part(SimpleNamespace(located=""), {}),))
-            assert block_z(objective, fit, self.fit(without)) < STANDARD.comparison.deviations
-            for effect_to_noise in (0.9, 1.1):
-                monkeypatch.setattr(
-                    term_tests, "term_size", lambda *_, effect_to_noise=effect_to_noise: effect_to_noise
-                )
-                expected = believed or effect_to_noise > 1.0
-                assert is_spread(objective, fit, 0, self.fit(without), rules) == expected
 
 
 def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
