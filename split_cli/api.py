@@ -39,26 +39,10 @@ from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_
 from split_cli.workflows.report.page import report_page
 
 __all__ = [
-    "DEG_PER_G",
-    "ComparisonResult",
-    "DiagnosisResult",
-    "EvaluationResult",
-    "SteeringResponse",
-    "Understeer",
-    "charts",
-    "compare",
-    "diagnose",
-    "draw_chart",
-    "drive_table",
-    "evaluate",
-    "labels",
-    "read_drive",
-    "read_set",
-    "read_vehicle",
-    "steering_response",
-    "train",
-    "understeer",
-]
+    "DEG_PER_G", "ComparisonResult", "DiagnosisResult", "EvaluationResult", "SteeringResponse", "Understeer",
+    "charts", "compare", "diagnose", "draw_chart", "drive_table", "evaluate", "labels", "read_drive", "read_set",
+    "read_vehicle", "steering_response", "train", "understeer",
+]  # fmt: skip
 
 
 def _frame(rows: Any, columns: Sequence[str] | None = None) -> Any:

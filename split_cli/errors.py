@@ -7,20 +7,9 @@ from difflib import get_close_matches
 from typing import Any
 
 __all__ = [
-    "OUR_FAULT",
-    "ClockError",
-    "DriveError",
-    "ExportError",
-    "LogError",
-    "MapError",
-    "NumericalRepairWarning",
-    "SetError",
-    "SplitError",
-    "VehicleError",
-    "nearest_names",
-    "printable",
-    "spreadsheet_text",
-]
+    "OUR_FAULT", "ClockError", "DriveError", "ExportError", "LogError", "MapError", "NumericalRepairWarning",
+    "SetError", "SplitError", "VehicleError", "nearest_names", "printable", "spreadsheet_text",
+]  # fmt: skip
 
 
 #: Characters of an error at most [1], and of its end that stay; judgement: a screen.

@@ -20,23 +20,11 @@ from typing import Any
 from split_cli.errors import SplitError
 
 __all__ = [
-    "DIGESTS",
-    "ScratchFolder",
-    "atomic_directory",
-    "atomic_path",
-    "atomic_write_bytes",
-    "atomic_write_text",
-    "exclusive_access",
-    "open_to_read",
-    "parse_json",
-    "read_text",
-    "refuse_no_regular_file",
-    "refuse_overwriting_inputs",
-    "refuse_place_without_access",
-    "refuse_what_cannot_be_written",
-    "sha256_of_file",
+    "DIGESTS", "ScratchFolder", "atomic_directory", "atomic_path", "atomic_write_bytes", "atomic_write_text",
+    "exclusive_access", "open_to_read", "parse_json", "read_text", "refuse_no_regular_file",
+    "refuse_overwriting_inputs", "refuse_place_without_access", "refuse_what_cannot_be_written", "sha256_of_file",
     "write_digests",
-]
+]  # fmt: skip
 
 DIGESTS = "SHA256SUMS"
 """File of a folder that lists the digests of the others, as `sha256sum --check` reads it."""

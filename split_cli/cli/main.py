@@ -40,20 +40,8 @@ COMMANDS = {
 }
 
 _COREUTILS_OPTIONS = (
-    "-a",
-    "-b",
-    "-C",
-    "-d",
-    "-e",
-    "-l",
-    "-n",
-    "-t",
-    "-u",
-    "-x",
-    "--bytes",
-    "--lines",
-    "--number",
-)
+    "-a", "-b", "-C", "-d", "-e", "-l", "-n", "-t", "-u", "-x", "--bytes", "--lines", "--number",
+)  # fmt: skip
 
 
 #: Options of the group that a user may write behind the command as well.

@@ -14,18 +14,9 @@ import click
 from split_cli.cli.digits import Told, plausible
 
 __all__ = [
-    "engine_options",
-    "existing_file",
-    "held_option",
-    "json_option",
-    "label_options",
-    "log_options",
-    "output_option",
-    "print_json",
-    "print_table",
-    "tell_next",
-    "vehicle_option",
-]
+    "engine_options", "existing_file", "held_option", "json_option", "label_options", "log_options",
+    "output_option", "print_json", "print_table", "tell_next", "vehicle_option",
+]  # fmt: skip
 
 # Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
 existing_file = click.Path(path_type=Path, readable=False)

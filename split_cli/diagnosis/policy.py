@@ -17,20 +17,9 @@ from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, kind_o
 from split_cli.diagnosis.policy_recordings import Believing, Screening, Unnamed
 
 __all__ = [
-    "STANDARD",
-    "Abstention",
-    "Allowances",
-    "Believing",
-    "ComparisonRules",
-    "Policy",
-    "Reporting",
-    "Screening",
-    "SelectionRules",
-    "SelfTestRules",
-    "Unnamed",
-    "deciding_numbers",
-    "numbers_by_kind",
-]
+    "STANDARD", "Abstention", "Allowances", "Believing", "ComparisonRules", "Policy", "Reporting", "Screening",
+    "SelectionRules", "SelfTestRules", "Unnamed", "deciding_numbers", "numbers_by_kind",
+]  # fmt: skip
 
 
 def _two_sided(level: float) -> float:

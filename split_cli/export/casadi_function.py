@@ -19,17 +19,9 @@ from split_cli.export.tables import BcmTables, Constants, TableData
 from split_cli.learning.trust import kept_share
 
 __all__ = [
-    "CasadiFunctions",
-    "casadi_answer",
-    "check_casadi",
-    "check_hessian",
-    "committee",
-    "generate_c",
-    "model_step",
-    "predictor_function",
-    "projection",
-    "spline_table",
-]
+    "CasadiFunctions", "casadi_answer", "check_casadi", "check_hessian", "committee", "generate_c", "model_step",
+    "predictor_function", "projection", "spline_table",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,8 @@ from split_cli.prediction.table import TablePredictor
 from split_cli.prediction.trusted import untrusted
 
 __all__ = [
-    "TOLERANCE",
-    "ExportAnswer",
-    "Oracle",
-    "PredictionCheck",
-    "check_predictions",
-    "check_queries",
-    "make_oracle",
-]
+    "TOLERANCE", "ExportAnswer", "Oracle", "PredictionCheck", "check_predictions", "check_queries", "make_oracle",
+]  # fmt: skip
 
 TOLERANCE = {"double": 1e-12, "float": 1e-5}
 """Largest error of the mean in signal deviations, and of the variance in signal variances."""

@@ -27,19 +27,9 @@ from split_cli.learning.trust import kept_share
 from split_cli.prediction.projected import learning_order, process_of_labels
 
 __all__ = [
-    "DOCUMENT_FORMAT",
-    "Document",
-    "document_answer",
-    "document_of",
-    "other_than_set",
-    "read_json",
-    "read_npz",
-    "relearned_error",
-    "require_equal",
-    "schema_text",
-    "write_json",
-    "write_npz",
-]
+    "DOCUMENT_FORMAT", "Document", "document_answer", "document_of", "other_than_set", "read_json", "read_npz",
+    "relearned_error", "require_equal", "schema_text", "write_json", "write_npz",
+]  # fmt: skip
 
 DOCUMENT_FORMAT = "split-export/2"
 ARRAYS = (

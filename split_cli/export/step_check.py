@@ -15,16 +15,9 @@ from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.training_set import TrainingSet
 
 __all__ = [
-    "STEP_TOLERANCE",
-    "StepOracle",
-    "Stepper",
-    "compare_drives",
-    "compare_features",
-    "compare_linearisation",
-    "compare_memory",
-    "compare_states",
-    "make_step_oracle",
-]
+    "STEP_TOLERANCE", "StepOracle", "Stepper", "compare_drives", "compare_features", "compare_linearisation",
+    "compare_memory", "compare_states", "make_step_oracle",
+]  # fmt: skip
 
 Stepper = Callable[[np.ndarray], np.ndarray]
 

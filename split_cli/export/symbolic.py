@@ -16,14 +16,8 @@ from split_cli.learning.labels import DEFAULT_HORIZON
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "CASADI",
-    "LOW_SPEED_SHARE",
-    "STATES",
-    "CasadiOperations",
-    "NominalGraph",
-    "build_nominal",
-    "guarded_speed",
-]
+    "CASADI", "LOW_SPEED_SHARE", "STATES", "CasadiOperations", "NominalGraph", "build_nominal", "guarded_speed",
+]  # fmt: skip
 
 STATES = ("X", "Y", "yaw", "vx", "vy", "r", "T", "delta")
 

@@ -54,16 +54,9 @@ from split_cli.prediction.trusted import untrusted
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "CHECK_POINTS",
-    "MANIFEST",
-    "PREDICTORS",
-    "TARGETS",
-    "ExportPlan",
-    "TargetResult",
-    "acados_source",
-    "plan_export",
-    "write_export",
-]
+    "CHECK_POINTS", "MANIFEST", "PREDICTORS", "TARGETS", "ExportPlan", "TargetResult", "acados_source",
+    "plan_export", "write_export",
+]  # fmt: skip
 
 TARGETS = ("c", "casadi", "npz", "json", "ggv")
 PREDICTORS = ("bcm", "rbcm", "table", "projected")

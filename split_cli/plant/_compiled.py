@@ -40,14 +40,8 @@ ENV_SIZE = 17
 
 # What faults remember.
 MEM_WHEEL_ANGLE, MEM_BRAKE_HEAT, MEM_TIRE_HEAT, MEM_STUCK, MEM_SLOSH, MEM_SLOSH_RATE, MEM_PULSE = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-)
+    0, 1, 2, 3, 4, 5, 6,
+)  # fmt: skip
 MEM_SIZE = 7
 
 # Why a run ended.

@@ -20,14 +20,8 @@ from split_cli.plant.tire import tire_force
 from split_cli.plant.tracks import Track
 
 __all__ = [
-    "DRIVER_STYLES",
-    "DriverStyle",
-    "Grip",
-    "SpeedProfile",
-    "find_driver",
-    "grip_of",
-    "speed_profile",
-]
+    "DRIVER_STYLES", "DriverStyle", "Grip", "SpeedProfile", "find_driver", "grip_of", "speed_profile",
+]  # fmt: skip
 
 _DriverTables = namedtuple(
     "_DriverTables",

@@ -21,14 +21,9 @@ from split_cli.plant.tracks import Track, circle
 __all__ = ["CALIBRATION_TESTS", "MANEUVER_NAMES", "Maneuver", "build_maneuver", "run_maneuver"]
 
 CALIBRATION_TESTS = (
-    "coast_down",
-    "throttle_steps",
-    "brake_steps",
-    "constant_radius",
-    "constant_radius_right",
-    "sine_sweep",
+    "coast_down", "throttle_steps", "brake_steps", "constant_radius", "constant_radius_right", "sine_sweep",
     "step_steer",
-)
+)  # fmt: skip
 """The gentle tests from which a nominal model can be calibrated honestly."""
 
 

@@ -19,16 +19,9 @@ from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
-    "FAULTS",
-    "FaultKind",
-    "InjectedFault",
-    "faults_for",
-    "faults_of_sizes",
-    "inject",
-    "require_known",
-    "split_in_blocks",
-    "split_in_halves",
-]
+    "FAULTS", "FaultKind", "InjectedFault", "faults_for", "faults_of_sizes", "inject", "require_known",
+    "split_in_blocks", "split_in_halves",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

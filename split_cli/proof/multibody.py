@@ -22,14 +22,9 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula
 
 __all__ = [
-    "MULTIBODY_STATE",
-    "MultiBody",
-    "calibrated_vehicle",
-    "circle_drive",
-    "gentle_drives",
-    "hard_drive",
+    "MULTIBODY_STATE", "MultiBody", "calibrated_vehicle", "circle_drive", "gentle_drives", "hard_drive",
     "load_car",
-]
+]  # fmt: skip
 
 _STEP = 2e-3
 _KEEP = 5

@@ -18,14 +18,8 @@ from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
-    "CaseScore",
-    "CaseSetScore",
-    "found_terms_removed",
-    "score_case",
-    "statement_of",
-    "summarise",
-    "words_of",
-]
+    "CaseScore", "CaseSetScore", "found_terms_removed", "score_case", "statement_of", "summarise", "words_of",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

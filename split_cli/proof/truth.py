@@ -15,16 +15,9 @@ from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
-    "ExactDrive",
-    "SizeFound",
-    "Unreachable",
-    "exact_drive",
-    "fit_effective",
-    "model_gain",
-    "removed_share",
-    "search_size",
-    "severity",
-]
+    "ExactDrive", "SizeFound", "Unreachable", "exact_drive", "fit_effective", "model_gain", "removed_share",
+    "search_size", "severity",
+]  # fmt: skip
 
 _GUESSES = {
     "strength": 0.5, "scale": 1.0, "final_loss": 0.05, "length": 0.1, "cg_height": 0.2, "front_scale": 1.0,

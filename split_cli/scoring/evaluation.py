@@ -25,19 +25,10 @@ from split_cli.scoring.splits import BlockSplit
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "LABEL_PERSISTENCE",
-    "NOMINAL",
-    "VELOCITY_PERSISTENCE",
-    "HeldOutSamples",
-    "Score",
-    "ScoreTally",
-    "baseline_tallies",
-    "pooled_noise_floor",
-    "predictor_names",
-    "predictor_tally",
-    "rollout_trajectories",
+    "LABEL_PERSISTENCE", "NOMINAL", "VELOCITY_PERSISTENCE", "HeldOutSamples", "Score", "ScoreTally",
+    "baseline_tallies", "pooled_noise_floor", "predictor_names", "predictor_tally", "rollout_trajectories",
     "score",
-]
+]  # fmt: skip
 
 NOMINAL = "nominal"
 VELOCITY_PERSISTENCE = "velocity held"

@@ -15,15 +15,9 @@ from split_cli.scoring.verdict import Comparison
 from split_cli.vehicle.parameters import EffectSpec
 
 __all__ = [
-    "EVALUATION_FORMAT",
-    "DriveFacts",
-    "Evaluation",
-    "EvaluationSettings",
-    "IntervalShares",
-    "RolloutScore",
-    "SetFacts",
-    "SizeScore",
-]
+    "EVALUATION_FORMAT", "DriveFacts", "Evaluation", "EvaluationSettings", "IntervalShares", "RolloutScore",
+    "SetFacts", "SizeScore",
+]  # fmt: skip
 
 EVALUATION_FORMAT = "split-evaluation/1"
 

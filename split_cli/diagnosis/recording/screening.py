@@ -15,15 +15,9 @@ from split_cli.vehicle.effects.search import Course
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
-    "clean_drives",
-    "cleaned",
-    "idle",
-    "measures",
-    "moving",
-    "torque_is_constant",
-    "unfit",
+    "clean_drives", "cleaned", "idle", "measures", "moving", "torque_is_constant", "unfit",
     "velocity_is_from_position",
-]
+]  # fmt: skip
 
 SMOOTHED_SECONDS = 0.2  # over which samples are averaged before they are compared
 _STEP_SECONDS = 0.5  # over which a change of speed is taken

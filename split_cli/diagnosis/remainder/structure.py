@@ -19,13 +19,8 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import FlexibleRows
 
 __all__ = [
-    "FlexibleFit",
-    "Structure",
-    "build_structure",
-    "discrepancy_to_noise",
-    "minimum_effect_p",
-    "term_allowances",
-]
+    "FlexibleFit", "Structure", "build_structure", "discrepancy_to_noise", "minimum_effect_p", "term_allowances",
+]  # fmt: skip
 
 _RIDGE_SHARE = 2e-3
 

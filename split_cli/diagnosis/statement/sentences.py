@@ -12,17 +12,9 @@ from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
-    "acting_in_a_part",
-    "gap_left",
-    "lead_sentence",
-    "not_accepted",
-    "scatter",
-    "sentence_for",
-    "separations",
-    "statement_for",
-    "summarise",
-    "unexplained_part",
-]
+    "acting_in_a_part", "gap_left", "lead_sentence", "not_accepted", "scatter", "sentence_for", "separations",
+    "statement_for", "summarise", "unexplained_part",
+]  # fmt: skip
 
 # What a flexible fit calls its groups of functions, for a reader.
 _KINDS = {

@@ -9,11 +9,6 @@ from split_cli.plots.pictures.residual import coverage_charts, whiteness_chart
 from split_cli.plots.pictures.tires import tire_charts
 
 __all__ = [
-    "Subject",
-    "coverage_charts",
-    "drive_charts",
-    "handling_charts",
-    "tire_charts",
-    "track_chart",
+    "Subject", "coverage_charts", "drive_charts", "handling_charts", "tire_charts", "track_chart",
     "whiteness_chart",
-]
+]  # fmt: skip

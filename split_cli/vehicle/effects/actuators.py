@@ -12,15 +12,8 @@ from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
-    "DriveDelay",
-    "DriveGain",
-    "DriveLag",
-    "SteerBacklash",
-    "SteerDelay",
-    "SteerGain",
-    "SteerLag",
-    "SteerOffset",
-]
+    "DriveDelay", "DriveGain", "DriveLag", "SteerBacklash", "SteerDelay", "SteerGain", "SteerLag", "SteerOffset",
+]  # fmt: skip
 
 _RATIO = "judgement: steering ratios of road cars lie within 12 and 20, so a wrong one is off by less than 1.8"
 _UNTOLD = (

@@ -12,14 +12,9 @@ import numpy as np
 from split_cli.compiled_code import compiled
 
 __all__ = [
-    "Handover",
-    "Recording",
-    "first_order_from_means",
-    "first_order_response",
-    "over_samples",
-    "play_response",
+    "Handover", "Recording", "first_order_from_means", "first_order_response", "over_samples", "play_response",
     "shifted",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

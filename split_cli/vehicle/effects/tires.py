@@ -21,15 +21,9 @@ from split_cli.vehicle.tire import lateral_force
 
 # What the catalogue is made of: every name here is a term.
 __all__ = [
-    "AeroDownforce",
-    "CombinedSlip",
-    "FrictionPatch",
-    "FrictionScale",
-    "GripFade",
-    "LoadTransfer",
-    "TireRelaxation",
-    "TireStiffness",
-]
+    "AeroDownforce", "CombinedSlip", "FrictionPatch", "FrictionScale", "GripFade", "LoadTransfer",
+    "TireRelaxation", "TireStiffness",
+]  # fmt: skip
 
 # Below this share of its capacity an axle that brakes at its limit keeps lateral force; it keeps roots smooth.
 _LEAST_CAPACITY = 1e-3

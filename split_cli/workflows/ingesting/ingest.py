@@ -27,15 +27,9 @@ from split_cli.workflows.ingesting.ingest_manifest import IngestManifest, settin
 from split_cli.workflows.sources import SourceFile, find_sources, is_remote
 
 __all__ = [
-    "IngestFailure",
-    "IngestResult",
-    "IngestRun",
-    "IngestSettings",
-    "ingest_logs",
-    "list_channels",
-    "list_maps",
+    "IngestFailure", "IngestResult", "IngestRun", "IngestSettings", "ingest_logs", "list_channels", "list_maps",
     "suggest_map_for",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -11,22 +11,9 @@ from collections.abc import Sequence
 from split_cli.diagnosis.statement.wording import variable_name
 
 __all__ = [
-    "CHANNELS",
-    "FORCES",
-    "FORCE_IDS",
-    "chance",
-    "escape",
-    "heading",
-    "number",
-    "parameter",
-    "percent",
-    "quantity",
-    "readable",
-    "span",
-    "term_title",
-    "typeset",
-    "variable",
-]
+    "CHANNELS", "FORCES", "FORCE_IDS", "chance", "escape", "heading", "number", "parameter", "percent", "quantity",
+    "readable", "span", "term_title", "typeset", "variable",
+]  # fmt: skip
 
 FORCE_IDS = ("longitudinal", "front_lateral", "rear_lateral")
 FORCES = {
