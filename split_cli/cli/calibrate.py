@@ -22,7 +22,6 @@ positive = click.FloatRange(0.0, min_open=True)
     "--fit",
     "parts",
     default="tires,drag,rolling",
-    show_default=True,
     metavar="LIST",
     help="What to fit: any of tires, drag, rolling, splits, inertia.",
 )
@@ -34,18 +33,12 @@ positive = click.FloatRange(0.0, min_open=True)
     "--measured-ay", is_flag=True, help="Use the channel ay instead of v_y' + v_x r; correct on a banked road."
 )
 @click.option(
-    "--max-ax",
-    type=positive,
-    default=2.0,
-    show_default=True,
-    metavar="A",
-    help="Largest |a_x| of samples for the tyre fit [m/s^2].",
+    "--max-ax", type=positive, default=2.0, metavar="A", help="Largest |a_x| of samples for the tyre fit [m/s^2]."
 )
 @click.option(
     "--max-ay",
     type=positive,
     default=2.0,
-    show_default=True,
     metavar="A",
     help="Largest |a_y| of samples for the fit of drag and rolling resistance [m/s^2].",
 )
@@ -53,7 +46,6 @@ positive = click.FloatRange(0.0, min_open=True)
     "--alpha-max",
     type=click.FloatRange(0.0, 1.5, min_open=True),
     default=0.18,
-    show_default=True,
     metavar="RAD",
     help="Largest slip angle.",
 )

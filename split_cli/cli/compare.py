@@ -40,7 +40,7 @@ def _horizons(context: click.Context, parameter: click.Parameter, text: str) -> 
 @click.argument("models", nargs=-1, required=True, metavar="MODEL...")
 @click.option("--on", "drives", type=existing_file, multiple=True, required=True, metavar="DRIVE",
               help="Drive to run on; repeatable.")  # fmt: skip
-@click.option("--horizon", "horizons", default="0.05,0.5,2", show_default=True, callback=_horizons, metavar="LIST",
+@click.option("--horizon", "horizons", default="0.05,0.5,2", callback=_horizons, metavar="LIST",
               help="Durations of the open-loop simulation [s].")  # fmt: skip
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if the first model is worse than another one.")
 @click.option("--most", "limits", multiple=True, callback=_limits, metavar="STATE=ERROR",

@@ -19,7 +19,6 @@ __all__ = ["command"]
     "--output",
     type=click.Path(path_type=Path),
     default=Path("demo-output"),
-    show_default=True,
     metavar="FOLDER",
     help="Folder for the results.",
 )

@@ -55,7 +55,6 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     "--predictor",
     "predictors",
     default="bcm,projected",
-    show_default=True,
     callback=_list_of(str),
     metavar="LIST",
     help="Predictors to score: projected, bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",
@@ -64,14 +63,12 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     "--protocol",
     type=click.Choice(["held-out", "paper"]),
     default="held-out",
-    show_default=True,
     help="held-out: blocks of time unseen in training. paper: 100 samples of a lap, scored on that same lap.",
 )
 @click.option(
     "--features",
     multiple=True,
     default=("z2",),
-    show_default=True,
     callback=_feature_sets,
     metavar="LIST",
     help="z1, z2, z1,z2, signal names or terms with states; repeatable. Several feature sets are also compared at "
@@ -83,41 +80,23 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     metavar="LIST",
     help="Set sizes at which feature sets are compared [default: 50,100,200,500,1000,all].",
 )
+@click.option("--blocks", type=click.IntRange(2), default=10, help="Number of time blocks per drive.")
+@click.option("--holdout", type=float, default=0.3, metavar="SHARE", help="Share of the time that is held out.")
 @click.option(
-    "--blocks", type=click.IntRange(2), default=10, show_default=True, help="Number of time blocks per drive."
-)
-@click.option(
-    "--holdout",
-    type=float,
-    default=0.3,
-    show_default=True,
-    metavar="SHARE",
-    help="Share of the time that is held out.",
-)
-@click.option(
-    "--guard",
-    type=float,
-    default=1.0,
-    show_default=True,
-    metavar="S",
-    help="Unused time on either side of a held-out block.",
+    "--guard", type=float, default=1.0, metavar="S", help="Unused time on either side of a held-out block."
 )
 @click.option(
     "--rollout",
     default="0.5,1,2",
-    show_default=True,
     callback=_list_of(float),
     metavar="LIST",
     help="Durations of the open-loop simulations (rollouts) [s].",
 )
-@click.option(
-    "--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h, without --set."
-)
+@click.option("--horizon", type=float, default=0.05, metavar="S", help="Label interval h, without --set.")
 @click.option(
     "--trust",
     type=click.Choice(["held-out", "full"]),
     default="held-out",
-    show_default=True,
     help="Without --set: share of the correction to apply, estimated on held-out blocks or all of it.",
 )
 @click.option(
@@ -129,17 +108,11 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     help="Choose capacity, gain threshold, cell edge and --features by their error on held-out blocks.",
 )
 @click.option(
-    "--capacities",
-    default="5,10,20",
-    show_default=True,
-    callback=_list_of(int),
-    metavar="LIST",
-    help="Capacities for --select.",
+    "--capacities", default="5,10,20", callback=_list_of(int), metavar="LIST", help="Capacities for --select."
 )
 @click.option(
     "--thresholds",
     default="0.001,0.01,0.1",
-    show_default=True,
     callback=_list_of(float),
     metavar="LIST",
     help="Gain thresholds for --select.",
@@ -147,7 +120,6 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.option(
     "--cell-edges",
     default="1,2",
-    show_default=True,
     callback=_list_of(float),
     metavar="LIST",
     help="Cell edges for --select, as multiples of the standard edge.",

@@ -24,23 +24,17 @@ __all__ = ["command"]
 @click.option(
     "--predictor",
     default="projected",
-    show_default=True,
     type=click.Choice(["projected", "table", "bcm", "rbcm"]),
     help="projected: process on at most 600 points. table: spline table of the dense Gaussian process. "
     "bcm: committee of cells. rbcm: robust committee.",
 )
 @click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
 @click.option(
-    "--real",
-    default="double",
-    show_default=True,
-    type=click.Choice(["double", "float"]),
-    help="Number type of the C code.",
+    "--real", default="double", type=click.Choice(["double", "float"]), help="Number type of the C code."
 )
 @click.option(
     "--queries",
     default=10_000,
-    show_default=True,
     type=click.IntRange(min=100),
     metavar="N",
     help="Number of queries on which the export is compared with Python.",

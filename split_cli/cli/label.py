@@ -25,12 +25,9 @@ __all__ = ["command"]
 @vehicle_option()
 @output_option("Label file to write (Parquet), or a folder if there are several drives.")
 @click.option(
-    "--features",
-    default="z2",
-    show_default=True,
-    help="Inputs of the correction: z2, z1, or a comma-separated list of signals.",
+    "--features", default="z2", help="Inputs of the correction: z2, z1, or a comma-separated list of signals."
 )
-@click.option("--horizon", type=float, default=0.05, show_default=True, metavar="S", help="Label interval h.")
+@click.option("--horizon", type=float, default=0.05, metavar="S", help="Label interval h.")
 @label_options
 @held_option
 @engine_options(None)

@@ -101,7 +101,11 @@ def _not_coreutils(name: str) -> str:
     )
 
 
-@click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+#: Of every command: the help shows what an option is without being given.
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
+
+
+@click.command(cls=LazyGroup, context_settings=_SETTINGS)
 @click.version_option(__version__, prog_name="split", message="%(prog)s %(version)s")
 @click.option("--quiet", is_flag=True, help="Print only warnings and errors; results still go to stdout.")
 @click.option("--verbose", is_flag=True, help="Report every step, also without a terminal.")

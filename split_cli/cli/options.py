@@ -39,6 +39,7 @@ def held_option(function: Callable) -> Callable:
     return click.option(
         "--held",
         default="",
+        show_default=False,
         metavar="NAMES",
         callback=lambda context, parameter, text: tuple(name.strip() for name in text.split(",") if name.strip()),
         help="Inputs (T,delta) to treat as constant until the next sample. By default the files decide; "
@@ -60,11 +61,11 @@ def engine_options(processes: int | None) -> Callable:
 
     def decorate(function: Callable) -> Callable:
         for option in (
-            click.option("--jobs", type=click.IntRange(1), default=processes, metavar="N",
+            click.option("--jobs", type=click.IntRange(1), default=processes, show_default=False, metavar="N",
                          help=f"Number of processes; default: {usual}."),
             click.option("--scheduler", metavar="ADDRESS",
                          help="Address of a running Dask scheduler, tcp://HOST:PORT."),
-            click.option("--engine", type=click.Choice(["process", "dask"]), default="process", show_default=True,
+            click.option("--engine", type=click.Choice(["process", "dask"]), default="process",
                          help="Work on this machine or on a Dask cluster; the result is the same."),
         ):  # fmt: skip
             function = option(function)

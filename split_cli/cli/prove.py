@@ -42,11 +42,10 @@ def command() -> None:
 @command.command("generate")
 @click.argument("folder", type=_folder)
 @click.option("--seed", type=int, required=True, help="The same seed gives the same cases.")
-@click.option("--cases", type=click.IntRange(1), default=40, show_default=True, help="Number of cases.")
+@click.option("--cases", type=click.IntRange(1), default=40, help="Number of cases.")
 @click.option(
     "--kinds",
     default="null,single,pair,strange",
-    show_default=True,
     help="Kinds of cases; also hard-pair, set, nominal-set and whole-car.",
 )
 @click.option("--sets", is_flag=True, help="Short for --kinds set,nominal-set: sets of three to five effects.")
@@ -86,7 +85,7 @@ def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
 
 @command.command("score")
 @click.argument("folder", type=_folder)
-@click.option("--baselines/--no-baselines", default=True, show_default=True, help="Score STLSQ and BIC too.")
+@click.option("--baselines/--no-baselines", default=True, help="Score STLSQ and BIC too.")
 @click.option("--markdown", type=click.Path(path_type=Path), help="Write all tables to this file as well.")
 @json_option
 def score(folder, baselines, markdown, as_json) -> None:
@@ -120,7 +119,7 @@ def _numbers(text: str | None) -> list[float]:
 @click.option("--vehicle", "vehicle_path", type=existing_file, required=True, help="Vehicle YAML.")
 @output_option("Folder to write into.")
 @click.option("--faults", help="Only these faults, separated by commas. A wrong name lists all names.")
-@click.option("--block", type=float, default=10.0, show_default=True, help="Length of the blocks of time [s].")
+@click.option("--block", type=float, default=10.0, help="Length of the blocks of time [s].")
 @click.option(
     "--halves", is_flag=True, help="Use the first and second half of a drive instead of alternating blocks."
 )
@@ -145,19 +144,14 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
 
 
 @command.command("multibody")
-@click.option("--seed", type=int, default=1, show_default=True, help="Random seed of tracks, driver and noise.")
+@click.option("--seed", type=int, default=1, help="Random seed of tracks, driver and noise.")
 @click.option(
-    "--car",
-    type=click.IntRange(1, 3),
-    default=2,
-    show_default=True,
-    help="Number of the car in commonroad-vehicle-models.",
+    "--car", type=click.IntRange(1, 3), default=2, help="Number of the car in commonroad-vehicle-models."
 )
 @click.option(
     "--model",
     type=click.Choice(["multibody", "drift"]),
     default="multibody",
-    show_default=True,
     help="The package's 29-state car, or its single track with combined slip and wheels that spin.",
 )
 @output_option("Folder to write into.")

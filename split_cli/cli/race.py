@@ -46,7 +46,7 @@ __all__ = ["command"]
     multiple=True,
     default=("split",),
     help="none; iol (one dictionary, Kabzan et al. 2019); or split (this project's: a small set in each cell). "
-    "Repeat the option to compare several learners in one report.  [default: split]",
+    "Repeat the option to compare several learners in one report.",
 )
 @click.option(
     "--start-set",

@@ -100,10 +100,7 @@ class TimeSpan(click.ParamType):
     "--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file."
 )
 @click.option(
-    "--exclude",
-    type=TimeSpan(),
-    multiple=True,
-    help="Leave this stretch of time out of training [s]; repeatable.",
+    "--exclude", type=TimeSpan(), multiple=True, help="Leave this stretch of time out of training [s]; repeatable."
 )
 @held_option
 @engine_options(1)
