@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from split_cli.cli.digits import pair_known, three_digits
-from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
+from split_cli.cli.options import existing_file, json_option, list_of, output_option, print_json, print_table
 
 __all__ = ["command"]
 
@@ -22,6 +22,7 @@ positive = click.FloatRange(0.0, min_open=True)
     "--fit",
     "parts",
     default="tires,drag,rolling",
+    callback=list_of(str),
     metavar="LIST",
     help="What to fit: any of tires, drag, rolling, splits, inertia.",
 )
@@ -97,7 +98,7 @@ def command(files, start, output, parts, training_blocks, offsets, measured_ay, 
 
         check_figure_path(figure)
     settings = CalibrationSettings(
-        parts=tuple(part.strip() for part in parts.split(",") if part.strip()),
+        parts=parts,
         alpha_max=alpha_max,
         max_longitudinal_acceleration=max_ax,
         max_lateral_acceleration=max_ay,
@@ -125,18 +126,9 @@ def _show_foreign(written, output, as_json) -> None:
 
 def _show_calibration(calibration, used, output, as_json) -> None:
     if as_json:
-        print_json(
-            {
-                "vehicle": output,
-                "drives": used,
-                "samples": calibration.samples,
-                "blocks": calibration.blocks,
-                "curves": calibration.curves,
-                "resistance": calibration.resistance,
-                "estimates": calibration.estimates,
-                "remarks": calibration.remarks,
-            }
-        )
+        names = ("samples", "blocks", "curves", "resistance", "estimates", "remarks")
+        told = {name: getattr(calibration, name) for name in names}
+        print_json({"vehicle": output, "drives": used, **told})
         return
     if calibration.curves:
         header = ("axle", "B", "C", "D [N]", "determined", "stiffness [N/rad]", "+-", "covered to [rad]",

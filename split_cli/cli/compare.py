@@ -7,7 +7,15 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file, held_option, json_option, output_option, print_json, print_table
+from split_cli.cli.options import (
+    existing_file,
+    held_option,
+    json_option,
+    list_of,
+    output_option,
+    print_json,
+    print_table,
+)
 from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
@@ -29,18 +37,11 @@ def _limits(context: click.Context, parameter: click.Parameter, values: tuple[st
     return limits
 
 
-def _horizons(context: click.Context, parameter: click.Parameter, text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in text.split(",") if part.strip())
-    except ValueError as error:
-        raise click.BadParameter(f"{text!r} ({error})", context, parameter) from error
-
-
 @click.command("compare")
 @click.argument("models", nargs=-1, required=True, metavar="MODEL...")
 @click.option("--on", "drives", type=existing_file, multiple=True, required=True, metavar="DRIVE",
               help="Drive to run on; repeatable.")  # fmt: skip
-@click.option("--horizon", "horizons", default="0.05,0.5,2", callback=_horizons, metavar="LIST",
+@click.option("--horizon", "horizons", default="0.05,0.5,2", callback=list_of(float), metavar="LIST",
               help="Durations of the open-loop simulation [s].")  # fmt: skip
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if the first model is worse than another one.")
 @click.option("--most", "limits", multiple=True, callback=_limits, metavar="STATE=ERROR",

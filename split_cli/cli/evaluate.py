@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import click
 
 from split_cli.cli.digits import three_digits
@@ -12,6 +10,7 @@ from split_cli.cli.options import (
     existing_file,
     held_option,
     json_option,
+    list_of,
     output_option,
     print_json,
     print_table,
@@ -20,18 +19,6 @@ from split_cli.cli.options import (
 from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
-
-
-def _list_of(kind: Callable) -> Callable:
-    """Return a callback that parses a comma-separated list."""
-
-    def parse(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple:
-        try:
-            return tuple(kind(part.strip()) for part in (text or "").split(",") if part.strip())
-        except ValueError as error:
-            raise click.BadParameter(f"{text!r} ({error})", context, parameter) from error
-
-    return parse
 
 
 def _size(text: str) -> int:
@@ -55,7 +42,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     "--predictor",
     "predictors",
     default="bcm,projected",
-    callback=_list_of(str),
+    callback=list_of(str),
     metavar="LIST",
     help="Predictors to score: projected, bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",
 )
@@ -76,7 +63,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 )
 @click.option(
     "--sizes",
-    callback=_list_of(_size),
+    callback=list_of(_size),
     metavar="LIST",
     help="Set sizes at which feature sets are compared [default: 50,100,200,500,1000,all].",
 )
@@ -88,7 +75,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.option(
     "--rollout",
     default="0.5,1,2",
-    callback=_list_of(float),
+    callback=list_of(float),
     metavar="LIST",
     help="Durations of the open-loop simulations (rollouts) [s].",
 )
@@ -108,19 +95,19 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     help="Choose capacity, gain threshold, cell edge and --features by their error on held-out blocks.",
 )
 @click.option(
-    "--capacities", default="5,10,20", callback=_list_of(int), metavar="LIST", help="Capacities for --select."
+    "--capacities", default="5,10,20", callback=list_of(int), metavar="LIST", help="Capacities for --select."
 )
 @click.option(
     "--thresholds",
     default="0.001,0.01,0.1",
-    callback=_list_of(float),
+    callback=list_of(float),
     metavar="LIST",
     help="Gain thresholds for --select.",
 )
 @click.option(
     "--cell-edges",
     default="1,2",
-    callback=_list_of(float),
+    callback=list_of(float),
     metavar="LIST",
     help="Cell edges for --select, as multiples of the standard edge.",
 )

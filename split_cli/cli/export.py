@@ -80,19 +80,8 @@ def command(set_path, targets, output, predictor, name, real, queries, step, ins
     if as_json:
         print_json(result)
         return
-    print_table(
-        [
-            "target",
-            "mean error",
-            "variance error",
-            "Jacobian error",
-            "step error",
-            "us/query",
-            "tables kB",
-            "code kB",
-        ],
-        [_row(target) for target in result.targets],
-    )
+    header = ["target", "mean error", "variance error", "Jacobian error", "step error", "us/query", "tables kB"]
+    print_table([*header, "code kB"], [_row(target) for target in result.targets])
     checked = ", ".join(target.target for target in result.targets if target.check)
     if checked:
         click.echo(f"{checked}: compared with Python on {queries} queries, all errors within the tolerances\n")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import click
 
 from split_cli.cli.options import (
+    TimeSpan,
     engine_options,
     existing_file,
     json_option,
@@ -40,20 +42,6 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
         if not abs(delay) < float("inf"):
             raise click.BadParameter(f"a delay is a number of seconds, {channel}={delay}", context, parameter)
     return delays
-
-
-def _spans(
-    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
-) -> tuple[tuple[float, float], ...]:
-    """Parse A:B options."""
-    spans = []
-    for value in values:
-        try:
-            start, end = (float(part) for part in value.split(":"))
-        except ValueError as error:
-            raise click.BadParameter(f"{value!r} is not of the form 12.5:20", context, parameter) from error
-        spans.append((start, end))
-    return tuple(spans)
 
 
 @click.command("ingest")
@@ -120,7 +108,7 @@ def _spans(
     "--end", type=float, metavar="S", help="Leave out everything after this time, counted from the first sample."
 )
 @click.option(
-    "--cut", "cuts", multiple=True, callback=_spans, metavar="A:B", help="Leave out the time from A to B [s]."
+    "--cut", "cuts", multiple=True, type=TimeSpan(), metavar="A:B", help="Leave out the time from A to B [s]."
 )
 @click.option("--keep-going", is_flag=True, help="Continue with the other logs when one fails.")
 @click.option(
@@ -156,18 +144,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
         return _look_at(logs, message_paths, options, vehicle_path, as_json)
     if output is None:
         raise click.UsageError("Missing option '-o'.")
-    settings = IngestSettings(
-        clock=options["clock"],
-        gap=options["gap"],
-        rate=options["rate"],
-        delays=options["delays"],
-        estimate_delays=options["estimate_delays"],
-        derive=options["derive"],
-        row_rate=options["row_rate"],
-        start=options["start"],
-        end=options["end"],
-        cuts=options["cuts"],
-    )
+    settings = IngestSettings(**{one.name: options[one.name] for one in fields(IngestSettings)})
     progress = StepBar()
     with open_engine(options["engine"], jobs=options["jobs"], scheduler=options["scheduler"]) as engine:
         run = ingest_logs(

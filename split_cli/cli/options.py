@@ -14,12 +14,42 @@ import click
 from split_cli.cli.digits import Told, plausible
 
 __all__ = [
-    "engine_options", "existing_file", "held_option", "json_option", "label_options", "log_options",
-    "output_option", "print_json", "print_table", "tell_next", "vehicle_option",
+    "TimeSpan", "engine_options", "existing_file", "held_option", "json_option", "label_options", "list_of",
+    "log_options", "output_option", "print_json", "print_table", "tell_next", "vehicle_option",
 ]  # fmt: skip
 
 # Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
 existing_file = click.Path(path_type=Path, readable=False)
+
+
+class TimeSpan(click.ParamType):
+    """START:STOP in seconds."""
+
+    name = "START:STOP"
+
+    def convert(self, value, param, ctx) -> tuple[float, float]:
+        """Return (start, stop)."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            start, stop = (float(part) for part in value.split(":"))
+        except ValueError:
+            self.fail(f"{value!r} is not START:STOP in seconds, for example 60:90", param, ctx)
+        if not start < stop:
+            self.fail(f"{value!r} does not end after it starts", param, ctx)
+        return start, stop
+
+
+def list_of(kind: Callable) -> Callable:
+    """Return a callback that parses a comma-separated list."""
+
+    def parse(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple:
+        try:
+            return tuple(kind(part.strip()) for part in (text or "").split(",") if part.strip())
+        except ValueError as error:
+            raise click.BadParameter(f"{text!r} ({error})", context, parameter) from error
+
+    return parse
 
 
 def vehicle_option(required: bool = True) -> Callable:
@@ -41,7 +71,7 @@ def held_option(function: Callable) -> Callable:
         default="",
         show_default=False,
         metavar="NAMES",
-        callback=lambda context, parameter, text: tuple(name.strip() for name in text.split(",") if name.strip()),
+        callback=list_of(str),
         help="Inputs (T,delta) to treat as constant until the next sample. By default the files decide; "
         "other inputs are interpolated linearly.",
     )(function)

@@ -6,6 +6,7 @@ import click
 
 from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
+    TimeSpan,
     engine_options,
     existing_file,
     held_option,
@@ -20,24 +21,6 @@ from split_cli.cli.options import (
 from split_cli.cli.voice import StepBar
 
 __all__ = ["command"]
-
-
-class TimeSpan(click.ParamType):
-    """START:STOP in seconds."""
-
-    name = "START:STOP"
-
-    def convert(self, value, param, ctx) -> tuple[float, float]:
-        """Return (start, stop)."""
-        if isinstance(value, tuple):
-            return value
-        try:
-            start, stop = (float(part) for part in value.split(":"))
-        except ValueError:
-            self.fail(f"{value!r} is not START:STOP in seconds, for example 60:90", param, ctx)
-        if not start < stop:
-            self.fail(f"{value!r} does not end after it starts", param, ctx)
-        return start, stop
 
 
 @click.command("train")
