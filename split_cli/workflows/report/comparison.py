@@ -9,11 +9,19 @@ import numpy as np
 from split_cli.plots.chart import Chart, ChartLine
 from split_cli.scoring.comparison import STATES, UNITS, ModelScore
 from split_cli.workflows.compare import ModelComparison
-from split_cli.workflows.report.markup import charts_block, plain_table, section
+from split_cli.workflows.report.markup import (
+    charts_block,
+    facts_list,
+    items,
+    notes_section,
+    plain_table,
+    section,
+    verdict,
+)
 from split_cli.workflows.report.payload import shows
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape, heading, number
+from split_cli.workflows.report.words import escape, number
 
 __all__ = ["comparison_charts", "comparison_page", "headline"]
 
@@ -36,11 +44,7 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
         ("Simulations", f"{compared.starts:,}", f"open loop, on {len(compared.drives)} {drives}"),
         ("Left out", f"{compared.diverged:,}", "simulations in which a model diverged"),
     ]
-    told = "".join(
-        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
-        for what, value, note in facts
-    )
-    alarms = "".join(f"<li>{escape(text)}</li>" for text in compared.worse)
+    alarms = items(compared.worse)
     if alarms:
         summary = f"<summary>{len(compared.worse)} states and horizons</summary>"
         alarms = f"<details>{summary}<ul>{alarms}</ul></details>"
@@ -48,13 +52,12 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
     said = headline(compared)
     title = f"Errors after {last[0].horizon:g} s of open-loop simulation"
     body = (
-        f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">{heading(said)}</h1>'
-        f'<dl class="facts">{told}</dl></section>'
+        verdict(kind, said, facts_list(facts))
         + section("errors", title, charts_block(charts[:3], thirds=True))
         + (section("gate", f"Where {escape(compared.models[0])}, named first, is worse", alarms) if alarms else "")
         + _tables(compared)
         + "".join(picture_sections(pictures))
-        + _notes(compared.notes)
+        + notes_section(compared.notes, "What to know")
     )
     return page(
         "compare", ", ".join(compared.drives), f"{said} {', '.join(compared.models)}", body, charts, shows(table)
@@ -135,8 +138,3 @@ def _table(scores: Sequence[ModelScore], name: str) -> str:
             cells += [number(one.rmse), f"{one.fit:.1f}", f"{one.skill:.3f}", told]
         rows.append(cells)
     return plain_table(heads, rows, name, best)
-
-
-def _notes(notes: Sequence[str]) -> str:
-    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    return section("notes", "What to know", f'<ul class="advice">{items}</ul>') if notes else ""

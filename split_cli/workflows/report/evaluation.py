@@ -25,10 +25,17 @@ from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.verdict import Comparison
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.pictures import gathered
-from split_cli.workflows.report.markup import charts_block, plain_table, section
+from split_cli.workflows.report.markup import (
+    charts_block,
+    facts_list,
+    notes_section,
+    plain_table,
+    section,
+    verdict,
+)
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape, heading, number, percent
+from split_cli.workflows.report.words import escape, number, percent
 
 __all__ = ["evaluation_charts", "evaluation_page"]
 
@@ -51,7 +58,7 @@ def evaluation_page(run: EvaluationRun) -> str:
     believed = [c for c in report.comparisons if c.name in report.settings.predictors]
     body = (
         f"{_verdict(run, believed)}{_errors(charts)}{''.join(picture_sections(charts))}{_tables(run)}"
-        f"{_notes([note for note in report.notes if not note.startswith(_WARNING)])}"
+        f"{notes_section([_sentence(note) for note in report.notes if not note.startswith(_WARNING)], 'Notes')}"
     )
     return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)} {names}", body, charts)
 
@@ -139,17 +146,10 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
         ),
         ("Trust", trust, "share of the correction of v_x, v_y, r that is applied"),
     ]
-    told = "".join(
-        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
-        for what, value, note in facts
-    )
     warned = [note.split(_WARNING, 1)[1] for note in report.notes if note.startswith(_WARNING)]
     but = "".join(f'<p class="lead">Note: {escape(text)}.</p>' for text in warned)
-    return (
-        f'<section class="verdict {kind}" aria-labelledby="verdict"><h1 id="verdict">'
-        f'{heading(_headline(comparisons))}</h1>{but}<dl class="facts">{told}</dl>'
-        f"<details><summary>Every predictor, state by state</summary>{lines}</details></section>"
-    )
+    more = f"<details><summary>Every predictor, state by state</summary>{lines}</details>"
+    return verdict(kind, _headline(comparisons), f"{but}{facts_list(facts)}{more}")
 
 
 def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) -> list[Chart]:
@@ -226,13 +226,6 @@ def _intervals(shares: Sequence[IntervalShares]) -> str:
     )
     heads = ("Predictor", "Test samples", "Share", "v_x", "v_y", "r")
     return section("intervals", "Intervals near the points and beyond", words + plain_table(heads, rows))
-
-
-def _notes(notes: Sequence[str]) -> str:
-    if not notes:
-        return ""
-    items = "".join(f"<li>{escape(_sentence(note))}</li>" for note in notes)
-    return section("notes", "Notes", f'<ul class="advice">{items}</ul>')
 
 
 def _sentence(note: str) -> str:

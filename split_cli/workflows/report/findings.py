@@ -5,7 +5,7 @@ from __future__ import annotations
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import gap_left
 from split_cli.workflows.report.headline import finding_headline
-from split_cli.workflows.report.markup import bar, bar_row, section, table
+from split_cli.workflows.report.markup import bar, bar_row, items, section, table
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, term_title
 
 __all__ = ["what_section"]
@@ -23,12 +23,12 @@ def what_section(diagnosis: Diagnosis) -> str:
     if not diagnosis.findings:
         cards = '<p class="lead">No effect of the catalogue was identified.</p>'
     if diagnosis.leads:
-        items = "".join(f"<li>{escape(one.sentence)}</li>" for one in diagnosis.leads)
-        cards += f'<div class="note" id="leads"><p>Leads, not findings:</p><ul>{items}</ul></div>'
+        leads = items(one.sentence for one in diagnosis.leads)
+        cards += f'<div class="note" id="leads"><p>Leads, not findings:</p><ul>{leads}</ul></div>'
     remainder = ""
     if diagnosis.remainder is not None:
         remainder = _remainder(diagnosis.remainder, diagnosis, _level(diagnosis))
-    steps = "".join(f"<li>{escape(step)}</li>" for step in diagnosis.history)
+    steps = items(diagnosis.history)
     history = (
         f"<details><summary>Steps of the model selection</summary><p>A term <em>saves</em> the amount by which it "
         f"lowers the cost, χ².</p><ol>{steps}</ol></details>"
@@ -72,7 +72,7 @@ def _alternatives(finding: Finding) -> str:
     if not finding.alternatives:
         return ""
     names = "".join(f'<span class="chip same">{escape(term_title(name))}</span>' for name in finding.alternatives)
-    hints = "".join(f"<li>{escape(hint)}</li>" for hint in finding.separated_by)
+    hints = items(finding.separated_by)
     apart = f"<p>What would distinguish them:</p><ul>{hints}</ul>" if hints else ""
     return f'<div class="note"><p>Explains these data as well: {names}</p>{apart}</div>'
 

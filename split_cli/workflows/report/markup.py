@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from split_cli.plots.chart import Chart
-from split_cli.workflows.report.words import escape
+from split_cli.workflows.report.words import escape, heading
 
-__all__ = ["bar", "bar_row", "charts_block", "figure", "plain_table", "section", "table"]
+__all__ = [
+    "bar", "bar_row", "charts_block", "facts_list", "figure", "items", "notes_section", "plain_table", "section",
+    "table", "verdict",
+]  # fmt: skip
 
 
 def section(name: str, title: str, body: str) -> str:
@@ -15,6 +18,33 @@ def section(name: str, title: str, body: str) -> str:
     return (
         f'<section id="{name}" aria-labelledby="{name}-title"><h2 id="{name}-title">{title}</h2>{body}</section>'
     )
+
+
+def verdict(kind: str, said: str, body: str, before: str = "") -> str:
+    """Return the first section: `said` as the heading of the page, HTML below it and before it."""
+    return (
+        f'<section class="verdict {kind}" aria-labelledby="verdict">{before}'
+        f'<h1 id="verdict">{heading(said)}</h1>{body}</section>'
+    )
+
+
+def facts_list(facts: Iterable[tuple[str, str, str]]) -> str:
+    """Return facts (what, value, note) as a list, escaped here."""
+    told = "".join(
+        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
+        for what, value, note in facts
+    )
+    return f'<dl class="facts">{told}</dl>'
+
+
+def items(texts: Iterable[str]) -> str:
+    """Return texts as items of a list, escaped here; empty where there is none."""
+    return "".join(f"<li>{escape(text)}</li>" for text in texts)
+
+
+def notes_section(notes: Sequence[str], title: str) -> str:
+    """Return the section of what a reader should know; empty where there is nothing."""
+    return section("notes", title, f'<ul class="advice">{items(notes)}</ul>') if notes else ""
 
 
 def bar(share: float, *, kind: str = "") -> str:

@@ -7,10 +7,10 @@ from typing import Any
 
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart
-from split_cli.workflows.report.markup import plain_table, section
+from split_cli.workflows.report.markup import facts_list, items, plain_table, section, verdict
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape, heading, number
+from split_cli.workflows.report.words import escape, number
 
 __all__ = ["recording_page"]
 
@@ -33,14 +33,8 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
         ("Segments", f"{len(drive.segments())}", "without a gap"),
         ("Channels", f"{len(drive.columns) - 1}", ", ".join(name for name in drive.columns if name != "t")),
     ]
-    told = "".join(
-        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
-        for what, value, note in facts
-    )
     body = (
-        f'<section class="verdict {kind}" aria-labelledby="verdict">'
-        f'<h1 id="verdict">{heading(_short(headline))}</h1>'
-        f'{_rest(headline)}{more}<dl class="facts">{told}</dl></section>'
+        f"{verdict(kind, _short(headline), f'{_rest(headline)}{more}{facts_list(facts)}')}"
         f"{''.join(picture_sections(charts))}{_open(found)}{_channels(found)}{_done(drive)}"
     )
     source = ", ".join(one.name for one in drive.metadata.sources) or drive.name
@@ -90,11 +84,9 @@ def _open(found: Mapping[str, Any]) -> str:
     told = [f"Not judged: {one['check']}: {one['reason']}." for one in checked.get("unjudged") or ()]
     told += [f"Assumed: {text}." for text in found.get("assumed") or ()]
     told += [f"{str(text).rstrip('.')}." for text in found.get("warnings") or ()]
-    items = "".join(f"<li>{escape(text)}</li>" for text in told)
-    return section("open", "Not judged and assumed", f"<ul>{items}</ul>") if items else ""
+    return section("open", "Not judged and assumed", f"<ul>{items(told)}</ul>") if told else ""
 
 
 def _done(drive: Drive) -> str:
     told = (*drive.metadata.conversions, *drive.metadata.told_kinds)
-    items = "".join(f"<li>{escape(text)}</li>" for text in told)
-    return section("done", "What was converted, measured and derived", f"<ul>{items}</ul>") if items else ""
+    return section("done", "What was converted, measured and derived", f"<ul>{items(told)}</ul>") if told else ""

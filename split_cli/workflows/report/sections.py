@@ -11,7 +11,7 @@ from split_cli.diagnosis.statement.sentences import not_accepted, scatter, unexp
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.findings import what_section
 from split_cli.workflows.report.headline import finding_headline, findings_headline
-from split_cli.workflows.report.markup import bar_row, section, table
+from split_cli.workflows.report.markup import bar_row, facts_list, section, table, verdict
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.words import (
     CHANNELS,
@@ -19,7 +19,6 @@ from split_cli.workflows.report.words import (
     FORCES,
     chance,
     escape,
-    heading,
     number,
     percent,
     quantity,
@@ -83,18 +82,10 @@ def all_sections(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
 def _verdict(diagnosis: Diagnosis) -> str:
     sign, sentence = _HEADLINES[diagnosis.verdict]
     kicker = f'<p class="kicker">{sentence}</p>' if diagnosis.findings else ""
-    facts = "".join(
-        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
-        for what, value, note in _facts(diagnosis)
-    )
-    return (
-        f'<section class="verdict {diagnosis.verdict}" aria-labelledby="verdict">'
-        f'<span class="sign" aria-hidden="true">{sign}</span>'
-        f"{kicker}"
-        f'<h1 id="verdict">{heading(headline(diagnosis))}</h1>{_chips(diagnosis)}'
-        f'<p class="lead">{escape(_lead(diagnosis))}</p>'
-        f'<dl class="facts">{facts}</dl></section>'
-    )
+    lead = f'<p class="lead">{escape(_lead(diagnosis))}</p>'
+    body = f"{_chips(diagnosis)}{lead}{facts_list(_facts(diagnosis))}"
+    before = f'<span class="sign" aria-hidden="true">{sign}</span>{kicker}'
+    return verdict(diagnosis.verdict, headline(diagnosis), body, before)
 
 
 def _chips(diagnosis: Diagnosis) -> str:
