@@ -1,4 +1,4 @@
-"""`split init`."""
+"""`split init`: its options, and how its result is printed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an exported model remembers beside its eight states: states of the terms, and commands on their way."""
+"""States of an exported model beyond the first eight: those of its terms, and past commands on their way."""
 
 from __future__ import annotations
 

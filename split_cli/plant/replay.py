@@ -1,4 +1,4 @@
-"""What a car would have done next, had it been in a recorded car's place: paired runs without a driver."""
+"""Another car in the states of a recorded one, piece by piece: paired runs without a driver."""
 
 from __future__ import annotations
 

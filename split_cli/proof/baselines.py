@@ -1,4 +1,4 @@
-"""What is usually done instead: sparse regression (STLSQ) and greedy selection by BIC, over the same terms.
+"""Baselines of the proof: sparse regression (STLSQ) and greedy selection by BIC, over the same terms.
 
 Both get the regressors of `library`, the prediction errors of the real drive, and, where a simulation's drive is
 given, have its errors as a cubic in the operating point taken off first. Neither can abstain.

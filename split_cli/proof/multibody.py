@@ -1,4 +1,4 @@
-"""Someone else's simulator as reality: the 29-state multi-body car of commonroad-vehicle-models (extra ``proof``).
+"""An independent simulator as reality: the 29-state multi-body car of commonroad-vehicle-models (extra ``proof``).
 
 Its inputs are a steering rate and an acceleration that it turns into wheel torques, T = m R_w a; its brakes and
 its drive have splits of their own. The simulation is a single track calibrated by gentle tests of the same car.

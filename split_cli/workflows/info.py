@@ -1,4 +1,4 @@
-"""Tell what a file of ours is, and what is in it."""
+"""Describe a file: its kind, and what is in it."""
 
 from __future__ import annotations
 

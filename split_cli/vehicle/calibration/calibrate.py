@@ -1,4 +1,4 @@
-"""All of a calibration in its order: tyres, what turning shows, resistances; and the vehicle that comes out."""
+"""A calibration in its order: tyres, yaw inertia and torque splits, resistances; and the vehicle that results."""
 
 from __future__ import annotations
 

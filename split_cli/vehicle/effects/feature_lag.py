@@ -1,4 +1,4 @@
-"""The term without a force: what the car did in the last moments, kept as features for a learned correction."""
+"""The term without a force: lagged motion, kept as features for a learned correction."""
 
 from __future__ import annotations
 

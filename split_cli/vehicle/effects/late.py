@@ -1,4 +1,4 @@
-"""What terms that come late share: their unit, their search, and what they do to the inputs."""
+"""Base of delays and lags: their unit, their search range, and how they act on the inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What states and delays do along a whole recording, solved exactly between its samples."""
+"""Lags, delays and play along a whole recording, solved exactly between its samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Someone else's multi-body car as reality, a gently calibrated single track as simulation."""
+"""An independent multi-body car as reality, a gently calibrated single track as simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of a diagnosis: one HTML page that needs nothing beside itself.
+"""The HTML pages of ingest, evaluate, compare and diagnose: each is one file that loads nothing else.
 
 May import: what workflows may. `words` speaks, `payload` packs numbers, `sections` writes, `page` puts together.
 """

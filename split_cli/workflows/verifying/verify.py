@@ -1,4 +1,4 @@
-"""Check a file or folder of ours against itself: nothing but the file is needed."""
+"""Check one file or folder that this program wrote against itself: nothing else is needed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of folders of ours: a diagnosis, an evaluation, a comparison, drives."""
+"""Checks of folders that this program wrote: a diagnosis, an evaluation, a comparison, drives."""
 
 from __future__ import annotations
 
