@@ -17,11 +17,11 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import TrainingSet, content_digest, write_set
-from split_cli.logs.drive import Drive
+from split_cli.logs.drive import Drive, write_drive
 from split_cli.vehicle.effects.term import Term
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.integration import Situation, integrate_with_memory
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import Vehicle, write_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
 
@@ -133,6 +133,15 @@ def make_drive(
         "delta": steer.ravel(),
     }
     return Drive(name, columns, number.astype(np.int32), period, sha256=f"{seed:064d}")
+
+
+def write_garage(folder: Path, drives: int = 2, **made: object) -> Path:
+    """Write a car, a heavier one, and drives ``d0.parquet``, ... of the first, as `make_drive` makes them."""
+    write_vehicle(road_car(), folder / "car.yaml")
+    write_vehicle(road_car(mass=1600.0), folder / "other.yaml")
+    for number in range(drives):
+        write_drive(make_drive(number, name=f"d{number}.parquet", **made), folder / f"d{number}.parquet")
+    return folder
 
 
 def smooth_residual(z: np.ndarray) -> np.ndarray:

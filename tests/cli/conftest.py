@@ -5,30 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from split_cli.logs.drive import write_drive
-from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
 from tests.cli.hostile import tool
-from tests.factories import MissingForce, make_drive, road_car
+from tests.factories import MissingForce, write_garage
 
 
 @pytest.fixture(scope="session")
 def depot(tmp_path_factory) -> Path:
     """A folder with a vehicle, two drives, a trained set, a table and a log with messages; nobody writes to it."""
-    folder = tmp_path_factory.mktemp("depot")
-    car = road_car()
-    write_vehicle(car, folder / "car.yaml")
-    write_vehicle(road_car(mass=1700.0), folder / "other.yaml")
-    for number in range(2):
-        drive = make_drive(
-            number,
-            segments=12,
-            seconds=3.0,
-            vehicle=car,
-            terms=[MissingForce({"front_lateral": 150.0})],
-            name=f"d{number}.parquet",
-        )
-        write_drive(drive, folder / drive.name)
+    terms = [MissingForce({"front_lateral": 150.0})]
+    folder = write_garage(tmp_path_factory.mktemp("depot"), segments=12, seconds=3.0, terms=terms)
     asked = ("train", folder / "d0.parquet", "--vehicle", folder / "car.yaml", "-o", folder / "a.split")
     assert tool(*asked, "--trust", "full")[0] == 0
     settings = SimulateSettings(track="small", duration=8.0, seed=1)

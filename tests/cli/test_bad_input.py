@@ -150,16 +150,8 @@ def test_a_plain_drive_says_what_it_lacks_or_has_twice(here):
     refused("label", "a.split", *label, says=("cannot be read as a drive",))
     for stop in (0, 100, -100):
         Path("cut.parquet").write_bytes(Path("d0.parquet").read_bytes()[:stop])
-        refused(
-            "train",
-            "cut.parquet",
-            "--vehicle",
-            "car.yaml",
-            "-o",
-            "a.split",
-            says=("cut.parquet",),
-            output="a.split",
-        )
+        train = ("train", "cut.parquet", "--vehicle", "car.yaml", "-o", "a.split")
+        refused(*train, says=("cut.parquet",), output="a.split")
 
 
 @pytest.mark.parametrize(
@@ -184,18 +176,22 @@ def test_damaged_metadata_of_a_drive_is_told(here, change, says):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--vehicle", "other.yaml"), ("a.split", "vehicle")),
-        (("--vehicle", "car.yaml", "--features", "z1"), ("features", "alpha_f", "asked for: vx")),
-        (("--vehicle", "car.yaml", "--capacity", 5), ("capacity: 10", "asked for: 5")),
-        (("--vehicle", "car.yaml", "--hyperparameters", "fit"), ("hyperparameters",)),
+        (("--vehicle", "other.yaml"), ("a.split", "was trained for the vehicle 'test car'")),
+        (
+            ("--vehicle", "car.yaml", "--features", "z1"),
+            ("features: alpha_f, alpha_r, torque_ratio; asked for: vx",),
+        ),
+        (("--vehicle", "car.yaml", "--capacity", 5), ("its capacity: 10; asked for: 5",)),
+        (("--vehicle", "car.yaml", "--plain-labels"), ("its plain labels: False; asked for: True",)),
+        (("--vehicle", "car.yaml", "--hyperparameters", "fit"), ("keeps its hyperparameters",)),
+        (("--vehicle", "car.yaml", "--trust", "held-out"), ("keeps its trust",)),
         (("--vehicle", "a.split"), ("a.split",)),
-        (("--vehicle", "."), ("is a folder", "Is a directory")),
+        (("--vehicle", "."), ("Is a directory",)),
         (("--vehicle", "lap.mcap"), ("lap.mcap", "no text")),
     ],
 )
 def test_appending_what_does_not_fit_leaves_the_set_alone(here, arguments, says):
-    said = refused("train", "d1.parquet", *arguments, "-o", "a.split", "--append", says=(), output="a.split")
-    assert any(word in said for word in says)
+    refused("train", "d1.parquet", *arguments, "-o", "a.split", "--append", says=says, output="a.split")
 
 
 def test_a_set_cut_or_hit_anywhere_is_refused_by_every_command(here):
@@ -279,18 +275,8 @@ def test_an_effect_too_fast_to_follow_is_refused_instead_of_waited_for(here):
 def test_a_map_that_cannot_be_right_is_refused(here, text, says):
     Path("m.yaml").write_text(text)
     Path("o.parquet").write_text("old")
-    refused(
-        "ingest",
-        "lap.mcap",
-        "--vehicle",
-        "car.yaml",
-        "--map",
-        "m.yaml",
-        "-o",
-        "o.parquet",
-        says=says,
-        output="o.parquet",
-    )
+    ingest = ("ingest", "lap.mcap", "--vehicle", "car.yaml", "--map", "m.yaml", "-o", "o.parquet")
+    refused(*ingest, says=says, output="o.parquet")
 
 
 def test_an_optional_element_past_the_end_of_every_list_is_said_not_to_be_recorded(here):
@@ -343,8 +329,6 @@ def test_the_log_at_fault_and_its_damage_are_named(here):
         ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--capacity", 0),
         ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--guard", "nan"),
         ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--rollout", "nan"),
-        ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--sizes", "-5"),
-        ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--features", ","),
         ("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--fit", ","),
         ("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--figure", "f.xyz"),
         ("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--figure", "no/f.png"),

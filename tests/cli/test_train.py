@@ -14,7 +14,6 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group, main
-from split_cli.errors import SplitError
 from split_cli.learning.cells import recompute_gains
 from split_cli.learning.features import Z1, Z2
 from split_cli.learning.kernel_file import kernel_to_yaml
@@ -22,9 +21,8 @@ from split_cli.learning.label_file import read_labels
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive, write_drive
-from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.training.train import TrainSettings, train_set
-from tests.factories import MissingForce, make_drive, road_car
+from tests.factories import MissingForce, road_car, write_garage
 
 TERM = MissingForce({"front_grip_loss": 0.1, "front_lateral": 150.0})
 
@@ -32,13 +30,7 @@ TERM = MissingForce({"front_grip_loss": 0.1, "front_lateral": 150.0})
 @pytest.fixture(scope="module")
 def garage(tmp_path_factory) -> Path:
     """A folder with three drives, a vehicle and given hyperparameters."""
-    folder = tmp_path_factory.mktemp("garage")
-    car = road_car()
-    write_vehicle(car, folder / "car.yaml")
-    write_vehicle(road_car(mass=1600.0), folder / "other.yaml")
-    for number in range(3):
-        drive = make_drive(number, segments=40, seconds=3.0, vehicle=car, terms=[TERM], name=f"d{number}.parquet")
-        write_drive(drive, folder / drive.name)
+    folder = write_garage(tmp_path_factory.mktemp("garage"), 3, segments=40, seconds=3.0, terms=[TERM])
     (folder / "kernel.yaml").write_text(
         "length_scales: {alpha_f: 0.05, alpha_r: 0.05, torque_ratio: 0.3}\n"
         "signal_variance: {vx: 0.1, vy: 0.2, r: 0.1}\nnoise_variance: {vx: 0.01, vy: 0.01, r: 0.01}\n"
@@ -94,20 +86,8 @@ def test_a_fitted_kernel_is_kept_by_appending_and_repeats(garage, tmp_path):
     # Given to a fresh run, the fitted values give the same points.
     given = tmp_path / "fitted.yaml"
     given.write_text(kernel_to_yaml(fitted.kernel, fitted.features))
-    both = (
-        "train",
-        first,
-        second,
-        "--vehicle",
-        garage / "car.yaml",
-        "-o",
-        two,
-        "--hyperparameters",
-        given,
-        "--trust",
-        "full",
-    )
-    assert run(*both).exit_code == 0
+    both = ("train", first, second, "--vehicle", garage / "car.yaml", "-o", two)
+    assert run(*both, "--hyperparameters", given, "--trust", "full").exit_code == 0
     assert read_set(two).gamma.tobytes() == appended.gamma.tobytes()
 
 
@@ -158,18 +138,8 @@ def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
 
 def test_points_are_the_labels_of_their_rows(garage, tmp_path):
     path = tmp_path / "a.split"
-    run(
-        "train",
-        *drives_of(garage),
-        "--vehicle",
-        garage / "car.yaml",
-        "-o",
-        path,
-        "--hyperparameters",
-        "default",
-        "--trust",
-        "full",
-    )
+    options = ("--vehicle", garage / "car.yaml", "-o", path, "--hyperparameters", "default", "--trust", "full")
+    assert run("train", *drives_of(garage), *options).exit_code == 0
     trained = read_set(path)
     for source, drive_path in enumerate(drives_of(garage)):
         drive = read_drive(drive_path)
@@ -199,32 +169,6 @@ def test_excluded_time_is_not_learned(garage, tmp_path):
     train_set(drives_of(garage)[:1], garage / "car.yaml", tmp_path / "b.split", settings, rows=[rows])
     assert digest(path) == digest(tmp_path / "b.split")
     assert run("train", drives_of(garage)[0], *options, "--exclude", "60:20").exit_code == 2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--vehicle", "other.yaml"), "was trained for the vehicle 'test car'"),
-        (
-            ("--vehicle", "car.yaml", "--features", "z1"),
-            "its features: alpha_f, alpha_r, torque_ratio; asked for: vx",
-        ),
-        (("--vehicle", "car.yaml", "--capacity", "5"), "its capacity: 10; asked for: 5"),
-        (("--vehicle", "car.yaml", "--plain-labels"), "its plain labels: False; asked for: True"),
-        (("--vehicle", "car.yaml", "--hyperparameters", "fit"), "keeps its hyperparameters"),
-        (("--vehicle", "car.yaml", "--trust", "held-out"), "keeps its trust"),
-    ],
-)
-def test_append_refuses_what_does_not_fit_and_leaves_the_set(garage, tmp_path, arguments, message):
-    path = tmp_path / "a.split"
-    first, second, _ = drives_of(garage)
-    assert run("train", first, "--vehicle", garage / "car.yaml", "-o", path, "--trust", "full").exit_code == 0
-    before = path.read_bytes()
-    named = [garage / part if part.endswith(".yaml") else part for part in arguments]
-    outcome = run("train", second, *named, "--append", "-o", path)
-    assert isinstance(outcome.exception, SplitError)
-    assert message in str(outcome.exception)
-    assert path.read_bytes() == before
 
 
 def test_bad_input_is_one_line_and_exit_code_1(garage, tmp_path):
@@ -285,19 +229,8 @@ def _real(*arguments: str) -> subprocess.CompletedProcess:
 def test_label_writes_what_the_library_computes(garage, tmp_path):
     path = tmp_path / "labels.parquet"
     drive_path = drives_of(garage)[1]
-    outcome = run(
-        "label",
-        drive_path,
-        "--vehicle",
-        garage / "car.yaml",
-        "-o",
-        path,
-        "--features",
-        "z1",
-        "--stride",
-        "1",
-        "--json",
-    )
+    options = ("--vehicle", garage / "car.yaml", "-o", path, "--features", "z1", "--stride", "1", "--json")
+    outcome = run("label", drive_path, *options)
     told = json.loads(outcome.stdout)
     labels = read_labels(path)
     expected = compute_labels(read_drive(drive_path), road_car(), Z1, stride=1)
