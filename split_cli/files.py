@@ -22,7 +22,8 @@ from split_cli.errors import SplitError
 __all__ = [
     "DIGESTS", "ScratchFolder", "atomic_directory", "atomic_path", "atomic_write_bytes", "atomic_write_text",
     "exclusive_access", "open_to_read", "parse_json", "read_text", "refuse_no_regular_file",
-    "refuse_overwriting_inputs", "refuse_place_without_access", "refuse_what_cannot_be_written", "sha256_of_file",
+    "refuse_overwriting_inputs", "refuse_place_without_access", "refuse_what_cannot_be_a_folder",
+    "refuse_what_cannot_be_written", "sha256_of_file",
     "write_digests",
 ]  # fmt: skip
 
@@ -88,8 +89,7 @@ def atomic_directory(target: str | os.PathLike[str], without: Iterable[str] = ()
     """
     shown = str(target)
     target = _real_target(target)
-    if target.exists() and not target.is_dir():
-        raise SplitError("is a file, a folder was to be written", where=shown, advice="Name a folder.")
+    _refuse_what_is_no_folder(target, shown)
     temporary: Path | None = None
     claim: int | None = None
     try:
@@ -370,6 +370,18 @@ def refuse_what_cannot_be_written(target: str | os.PathLike[str]) -> None:
     refuse_place_without_access(target)
 
 
+def refuse_what_cannot_be_a_folder(target: str | os.PathLike[str]) -> None:
+    """Check a folder's place before hours of work go into its files.
+
+    Raises
+    ------
+    SplitError
+        If what holds the folder does not exist or cannot be written, or the target is a file.
+    """
+    _refuse_what_is_no_folder(_real_target(target), str(target))
+    refuse_place_without_access(target)
+
+
 def refuse_place_without_access(target: str | os.PathLike[str]) -> None:
     """Check that what holds a file or folder can be written into, before the work is done whose result it takes.
 
@@ -402,6 +414,11 @@ def _refuse_what_is_no_file(target: Path, shown: str) -> None:
         raise SplitError("is a folder, a file was to be written", where=shown, advice="Name a file in it.")
     if target.exists() and not target.is_file():
         raise SplitError("is not a regular file, it would be replaced by one", where=shown)
+
+
+def _refuse_what_is_no_folder(target: Path, shown: str) -> None:
+    if target.exists() and not target.is_dir():
+        raise SplitError("is a file, a folder was to be written", where=shown, advice="Name a folder.")
 
 
 def _concerns(error: OSError, *output: Path) -> bool:

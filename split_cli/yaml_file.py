@@ -70,7 +70,7 @@ def _values_of(node: yaml.Node, known: dict[int, int], above: set[int]) -> int:
     if id(node) not in known:
         count = 1
         if isinstance(node, yaml.ScalarNode):
-            if len(node.value) > _MOST_DIGITS and node.tag == "tag:yaml.org,2002:int":
+            if len(node.value) > _MOST_DIGITS and node.tag == _INTEGER:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"a number of {len(node.value)} digits", node.start_mark
                 )
@@ -88,12 +88,17 @@ def _values_of(node: yaml.Node, known: dict[int, int], above: set[int]) -> int:
     return known[id(node)]
 
 
-# YAML 1.1 takes 1e3 and 1.5e3 for words, since they lack a dot or the sign of the exponent; people mean numbers.
-_StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
+# YAML 1.1 takes 1e3 for a word, 1:30 for 90 and 01500 for the octal 832; people mean 1000, no number, and 1500.
+_INTEGER, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+_StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INTEGER, _FLOAT)]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+for _tag, _pattern in (
+    (_INTEGER, r"[-+]?(0|[1-9][0-9]*|0x[0-9a-fA-F]+)$"),
+    (_FLOAT, r"([-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))$"),
+):
+    _StrictLoader.add_implicit_resolver(_tag, re.compile(_pattern), list("-+.0123456789"))
 
 
 def parse_yaml(text: str) -> Any:

@@ -47,7 +47,7 @@ def _limits(context: click.Context, parameter: click.Parameter, values: tuple[st
 @click.option("--most", "limits", multiple=True, callback=_limits, metavar="STATE=ERROR",
               help="Exit with code 3 if the first model's error at the longest horizon is larger than "
               "this.")  # fmt: skip
-@output_option("Folder for report.html and compare.csv.", required=False)
+@output_option("Folder for report.html and compare.csv.", required=False, folder=True)
 @held_option
 @json_option
 def command(models, drives, horizons, exit_code, limits, output, held, as_json) -> None:
@@ -65,8 +65,6 @@ def command(models, drives, horizons, exit_code, limits, output, held, as_json) 
     from split_cli.workflows.compare import compare_files
     from split_cli.workflows.comparison_report import write_comparison
 
-    if output is not None and not Path(output).parent.is_dir():
-        raise click.UsageError(f"the folder {Path(output).parent} does not exist")
     progress = StepBar(len(drives))
     compared, read, recordings = compare_files(models, drives, horizons, held, say=progress)
     progress.close()

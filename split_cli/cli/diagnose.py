@@ -38,7 +38,7 @@ _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
     help="Real drive on which the improvement is measured; repeatable.",
 )
 @vehicle_option()
-@output_option("Folder to write into.", names=("--out",))
+@output_option("Folder to write into.", names=("--out",), folder=True)
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if simulation and reality differ.")
 @held_option
 @engine_options(None)

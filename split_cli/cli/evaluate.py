@@ -112,7 +112,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     help="Cell edges for --select, as multiples of the standard edge.",
 )
 @engine_options(1)
-@output_option("Folder for figures and report.html.", required=False)
+@output_option("Folder for figures and report.html.", required=False, folder=True)
 @held_option
 @json_option
 def command(drives, vehicle_path, set_path, output, as_json, select, engine, scheduler, jobs, **settings) -> None:
@@ -129,8 +129,6 @@ def command(drives, vehicle_path, set_path, output, as_json, select, engine, sch
       split evaluate lap.parquet --vehicle car.yaml --select -o figures
     """
     tried = {name: settings.pop(name) for name in ("capacities", "thresholds", "cell_edges")}
-    if output is not None and not output.parent.is_dir():
-        raise click.UsageError(f"the folder {output.parent} does not exist")
     if select:
         if engine != "process" or jobs > 1:
             raise click.UsageError("--select works in this process: leave out --engine and --jobs")

@@ -27,7 +27,7 @@ __all__ = ["command"]
     "--only", multiple=True, metavar="NAME", help="Run only experiments whose names begin with NAME; repeatable."
 )
 @click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Page whose tables are updated.")
-@output_option("Folder for the results.")
+@output_option("Folder for the results.", folder=True)
 def command(vehicle_path, limit_vehicle, physics_vehicle, formula_vehicle, only, page, output) -> None:
     """Run the closed-loop experiments of docs/experiments.md, and update its tables.
 

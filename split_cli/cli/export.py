@@ -20,7 +20,7 @@ __all__ = ["command"]
     type=click.Choice(["c", "casadi", "npz", "json", "ggv"]),
     help="Format to write; repeatable.",
 )
-@output_option("Folder to write into.")
+@output_option("Folder to write into.", folder=True)
 @click.option(
     "--predictor",
     default="projected",

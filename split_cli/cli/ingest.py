@@ -163,7 +163,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
     progress.close()
     if options["report"] is not None:
         _write_report(run, vehicle_path, options["report"])
-    _tell_what_was_left(logs)
+    _tell_what_was_left(logs, output)
     _show(run, as_json)
     if not as_json and not run.failures:  # else the last lines are those of the logs that failed
         _tell_what_follows(run, output, vehicle_path)
@@ -212,11 +212,11 @@ def _show(run, as_json: bool) -> None:
         click.echo(f"split: {failure.error}", err=True)
 
 
-def _tell_what_was_left(logs) -> None:
+def _tell_what_was_left(logs, output) -> None:
     """Say which files of given folders are no recordings by their endings."""
     from split_cli.workflows.sources import left_alone
 
-    left = left_alone(logs)
+    left = left_alone(logs, outside=output)
     if left:
         kinds = ", ".join(f"{count} {ending}" for ending, count in list(left.items())[:8])
         click.echo(

@@ -144,7 +144,9 @@ def _definitions(flag: str, name: str, metavar: str, meaning: str) -> Callable:
     return click.option(flag, name, multiple=True, type=existing_file, metavar=metavar, help=meaning)
 
 
-def output_option(meaning: str, required: bool = True, names: Sequence[str] = ("-o", "--output")) -> Callable:
+def output_option(
+    meaning: str, required: bool = True, names: Sequence[str] = ("-o", "--output"), *, folder: bool = False
+) -> Callable:
     """``-o PATH``, whose place must be open to writing before the command begins its work."""
     return click.option(
         *names,
@@ -152,7 +154,7 @@ def output_option(meaning: str, required: bool = True, names: Sequence[str] = ("
         type=click.Path(path_type=Path),
         required=required,
         metavar="PATH",
-        callback=_writable,
+        callback=_writable_folder if folder else _writable,
         help=meaning,
     )
 
@@ -162,6 +164,14 @@ def _writable(context: click.Context, parameter: click.Parameter, path: Path | N
         from split_cli.files import refuse_place_without_access
 
         refuse_place_without_access(path)
+    return path
+
+
+def _writable_folder(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    if path is not None:
+        from split_cli.files import refuse_what_cannot_be_a_folder
+
+        refuse_what_cannot_be_a_folder(path)
     return path
 
 

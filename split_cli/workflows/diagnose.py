@@ -16,7 +16,7 @@ from split_cli.diagnosis.statement.improvement import Improvement
 from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, InputFile
 from split_cli.diagnosis.statement.sentences import not_accepted
 from split_cli.diagnosis.together import handing_out
-from split_cli.files import atomic_directory, refuse_what_cannot_be_written, sha256_of_file, write_digests
+from split_cli.files import atomic_directory, refuse_what_cannot_be_a_folder, sha256_of_file, write_digests
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
@@ -75,8 +75,7 @@ def diagnose_files(
     progress, note : callable
         Called with the name of each step, and with what a reader should know of the inputs.
     """
-    if not Path(output).is_dir():
-        refuse_what_cannot_be_written(output)
+    refuse_what_cannot_be_a_folder(output)
     with handing_out(engine.map) if engine.carries_closures else contextlib.nullcontext():
         diagnosis, vehicle, drives = read_and_diagnose(
             real, vehicle_path, simulated=simulated, holdout=holdout, held=held, progress=progress, note=note

@@ -107,7 +107,11 @@ def _told(address: str) -> Iterator[None]:
 
 
 def find_sources(
-    addresses: Sequence[str | Path], suffixes: Sequence[str] = LOG_SUFFIXES, *, what: str = "recording"
+    addresses: Sequence[str | Path],
+    suffixes: Sequence[str] = LOG_SUFFIXES,
+    *,
+    what: str = "recording",
+    outside: str | Path | None = None,
 ) -> list[SourceFile]:
     """Return the files that addresses stand for, each once, in the order given and then of their names.
 
@@ -120,6 +124,8 @@ def find_sources(
         Kinds looked for in folders.
     what : str
         What such a file is called in errors.
+    outside : path-like, optional
+        A folder below the given ones whose files are left out: what an earlier run wrote there is no input.
 
     Raises
     ------
@@ -134,12 +140,23 @@ def find_sources(
             kinds = ", ".join(suffixes)
             raise SplitError(f"holds no {what}", where=text, advice=f"Known are {kinds}.")
         for source in sources:
+            if outside is not None and _is_below(source.address, outside) and not _is_below(text, outside):
+                continue
             found.setdefault(source.address, source)
     return list(found.values())
 
 
-def left_alone(addresses: Sequence[str | Path], suffixes: Sequence[str] = LOG_SUFFIXES) -> dict[str, int]:
-    """Return how many files of the folders among `addresses` `find_sources` does not take, by their endings."""
+def _is_below(address: str, folder: str | Path) -> bool:
+    """Tell whether an address is a local file or folder below another folder, or that folder."""
+    path = Path(address.removeprefix("file://"))
+    return not is_remote(address) and path.resolve().is_relative_to(Path(folder).resolve())
+
+
+def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = None) -> dict[str, int]:
+    """Return how many files of the folders among `addresses` `find_sources` does not take, by their endings.
+
+    Those below the folder `outside` do not count.
+    """
     counts: Counter[str] = Counter()
     for address in addresses:
         text = _text(address)
@@ -150,9 +167,10 @@ def left_alone(addresses: Sequence[str | Path], suffixes: Sequence[str] = LOG_SU
             places = [PurePosixPath(name.removeprefix(path).lstrip("/")) for name in below]
         else:
             folder = Path(text.removeprefix("file://"))
-            places = [place.relative_to(folder) for place in _files_below(folder)]
+            below = [p for p in _files_below(folder) if outside is None or not _is_below(str(p), outside)]
+            places = [place.relative_to(folder) for place in below]
         others = (place.suffix.lower() for place in places if not _hidden(place))
-        counts.update(suffix or "no ending" for suffix in others if suffix not in suffixes)
+        counts.update(suffix or "no ending" for suffix in others if suffix not in LOG_SUFFIXES)
     return dict(counts.most_common())
 
 
@@ -216,7 +234,12 @@ def _hidden(path: PurePath) -> bool:
 
 
 def _is_bag(path: Path) -> bool:
-    return path.is_dir() and ((path / "metadata.yaml").is_file() or any(path.glob("*.db3")))
+    """Tell a rosbag2 folder: it has metadata, or its recordings are the numbered parts of one database."""
+    if not path.is_dir() or (path / "metadata.yaml").is_file():
+        return path.is_dir()
+    logs = [entry for entry in path.iterdir() if entry.suffix.lower() in LOG_SUFFIXES]
+    parts = {re.sub(r"_\d+$", "", log.stem) for log in logs}
+    return len(parts) == 1 and all(log.suffix.lower() == ".db3" for log in logs)
 
 
 def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:

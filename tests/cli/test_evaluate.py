@@ -218,8 +218,13 @@ def test_a_drive_too_short_or_too_slow_is_refused(garage, tmp_path):
 
 
 def test_figures_need_a_folder_to_be_in(garage, tmp_path):
-    outcome = run(
-        "evaluate", garage / "d1.parquet", "--set", garage / "a.split", "-o", tmp_path / "no" / "figures"
-    )
-    assert outcome.exit_code == 2
-    assert "does not exist" in outcome.stderr
+    (tmp_path / "file").touch()
+    for place, said in (
+        (tmp_path / "no" / "figures", "does not exist"),
+        (tmp_path / "file", "is a file, a folder"),
+    ):
+        outcome = run("evaluate", garage / "d1.parquet", "--set", garage / "a.split", "-o", place)
+        assert said in str(outcome.exception)
+        # Before any work: half a minute of a diagnosis ended so.
+        outcome = run("diagnose", "--real", garage / "d1.parquet", "--vehicle", "road_car", "--out", place)
+        assert said in str(outcome.exception)

@@ -19,6 +19,7 @@ from split_cli.vehicle.parameters import (
     write_vehicle,
 )
 from split_cli.vehicle.tire import MagicFormula
+from split_cli.yaml_file import parse_yaml
 
 TEXT = """
 name: written by hand
@@ -228,3 +229,13 @@ def test_mapping_round_trip_keeps_origin_and_note():
     mapping = vehicle_to_mapping(car)
     assert mapping["mass"] == {"value": 1500.0, "source": "published", "note": "the makers brochure"}
     assert vehicle_from_mapping(mapping) == car
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [("01500", 1500.0), ("1.5e3", 1500.0), ("15e2", 1500.0), ("1500.", 1500.0), ("0x5DC", 1500.0)],
+)
+def test_a_number_is_what_people_mean_by_it(written, meant):
+    """YAML 1.1 takes 01500 for the octal 832, and 25:00 for 1500."""
+    assert float(parse_yaml(f"mass: {written}")["mass"]) == meant
+    assert parse_yaml("mass: 25:00")["mass"] == "25:00"

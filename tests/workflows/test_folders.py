@@ -51,6 +51,36 @@ def test_a_folder_stands_for_the_logs_in_and_below_it(archive, tmp_path):
     assert len(run.results) == 3 and not run.failures and not run.unchanged
 
 
+def test_drives_that_lie_below_the_logs_are_no_logs(archive):
+    """The second run refused the drives of the first as inputs that it would write over."""
+    first = ingest_logs([archive], archive / "drives")
+    again = ingest_logs([archive], archive / "drives")
+    assert len(first.results) == len(again.unchanged) == 3 and not again.results
+    assert left_alone([archive], outside=archive / "drives") == {".md": 1}
+    (archive / "drives" / "a.parquet").rename(archive / "drives" / "b.parquet")
+    assert [s.place for s in find_sources([archive / "drives" / "b.parquet"], outside=archive / "drives")] == [
+        "b.parquet"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("names", "whole"),
+    [
+        (("run_0.db3", "run_1.db3"), True),
+        (("run.db3", "readme.md"), True),
+        (("metadata.yaml", "a.db3", "b.csv"), True),
+        (("monday.db3", "tuesday.db3"), False),
+        (("run_0.db3", "lap.csv"), False),
+    ],
+)
+def test_a_folder_is_one_bag_only_if_all_it_holds_are_parts_of_it(tmp_path, names, whole):
+    """Two days were joined into one drive, and a table beside a database was dropped without a word."""
+    for name in names:
+        (tmp_path / name).touch()
+    places = [source.place for source in find_sources([tmp_path])]
+    assert places == ([tmp_path.name] if whole else sorted(names))
+
+
 def test_a_glob_keeps_places_below_what_it_names(archive):
     assert [s.place for s in find_sources([archive / "mon*" / "*.csv"])] == ["monday/a.csv", "monday/b.csv"]
     assert [s.place for s in find_sources([archive / "**" / "a.csv"])] == ["a.csv", "monday/a.csv"]

@@ -148,8 +148,8 @@ def ingest_logs(
     """
     engine = engine or HERE
     vehicle = read_vehicle(vehicle_path) if vehicle_path is not None else None
-    sources = find_sources(logs)
     output = Path(output)
+    sources = find_sources(logs, outside=output)
     if together:
         paths = [Path(source.address) for source in sources]
         return IngestRun((_ingest_together(paths, output, maps, vehicle, settings, message_paths),), (), ())
