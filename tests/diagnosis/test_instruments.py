@@ -13,7 +13,12 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable
 from split_cli.diagnosis.search.selection import nothing, rivals_of
-from split_cli.diagnosis.search.term_tests import is_apart_from_itself, witnessed_p, witnesses_disagree
+from split_cli.diagnosis.search.term_tests import (
+    is_apart_from_itself,
+    systematic_error,
+    witnessed_p,
+    witnesses_disagree,
+)
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
@@ -264,6 +269,20 @@ def test_witnesses_alone_confirm_a_delay_and_by_how_much(late_yaw_rate):
     floor = base.cost
     same = replace(late_yaw_rate, witness_floors={"channel_delay (r)": floor})
     assert witnessed_p(same, right, 0, base, rules) == 1.0
+
+
+def test_what_witnesses_see_has_no_systematic_error_of_the_car(late_yaw_rate):
+    """Model-form error widens what is said of a late steering by its root, and nothing of a late yaw rate."""
+    wide = replace(late_yaw_rate, form_error_inflation=150.0)
+    (channel,) = (c for c in candidates_of(wide, "channel_delay") if c.variant == "r")
+    (steer,) = candidates_of(wide, "steer_delay")
+    for part, expected in ((Part(channel, {"r": 0.04}), 1.0), (Part(steer, {"delay": 0.04}), np.sqrt(150.0))):
+        fit = fit_at(wide, part)
+        assert systematic_error(wide, fit, 0) == pytest.approx(expected * systematic_error(late_yaw_rate, fit, 0))
+    (bias,) = candidates_of(wide, "velocity_bias")[:1]
+    # So little of it moves the witnesses by less than it could.
+    small = fit_at(wide, Part(bias, {**bias.starts[0], "angle": 1e-6, "drift": 0.0}))
+    assert systematic_error(wide, small, 0) > 10.0 * systematic_error(late_yaw_rate, small, 0)
 
 
 def test_a_term_is_one_where_it_saves_twice_what_halves_of_the_simulation_differ_by(late_yaw_rate):

@@ -30,6 +30,7 @@ __all__ = [
     "part_sizes",
     "sizes_in_velocity",
     "sizes_of_terms",
+    "systematic_error",
     "term_p",
     "term_size",
     "witnessed_p",
@@ -89,6 +90,17 @@ def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
         return False
     moved = objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
     return moved > objective.policy.allowances.large
+
+
+def systematic_error(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
+    """Return the systematic error of a part over its size [1].
+
+    The model-form error of the car widens it, unless witnesses see a sensor's fault: they compare two instruments,
+    and no model of the car enters.
+    """
+    widened = 1.0 if is_witnessed(objective, fit, k) else max(objective.form_error_inflation, 1.0)
+    systematic = objective.policy.reporting.systematic * float(np.sqrt(widened))
+    return systematic / max(term_size(objective, fit, k), 1e-9)
 
 
 def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> float:

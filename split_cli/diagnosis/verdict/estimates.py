@@ -9,7 +9,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part
 from split_cli.diagnosis.search.form_error import moved_between_load_laws
-from split_cli.diagnosis.search.term_tests import term_size, witnesses_disagree
+from split_cli.diagnosis.search.term_tests import systematic_error, witnesses_disagree
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.joint_region import JointRegion, least_above, radius_95
 from split_cli.vehicle.effects.search import Range
@@ -44,6 +44,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit) -> tuple[PartEstimat
     The covariance is the sandwich (J^T J)^-1 (sum over blocks of s_b s_b^T) (J^T J)^-1, s_b a block's score: what
     a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Systematic error is added.
     Where model-form error widens what terms save, it widens both by its root: it acts alike in block after block.
+    What witnesses see of a sensor's fault has no systematic error of the car, see `systematic_error`.
     With a fixed baseline J knows nothing of the simulation's uncertainty; what was learned from a recording with
     as much model-form error is as uncertain as what is found on this one. By what halves of the simulation differ,
     two recordings of one car may differ, too; by what its witnesses say of a sensor's fault, its size.
@@ -57,7 +58,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit) -> tuple[PartEstimat
     """
     from scipy.stats import t as student
 
-    J, rules = fit.sensitivity, objective.policy.reporting
+    J = fit.sensitivity
     form_error = objective.policy.selection.form_error_share
     if not J.shape[1]:
         return ()
@@ -77,10 +78,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit) -> tuple[PartEstimat
     moved, out, column = moved_between_load_laws(objective, fit), [], 0
     for k, part in enumerate(fit.parts):
         term, told, names = part.term, {}, []
-        systematic = rules.systematic * np.sqrt(max(objective.form_error_inflation, 1.0))
-        shared = np.hypot(
-            systematic / max(term_size(objective, fit, k), 1e-9), _between_recordings(objective, fit, k)
-        )
+        shared = np.hypot(systematic_error(objective, fit, k), _between_recordings(objective, fit, k))
         shared = np.hypot(shared, witnesses_disagree(objective, fit, k, objective.policy.selection))
         own = form_error if term.through_tires else 0.0
         first = column
