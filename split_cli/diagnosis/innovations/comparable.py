@@ -1,7 +1,8 @@
 """Common operating points: the rows of a recording whose operating point the simulation has visited too.
 
 It has been there if it was asked for the same, or if it moved the same. A steering that is scaled, a velocity that
-is turned, take every turn away from where the simulation was asked to be, and the car still moves as it did.
+is turned, take every turn away from where the simulation was asked to be, and the car still moves as it did. A
+torque that is scaled does so on every straight, and the tyres still slip as they did and push as they did.
 """
 
 from __future__ import annotations
@@ -51,10 +52,19 @@ def comparable(
     moved = np.concatenate([_forces(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
     scale = np.maximum(np.quantile(np.abs(moved), 0.995, axis=0), 1e-9)
     scale[3] = discrepancy.width[3]
-    mine = _forces(one)
+    wanted, mine = asked(one), _forces(one)
     # Nearer the tyres' limit the same motion may come of other slips, and a row nearby proves nothing.
     sure = _share_of_grip(mine, one) < policy.believing.motion_share
-    return usable & (_near(asked(one), there, reach) | (sure & _near(mine / scale, moved / scale, reach)))
+    # At the same slips, speed and force along the car, the tyres do the same at their limit, too.
+    slipped, had_slipped = (
+        np.column_stack([rows[:, [0, 1, 3]], forces[:, 2] / scale[2]])
+        for rows, forces in ((wanted, mine), (there, moved))
+    )
+    return usable & (
+        _near(wanted, there, reach)
+        | (sure & _near(mine / scale, moved / scale, reach))
+        | _near(slipped, had_slipped, reach)
+    )
 
 
 def _near(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
