@@ -14,7 +14,7 @@ ORIGINS = ("full", "given", "held-out", "unjudged")
 
 
 def kept_share(share: np.ndarray, doubt: np.ndarray, signal_variance: np.ndarray) -> np.ndarray:
-    """Return the share a of the process's variance that counts beside the doubt, shape (3,); see `Trust`."""
+    """Return the share a of the process's variance that counts beside the doubt, shape of `share`; see `Trust`."""
     kept: np.ndarray = np.maximum(np.square(share), 1.0 - doubt / signal_variance)
     return kept
 
@@ -100,7 +100,7 @@ class Trust:
         return self.share == (1.0, 1.0, 1.0) and not any(self.doubt or ())
 
     def apply(
-        self, mean: np.ndarray, variance: np.ndarray, signal_variance: np.ndarray
+        self, mean: np.ndarray, variance: np.ndarray, signal_variance: np.ndarray, share: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean and the latent variance that are believed.
 
@@ -110,9 +110,11 @@ class Trust:
             Of the process.
         signal_variance : ndarray, shape (3,)
             S0, the prior's.
+        share : ndarray, shape (N, 3), optional
+            Applied in place of the stored share, with the doubt as it is stored.
         """
-        doubts = self.doubts(signal_variance)
-        return self.array * mean, kept_share(self.array, doubts, signal_variance) * variance + doubts
+        doubts, tau = self.doubts(signal_variance), self.array if share is None else share
+        return tau * mean, kept_share(tau, doubts, signal_variance) * variance + doubts
 
     def doubts(self, signal_variance: np.ndarray) -> np.ndarray:
         """Return the variance w of each output, shape (3,), given the prior's."""

@@ -52,6 +52,13 @@ class Predictor(ABC):
         """
         return self
 
+    def beginning(self, rows: np.ndarray) -> Predictor:
+        """Return the predictor for a batch of predictions that begin at `rows` (N,) of the drive it follows.
+
+        Predictors that follow none return themselves.
+        """
+        return self
+
     @abstractmethod
     def predict(self, z: np.ndarray) -> Prediction:
         """Return mean and latent variance at queries `z`, shape (N, D)."""

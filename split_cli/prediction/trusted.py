@@ -16,36 +16,39 @@ class TrustedPredictor(Predictor):
     ----------
     inner : Predictor
         Answers as the Gaussian process alone does; its set says how far each output is trusted.
+    share : ndarray, shape (N, 3), optional
+        The share to apply to each query of a batch of N, in place of the set's own.
 
     Notes
     -----
     `split_cli.learning.trust.Trust` has the formula. `make_predictor` wraps where trust is not full.
     """
 
-    def __init__(self, inner: Predictor) -> None:
+    def __init__(self, inner: Predictor, share: np.ndarray | None = None) -> None:
         super().__init__(inner.training_set)
         self.inner = inner
+        self.share = inner.training_set.trust.array if share is None else share
         self.name = inner.name
         self.needs_context = inner.needs_context
 
     def at(self, context: np.ndarray) -> TrustedPredictor:
         """Return the predictor for a situation, `context` (P, D), equally trusted."""
-        return TrustedPredictor(self.inner.at(context))
+        return TrustedPredictor(self.inner.at(context), self.share)
 
     def predict(self, z: np.ndarray) -> Prediction:
         """Return the believed mean and latent variance at queries `z`, shape (N, D)."""
         raw = self.inner.predict(z)
         signal = self.training_set.kernel.signal_variance
-        return Prediction(*self.training_set.trust.apply(raw.mean, raw.variance, signal))
+        return Prediction(*self.training_set.trust.apply(raw.mean, raw.variance, signal, self.share))
 
     def mean(self, z: np.ndarray) -> np.ndarray:
         """Return the believed mean alone, shape (N, 3)."""
-        believed: np.ndarray = self.training_set.trust.array * self.inner.mean(z)
+        believed: np.ndarray = self.share * self.inner.mean(z)
         return believed
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """Return the believed mean's Jacobian, shape (N, 3, D)."""
-        believed: np.ndarray = self.training_set.trust.array[:, None] * self.inner.jacobian(z)
+        believed: np.ndarray = self.share[..., None] * self.inner.jacobian(z)
         return believed
 
 

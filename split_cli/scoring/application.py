@@ -40,7 +40,7 @@ def predict_rows(predictor: Predictor, drive: Drive, z: np.ndarray, rows: np.nda
     rows : ndarray of int, shape (N,)
     """
     if not predictor.needs_context:
-        return predictor.predict(z[rows])
+        return predictor.beginning(rows).predict(z[rows])
     mean, variance = np.empty((2, len(rows), 3))
     for i, row in enumerate(rows):
         one = predictor.at(z[future_rows(drive, row)]).predict(z[row : row + 1])
@@ -53,7 +53,7 @@ def correction_from(
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return g: features (N, 3 or D) of N rollouts that began at `starts` to residuals (N, 3)."""
     if not predictor.needs_context:
-        return predictor.mean
+        return predictor.beginning(starts).mean
     situated = [predictor.at(z[future_rows(drive, row)]) for row in starts]
     return lambda at: np.concatenate([s.mean(at[i : i + 1]) for i, s in enumerate(situated)])
 

@@ -33,6 +33,7 @@ from split_cli.scoring.evaluation import (
 )
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, informative_sets
+from split_cli.scoring.followed import FollowedPredictor
 from split_cli.scoring.intervals import interval_shares, interval_warnings
 from split_cli.scoring.report import Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
@@ -59,6 +60,8 @@ __all__ = ["PLAIN", "evaluate", "evaluate_files"]
 
 #: Marks a predictor whose whole correction is applied, beside one that is trusted in part.
 PLAIN = ", full trust"
+#: Marks a predictor that is trusted, at each moment, as far as the drive until then supports.
+RUNNING = ", running trust"
 #: A drive with the start rows of its rollouts and every contestant's trajectories.
 Rolled = tuple[HeldOutSamples, np.ndarray, dict[tuple[str, str], np.ndarray]]
 
@@ -143,7 +146,8 @@ def evaluate(
         contestants.append((features, held, own))
     _require_samples(nominal)
     baselines = [baseline_tallies(h, model, _variance_of(nominal, contestants[0][2])) for h in nominal]
-    scores, traces, tallies, predictors = _score_predictors(contestants, baselines, settings, say, engine)
+    scored = _score_predictors(contestants, baselines, settings, trained is not None, say, engine)
+    scores, traces, tallies, predictors = scored
     say("rollouts")
     rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings, engine)
     comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
@@ -305,6 +309,7 @@ def _score_predictors(
     contestants: list[tuple[str, list[HeldOutSamples], TrainingSet]],
     baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
+    follows: bool,
     say: Callable[[str], None],
     engine: Engine,
 ) -> tuple[list[Score], list[Trace], dict, dict]:
@@ -319,12 +324,15 @@ def _score_predictors(
     traces, predictors = [], {}
     for features, held, training_set in contestants:
         tested = [h.labels.take(h.tested) for h in held]
-        for name, plain in _named(settings, training_set):
-            believed = replace(training_set, trust=Trust.full()) if plain else training_set
-            say(f"{features}: {name} on {training_set.size} points")
+        for name, way in _named(settings, training_set, follows):
+            believed = replace(training_set, trust=Trust.full()) if way == PLAIN else training_set
+            say(f"{features}: {name}{way} on {training_set.size} points")
             predictor = make_predictor(name, believed)
-            parts = list(engine.map(_tally, [(h, predictor) for h in held]))
-            label = f"{name}{PLAIN}" if plain else name
+            asked = [predictor] * len(held)
+            if way == RUNNING:
+                asked = list(engine.map(_followed, [(predictor, h) for h in held]))
+            parts = list(engine.map(_tally, list(zip(held, asked, strict=True))))
+            label = f"{name}{way}"
             known = {"features": features, "points": training_set.size}
             known["uses_recorded_future"] = predictor.needs_context
             longest = max(held, key=lambda h: len(h.tested))
@@ -332,25 +340,35 @@ def _score_predictors(
             tally = tallies[label, features] = _sum([part for part, _ in parts])
             seconds = time_per_query(predictor, longest.drive, longest.z, rows)
             scores.append(score(label, tally, pooled, time_per_query=seconds, **known))
-            predictors[label, features] = (held, predictor)
+            predictors[label, features] = (held, asked)
             for h, known_of, own, (part, prediction) in zip(held, tested, baselines, parts, strict=True):
                 by_drive.append(score(label, part, own, drive=h.drive.name, **known))
                 noise = training_set.kernel.noise_variance
                 traces.append(Trace(label, features, h, known_of, prediction, noise))
-    traces.sort(key=lambda trace: trace.name.endswith(PLAIN))  # figures show what is believed
+    traces.sort(key=lambda trace: trace.name.endswith((PLAIN, RUNNING)))  # figures show what is believed
     return scores + (by_drive if len(baselines) > 1 else []), traces, tallies, predictors
+
+
+def _followed(job: tuple[Predictor, HeldOutSamples]) -> Predictor:
+    return FollowedPredictor(*job)
 
 
 def _tally(job: tuple[HeldOutSamples, Predictor]) -> tuple[ScoreTally, Prediction]:
     return predictor_tally(*job)
 
 
-def _named(settings: EvaluationSettings, training_set: TrainingSet) -> list[tuple[str, bool]]:
-    """Return the predictors and whether all is believed: the plain way first, where trust makes a difference."""
+def _named(settings: EvaluationSettings, training_set: TrainingSet, follows: bool) -> list[tuple[str, str]]:
+    """Return the predictors and how each is believed: the plain way first, where trust makes a difference."""
     if settings.protocol != "held-out":
         return []
-    ways = (False,) if training_set.trust.is_full else (True, False)
-    return [(name, plain) for name in settings.predictors for plain in ways]
+    ways = ("",) if training_set.trust.is_full else (PLAIN, "")
+    # Of a set that is judged on whole drives; where nothing is trusted there is nothing to follow.
+    running = (RUNNING,) if follows and training_set.trust.array.any() else ()
+    return [
+        (name, way)
+        for name in settings.predictors
+        for way in (*ways, *(() if PREDICTORS[name][1] == "FitcPredictor" else running))
+    ]
 
 
 def _sum(parts: Sequence) -> object:
@@ -363,7 +381,7 @@ def _sum(parts: Sequence) -> object:
 def _rollouts(
     drives: list[HeldOutSamples],
     model: SingleTrack,
-    predictors: dict[tuple[str, str], tuple[list[HeldOutSamples], Predictor]],
+    predictors: dict[tuple[str, str], tuple[list[HeldOutSamples], list[Predictor]]],
     settings: EvaluationSettings,
     engine: Engine,
 ) -> tuple[dict[tuple[str, str], RolloutSums], list[RolloutScore], list[Rolled]]:
@@ -373,7 +391,7 @@ def _rollouts(
     pooled: dict[tuple[str, str], RolloutSums] = {}
     rolled: list[Rolled] = []
     jobs = [
-        (held, model, {key: (parts[at], predictor) for key, (parts, predictor) in predictors.items()}, steps)
+        (held, model, {key: (parts[at], asked[at]) for key, (parts, asked) in predictors.items()}, steps)
         for at, held in enumerate(drives)
         if same_interval(held, drives[0])
     ]

@@ -1,0 +1,93 @@
+"""Running trust: the share of each correction that the last seconds of driving support, found while driving."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+__all__ = ["MEMORY", "SPAN", "RunningTrust"]
+
+#: Over how long errors add up before they fade [s]: the shortest rollout that `split evaluate` judges. One step
+#: alone does not show what a small rate does to the velocities later.
+SPAN = 0.5
+#: Over how long evidence fades [s]: twenty spans, so that a share rests on about ten independent ones.
+MEMORY = 10.0
+#: Sweeps over the three outputs an interval; each begins where the last interval's ended.
+_SWEEPS = 3
+
+
+class RunningTrust:
+    """The share of each correction that recent driving supports, never above the stored trust.
+
+    Parameters
+    ----------
+    most : sequence of float, shape (3,)
+        The stored trust of v_x', v_y' and r' [1].
+    interval : float
+        Time h between two observations [s].
+    span, memory : float
+        Time constants of errors and of evidence [s].
+
+    Attributes
+    ----------
+    share : ndarray, shape (3,)
+        What the driving so far supports [1]; 0 before anything was observed.
+
+    Notes
+    -----
+    An observer runs beside the car on the nominal model, pulled towards the measured velocities with the time
+    constant `span`. Its error e, and the change D of it by each output's whole correction, follow
+
+        e+ = (A e + w)/(1 + h/span),    D+ = (A D + h Phi diag(g))/(1 + h/span)
+
+    with A the nominal step's derivative by the velocities, w = x(t + h) - f_h(x(t)) and g the correction. So e is
+    an open-loop error over the last `span`, and e - D tau is what share tau leaves of it, to first order. The
+    share is the least-squares one from 0 to `most`. Squares of each state count relative to those of its own e,
+    and all are forgotten with the time constant `memory`. Coordinate descent follows it, a few sweeps an interval.
+
+    An interval costs the same time and memory whatever has been driven.
+    """
+
+    def __init__(self, most: Sequence[float], interval: float, span: float = SPAN, memory: float = MEMORY) -> None:
+        self.most = np.array(most, dtype=float)
+        self._kept = 1.0 / (1.0 + interval / span)
+        self._remembered = np.exp(-interval / memory)
+        self._driven = np.zeros((3, 4))  # D and e, a row a state
+        self._products = np.zeros((3, 4, 4))  # sums of their products, a state each
+        self.share = np.zeros(3)
+
+    def interrupt(self) -> None:
+        """Begin errors anew, as after a gap; the evidence and the share stay."""
+        self._driven[:] = 0.0
+
+    def observe(self, transition: np.ndarray, innovation: np.ndarray, response: np.ndarray) -> np.ndarray:
+        """Take in one interval and return the share, shape (3,).
+
+        Parameters
+        ----------
+        transition : ndarray, shape (3, 3)
+            A: derivative of the nominal step by (v_x, v_y, r).
+        innovation : ndarray, shape (3,)
+            w: measured less predicted by the nominal step [m/s, m/s, rad/s].
+        response : ndarray, shape (3, 3)
+            h Phi diag(g): what each output's whole correction adds to each state within the interval.
+        """
+        added = np.column_stack([response, innovation])
+        driven = self._kept * (transition @ self._driven + added)
+        if not np.isfinite(driven).all():
+            self.interrupt()
+            return self.share
+        self._driven = driven
+        self._products *= self._remembered
+        self._products += driven[:, :, None] * driven[:, None, :]
+        errors = self._products[:, 3, 3]
+        weight = np.divide(1.0, errors, out=np.zeros(3), where=errors > 0.0)
+        normal = np.einsum("s,sij->ij", weight, self._products)
+        share = self.share.copy()
+        for j in (0, 1, 2) * _SWEEPS:
+            if normal[j, j] > 0.0:
+                left = (normal[j, 3] - normal[j, :3] @ share) / normal[j, j]
+                share[j] = min(max(share[j] + left, 0.0), self.most[j])
+        self.share = share
+        return share

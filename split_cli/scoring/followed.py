@@ -1,0 +1,75 @@
+"""A set on a drive with its running trust: at every row, the share that the driving before it supports."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from split_cli.learning.labels import inputs_along
+from split_cli.learning.pieces import pieces
+from split_cli.learning.running_trust import RunningTrust
+from split_cli.prediction import Prediction, Predictor
+from split_cli.prediction.trusted import TrustedPredictor, untrusted
+from split_cli.scoring.evaluation import HeldOutSamples
+from split_cli.vehicle.integration import phi_matrix
+from split_cli.vehicle.single_track import SingleTrack
+
+__all__ = ["FollowedPredictor"]
+
+
+class FollowedPredictor(Predictor):
+    """A predictor on one drive, trusted at each row as far as the drive until then supports.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        Its set holds the stored trust, which the running one never exceeds.
+    held : HeldOutSamples
+        The drive as the model of the set labels it, whole.
+    """
+
+    def __init__(self, predictor: Predictor, held: HeldOutSamples) -> None:
+        super().__init__(predictor.training_set)
+        self.inner, self.name = untrusted(predictor), predictor.name
+        self._known, self._shares = _shares_along(self.inner, held)
+
+    def shares(self, rows: np.ndarray) -> np.ndarray:
+        """Return the running trust at rows of the drive, shape (N, 3); 0 before its first interval has ended."""
+        last = np.searchsorted(self._known, rows, side="right") - 1
+        return np.where((last >= 0)[:, None], self._shares[last], 0.0)
+
+    def beginning(self, rows: np.ndarray) -> TrustedPredictor:
+        """Return what answers queries of as many predictions as there are rows, each begun at its row."""
+        return TrustedPredictor(self.inner, self.shares(rows))
+
+    def predict(self, z: np.ndarray) -> Prediction:
+        """Refuse: a query alone does not tell what was driven before it."""
+        raise TypeError("a running trust needs the row of the drive: ask `beginning`")
+
+    def jacobian(self, z: np.ndarray) -> np.ndarray:
+        """Refuse, as `predict` does."""
+        raise TypeError("a running trust needs the row of the drive: ask `beginning`")
+
+
+def _shares_along(inner: Predictor, held: HeldOutSamples) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows of the drive, ascending, and the shares that are known from each of them on, (N, 3)."""
+    labels = held.labels.take(np.isfinite(held.labels.y).all(axis=1))
+    known, shares = labels.row + labels.window, np.zeros((len(labels) + 1, 3))  # the last is for no row at all
+    trust = RunningTrust(inner.training_set.trust.share, labels.horizon)
+    model, driven_to = SingleTrack(inner.training_set.vehicle), -1
+    for span, piece in pieces(model, held.drive, labels.row, labels.window):
+        rows = labels.row[span] - piece.first
+        velocity = np.stack([piece.drive[name][rows] for name in ("vx", "vy", "r")], axis=1)
+        inputs = inputs_along(model, piece.drive, piece.recording)
+        jacobian = inputs.windows(rows, labels.window).jacobian(model, velocity)
+        held_for = labels.horizon * phi_matrix(jacobian, labels.horizon)
+        transition = np.eye(3) + held_for @ jacobian  # exp(A h)
+        rate = labels.y[span][:, :, None]
+        innovation = (labels.horizon * rate if labels.plain else held_for @ rate)[:, :, 0]
+        response = held_for * inner.mean(held.z[labels.row[span]])[:, None, :]
+        for k in range(len(rows)):
+            row = int(labels.row[span][k])
+            if row != driven_to:
+                trust.interrupt()
+            driven_to = row + labels.window
+            shares[span.start + k] = trust.observe(transition[k], innovation[k], response[k])
+    return known, shares
