@@ -79,7 +79,7 @@ def command(
 def _tell(result) -> None:
     """Print a diagnosis: verdict, summary, findings, and whether they help."""
     p_value = "" if result.p_value is None else f", p {_chance(result.p_value)}"
-    click.echo(f"{result.verdict}{p_value}; compared {result.compared_share:.0%} of the real drive")
+    click.echo(f"{result.verdict}{p_value}; compared {100.0 * result.compared_share:.0f} % of the real drive")
     click.echo(result.summary)
     # Beside the summary: a match says nothing of what these drives cannot show.
     for note in result.not_judged:
@@ -105,7 +105,7 @@ def _tell(result) -> None:
     if result.improvement is not None and result.improvement.rollouts:
         last = result.improvement.rollouts[-1]
         named = ", ".join(one.name for one in result.inputs if one.role == "holdout")
-        where = named or f"the last {result.settings.get('holdout_share', 0.0):.0%} of each real drive"
+        where = named or f"the last {100.0 * result.settings.get('holdout_share', 0.0):.0f} % of each real drive"
         click.echo(
             f"held out: {where}; rms error there after {last.horizon:g} s of open-loop simulation, 95 % intervals"
         )

@@ -75,8 +75,8 @@ __all__ = ["command"]
 @click.option("--p-unknown", type=float, metavar="SHARE", help="The same share where there are no training data. "
               "It rises to --p-ellipse with the information that the data hold  [default: "
               "--p-ellipse].")  # fmt: skip
-@click.option("--told-grip", type=float, default=1.0, show_default=True, help="Friction scale that the "
-              "controller assumes before it has learned.")  # fmt: skip
+@click.option("--assumed-friction", "--told-grip", "assumed_friction", type=float, default=1.0, show_default=True,
+              help="Friction scale that the controller assumes before it has learned.")  # fmt: skip
 @click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="After each lap, move "
               "the slip limits to the tyres' peaks that the labels show.")  # fmt: skip
 @click.option("--margin", type=float, metavar="M", help="Distance to keep between the car's side and the track "

@@ -124,7 +124,8 @@ def diagnose(
     ]
     if kept < settings.least_rows:
         reasons = [
-            f"The simulation has only {share:.0%} of the real drive's operating points ({kept} rows of 0.04 s); "
+            f"The simulation has only {100.0 * share:.0f} % of the real drive's operating points "
+            f"({kept} rows of 0.04 s); "
             "drive both over the same speeds, torques and turns.",
             *in_sentences(out_of_scale(*positions, rules=policy.screening)),
         ]

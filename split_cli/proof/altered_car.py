@@ -94,8 +94,9 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     front, rear = _explained(drive, car)
     if not min(front, rear) >= _EXPLAINED:
         raise SplitError(
-            f"the file explains {max(front, 0.0):.0%} of the variation of the front axle's lateral force and "
-            f"{max(rear, 0.0):.0%} of the rear's; {_EXPLAINED:.0%} are needed to tell how another car would move",
+            f"the file explains {100.0 * max(front, 0.0):.0f} % of the variation of the front axle's lateral "
+            f"force and {100.0 * max(rear, 0.0):.0f} % of the rear's; to tell how another car would move takes "
+            f"{100.0 * _EXPLAINED:.0f} %",
             where=drive.name,
             advice="Calibrate it first (split calibrate).",
         )

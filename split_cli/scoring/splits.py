@@ -68,7 +68,7 @@ def hold_out_blocks(
     if train.sum() < 0.5 * (~test).sum():
         raise DriveError(
             f"{blocks} blocks of {rows * drive.period / blocks:.3g} s with guards of {guard:g} s leave "
-            f"{train.sum() / rows:.0%} of the drive for training",
+            f"{100.0 * train.sum() / rows:.0f} % of the drive for training",
             where=drive.name,
             advice="Use fewer blocks or a shorter guard.",
         )

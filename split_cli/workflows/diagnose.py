@@ -148,12 +148,12 @@ def write_diagnosis(
     from split_cli.plots.style import save
 
     charts = diagnosis_charts(diagnosis, vehicle, drives, simulated)
-    comment = diagnosis.summary or "No terms were added."
     earlier = [*VEHICLES, *(f"figures/{name}" for name in FIGURES)]
     with atomic_directory(output, without=earlier) as folder:
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
-        corrected = folder / vehicle_name(diagnosis)
-        write_vehicle(corrected_vehicle(diagnosis, vehicle), corrected, comment=f"{_judged(diagnosis)}{comment}")
+        if (name := vehicle_name(diagnosis)) is not None:
+            corrected = corrected_vehicle(diagnosis, vehicle)
+            write_vehicle(corrected, folder / name, comment=f"{_judged(diagnosis)}{diagnosis.summary}")
         _write_gap(diagnosis, drives, vehicle, folder / "gap.parquet")
         (folder / "report.html").write_text(report_page(diagnosis, charts), encoding="utf-8")
         (folder / "figures").mkdir()
@@ -170,7 +170,7 @@ def _judged(diagnosis: Diagnosis) -> str:
     """Return what the head of the vehicle file says of its worth."""
     corrected = diagnosis.corrected_vehicle
     if corrected is None:
-        return "" if not any(f.exported for f in diagnosis.findings) else f"{_UNJUDGED} "
+        return f"{_UNJUDGED} "
     if corrected.accepted:
         return ""
     return f"NOT ACCEPTED. {not_accepted(corrected)} "

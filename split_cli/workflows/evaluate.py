@@ -53,7 +53,7 @@ from split_cli.scoring.verdict import (
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.engine import HERE, Engine
-from split_cli.workflows.evaluation_notes import drive_facts, left_out, notes_of, same_interval
+from split_cli.workflows.evaluation_notes import drive_facts, left_out, notes_of, own_sets, same_interval
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
 __all__ = ["PLAIN", "evaluate", "evaluate_files"]
@@ -174,6 +174,11 @@ def evaluate(
         notes=(
             *doubts,
             *notes_of(facts, contestants[0][1], settings, rollout_scores),
+            *(
+                own_sets([(name, own) for name, _, own in contestants])
+                if trained is None and _finds_trust(settings)
+                else ()
+            ),
             *left_out(contestants[0][1], trained is None and _finds_trust(settings)),
             *correct.notes,
             *(lag_note(own) for *_, own in contestants if found_lag(own) is not None),

@@ -17,7 +17,7 @@ from split_cli.scoring.run import DRAWN_ROWS
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
 
-__all__ = ["drive_facts", "left_out", "notes_of", "same_interval"]
+__all__ = ["drive_facts", "left_out", "notes_of", "own_sets", "same_interval"]
 
 
 def same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
@@ -66,6 +66,11 @@ def notes_of(
     """Return the notes of an evaluation, those of its drives among them."""
     notes = [*untold_inputs([held.drive for held in drives]), *(note for fact in facts for note in fact.notes)]
     for fact in facts:
+        if 2 * fact.tested_valid < fact.tested:
+            notes.append(
+                f"{fact.tested_valid} of {fact.tested} test samples of {fact.name} are inside the valid region, "
+                "in which alone the nominal model is corrected"
+            )
         if fact.in_sample:
             notes.append(f"IN SAMPLE: the set was trained on {fact.name}; its scores say nothing of other drives")
     if settings.protocol == "paper":
@@ -79,6 +84,15 @@ def notes_of(
     if settings.protocol == "held-out" and settings.rollout and not rollouts:
         notes.append(f"no rollouts: no stretch of test data lasts {max(settings.rollout):g} s without a gap")
     return notes
+
+
+def own_sets(sets: Sequence[tuple[str, TrainingSet]]) -> list[str]:
+    """Return that sets were trained for this evaluation alone; `split train` may find another trust."""
+    return [
+        f"the set of {name} was trained for this evaluation, on the training blocks alone; its "
+        f"trust is {trained.trust.words()}. `split train` takes the whole drive and may find another"
+        for name, trained in sets
+    ]
 
 
 def left_out(drives: Sequence[HeldOutSamples], finds_trust: bool) -> list[str]:

@@ -69,7 +69,7 @@ def _trained_set(path: Path) -> FileDescription:
     ]
     if trained.features.is_z2:
         valid = valid_cell_count(trained.vehicle, trained.region, trained.grid)
-        facts.append(("valid region", f"{valid} cells, {trained.cell_count / valid:.1%} non-empty"))
+        facts.append(("valid region", f"{valid} cells, {100.0 * trained.cell_count / valid:.1f} % non-empty"))
     facts += [
         ("cell edges", _named(trained.features.names, trained.grid.edges)),
         ("label interval", f"{trained.horizon:g} s"),

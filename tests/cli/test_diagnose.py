@@ -14,7 +14,7 @@ from split_cli.errors import VehicleError
 from split_cli.files import sha256_of_file
 from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.vehicle.library import library_path
-from split_cli.vehicle.parameters import EffectSpec, read_vehicle, vehicle_file, write_vehicle
+from split_cli.vehicle.parameters import EffectSpec, vehicle_file, write_vehicle
 from split_cli.workflows import diagnose as workflow
 from tests.factories import make_drive, road_car
 
@@ -98,8 +98,7 @@ def test_a_vehicle_of_the_library_is_named_and_hashed_by_its_file(tmp_path):
     assert said.verdict == "undecided"
     (vehicle,) = [one for one in said.inputs if one.role == "vehicle"]
     assert (vehicle.name, vehicle.sha256) == ("tum_sim.yaml", sha256_of_file(library_path("tum_sim")))
-    corrected = read_vehicle(tmp_path / "out" / "vehicle_corrected.yaml")
-    assert corrected.mass == read_vehicle("tum_sim").mass
+    assert not (tmp_path / "out" / "vehicle_corrected.yaml").exists()
 
 
 def test_what_a_long_diagnosis_takes_is_told_beforehand(tmp_path):

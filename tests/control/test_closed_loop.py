@@ -138,7 +138,7 @@ def test_a_cone_is_hit_when_the_body_reaches_it():
         ({"laps": -1}, "number of laps"),
         ({"grip": 0.0}, "positive"),
         ({"track": "small", "width": 9.0}, "wide at"),
-        ({"told_grip": 0.0}, "positive"),
+        ({"assumed_friction": 0.0}, "positive"),
         ({"max_torque": -5.0}, "positive"),
         ({"max_torque": 51.0}, "rolling resistance alone takes 52 N m"),
         ({"max_speed": 0.8}, "more than 1 m/s"),

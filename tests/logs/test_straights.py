@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.checking.kinematics import Kinematics
+from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import Stretch, course_of
 from split_cli.logs.drive import write_drive
 from split_cli.logs.readers.opening import open_recording
@@ -138,3 +140,30 @@ def test_a_drive_ingested_again_keeps_what_was_derived_and_assumed(planted, tmp_
     assert kinds["T"].startswith("derived:") and kinds["vy"].startswith("derived:") and kinds["delta"] == "command"
     assert any("vx in m/s" in text and "first ingested" in text for text in again.quality.assumed)
     assert set(first.drive.metadata.conversions) <= set(again.drive.metadata.conversions)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.035, -0.035])
+def test_turns_of_both_hands_tell_the_zero_of_a_steering_that_never_goes_straight(offset):
+    t = np.arange(0.0, 60.0, 0.01)
+    car = PlantedDrive(seconds=1.0).vehicle
+    vx, r = 12.0 + 2.0 * np.sin(0.2 * t), 0.3 * np.sin(0.4 * t) + 0.1 * np.sin(1.1 * t)
+    tyres = 0.004 * vx * r + 2e-5 * (vx * r) ** 3
+    columns = {"vx": vx, "r": r, "delta": car.wheelbase * r / vx + tyres + offset}
+    found = steering_zero(Kinematics(columns, 0.01, [slice(0, len(t))]), car, None)
+    assert [round(f.measured, 3) for f in found] == ([offset] if offset else [])
+    # Of one hand alone, understeer and zero look the same.
+    one_hand = {**columns, "r": np.abs(r), "delta": np.abs(columns["delta"] - offset) + offset}
+    assert not steering_zero(Kinematics(one_hand, 0.01, [slice(0, len(t))]), car, None)
+
+
+def test_a_steering_that_follows_the_yaw_rate_is_late_without_any_v_y(planted):
+    """No car turns before it is steered, whatever its tyres."""
+    channels = ("vx", "r", "ay", "delta", "T")
+    derived = IngestSettings(derive=("lateral-velocity-from-accelerations",))
+    for delay in (0.0, 0.2):
+        log = planted.recording(channels, delays={"delta": delay}, noise={"delta": 1e-4})
+        made = assemble_drive(log, planted_map(channels), planted.vehicle, derived)
+        told = [f for f in made.quality.consistency.findings if f.check == "delay"]
+        assert [f.channel for f in told] == (["delta"] if delay else [])
+        # At least so late: the moment that turns the planted car takes the steering before the yaw rate.
+        assert not told or (delay - 0.06 < told[0].measured < delay and "before it is steered" in told[0].text)

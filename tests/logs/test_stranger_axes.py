@@ -88,7 +88,7 @@ def test_velocities_and_accelerations_of_the_world_are_left_open(planted, tmp_pa
     assert set(opened) == {"vx", "vy", "ax", "ay"}
     assert all("axes of the world" in reason for reason in opened.values())
     assert draft.of("r").unit == "deg/s" and draft.of("r").status == "unsided"
-    assert "vx, vy, r: --derive velocity-from-pose" in render_draft(draft, "log.csv")
+    assert "# vx, vy: --derive velocity-from-pose" in render_draft(draft, "log.csv")
 
 
 @pytest.mark.parametrize("hand", [1.0, -1.0])

@@ -160,9 +160,9 @@ def test_wheels_of_another_radius_are_no_speed_in_another_unit(planted, tmp_path
     run = ingest_logs([tmp_path / "a.csv"], tmp_path / "d.parquet", maps=[tmp_path / "map.yaml"],
                       vehicle_path=tmp_path / "car.yaml")  # fmt: skip
     result = run.results[0]
-    found = [finding for finding in result.quality.consistency.findings if finding.check == "scale"]
-    assert {f.channel for f in found} == {f"wheel_speed_{w}" for w in corners}
-    assert all("another radius" in f.text for f in found)
+    # All alike: v_x may be what is wrong, so that they are one question.
+    (found,) = [finding for finding in result.quality.consistency.findings if "another radius" in finding.text]
+    assert found.channel == "vx" and "or vx is 0.9 times the true speed" in found.text
     text = result.to_text()
     assert "and 28 further columns, kept as recorded: aux_12" in text and "aux_39 " not in text
 

@@ -7,7 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from tests.logs.planted import PlantedDrive
 
@@ -61,7 +63,29 @@ def test_one_value_a_row_is_a_signal_for_each_name_with_its_own_clock(form, rows
     draft = draft_map(recording)
     assert draft.of("vx").unit == "km/h" and draft.of("r").unit == "deg/s" and draft.of("ay").status == "unsided"
     # What leaves the gearbox is turned once more before the wheels.
-    assert draft.of("T") is None and draft.of("engine_torque") is None or draft.of("engine_torque").status == "open"
+    assert all(s.status == "open" for s in draft.suggestions if s.channel in ("T", "engine_torque"))
     if form == "openxc":
         assert sorted(note.what for note in recording.notes) == [
-            "lines that hold no object, left out", "names whose values are no numbers, left out: gear"]  # fmt: skip
+            "lines that hold no object, left out",
+            "names whose values are no numbers, left out: gear",
+        ]
+
+
+def test_labview_writes_its_units_above_the_titles(tmp_path):
+    rows = "\n".join(f"{0.01 * n:.2f}\t{30 + np.sin(n / 9):.3f}\t{np.cos(n / 9):.3f}" for n in range(300))
+    (tmp_path / "a.lvm").write_text(
+        "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t2\nSamples\t1\t1\n"
+        "Y_Unit_Label\tkm/h\tdeg/s\nX0\t0.0E+0\t0.0E+0\n***End_of_Header***\t\n"
+        f"X_Value\tVelocity\tYaw rate\tComment\n{rows}\n"
+    )
+    units = {info.name: info.unit for info in open_recording(tmp_path / "a.lvm").channels()}
+    assert units == {"X_Value": "s", "Velocity": "km/h", "Yaw rate": "deg/s"}
+
+
+@pytest.mark.parametrize(
+    ("name", "channel"),
+    [("rotation_yaw", "yaw"), ("Rotation Z", "r"), ("pf_theta", "yaw"), ("vesc_current", "motor_current"),
+     ("Angle_Wheel_Front_L", "delta"), ("carState.brakePressed", "brake")],
+)  # fmt: skip
+def test_names_of_simulators_and_model_cars(name, channel):
+    assert meanings(RawChannelInfo(name, "column", None))[0].channel == channel

@@ -118,7 +118,7 @@ def unfit(
     fast = np.mean(drive["vx"] >= slowest)
     if fast < rules.least_fast:
         return [
-            f"{drive.name} is slower than {slowest:.1f} m/s for {1 - fast:.0%} of its time; "
+            f"{drive.name} is slower than {slowest:.1f} m/s for {100.0 * (1 - fast):.0f} % of its time; "
             "slip angles are not reliable there. Drive faster, or check that it is a recording of this vehicle."
         ]
     return _of_another_car(drive, vehicle, rules, [_ratios(one, vehicle, rules) for one in simulated])

@@ -39,14 +39,14 @@ def limits_of(
     out = []
     if share < policy.reporting.least_compared:
         out.append(
-            f"{1.0 - share:.0%} of the real drive, at operating points that the simulation lacks; drive both "
-            "over the same speeds, torques and turns"
+            f"{100.0 * (1.0 - share):.0f} % of the real drive, at operating points that the simulation lacks; "
+            "drive both over the same speeds, torques and turns"
         )
     slipping = 1.0 - np.mean(np.concatenate([one.rolls for one in real]))
     if slipping > policy.reporting.much_slipping:
         out.append(
-            f"{slipping:.0%} of the real drive, where the demanded longitudinal force exceeds the tyres' limit "
-            "and wheels may spin or lock; drive and brake less hard"
+            f"{100.0 * slipping:.0f} % of the real drive, where the demanded longitudinal force exceeds the "
+            "tyres' limit and wheels may spin or lock; drive and brake less hard"
         )
     z = np.concatenate([features(one.series, vehicle)[one.at] for one in real])
     torque = z[:, 2] * vehicle.max_torque

@@ -61,7 +61,7 @@ def with_variants_that_run(
     if sum(found.named) < sum(selection.named):
         return selection
     label = others[best].parts[-1].candidate.label
-    note = f"{label} replaces a variant: {theirs[best] / own:.0%} of its open-loop error"
+    note = f"{label} replaces a variant: {100.0 * theirs[best] / own:.0f} % of its open-loop error"
     return replace(found, history=(*selection.history, note))
 
 

@@ -14,12 +14,17 @@ from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding,
 
 __all__ = ["VEHICLES", "diagnosis_to_mapping", "diagnosis_to_text", "read_schema", "vehicle_name"]
 
-#: Names that the vehicle file with the findings may have; one of them is written.
+#: Names that the vehicle file with the findings may have; one is written if anything of the car was found.
 VEHICLES = frozenset({"vehicle_corrected.yaml", "vehicle_rejected.yaml"})
 
 
-def vehicle_name(diagnosis: Diagnosis) -> str:
-    """Return the name of the vehicle file: another one where it is worse than the vehicle given."""
+def vehicle_name(diagnosis: Diagnosis) -> str | None:
+    """Return the name of the vehicle file: another one where it is worse than the vehicle given.
+
+    None where nothing of the car was found: such a file would be the vehicle as given.
+    """
+    if not any(finding.exported for finding in diagnosis.findings):
+        return None
     corrected = diagnosis.corrected_vehicle
     return "vehicle_corrected.yaml" if corrected is None or corrected.accepted else "vehicle_rejected.yaml"
 

@@ -87,7 +87,7 @@ class LateralVelocity:
     def doubt(self) -> str:
         """What a_y does that no car's does; of moments that are not used, the share says nothing."""
         if self.contradicted > _MOST_CONTRADICTED:
-            return f"contradicts v_x r at {self.contradicted:.0%} of the moments of gentle driving"
+            return f"contradicts v_x r at {100.0 * self.contradicted:.0f} % of the moments of gentle driving"
         return f"fits {1.0 + self.gain:.2f} times v_x r, and no roll of a car's body makes that"
 
     def words(self) -> str:

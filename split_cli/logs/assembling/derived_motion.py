@@ -102,7 +102,7 @@ def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Der
             advice="Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car.",
         )
     std = made.std[sure]
-    rest = f"; {1.0 - sure.mean():.0%} of the rows left out, less sure than {TOLERANCE:g} rad"
+    rest = f"; {100.0 * (1.0 - sure.mean()):.0f} % of the rows left out, less sure than {TOLERANCE:g} rad"
     return Derived(
         {"vy": np.where(sure, made.vy, np.nan), "vy_std": made.std},
         "v_y from a_y - v_x r, held where driving is gentle; standard deviation "

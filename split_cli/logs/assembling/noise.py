@@ -73,7 +73,9 @@ def estimate_noise(
     sigmas = [difference_noise(values, runs, order) for order in _ORDERS]
     sigma = sigmas[0]
     if unchanged > 0.35:
-        return NoiseEstimate(channel, None, None, reason=f"{unchanged:.0%} of the samples repeat the one before")
+        return NoiseEstimate(
+            channel, None, None, reason=f"{100.0 * unchanged:.0f} % of the samples repeat the one before"
+        )
     resolution = _resolution(values)
     if resolution is not None and sigma < 0.5 * resolution:
         return NoiseEstimate(

@@ -169,7 +169,7 @@ def render_quality(report: QualityReport) -> str:
     share = report.duration / report.recorded if report.recorded > 0 else 1.0
     wide = max(18, *(len(c.channel) + 2 for c in report.channels), 0)
     lines = [
-        f"{report.duration:.1f} s in {report.segments} segment(s), {share:.1%} of what was recorded; "
+        f"{report.duration:.1f} s in {report.segments} segment(s), {100.0 * share:.1f} % of what was recorded; "
         f"time: {report.clock}",
         *_verdict(report.consistency),
         f"{'channel':<{wide}}{'source':<34}{'rate/Hz':>8}{'jitter':>8}{'gaps':>6}{'min':>12}{'max':>12}"
@@ -180,7 +180,8 @@ def render_quality(report: QualityReport) -> str:
     for c in report.channels if not beyond else [c for c in report.channels if c not in beyond]:
         source = c.source if len(c.source) <= 33 else "..." + c.source[-30:]
         lines.append(
-            f"{c.channel:<{wide}}{source:<34}{c.rate:>8.1f}{c.jitter:>8.1%}{c.gaps:>6d}{c.low:>12.4g}{c.high:>12.4g}"
+            f"{c.channel:<{wide}}{source:<34}{c.rate:>8.1f}{100.0 * c.jitter:>6.1f} %"
+            f"{c.gaps:>6d}{c.low:>12.4g}{c.high:>12.4g}"
             f"  {_unit(c.channel):<8}  {c.resampling}"
         )
     if beyond:

@@ -17,6 +17,7 @@ from split_cli.logs.checking.kinematics import (
 )
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
 from split_cli.logs.checking.relations import ConsistencyFinding, Plausible, Relation
+from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.checking.wheels import AXLES, without_turning
 from split_cli.logs.drive import Drive
@@ -40,8 +41,6 @@ _FAR_BETTER = 0.25
 """Variance that a place of v_y leaves, of what a factor leaves, from which on it is a place [1]."""
 _LEAST_ARM = 0.15
 """Of the wheelbase, below which a place is not told from the CG [1]."""
-_CROOKED = 0.015
-"""Road-wheel angle on straights that is no play of the steering [rad]: 13 deg of a steering wheel."""
 _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
 _MOST_SIDEWAYS = 3.0
@@ -274,14 +273,15 @@ class Checks:
             return []
         vx = k.signal("vx")
         straight = straight_rows(k)
+        steered = self.usable("delta") and self.vehicle is not None
         if np.count_nonzero(straight) * k.period < _STRAIGHT_SECONDS:
             self.unjudged.append(Unjudged("v_y and a_y on straights", "hardly any straight driving"))
-            return []
+            return steering_zero(k, self.vehicle, None) if steered else []
         found = []
         if self.usable("vy"):
             found += self._vy_on_straights(straight, float(np.nanmedian(vx[straight])))
-        if self.usable("delta") and self.vehicle is not None:
-            found += self._delta_on_straights(straight)
+        if steered:
+            found += steering_zero(k, self.vehicle, straight)
         if self.usable("ay"):
             plain = float(np.nanmedian(k.signal("ay")[straight]))
             rest = k.signal("ay") - k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
@@ -301,19 +301,6 @@ class Checks:
                     )
                 )
         return found
-
-    def _delta_on_straights(self, straight: np.ndarray) -> list[ConsistencyFinding]:
-        k, car = self.k, self.vehicle
-        rest = k.signal("delta") - car.wheelbase * k.signal("r") / k.signal("vx")
-        bias, error = median_of(rest[straight])
-        if abs(bias) < _CROOKED or abs(bias) < 4.0 * error:
-            return []
-        text = (
-            f"delta reads {bias:+.4f} +- {error:.4f} rad ({np.degrees(bias):+.2f} deg) on straights: a sensor "
-            "that is not at zero, or a car that needs it to go straight. "
-            f"An `offset:` of {-bias:.4f} rad takes it off, written in the entry's unit; it counts after `scale:`."
-        )
-        return [ConsistencyFinding("bias on straights", "delta", text, bias, error)]
 
     def _vy_on_straights(self, straight: np.ndarray, speed: float) -> list[ConsistencyFinding]:
         # A hundredth of a radian of sideslip from rest of turning: v_y of a place at most 2 m from the CG.

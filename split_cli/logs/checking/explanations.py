@@ -180,7 +180,7 @@ def _shared_choices(
 
 
 def _unknown_factor(channel: str, factor: float) -> Mistake:
-    what = f"is {factor:.3g} times what the other channels say; no usual mistake of unit or sign gives that"
+    what = f"is {factor:.3g} times what the other channels say; no usual mistake of unit or sign explains that"
     return Mistake(channel, factor, factor, False, what, f"check the scale of {channel}", UNKNOWN + 1.0)
 
 

@@ -91,7 +91,9 @@ def fit_lag(
         wider = farther()
         if wider.beyond is not None:
             return wider
-        return LagFit(lag, np.inf, determination, f"the identity explains only {max(determination, 0):.0%} of it")
+        return LagFit(
+            lag, np.inf, determination, f"the identity explains only {100.0 * max(determination, 0):.0f} % of it"
+        )
     if best in (0, len(coarse) - 1):
         return farther()
     local = (costs[0, 1:-1] < costs[0, :-2]) & (costs[0, 1:-1] < costs[0, 2:])

@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency, corrected_columns
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
+from split_cli.logs.checking.lag import fit_lag
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
@@ -25,6 +26,8 @@ _STEP = 0.04
 """Between the rows that are looked at [s]: half of the shortest delay that is told."""
 _ROWS = 1500
 """Looked at, from the middle of the drive: a minute [1]."""
+_MOVING = 0.3
+"""Of the drive's highest speed, above which steering shows in the yaw rate [1]."""
 _MOST = 3
 """Channels that are told [1]; with more than that something else is wrong."""
 _HELD = 0.3
@@ -84,7 +87,36 @@ def late_channels(
         # What is late makes others seem early: with it put right they are looked at again.
         t = period * np.arange(len(columns["vx"]))
         columns[late.channel] = np.interp(t + late.delay, t, columns[late.channel])
-    return found
+    steered = _steered_late(columns, period, segments, holds, found)
+    return [*found, *([steered] if steered else [])]
+
+
+def _steered_late(
+    columns: Mapping[str, np.ndarray],
+    period: float,
+    segments: list[slice],
+    holds: Mapping[str, float],
+    found: Sequence[ConsistencyFinding],
+) -> ConsistencyFinding | None:
+    """Return a finding where the steer angle follows the yaw rate: no car turns before it is steered.
+
+    It takes no v_y, other than the identity of the front axle; what the car itself lags makes the delay look
+    smaller, so that it is a least one.
+    """
+    if not {"delta", "r"} <= set(columns) or found:
+        return None
+    vx, r = columns["vx"], columns["r"]
+    moving = vx > _MOVING * np.nanquantile(np.abs(vx), 0.95)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fit = fit_lag(columns["delta"], [np.where(moving, r / vx, np.nan), vx * r], moving, period, segments)
+    lag = fit.lag - 0.5 * holds.get("delta", 0.0)
+    if fit.refusal or lag < max(_LATE, _SURE * fit.error):
+        return None
+    text = (
+        f"delta follows r by {lag:.3f} +- {fit.error:.3f} s, and no car turns before it is steered: delta is late "
+        f"by at least that, or r is early. `--delay delta={lag:.3g}` moves it."
+    )
+    return ConsistencyFinding("delay", "delta", text, lag, fit.error)
 
 
 def _finding(late: DelayEstimate) -> ConsistencyFinding:

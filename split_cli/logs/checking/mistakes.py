@@ -19,6 +19,8 @@ COMMON = 3.0
 RARE = 5.0
 DOUBLE = 5.0
 
+OTHER_RADIUS = "rolls on another radius than it was made with, here or in the logger"
+
 
 @dataclass(frozen=True)
 class Mistake:
@@ -92,7 +94,7 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
     if channel.startswith("wheel_speed") and vehicle is not None:
         known += _unit(channel, 1.0 / vehicle.wheel_radius, "rad/s")
         known += _unit(channel, 60.0 / (2.0 * np.pi * vehicle.wheel_radius), "rpm")
-        what = "rolls on another radius than it was made with, here or in the logger"
+        what = OTHER_RADIUS
         remedy = "correct `wheel_radius` in the vehicle file where it counts turns, else set `scale:`"
         known.append(Mistake(channel, *_RADIUS_RATIOS, False, what, remedy, 4.0))
     if channel in ("ax", "ay"):

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from split_cli.logs.checking.mistakes import COMMON, Mistake, known_mistakes
+import numpy as np
+
+from split_cli.logs.checking.mistakes import COMMON, OTHER_RADIUS, Mistake, known_mistakes
 from split_cli.logs.checking.relations import OF_THE_BODY, ConsistencyFinding, Leaf, Plausible, Relation, Story
 
 __all__ = ["tell"]
+
+_ALIKE = 1.01
+"""Largest ratio of two wheels' factors that are one [1]: tyres of one car wear by less."""
 
 
 def tell(
@@ -36,7 +41,11 @@ def tell(
     doubt = {m: "" if all(m in rival.mistakes for rival in rivals) else alternative for m in best.mistakes}
     found = [_finding(mistake, broken, doubt[mistake], (), reach) for mistake in best.shared]
     wheels: set[str] = set()
+    alike = _wheels_alike(best)
+    found += [_of_all_wheels(alike, alternative)] if alike else []
     for leaf in best.leaves:
+        if leaf in alike:
+            continue
         if leaf.mistake is not None:
             one = _finding(leaf.mistake, [leaf.relation], doubt[leaf.mistake], leaf.rivals)
             if leaf.relation.leaf.startswith("wheel_speed"):
@@ -55,6 +64,27 @@ def tell(
             text = f"{words}: check the unit of {' and '.join(magnitude.powers)}{units}.{alternative}"
             found.append(ConsistencyFinding("range", first, text, magnitude.value))
     return found
+
+
+def _wheels_alike(story: Story) -> list[Leaf]:
+    """Return the wheel speeds that are all off by one factor that no unit explains; none where they differ."""
+    wheels = [leaf for leaf in story.leaves if leaf.relation.leaf.startswith("wheel_speed")]
+    slopes = [leaf.relation.slope.slope for leaf in wheels]
+    rolling = all(leaf.mistake is not None and leaf.mistake.what == OTHER_RADIUS for leaf in wheels)
+    return wheels if len(wheels) > 1 and rolling and max(slopes) < _ALIKE * min(slopes) else []
+
+
+def _of_all_wheels(wheels: Sequence[Leaf], alternative: str) -> ConsistencyFinding:
+    """Tell a factor that all wheels share: it may as well be that of v_x."""
+    slope = float(np.mean([leaf.relation.slope.slope for leaf in wheels]))
+    error = max(leaf.relation.slope.error for leaf in wheels)
+    text = (
+        f"every wheel speed is {slope:.4g} +- {error:.1g} times vx: the wheels roll on another radius, or vx is "
+        f"{1.0 / slope:.4g} times the true speed. Nothing recorded decides. Correct `wheel_radius` in the vehicle "
+        f"file where the wheel speeds count turns, else set `scale:` for them, or `scale: {slope:.4g}` for "
+        f"vx.{alternative}"
+    )
+    return ConsistencyFinding("radius", "vx", text, slope, error)
 
 
 def _units_that_help(magnitude: Plausible) -> str:
@@ -127,12 +157,13 @@ def _finding(
 def _unexplained(leaf: Leaf, alternative: str) -> ConsistencyFinding:
     relation, slope = leaf.relation, leaf.relation.slope
     moved = abs(leaf.left / slope.slope - 1.0) > 0.02
-    corrected = f" ({leaf.left:.4g} with what else was found corrected)" if moved else ""
+    corrected = f", {leaf.left:.4g} with what else was found corrected" if moved else ""
+    measured, _, expected = relation.name.partition(" against ")
     return ConsistencyFinding(
         "scale" if leaf.left > 0 else "sign",
         "X" if relation.leaf == "hand" else relation.leaf,
-        f"{relation.name}: slope {slope.slope:.4g} +- {slope.error:.1g} where 1 was expected "
-        f"(correlation {slope.correlation:.3f}){corrected}; no usual mistake of unit or sign gives that. "
+        f"{measured} is {slope.slope:.4g} +- {slope.error:.1g} times {expected} "
+        f"(correlation {slope.correlation:.3f}{corrected}). No usual mistake of unit or sign explains that. "
         f"Check the scale of {' and '.join(_name(c) for c in relation.powers)}.{alternative}",
         slope.slope,
         slope.error,

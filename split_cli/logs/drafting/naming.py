@@ -110,7 +110,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("throttle", 3, r"(ff_?)?thr(ottle)?(_?(p(os\w*|ed\w*)|cmd|\d|pct))?|acc(r|el)?_?ped\w*"),
     ("throttle", 3, r"accelerator(?!\w*(gradient|sign))\w*"),
     ("throttle", 3, r"gas(_ped\w*)?|tps|apps?\d?|aps|thrtl"),
-    ("brake_pressure", 3, r"(p_?brake\w*|brake_?pres(?!sed)\w*|fbp|rbp|brk_?pres(?!sed)\w*|brake_?line\w*|p_?brk\w*|mcp)"),
+    ("brake_pressure", 3, r"(p_?brake\w*|br(ake|k)_?pres(?!sed)\w*|fbp|rbp|brake_?line\w*|p_?brk\w*|mcp)"),
     ("brake", 3, r"brk?(ake)?(_?(p(os\w*|ed\w*)|cmd|pct|\d))?|brk_?pedl?\w*"),
     ("motor_current", 3, r"(motor_?|phase_?|iq_?)?current(_?motor)?|current_motor|i_?motor"),
     *(
@@ -125,7 +125,23 @@ _LETTERS = {
 }  # fmt: skip
 """Single letters that only their unit makes clear."""
 _COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pattern in _RULES)
-_MAKERS = {"esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff", "pf"}
+_MAKERS = {
+    "esp",
+    "abs",
+    "ecu",
+    "can",
+    "imu",
+    "ins",
+    "gps",
+    "vbox",
+    "obd",
+    "ego",
+    "odom",
+    "mti",
+    "oxts",
+    "ff",
+    "pf",
+}
 """Words in front that say which device measured."""
 _COMMAND_WORDS = {"cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference"}
 COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")

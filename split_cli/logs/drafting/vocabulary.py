@@ -23,8 +23,7 @@ _WORDS: dict[str, str] = {
         "accelerations beschleunigung beschl gforce aceleracion accelerazione 加速度"
     ),
     "rate": (
-        "rate rates rt rot rotationrate gyro gyr gyroscope omega dot punkt drehrate geschwindigkeitsrate "
-        "角速度"
+        "rate rates rt rot rotationrate gyro gyr gyroscope omega dot punkt drehrate geschwindigkeitsrate 角速度"
     ),
     "angular": "angular",
     "rotation": "rotation rotacion rotazione",
@@ -92,9 +91,9 @@ _WORDS: dict[str, str] = {
     "": (
         "car vehicle veh vhcl ego body chassis cg cog com cm sensor sens meas measured act actual est "
         "estimated estimate filt filtered filter raw ins imu gps gnss dgps odo odom odometry vbox ecu can "
-        "obd esp abs1 state states signal sig value val fused kf ekf ukf local frame field header twist pf amcl slam "
-        "msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 of in the at from "
-        "to s de del des di du la le della sm tm ii 2d "
+        "obd esp abs1 state states signal sig value val fused kf ekf ukf local frame field header twist "
+        "pf amcl slam msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 "
+        "of in the at from to s de del des di du la le della sm tm ii 2d "
         "3d dev device coor sys e1 sim simulated model true truth gt log data input "
         "output stellung stand rohwert wert 车辆 车身 质心 开度 实际 测量"
     ),
@@ -171,6 +170,11 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
     concepts = {concept for entry in known for concept in entry.split()}
     if {"steer", "driver"} <= concepts:
         concepts = (concepts - {"steer"}) | {"handwheel"}
+    known_words = len(known)
+    if concepts & {"front", "rear"} and (letter := {"l", "r"} & set(words)):
+        # Angle_Wheel_Front_L: beside an axle a letter is a side.
+        concepts |= {"left" if word == "l" else "right" for word in letter}
+        known_words += len(letter)
     for end in ("front", "rear"):
         for hand in ("left", "right"):
             if {end, hand} <= concepts:
@@ -183,7 +187,7 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
         concepts = (concepts - {"rotation"}) | {"angle" if "yaw" in concepts else "rate"}
     if "roadwheel" in words:
         concepts |= {"road"}
-    return concepts, len(words) - len(known)
+    return concepts, len(words) - known_words
 
 
 def place_and_rest(name: str) -> tuple[str, tuple[str, ...]]:
@@ -235,7 +239,7 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
         return None
     if corner is not None:
         # A wheel's spin is its rate about the lateral axis (CarSim: AVy_L1).
-        other = "angular" in c and c & {"long", "up", "acceleration"}
+        other = "angle" in c or "angular" in c and c & {"long", "up", "acceleration"}
         spins = {"angular", "lat"} <= c or ("velocity" in c or "wheel" in c) and not other
         return (f"wheel_speed_{corner}", 3) if spins else None
     turning = "yaw" in c or ("up" in c and bool(c & {"rate", "angular"} or {"angle", "velocity"} <= c))

@@ -12,9 +12,11 @@ from split_cli.errors import LogError, nearest_names
 from split_cli.files import read_text
 from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 
-__all__ = ["MOST_TEXT", "SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
+__all__ = ["FILLER", "MOST_TEXT", "SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
 
 SEQUENCE = -1
+FILLER = "structure_needs_at_least_one_member"
+"""What ROS 2 calls the one byte that it puts into a message without fields."""
 _LISTED_ELEMENTS = 64
 _DEEPEST = 24
 MOST_TEXT = 2 << 20
@@ -243,8 +245,7 @@ def _expand(type_name: str, known: dict[str, Any], ros1: bool, depth: int) -> tu
         raise _endless(type_name)
     fields = tuple(_field(name, described, known, ros1, depth) for name, described in known[type_name][1])
     if not fields and not ros1:
-        # ROS 2 puts one byte into a message without fields.
-        return (Field("structure_needs_at_least_one_member", "uint8"),)
+        return (Field(FILLER, "uint8"),)
     return fields
 
 

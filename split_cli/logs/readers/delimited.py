@@ -137,6 +137,7 @@ def _ungrouped(cell: str) -> str:
 
 
 def number_of(cell: str, decimal: str) -> float:
+    """Return a cell as a number: true and false as 1 and 0, coordinates in degrees, times in seconds; else NaN."""
     if is_grouped(cell, decimal):
         cell = _ungrouped(cell)
     try:

@@ -304,9 +304,17 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
         if differ[n] > differ[chosen] and any(_is_unit_row(row, width) for row in above[chosen:n]):
             chosen = n
     below = [(row + [""] * width)[:width] for row in above[:chosen]]
-    units = next((row for row in below if _is_unit_row(row, width)), None)
+    units = next((row for row in below if _is_unit_row(row, width)), None) or _units_of_labview(
+        rows[:first], width
+    )
     devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
     return Sniffed(dialect, (above[chosen] + [""] * width)[:width], units, values, False, 0, devices)
+
+
+def _units_of_labview(rows: list[list[str]], width: int) -> list[str] | None:
+    """Return the units that LabVIEW writes above the titles, behind a word of its own; the time is in seconds."""
+    row = next((row for row in rows if row and row[0].strip() == "Y_Unit_Label"), None)
+    return None if row is None else ["s", *row[1:], *[""] * width][:width]
 
 
 def _looks_like_titles(row: list[str]) -> bool:

@@ -121,7 +121,7 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
     """Yield the numeric arrays of a variable, with their addresses."""
     if depth > _DEEPEST:
         return
-    if {"X", "Y"} <= set(getattr(value, "_fieldnames", ())) and all(_named(value.Y)) and all(_named(value.X)):
+    if {"X", "Y"} <= set(getattr(value, "_fieldnames", ())) and all(_named(value.Y)) and _are_axes(value.X):
         yield from _capture(name, value)
     elif hasattr(value, "_fieldnames"):
         unit = next((_text(getattr(value, key)) for key in value._fieldnames if key.lower() in _UNIT_FIELDS), "")
@@ -154,6 +154,11 @@ def _named(items: Any) -> list[str]:
     if not fields or not all({"Name", "Data"} <= each for each in fields):
         return [""]
     return [_text(item.Name) for item in np.ravel(items)]
+
+
+def _are_axes(items: Any) -> bool:
+    """Whether each is a structure with Data, the clock of signals; ControlDesk may leave its name empty."""
+    return all("Data" in getattr(item, "_fieldnames", ()) for item in np.ravel(items))
 
 
 def _text(value: Any) -> str:

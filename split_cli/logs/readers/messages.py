@@ -12,7 +12,7 @@ import numpy as np
 
 from split_cli.errors import LogError, nearest_names
 from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, note_once
-from split_cli.logs.readers.definitions import Definitions
+from split_cli.logs.readers.definitions import FILLER, Definitions
 from split_cli.logs.readers.objects import JsonDecoder, ProtobufDecoder
 from split_cli.logs.readers.payloads import Columns, PayloadDecoder
 from split_cli.logs.readers.serialized import SerializedDecoder
@@ -147,6 +147,8 @@ class MessageRecording:
                         seen.setdefault(path, stream.type_name)
                 except LogError as error:
                     note_once(self.notes, ReadNote(f"not readable: {error}", topic))
+            if [*seen] == [FILLER]:
+                continue  # std_msgs/Empty holds nothing that could be mapped
             if not seen:
                 listed.append(RawChannelInfo(topic, streams[0].type_name, total))
             listed += [RawChannelInfo(f"{topic}/{path}", kind, total) for path, kind in seen.items()]

@@ -1,4 +1,4 @@
-"""Tables and JSON lines with one value a row, and its signal's name beside it: openXC, InfluxDB, lists of CAN signals.
+"""Tables and JSON lines with one value a row and its name beside it: openXC, InfluxDB, lists of CAN signals.
 
 Each name becomes a signal with a clock of its own.
 """
@@ -30,7 +30,15 @@ from split_cli.logs.readers.delimited import number_of
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
-__all__ = ["NAMES", "VALUES", "Places", "open_named_rows", "open_named_table", "places_in", "table_of_named_values"]
+__all__ = [
+    "NAMES",
+    "VALUES",
+    "Places",
+    "open_named_rows",
+    "open_named_table",
+    "places_in",
+    "table_of_named_values",
+]
 
 NAMES = ("signal", "signal_name", "channel", "name", "variable", "parameter", "topic", "key", "field", "_field",
           "metric", "sensor")  # fmt: skip
@@ -84,7 +92,9 @@ def places_in(titles: Sequence[str]) -> Places | None:
     return Places(time, name, value, first(("unit", "units")), first(_GROUPS, name, value), parted[time][1])
 
 
-def open_named_rows(path: Path, looked_at: Sequence[dict[str, Any]], rows: Iterable[dict[str, Any]]) -> RawRecording | None:
+def open_named_rows(
+    path: Path, looked_at: Sequence[dict[str, Any]], rows: Iterable[dict[str, Any]]
+) -> RawRecording | None:
     """Open objects with one value each; None if they are of another form.
 
     Parameters

@@ -35,6 +35,14 @@ _FOREIGN_MAGIC = (
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
     (b"CM-ERG", "a result of CarMaker", "Export it as CSV or MAT."),
     (b"<?xml", "XML", "Export it as CSV."),
+    *(
+        (
+            talker,
+            "a list of NMEA sentences",
+            "They hold position and speed alone. Record a table, with a yaw rate.",
+        )
+        for talker in (b"$GP", b"$GN")
+    ),
 )
 _OTHERS = {
     **dict.fromkeys((".xrk", ".xrz", ".drk"), ("an AiM recording", "Export it from RaceStudio as CSV.")),

@@ -87,8 +87,9 @@ class InitResult:
             steps.append(f"Map {', '.join(found)} in {self.map_path}: its comments say what was found.")
         if lost := [channel for channel in left if channel not in opened]:
             steps.append(
-                f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without it: another file may "
-                f"hold it (--together), or it has to be recorded. Comments in {self.map_path} say what will do."
+                f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without it: another "
+                "file may hold it (--together), or it has to be recorded. "
+                f"Comments in {self.map_path} say what will do."
             )
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         steps.append(f"Run: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")

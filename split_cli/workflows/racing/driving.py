@@ -164,7 +164,7 @@ class Race:
             first = replace(first, limits=replace(first.limits, p_ellipse=share, p_unknown=None))
         self.controller = Mpcc(self.model, self.path, self.actuators, first, self.width, s.tightening)
         self.controller.deviation = self.deviation
-        self._take_grip(np.full(2, s.told_grip))
+        self._take_grip(np.full(2, s.assumed_friction))
         self.controller.begin(self.model.steady_states(self.world.measured), self.start)
         if self.start_set is not None:
             self._learn_grip(self.start_set.z, self.start_set.y)
@@ -187,7 +187,7 @@ class Race:
             lock = self.vehicle.wheelbase / np.tan(self.actuators.max_steer)
             advice = (
                 "The nominal model asks for more than the road gives: lower --p-ellipse-lap0 or --max-speed, or "
-                "tell the grip by --told-grip."
+                "tell the grip by --assumed-friction."
             )
             if bend < lock:
                 advice = f"Full lock gives a radius of {lock:.1f} m, and the tightest bend has {bend:.1f} m."
@@ -227,7 +227,7 @@ class Race:
     def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
         """Move the tyres' peaks to where labels tell them."""
         if self.settings.learn_grip:
-            self._take_grip(learned_grip(self.vehicle, self.header.features, z, y, self.settings.told_grip))
+            self._take_grip(learned_grip(self.vehicle, self.header.features, z, y, self.settings.assumed_friction))
             self.grips.append(tuple(self.controller.grip.tolist()))
         else:
             self._take_grip(self.controller.grip)

@@ -92,7 +92,7 @@ def _check_numbers(settings: RaceSettings) -> None:
     positive = [
         ("--max-speed", settings.max_speed),
         ("--grip", settings.grip),
-        ("--told-grip", settings.told_grip),
+        ("--assumed-friction", settings.assumed_friction),
     ]
     positive += [(name, v) for name, v in (("--max-torque", settings.max_torque), ("--width", settings.width))
                  if v is not None]  # fmt: skip

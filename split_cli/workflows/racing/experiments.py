@@ -78,7 +78,7 @@ _SMALL = _TRACKS["small"]
 # Tyres that nobody knows on a road of lower grip ask for more care: the nominal model begins at less of its peak.
 _WITH_THE_PAST = (("split", "split", "bcm"), ("split projected", "split", "projected"), ("iol", "iol", "bcm"))
 _PAST_FEATURES = "z2,feature_lag"
-_WET, _WORN = ({"grip": grip, "told_grip": grip, "first_share": _CAREFUL, **_SMALL} for grip in (0.5, 0.85))
+_WET, _WORN = ({"grip": grip, "assumed_friction": grip, "first_share": _CAREFUL, **_SMALL} for grip in (0.5, 0.85))
 
 
 def _race(

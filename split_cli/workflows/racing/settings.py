@@ -70,7 +70,7 @@ class RaceSettings:
     first_share : float or None
         Share of the peak that the nominal model may use [1]: in the run-up, in lap 0, and in all laps of the
         learner none without a start set. By default `nominal_share` of the vehicle file.
-    told_grip : float
+    assumed_friction : float
         What the slip limits take for the road's grip before anything is learned [1].
     learn_grip : bool
         Whether a learner moves the slip limits to the peaks that its labels tell; see `learned_grip`.
@@ -97,5 +97,5 @@ class RaceSettings:
     tightening: float = 0.0
     settings: MpccSettings = LEARNING
     first_share: float | None = None
-    told_grip: float = 1.0
+    assumed_friction: float = 1.0
     learn_grip: bool = True

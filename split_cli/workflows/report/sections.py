@@ -372,7 +372,7 @@ def _provenance(diagnosis: Diagnosis) -> str:
         f"<div><dt>{escape(name.replace('_', ' '))}</dt><dd>{escape(_plain(value))}</dd></div>"
         for name, value in diagnosis.settings.items()
     )
-    names = ["diagnosis.json", vehicle_name(diagnosis), "gap.parquet"]
+    names = [name for name in ("diagnosis.json", vehicle_name(diagnosis), "gap.parquet") if name]
     names += [f"figures/{name}.png" for name in ("where", "what", "help")] if diagnosis.improvement else []
     names += ["figures/help.csv"] if diagnosis.improvement else []
     links = " · ".join(f'<a href="{name}">{name}</a>' for name in names)

@@ -233,10 +233,38 @@ def _train_set(
     offered = sum(row.samples for row in table)
     total = _row(trained, trained.sources, "total", seconds, offered)
     horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
+    notes = (*drives.notes, *notes_on_rejections(total, trained.region))
     return TrainResult(
         str(output), tuple(table), total, horizons, trained.kernel, fit, trained.trust,
-        drives.notes, tuple(laps),
+        notes, tuple(laps),
     )  # fmt: skip
+
+
+def notes_on_rejections(total: TrainRow, region: Region) -> tuple[str, ...]:
+    """Return what the limits of the valid region leave out, if that is most of the driving.
+
+    Parameters
+    ----------
+    total : TrainRow
+        Of all drives.
+    region : Region
+        Its limits.
+    """
+    limits = {
+        "speed": f"slower than {region.minimum_speed:.3g} m/s",
+        "ellipse": f"at more than {100.0 * region.p_ellipse:.0f} % of an axle's grip by the vehicle file",
+        "slip": f"with a slip angle over {region.alpha_max:g} rad",
+        "slip difference": f"with slip angles of front and rear that differ by over {region.dalpha_max:g} rad",
+    }
+    left_out = [(count, limits[reason]) for reason, count in total.rejected if reason in limits and count]
+    whole = sum(count for count, _ in left_out)
+    if 2 * whole <= total.samples:
+        return ()
+    each = ", ".join(f"{count} {where}" for count, where in sorted(left_out, reverse=True))
+    return (
+        f"{whole} of {total.samples} samples are outside the valid region, in which alone the nominal model is "
+        f"corrected: {each}",
+    )
 
 
 def _labelling(vehicle: Vehicle, settings: TrainSettings, known: TrainingSet | None) -> Labelling:
