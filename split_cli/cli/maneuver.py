@@ -31,7 +31,8 @@ __all__ = ["command"]
     help="Trained set to drive with, or a folder of `split export --target casadi`, whose function the "
     "controller evaluates; without one, the nominal model.",
 )
-@click.option("--predictor", default="bcm", show_default=True, help="Predictor that evaluates the set.")
+@click.option("--predictor", default="auto", show_default=True, help="Predictor that evaluates the set: auto is "
+              "bcm for three features and projected for more.")  # fmt: skip
 @click.option(
     "--car", default="road_car", show_default=True, help="Simulated car: road_car, f1tenth_car or formula_car."
 )

@@ -16,7 +16,7 @@ from split_cli.cli.options import (
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar
-from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SIZE
+from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SHARE_STEP, SIZE
 
 __all__ = ["command"]
 
@@ -57,10 +57,10 @@ __all__ = ["command"]
 )
 @click.option(
     "--predictor",
-    default="bcm",
+    default="auto",
     show_default=True,
     help="Predictor that evaluates the set. bcm and projected follow every update, others are rebuilt after "
-    "each lap. On half the grip bcm left the track less often.",
+    "each lap; auto is bcm for three features and projected for more.",
 )
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
@@ -69,9 +69,10 @@ __all__ = ["command"]
 )
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
-@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share with the nominal model, "
-              f"in lap 0 and in every lap of learner none. [default: --p-ellipse; else {SHARE_LEARNED} if the "
-              f"vehicle file knows the tyres' peaks from data, {SHARE_NOMINAL} if it assumes them].")  # fmt: skip
+@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share in lap 0. Each clean lap "
+              f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse. With learner none and assumed peaks "
+              f"{SHARE_NOMINAL} is the most. [default: --p-ellipse; else {SHARE_LEARNED} if the vehicle file knows "
+              f"the tyres' peaks from data, {SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes them].")  # fmt: skip
 @click.option("--p-unknown", type=float, metavar="SHARE", help="The same share where there are no training data. "
               "It rises to --p-ellipse with the information that the data hold  [default: "
               "--p-ellipse].")  # fmt: skip
@@ -88,9 +89,10 @@ __all__ = ["command"]
               "load transfer, a torque limit, and learned tyre peaks as the correction's prior mean.")  # fmt: skip
 @click.option(
     "--features",
-    default="z2",
+    default="auto",
     show_default=True,
-    help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states.",
+    help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states. "
+    "The choice auto takes z2, or z2,feature_lag where that predicts held-out tenths of lap 0 better.",
 )
 @click.option(
     "--hyperparameters",
@@ -202,3 +204,5 @@ def _tell(result) -> None:
     for lap in result.laps:
         if lap.ended:
             click.echo(f"lap {lap.number} was not finished: {lap.ended}")
+    if result.verdict:
+        click.echo(result.verdict)

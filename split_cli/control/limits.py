@@ -16,13 +16,14 @@ from split_cli.control.policy import (
     SATURATED,
     SHARE_LEARNED,
     SHARE_NOMINAL,
+    SHARE_STEP,
 )
 from split_cli.control.residual import ResidualValues
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["SLIP_ROWS", "Limits", "load_shift", "nominal_share", "slip_limit", "slip_rows", "torque_limit"]
+__all__ = ["SLIP_ROWS", "Limits", "first_share", "load_shift", "nominal_share", "slip_limit", "slip_rows", "torque_limit"]
 
 SLIP_ROWS = 5
 
@@ -78,6 +79,18 @@ def nominal_share(vehicle: Vehicle) -> float:
     known = sources <= {"calibrated", "published"}
     known |= any(CATALOGUE[effect.term].states_peak for effect in vehicle.effects)
     return SHARE_LEARNED if known else SHARE_NOMINAL
+
+
+def first_share(vehicle: Vehicle) -> float:
+    """Return the share of the peak forces that the first lap of a race may use [1].
+
+    Notes
+    -----
+    That of `nominal_share`, and `SHARE_STEP` less where the file assumes its peaks: on a track that nobody drove
+    yet, the nominal model does not know how much side force is left while it brakes into a bend.
+    """
+    share = nominal_share(vehicle)
+    return share if share == SHARE_LEARNED else share - SHARE_STEP
 
 
 def load_shift(vehicle: Vehicle) -> np.ndarray:

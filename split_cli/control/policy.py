@@ -40,6 +40,7 @@ __all__ = [
     "SETTLED",
     "SHARE_LEARNED",
     "SHARE_NOMINAL",
+    "SHARE_STEP",
     "SIZE",
     "SLIP_DIFFERENCE_SLACK",
     "SLOWEST",
@@ -58,6 +59,11 @@ P_LONG, P_ELLIPSE = 0.9, 0.95
 SHARE_NOMINAL, SHARE_LEARNED, RACE_P_LONG = 0.85, 0.95, 1.2
 """Shares of the peak that races use with the nominal model and with what was learned, and the shape of the ellipse
 [1]: found by one search for both, docs/experiments.md."""
+
+SHARE_STEP = SHARE_LEARNED - SHARE_NOMINAL
+"""By how much the share of the peak may rise after a clean lap [1]: what was learned tells of forces up to those that
+were driven, and a correction that is asked far beyond them extends what it saw. It is the step that races on dry road
+take after lap 0."""
 
 MARGIN, FIRST_DEVIATION = 0.3, 0.8
 """Kept from the car's side to the border in races, and on top of it until a lap has shown how far plan and drive

@@ -11,11 +11,19 @@ import numpy as np
 from split_cli.control.exported import ExportedResidual
 from split_cli.control.grip import PeakShift, learned_grip, tells_peaks
 from split_cli.control.learner import Learner, NoLearner
-from split_cli.control.limits import nominal_share
+from split_cli.control.limits import first_share, nominal_share
 from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpcc import Mpcc
 from split_cli.control.path import check_path, contour_and_lag
-from split_cli.control.policy import DEVIATION_KEPT, FIRST_DEVIATION, MARGIN, MAX_STEER, SIZE, TORQUE_RATE
+from split_cli.control.policy import (
+    DEVIATION_KEPT,
+    FIRST_DEVIATION,
+    MARGIN,
+    MAX_STEER,
+    SHARE_STEP,
+    SIZE,
+    TORQUE_RATE,
+)
 from split_cli.control.receding import Actuators, ControllerLost, StepInfo
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
@@ -25,6 +33,7 @@ from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.workflows.racing.choice import choose_features, whether_learning_helped
 from split_cli.workflows.racing.closed_loop import World, body_width
 from split_cli.workflows.racing.entry import (
     check_car,
@@ -100,7 +109,7 @@ class Race:
         check_settings(settings)
         self.car = find_car(settings.car)
         check_car(vehicle, self.car)
-        self.features = parse_features(settings.features)
+        self.features = parse_features(settings.candidates[-1])
         check_features(remembering(vehicle, self.features)[0], self.features, settings.settings.step)
         self.width = settings.width or body_width(self.car)
         self.path = find_path(settings.track)
@@ -160,7 +169,7 @@ class Race:
             self.notes.append(f"the model's functions are interpreted, not compiled: {self.model.not_compiled}")
         first = self.mpcc
         if self.begins_nominal:
-            share = nominal_share(self.vehicle) if s.first_share is None else s.first_share
+            share = first_share(self.vehicle) if s.first_share is None else s.first_share
             first = replace(first, limits=replace(first.limits, p_ellipse=share, p_unknown=None))
         self.controller = Mpcc(self.model, self.path, self.actuators, first, self.width, s.tightening)
         self.controller.deviation = self.deviation
@@ -209,7 +218,10 @@ class Race:
     def _start_learning(self) -> None:
         """Fit the kernel to lap 0, and learn what it drove."""
         lap = self.world.recording(*self.spans[self.laps[-1].number], name="lap 0")
-        self.header, labels = studied_header(self.header, lap, self.settings, self.notes)
+        named, reason = choose_features(lap, self.header.vehicle, self.settings)
+        self.features = parse_features(named)
+        self.notes += [reason] if reason else []
+        self.header, labels = studied_header(self.header, lap, self.features, self.settings, self.notes)
         self.learner = make_learner(self.settings, self.header)
         self.learner.begin_lap("lap 0", float(lap["t"][0]))
         updates = self.learner.watch(labels)
@@ -220,9 +232,19 @@ class Race:
         self._keep(trained)
         self._learn_grip(labels.z[labels.accepted], labels.y[labels.accepted])
         self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
-        self.controller.model, self.controller.limits = self.model, self.mpcc.limits
+        self.controller.model = self.model
+        # Its own p_unknown returns, and the share goes on from that of lap 0.
+        self.controller.limits = replace(self.mpcc.limits, p_ellipse=self.controller.limits.p_ellipse)
         self.controller.half_width = 0.5 * self.width + self.mpcc.margin
         self.controller.deviation = self.deviation
+
+    def _raise_share(self) -> None:
+        """Let the next lap use more of the peak, by one step at most, where the last one was clean."""
+        limits, most = self.controller.limits, self.mpcc.limits.p_ellipse
+        if self.begins_nominal and self.settings.learner == "none":
+            most = max(nominal_share(self.vehicle), limits.p_ellipse)
+        share = limits.p_ellipse + (SHARE_STEP if self.laps[-1].clean else 0.0)
+        self.controller.limits = replace(limits, p_ellipse=min(share, most))
 
     def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
         """Move the tyres' peaks to where labels tell them."""
@@ -262,6 +284,7 @@ class Race:
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
             self._learn_grip(trained.z, trained.y)
+        self._raise_share()
         self._keep(trained)
 
     def _keep(self, trained: TrainingSet | None) -> None:
@@ -352,4 +375,5 @@ class Race:
             length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
             set_path=self.kept, notes=tuple(self.notes),
             traces=tuple(self.traces), path=self.path, grips=tuple(self.grips),
+            verdict=whether_learning_helped(self.laps, self.settings),
         )  # fmt: skip

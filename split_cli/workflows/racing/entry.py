@@ -20,7 +20,7 @@ from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.prediction import PREDICTORS
 from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
 from split_cli.workflows.racing.closed_loop import path_of
-from split_cli.workflows.racing.settings import FITS, LEARNERS, RaceSettings
+from split_cli.workflows.racing.settings import AUTO, FITS, LEARNERS, RaceSettings
 
 __all__ = [
     "check_car",
@@ -57,7 +57,7 @@ def check_settings(settings: RaceSettings) -> None:
     if settings.laps < 0:
         raise SplitError(f"is {settings.laps}, a number of laps from 0 was expected", where="--laps")
     _check_numbers(settings)
-    features = parse_features(settings.features)
+    features = parse_features(settings.candidates[-1])
     if settings.hyperparameters not in (*FITS, "default"):
         read_kernel(settings.hyperparameters, features)
     check_predictor(settings.predictor, features if settings.learner == "split" else None)
@@ -77,7 +77,7 @@ def check_predictor(name: str, features: FeatureSet | None) -> None:
     SplitError
         Naming what may be used.
     """
-    if name not in PREDICTORS:
+    if name not in (AUTO, *PREDICTORS):
         raise SplitError(f"no predictor {name!r}", where="--predictor", advice=nearest_names(name, PREDICTORS))
     if name == "table" and features is not None and len(features.names) != 3:
         raise SplitError(

@@ -33,6 +33,7 @@ from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
 from split_cli.workflows.racing.entry import check_car, check_predictor, check_trusted
+from split_cli.workflows.racing.settings import AUTO, predictor_for
 from split_cli.workflows.racing.study import remembering
 
 __all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]
@@ -49,7 +50,7 @@ class ManeuverSettings:
     start_set : path or None
         A trained set, or the folder of its export; the nominal model alone without one.
     predictor : str
-        Evaluates the set.
+        Evaluates the set; ``auto`` as of a race.
     speeds : tuple of float
         Entry speeds [m/s]; the scenario's own when empty.
     grip : float
@@ -74,7 +75,7 @@ class ManeuverSettings:
     scenario: str = "iso3888-1"
     car: str = "road_car"
     start_set: str | FilePath | None = None
-    predictor: str = "bcm"
+    predictor: str = AUTO
     speeds: tuple[float, ...] = ()
     grip: float = 1.0
     seed: int = 0
@@ -263,12 +264,13 @@ def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Vehicle, Re
     training_set = read_set(settings.start_set)
     check_trusted(training_set, vehicle, settings.start_set)
     check_predictor(settings.predictor, training_set.features)
-    residual = PredictorResidual(training_set, settings.predictor)
+    predictor = predictor_for(settings.predictor, training_set.features)
+    residual = PredictorResidual(training_set, predictor)
     grip = np.ones(2)
     if settings.guarded and tells_peaks(vehicle, training_set.features):
         grip = learned_grip(vehicle, training_set.features, training_set.z, training_set.y)
         residual.rest_on(PeakShift(vehicle, training_set.features, grip))
-    return training_set.vehicle, residual, f"set ({settings.predictor})", grip
+    return training_set.vehicle, residual, f"set ({predictor})", grip
 
 
 def _write(world: World, output: FilePath) -> None:

@@ -91,6 +91,8 @@ class RaceResult:
         The track.
     grips : tuple of tuple of float
         Peak of front and rear over the vehicle file's [1], as learned before lap 1 and after each lap since.
+    verdict : str
+        Whether learning helped, in words; empty where nobody learned.
     traces : tuple of ndarray
         Of each lap, a row an interval: t, s, X, Y, yaw, v_x, v_y, r, T, delta, a_x, a_y, contour error.
     """
@@ -107,6 +109,7 @@ class RaceResult:
     traces: tuple[np.ndarray, ...] = ()
     path: Path | None = None
     grips: tuple[tuple[float, ...], ...] = ()
+    verdict: str = ""
 
     def summary(self) -> RaceResult:
         """Return the result without its traces and its track."""

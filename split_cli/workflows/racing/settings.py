@@ -8,12 +8,18 @@ from pathlib import Path as FilePath
 from split_cli.control.limits import Limits
 from split_cli.control.mpcc import MpccSettings
 from split_cli.control.policy import RACE_P_LONG, SHARE_LEARNED
+from split_cli.learning.features import FeatureSet
 
-__all__ = ["FITS", "LEARNERS", "LEARNING", "RaceSettings"]
+__all__ = ["AUTO", "CANDIDATES", "FITS", "LEARNERS", "LEARNING", "RaceSettings", "predictor_for"]
 
 LEARNERS = ("none", "iol", "split")
 
 FITS = ("fit", "fit-lasting")
+
+AUTO = "auto"
+
+CANDIDATES = ("z2", "z2,feature_lag")
+"""What features a race tries on held-out blocks of lap 0: those of the paper, and the recent past beside them."""
 
 LEARNING = MpccSettings(limits=Limits(p_long=RACE_P_LONG, p_ellipse=SHARE_LEARNED, guarded=True))
 """How a race is driven: one setting for all tracks and models, but for the share of the peak (`first_share`)."""
@@ -47,9 +53,10 @@ class RaceSettings:
     delay : bool
         Whether a command takes effect one interval after the measurement it follows from.
     features : str
+        Inputs of the correction; ``auto`` chooses one of `CANDIDATES` after lap 0.
     predictor : str
         Evaluates the set; ``bcm`` and ``projected`` follow every update of a learner, others are built anew after
-        each lap.
+        each lap. ``auto`` is ``bcm`` for three features, ``projected`` for more.
     hyperparameters : str
         ``fit`` (to lap 0), ``fit-lasting`` (the same with errors that last from label to label, see
         `fit_kernel`), ``default``, or a kernel's YAML.
@@ -68,8 +75,9 @@ class RaceSettings:
     settings : MpccSettings
         Its margin and its largest speed are those named above.
     first_share : float or None
-        Share of the peak that the nominal model may use [1]: in the run-up, in lap 0, and in all laps of the
-        learner none without a start set. By default `nominal_share` of the vehicle file.
+        Share of the peak that run-up and lap 0 may use with the nominal model [1]; by default `first_share` of the
+        vehicle file. Each clean lap lets the next one use `SHARE_STEP` more: up to `nominal_share` without a
+        learner, and up to the share of `settings` with one.
     assumed_friction : float
         What the slip limits take for the road's grip before anything is learned [1].
     learn_grip : bool
@@ -87,8 +95,8 @@ class RaceSettings:
     seed: int = 0
     exact_sensors: bool = False
     delay: bool = True
-    features: str = "z2"
-    predictor: str = "bcm"
+    features: str = AUTO
+    predictor: str = AUTO
     hyperparameters: str = "fit"
     width: float | None = None
     printed_iol: bool = True
@@ -99,3 +107,25 @@ class RaceSettings:
     first_share: float | None = None
     assumed_friction: float = 1.0
     learn_grip: bool = True
+
+    @property
+    def candidates(self) -> tuple[str, ...]:
+        """Feature sets among which lap 0 chooses; the last one has the most features."""
+        if self.features != AUTO:
+            return (self.features,)
+        # A kernel's file belongs to one set of features, and a table has three.
+        free = self.learner != "none" and self.hyperparameters in (*FITS, "default") and self.predictor != "table"
+        return CANDIDATES if free else CANDIDATES[:1]
+
+
+def predictor_for(asked: str, features: FeatureSet) -> str:
+    """Return the name of what evaluates a set over `features`: the one asked for, or what ``auto`` stands for.
+
+    Notes
+    -----
+    A committee's cells take each other for independent; the more features, the fewer points a cell has and the
+    more that costs (docs/decisions/0034).
+    """
+    if asked != AUTO:
+        return asked
+    return "bcm" if len(features.names) <= 3 else "projected"

@@ -21,7 +21,7 @@ from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
-from split_cli.workflows.racing.settings import FITS, RaceSettings
+from split_cli.workflows.racing.settings import FITS, RaceSettings, predictor_for
 
 __all__ = ["PAST_TERM", "blank_header", "make_learner", "remembering", "studied_header"]
 
@@ -54,13 +54,12 @@ def blank_header(vehicle: Vehicle, features: FeatureSet, mpcc: MpccSettings) -> 
 
 
 def studied_header(
-    blank: TrainingSet, lap: Drive, settings: RaceSettings, notes: list[str]
+    blank: TrainingSet, lap: Drive, features: FeatureSet, settings: RaceSettings, notes: list[str]
 ) -> tuple[TrainingSet, Labels]:
-    """Return an empty set, grid and kernel fitted to `lap` as the settings ask, and its labels.
+    """Return an empty set over `features`, grid and kernel fitted to `lap` as the settings ask, and its labels.
 
     Remarks go to `notes`.
     """
-    features = parse_features(settings.features)
     labels = compute_labels(lap, blank.vehicle, features, blank.region, horizon=blank.horizon)
     grid = build_grid(features, blank.vehicle, blank.region, labels.z[labels.accepted])
     kernel = _kernel(labels, grid, settings, notes)
@@ -74,7 +73,7 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
     if asked == "default":
         return start
     if asked not in FITS:
-        return read_kernel(asked, parse_features(settings.features))
+        return read_kernel(asked, labels.features)
     if np.count_nonzero(good) < FEWEST_TO_FIT:
         notes.append(
             f"lap 0 has {np.count_nonzero(good)} valid labels, too few to fit a kernel; the default kernel is used"
@@ -86,8 +85,9 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
 
 def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:
     """Return the learner that the settings name, beginning with `training_set`."""
+    predictor = predictor_for(settings.predictor, training_set.features)
     if settings.learner == "none":
-        return NoLearner(training_set, PredictorResidual(training_set, settings.predictor))
+        return NoLearner(training_set, PredictorResidual(training_set, predictor))
     if settings.learner == "split":
-        return SplitLearner(training_set, settings.predictor)
+        return SplitLearner(training_set, predictor)
     return IolLearner(training_set, printed=settings.printed_iol)

@@ -77,7 +77,7 @@ def select(
     Notes
     -----
     Each drive is cut into ten blocks; each of three folds holds every third of them out, and trains on the others
-    less a guard of 1 s. Hyperparameters are fitted on the training blocks of the fold, once for every cell edge.
+    less a guard of 1 s, or of a third of a block in a drive of less than 30 s. Hyperparameters are fitted on the training blocks of the fold, once for every cell edge.
     All that the process has learned is believed: trust is found afterwards, for the settings chosen.
 
     Raises
@@ -142,9 +142,10 @@ def _parts(drives: Sequence[Drive], vehicle: Vehicle, features: str, settings: S
 def _training(part: _Part, fold: int) -> Labels:
     """Return the labels of a fold's training blocks, less the guards beside the held-out ones."""
     test = part.block % DEFAULT_BLOCKS % _FOLDS == fold
-    margin = int(np.ceil(DEFAULT_GUARD / part.drive.period))
-    edges = np.concatenate([[0], np.cumsum(test)])
     rows = np.arange(len(test))
+    # A guard as long as a block would leave nothing of two training blocks in a row.
+    margin = int(np.ceil(min(DEFAULT_GUARD / part.drive.period, len(rows) / DEFAULT_BLOCKS / 3)))
+    edges = np.concatenate([[0], np.cumsum(test)])
     near = edges[np.minimum(rows + margin + 1, len(test))] > edges[np.maximum(rows - margin, 0)]
     return part.labels.within(~near)
 

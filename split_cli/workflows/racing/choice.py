@@ -1,0 +1,96 @@
+"""Which features a race learns, chosen on held-out blocks of lap 0, and whether learning helped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from split_cli.control.learner import FOLLOWING
+from split_cli.errors import SplitError
+from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD
+from split_cli.logs.drive import Drive
+from split_cli.prediction import DEFAULT_PREDICTOR
+from split_cli.scoring.selection import SelectionSettings
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.workflows.racing.result import Lap
+from split_cli.workflows.racing.settings import AUTO, RaceSettings
+from split_cli.workflows.training.select import select
+
+__all__ = ["choose_features", "whether_learning_helped"]
+
+
+def choose_features(lap: Drive, vehicle: Vehicle, settings: RaceSettings) -> tuple[str, str]:
+    """Return the candidate that predicts held-out blocks of a lap best, and the reason in a sentence.
+
+    Parameters
+    ----------
+    lap : Drive
+        Driven by the nominal model.
+    vehicle : Vehicle
+        With the terms that the candidates need.
+    settings : RaceSettings
+
+    Notes
+    -----
+    The choice is that of `split evaluate --select`: of the candidates that are behind the best by no more than
+    one standard error over blocks, the one of fewest points. One candidate is taken without a test.
+    """
+    candidates = settings.candidates
+    if len(candidates) == 1:
+        return candidates[0], ""
+    asked = SelectionSettings(
+        features=candidates, capacities=(DEFAULT_CAPACITY,), thresholds=(DEFAULT_THRESHOLD,), cell_edges=(1.0,),
+        predictor=settings.predictor if settings.predictor in FOLLOWING else DEFAULT_PREDICTOR,
+    )  # fmt: skip
+    try:
+        found = select([lap], vehicle, asked).candidates
+    except SplitError as error:
+        return candidates[0], f"lap 0 cannot choose the features, {candidates[0]} is learned: {error}"
+    chosen = next(one for one in found if one.chosen)
+    told = " and ".join(
+        f"{100 * one.error:.0f} % with {one.features}"
+        for one in sorted(found, key=lambda one: candidates.index(one.features))
+    )
+    return chosen.features, (
+        f"features {chosen.features}: on held-out tenths of lap 0 the correction leaves {told} of the nominal "
+        "model's error"
+    )
+
+
+def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings) -> str:
+    """Return in words whether clean laps with the learned model were faster than lap 0 with the nominal one.
+
+    Parameters
+    ----------
+    laps : sequence of Lap
+        All that were driven, lap 0 first.
+    settings : RaceSettings
+
+    Returns
+    -------
+    str
+        Empty where nobody learned, or no lap followed lap 0.
+    """
+    own = [lap for lap in laps if lap.number > 0]
+    if settings.learner == "none" or not own or laps[0].number != 0 or laps[0].time is None:
+        return ""
+    clean = [lap.time for lap in own if lap.clean]
+    first = laps[0].time
+    if clean and min(clean) < first:
+        return (
+            f"The best clean lap with what was learned took {min(clean):.2f} s, "
+            f"{100 * (1 - min(clean) / first):.1f} % less than the careful lap 0 of the nominal model ({first:.2f} s). "
+            "`--learner none --learner split` compares both over as many laps."
+        )
+    best = f"the best clean lap with it took {min(clean):.2f} s" if clean else "no lap with it was clean"
+    told = f"Learning did not help: {best}, lap 0 with the nominal model {first:.2f} s."
+    last = own[-1]
+    shares = [after / before for after, before in zip(last.error_after, last.error_before, strict=True) if before]
+    if shares:
+        left = ", ".join(f"{100 * share:.0f} %" for share in shares)
+        told += f" In lap {last.number} the one-step errors of v_x, v_y and r were {left} of the nominal model's."
+    if settings.features != AUTO:
+        return f"{told} Leave out --features and --predictor: the race then chooses both on held-out parts of lap 0."
+    return (
+        f"{told} Drive with --learner none, or keep the lap (-o lap0.parquet --laps 0 --learner none) and let "
+        "`split diagnose --real lap0.parquet` name what the vehicle file lacks."
+    )
