@@ -27,10 +27,6 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
     A column that is asked for is read as a whole; `rows` reads some rows of all. The file stays open, so that all
     of it is of one state.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     pa.ArrowException, OSError

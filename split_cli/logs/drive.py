@@ -59,7 +59,6 @@ class Drive:
         Changes at every gap; nothing may be computed across a change.
     period : float
         Sample period [s].
-    metadata : DriveMetadata
     sha256 : str
         Of the file it was read from; empty for a drive made in memory.
     """
@@ -208,8 +207,6 @@ def open_drive(path: str | Path, held: Sequence[str] = (), beside: int = 1) -> D
 
     Parameters
     ----------
-    path : path-like
-    held : sequence of str
     beside : int
         Drives that are open at a time: each is then long sooner.
     """

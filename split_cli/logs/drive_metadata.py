@@ -43,60 +43,34 @@ class Source:
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """Sensor noise of one channel.
-
-    Attributes
-    ----------
-    channel : str
-    sigma : float or None
-        Standard deviation of a sample of the drive, after its filter [SI unit of the channel]; None if unknown.
-    sigma_raw : float or None
-        The same at the recording's full rate, before any filter.
-    autocorrelation : tuple of float
-        Autocorrelation of the noise on the drive's clock at lags 0, 1, 2, ... samples, from the filter's
-        impulse response; ``(1.0,)`` for white noise.
-    reason : str
-        Why sigma is None, else empty.
-    """
+    """Sensor noise of one channel."""
 
     channel: str
+    # Standard deviation of a sample of the drive, after its filter [SI unit of the channel]; None if unknown.
     sigma: float | None
-    sigma_raw: float | None
+    sigma_raw: float | None  # the same at the recording's full rate, before any filter
+    # Autocorrelation of the noise on the drive's clock at lags 0, 1, 2, ... samples, from the filter's impulse
+    # response; ``(1.0,)`` for white noise.
     autocorrelation: tuple[float, ...] = (1.0,)
-    reason: str = ""
+    reason: str = ""  # why sigma is None, else empty
 
 
 @dataclass(frozen=True)
 class DriveMetadata:
-    """What is known of a drive beside its samples.
+    """What is known of a drive beside its samples."""
 
-    Attributes
-    ----------
-    sources : tuple of Source
-        The recordings it was made of.
-    vehicle : str
-        Name of the vehicle file it was made with; empty if none.
-    kinds : mapping of str to str
-        For a channel, ``command``, ``measured`` or ``derived: how``; ``T_is`` and ``delta_is`` of the contract.
-    signal_map : mapping
-        The map as applied, channel by channel, with what was assumed.
-    conversions : tuple of str
-        Frame, sign, unit and time conversions that were made, in words.
-    noise : tuple of NoiseEstimate
-    quality : mapping
-        The quality report: rates, gaps, drops by reason, spikes, ranges, findings of the consistency checks.
-    between : mapping of str to str
-        What a channel does between its samples: ``held`` keeps its value until the next sample, ``continuous``
-        runs there in a straight line. A channel that is not named is taken as continuous.
-    """
-
-    sources: tuple[Source, ...] = ()
-    vehicle: str = ""
+    sources: tuple[Source, ...] = ()  # the recordings it was made of
+    vehicle: str = ""  # name of the vehicle file it was made with; empty if none
+    # For a channel, ``command``, ``measured`` or ``derived: how``; ``T_is`` and ``delta_is`` of the contract.
     kinds: Mapping[str, str] = field(default_factory=dict)
+    # The map as applied, channel by channel, with what was assumed.
     signal_map: Mapping[str, object] = field(default_factory=dict)
-    conversions: tuple[str, ...] = ()
+    conversions: tuple[str, ...] = ()  # frame, sign, unit and time conversions that were made, in words
     noise: tuple[NoiseEstimate, ...] = ()
+    # The quality report: rates, gaps, drops by reason, spikes, ranges, findings of the consistency checks.
     quality: Mapping[str, object] = field(default_factory=dict)
+    # What a channel does between its samples: ``held`` keeps its value until the next sample, ``continuous`` runs
+    # there in a straight line. A channel that is not named is taken as continuous.
     between: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -41,142 +41,78 @@ EXTRA_UNITS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Position:
-    """Where a sensor sits, from the CG, in the vehicle frame.
+    """Where a sensor sits, from the CG, in the vehicle frame."""
 
-    Attributes
-    ----------
-    x, y : float
-        Forward and left of the CG [m].
-    axle : str
-        ``front_axle`` or ``rear_axle`` where the place is named; x and y are then offsets from it.
-    """
-
+    # x, y: forward and left of the CG [m].
     x: float = 0.0
     y: float = 0.0
-    axle: str = "cg"
+    axle: str = "cg"  # ``front_axle`` or ``rear_axle`` where the place is named; x and y are then offsets from it
 
 
 @dataclass(frozen=True)
 class SignalSource:
-    """One recorded signal and its way to SI: value = convert(curve(scale * raw + offset), unit).
+    """One recorded signal and its way to SI: value = convert(curve(scale * raw + offset), unit)."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        ``/topic/field.path``, ``package/Type:field.path`` (the only topic of that type), or a column; several
-        where `convert` needs several.
-    convert : str
-        One of `CONVERSIONS`, or empty.
-    scale, offset : float
-    curve : tuple of (float, float)
-        Points of a piecewise linear curve, with ascending first members: a steering command to an angle, throttle
-        to torque. Empty is the identity. A sample outside its ends is missing, not extrapolated.
-    unit : str or None
-        Unit after scale, offset and curve; None takes what the file says.
-    delay : float or None
-        Positive when the channel is late [s]; its times are moved earlier.
-    frame, world : str or None
-        ``flu``/``frd`` and ``enu``/``ned``; None takes the map's.
-    """
-
+    # ``/topic/field.path``, ``package/Type:field.path`` (the only topic of that type), or a column; several where
+    # `convert` needs several.
     names: tuple[str, ...]
-    convert: str = ""
+    convert: str = ""  # one of `CONVERSIONS`, or empty
     scale: float = 1.0
     offset: float = 0.0
+    # Points of a piecewise linear curve, with ascending first members: a steering command to an angle, throttle to
+    # torque. Empty is the identity. A sample outside its ends is missing, not extrapolated.
     curve: tuple[tuple[float, float], ...] = ()
-    unit: str | None = None
-    delay: float | None = None
+    unit: str | None = None  # unit after scale, offset and curve; None takes what the file says
+    delay: float | None = None  # positive when the channel is late [s]; its times are moved earlier
+    # frame, world: ``flu``/``frd`` and ``enu``/``ned``; None takes the map's.
     frame: str | None = None
     world: str | None = None
 
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """How one channel of the drive is made: the sum of its sources.
-
-    Attributes
-    ----------
-    channel : str
-    sources : tuple of SignalSource
-    position : Position or None
-        Of the sensor, where it is off the CG.
-    kind : str or None
-        ``command``, ``measured`` or ``derived``; None when the map does not say.
-    resample : str or None
-        ``continuous``, ``held`` or ``angle``; None lets the channel and its samples decide.
-    optional : bool
-        A missing source drops the channel with a note instead of an error.
-    """
+    """How one channel of the drive is made: the sum of its sources."""
 
     channel: str
     sources: tuple[SignalSource, ...]
-    position: Position | None = None
-    kind: str | None = None
+    position: Position | None = None  # of the sensor, where it is off the CG
+    kind: str | None = None  # ``command``, ``measured`` or ``derived``; None when the map does not say
+    # ``continuous``, ``held`` or ``angle``; None lets the channel and its samples decide.
     resample: str | None = None
-    optional: bool = False
+    optional: bool = False  # a missing source drops the channel with a note instead of an error
 
 
 @dataclass(frozen=True)
 class TimeBase:
-    """Where time comes from: a column, a fixed period (tables without time), or a clock of the messages.
+    """Where time comes from: a column, a fixed period (tables without time), or a clock of the messages."""
 
-    Attributes
-    ----------
-    source : str or None
-        Column.
-    unit : str or None
-        Of that column.
-    nanoseconds : str or None
-        A second column, added to the first, which then holds whole seconds.
-    period : float or None
-        [s].
-    clock : str or None
-        ``header``, ``publish`` or ``log``.
-    """
-
-    source: str | None = None
-    unit: str | None = None
-    period: float | None = None
-    clock: str | None = None
-    nanoseconds: str | None = None
+    source: str | None = None  # column
+    unit: str | None = None  # of that column
+    period: float | None = None  # [s]
+    clock: str | None = None  # ``header``, ``publish`` or ``log``
+    nanoseconds: str | None = None  # a second column, added to the first, which then holds whole seconds
 
 
 @dataclass(frozen=True)
 class SignalMap:
-    """A whole map, presets merged in.
-
-    Attributes
-    ----------
-    name : str
-    channels : tuple of ChannelMap
-    time : TimeBase
-    frame, world : str
-        ``flu`` or ``frd``; ``enu`` or ``ned``.
-    topics : mapping of str to str
-        Replaces a topic or a message type named in a source by a topic of the recording.
-    extras : tuple of str or None
-        Unmapped columns to keep; None keeps all of a table and none of a log with topics.
-    datum : tuple of float or None
-        Latitude and longitude [deg] of the local plane's origin; None takes the first fix.
-    derivations : mapping
-        Settings of derivations, used only when one is asked for.
-    despike : bool
-        Whether isolated spikes are dropped (they are always counted).
-    content : mapping
-        What was written, for the record.
-    """
+    """A whole map, presets merged in."""
 
     name: str
     channels: tuple[ChannelMap, ...]
     time: TimeBase = TimeBase()
+    # frame, world: ``flu`` or ``frd``; ``enu`` or ``ned``.
     frame: str = "flu"
     world: str = "enu"
+    # Replaces a topic or a message type named in a source by a topic of the recording.
     topics: Mapping[str, str] = field(default_factory=dict)
+    # Unmapped columns to keep; None keeps all of a table and none of a log with topics.
     extras: tuple[str, ...] | None = None
+    # Latitude and longitude [deg] of the local plane's origin; None takes the first fix.
     datum: tuple[float, float] | None = None
+    # Settings of derivations, used only when one is asked for.
     derivations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    despike: bool = True
-    content: Mapping[str, Any] = field(default_factory=dict)
+    despike: bool = True  # whether isolated spikes are dropped (they are always counted)
+    content: Mapping[str, Any] = field(default_factory=dict)  # what was written, for the record
 
     def channel(self, name: str) -> ChannelMap | None:
         """Return the entry of a channel, None when the map has none."""

@@ -49,24 +49,13 @@ Clock = Literal["header", "publish", "log"]
 
 @dataclass(frozen=True)
 class RawChannelInfo:
-    """One addressable channel of a recording.
+    """One addressable channel of a recording."""
 
-    Attributes
-    ----------
-    name : str
-        How a signal map addresses it: ``/topic/field.path`` (array elements as ``field[3]``) or a column name.
-    type_name : str
-        Message type or column type.
-    count : int or None
-        Messages or rows, where the file says so without decoding.
-    unit : str or None
-        As the file states it.
-    """
-
+    # How a signal map addresses it: ``/topic/field.path`` (array elements as ``field[3]``) or a column name.
     name: str
-    type_name: str
-    count: int | None
-    unit: str | None = None
+    type_name: str  # message type or column type
+    count: int | None  # messages or rows, where the file says so without decoding
+    unit: str | None = None  # as the file states it
 
 
 @dataclass(frozen=True)
@@ -84,24 +73,13 @@ class ReadNote:
 
 @dataclass(frozen=True)
 class RawSignal:
-    """Samples of one channel as recorded.
+    """Samples of one channel as recorded."""
 
-    Attributes
-    ----------
-    name : str
-        As in `RawChannelInfo`.
-    time : ndarray of float64, shape (N,), or None
-        Seconds of the chosen clock, relative to the recording's `origin`; None for a table without a clock.
-    values : ndarray of float64, shape (N,)
-        As recorded; missing values are NaN.
-    unit : str or None
-        As the file states it.
-    """
-
-    name: str
+    name: str  # as in `RawChannelInfo`
+    # (N,): seconds of the chosen clock, relative to the recording's `origin`; None for a table without a clock.
     time: np.ndarray | None
-    values: np.ndarray
-    unit: str | None = None
+    values: np.ndarray  # (N,): as recorded; missing values are NaN
+    unit: str | None = None  # as the file states it
 
 
 def turned(time: np.ndarray, signals: Mapping[str, RawSignal]) -> tuple[np.ndarray, dict[str, RawSignal]]:
@@ -117,26 +95,15 @@ def turned(time: np.ndarray, signals: Mapping[str, RawSignal]) -> tuple[np.ndarr
 
 
 class RawRecording(Protocol):
-    """An opened log. Opening reads as little as the format allows.
+    """An opened log. Opening reads as little as the format allows."""
 
-    Attributes
-    ----------
-    name : str
-        File or folder name.
-    path : Path
-    origin : float
-        What was subtracted from every time [s]: the first log time, so that nanosecond epochs keep precision.
-    clocks : tuple of str
-        The clocks this recording has, best first; empty for tables (their time is a column).
-    notes : list of ReadNote
-        Filled while reading: undecodable messages, truncated tails, repaired records.
-    """
-
-    name: str
+    name: str  # file or folder name
     path: Path
+    # What was subtracted from every time [s]: the first log time, so that nanosecond epochs keep precision.
     origin: float
+    # The clocks this recording has, best first; empty for tables (their time is a column).
     clocks: tuple[Clock, ...]
-    notes: list[ReadNote]
+    notes: list[ReadNote]  # filled while reading: undecodable messages, truncated tails, repaired records
 
     def channels(self) -> list[RawChannelInfo]:
         """Return every addressable channel, fields expanded from the definitions inside the file."""
@@ -155,17 +122,11 @@ class RawRecording(Protocol):
 
 @dataclass
 class TableRecording:
-    """A recording whose channels are columns; shared by CSV, Parquet, MAT and MF4 without groups.
-
-    Attributes
-    ----------
-    signals : dict of str to RawSignal
-        In file order.
-    """
+    """A recording whose channels are columns; shared by CSV, Parquet, MAT and MF4 without groups."""
 
     name: str
     path: Path
-    signals: dict[str, RawSignal]
+    signals: dict[str, RawSignal]  # in file order
     type_name: str = "column"
     origin: float = 0.0
     clocks: tuple[Clock, ...] = ()
@@ -187,19 +148,12 @@ class TableRecording:
 
 @dataclass
 class LazyTableRecording:
-    """A recording of columns that are read only when asked for.
-
-    Attributes
-    ----------
-    infos : list of RawChannelInfo
-        In file order.
-    load : callable
-        Takes names that exist and returns their signals, in that order.
-    """
+    """A recording of columns that are read only when asked for."""
 
     name: str
     path: Path
-    infos: list[RawChannelInfo]
+    infos: list[RawChannelInfo]  # in file order
+    # Takes names that exist and returns their signals, in that order.
     load: Callable[[Sequence[str]], dict[str, RawSignal]]
     origin: float = 0.0
     clocks: tuple[Clock, ...] = ()

@@ -83,12 +83,7 @@ def let_go() -> None:
 
 
 class GrowingColumn:
-    """A column that is read piece by piece; a long one grows in a file.
-
-    Parameters
-    ----------
-    dtype : numpy dtype
-    """
+    """A column that is read piece by piece; a long one grows in a file."""
 
     def __init__(self, dtype: type = float) -> None:
         self._dtype = np.dtype(dtype)

@@ -34,20 +34,13 @@ def closing_distance(wheelbase: float) -> float:
 
 @dataclass(frozen=True)
 class TrackReference:
-    """The path on which places are given.
+    """The path on which places are given."""
 
-    Attributes
-    ----------
-    x, y, s : ndarray, shape (P,)
-        Points and their arc length [m]; the first lap where the path closes.
-    lap_length : float or None
-        [m]; None for an open path.
-    """
-
+    # x, y, s: (P,): points and their arc length [m]; the first lap where the path closes.
     x: np.ndarray
     y: np.ndarray
     s: np.ndarray
-    lap_length: float | None
+    lap_length: float | None  # [m]; None for an open path
 
 
 def build_reference(drive: Drive, wheelbase: float) -> TrackReference | None:

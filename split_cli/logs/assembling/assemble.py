@@ -55,39 +55,22 @@ _DELAY_PASSES = 6
 
 @dataclass(frozen=True)
 class IngestSettings:
-    """What a user may set beside the map.
+    """What a user may set beside the map."""
 
-    Attributes
-    ----------
-    clock : str or None
-        ``header``, ``publish`` or ``log``.
-    gap : float or None
-        Nothing is interpolated across a longer step; a new segment starts there [s]. None takes 0.1 s, and two and
-        a half samples of a needed channel that comes at about 10 Hz.
-    rate : float or None
-        Of the drive [Hz]; None takes the slowest continuous required channel's, at most 100 Hz.
-    delays : mapping of str to float
-        Channel to delay [s], over the map's.
-    estimate_delays : bool
-    derive : tuple of str
-        Names of derivations.
-    row_rate : float or None
-        Rows a second of a table without a column of time [Hz], over the map's period.
-    start, end : float or None
-        What is before and after is left out, from the recording's first sample [s].
-    cuts : tuple of (float, float)
-        What is between is left out, from the recording's first sample [s]; a new segment starts after it.
-    """
-
-    clock: Clock | None = None
+    clock: Clock | None = None  # ``header``, ``publish`` or ``log``
+    # Nothing is interpolated across a longer step; a new segment starts there [s]. None takes 0.1 s, and two and a
+    # half samples of a needed channel that comes at about 10 Hz.
     gap: float | None = None
+    # Of the drive [Hz]; None takes the slowest continuous required channel's, at most 100 Hz.
     rate: float | None = None
-    delays: Mapping[str, float] | None = None
+    delays: Mapping[str, float] | None = None  # channel to delay [s], over the map's
     estimate_delays: bool = False
-    derive: tuple[str, ...] = ()
-    row_rate: float | None = None
+    derive: tuple[str, ...] = ()  # names of derivations
+    row_rate: float | None = None  # rows a second of a table without a column of time [Hz], over the map's period
+    # start, end: what is before and after is left out, from the recording's first sample [s].
     start: float | None = None
     end: float | None = None
+    # What is between is left out, from the recording's first sample [s]; a new segment starts after it.
     cuts: tuple[tuple[float, float], ...] = ()
 
 
@@ -109,11 +92,8 @@ def assemble_drive(
 
     Parameters
     ----------
-    recording : RawRecording
-    signal_map : SignalMap
     vehicle : Vehicle, optional
         Needed for sensor places given by an axle, for derived torque, and for some checks.
-    settings : IngestSettings, optional
 
     Raises
     ------

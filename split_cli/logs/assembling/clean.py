@@ -39,29 +39,17 @@ class Drop:
 
 @dataclass(frozen=True)
 class CleanSeries:
-    """A series with finite values at strictly increasing times, delay removed.
-
-    Attributes
-    ----------
-    channel, source : str
-    time, values : ndarray, shape (N,)
-        [s], SI unit.
-    period : float
-        Median distance of two samples [s].
-    repeats : int
-        How often each sample of a sampled-and-held sensor was repeated (1: not at all); the repeats are gone.
-    spikes : int
-        Isolated spikes that were found.
-    drops : tuple of Drop
-    """
+    """A series with finite values at strictly increasing times, delay removed."""
 
     channel: str
     source: str
+    # time, values: (N,): [s], SI unit.
     time: np.ndarray
     values: np.ndarray
-    period: float
+    period: float  # median distance of two samples [s]
+    # How often each sample of a sampled-and-held sensor was repeated (1: not at all); the repeats are gone.
     repeats: int = 1
-    spikes: int = 0
+    spikes: int = 0  # isolated spikes that were found
     drops: tuple[Drop, ...] = ()
 
 
@@ -147,7 +135,6 @@ def clean_series(
 
     Parameters
     ----------
-    series : RawSeries
     despike : bool
         Drop isolated spikes instead of only counting them.
     held : bool

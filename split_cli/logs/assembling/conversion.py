@@ -18,26 +18,13 @@ __all__ = ["ConversionNotes", "Converter", "RawSeries", "expected_unit"]
 
 @dataclass(frozen=True)
 class RawSeries:
-    """One source of one channel in SI, frame and sign converted, on its own clock.
-
-    Attributes
-    ----------
-    channel : str
-    source : str
-        Recorded name, for messages.
-    time : ndarray, shape (N,)
-        [s], as recorded, in the order of the file; delays not yet applied.
-    values : ndarray, shape (N,)
-        SI unit of the channel; NaN where missing.
-    delay : float
-        As the map gives it [s].
-    """
+    """One source of one channel in SI, frame and sign converted, on its own clock."""
 
     channel: str
-    source: str
-    time: np.ndarray
-    values: np.ndarray
-    delay: float = 0.0
+    source: str  # recorded name, for messages
+    time: np.ndarray  # (N,): [s], as recorded, in the order of the file; delays not yet applied
+    values: np.ndarray  # (N,): SI unit of the channel; NaN where missing
+    delay: float = 0.0  # as the map gives it [s]
 
 
 @dataclass(frozen=True)

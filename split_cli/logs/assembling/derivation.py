@@ -16,50 +16,24 @@ __all__ = ["Derivation", "DerivationInputs", "Derived"]
 
 @dataclass(frozen=True)
 class Derived:
-    """What a derivation made.
+    """What a derivation made."""
 
-    Attributes
-    ----------
-    columns : mapping of str to ndarray
-        Channel to samples `(N,)`, SI.
-    how : str
-        For the drive's metadata, after ``derived: ``.
-    warning : str
-        What the reader must know before using it.
-    keeps_noise : bool
-        Whether its noise is that of the channel it replaces.
-    """
-
-    columns: Mapping[str, np.ndarray]
-    how: str
-    warning: str = ""
-    keeps_noise: bool = False
+    columns: Mapping[str, np.ndarray]  # channel to samples `(N,)`, SI
+    how: str  # for the drive's metadata, after ``derived: ``
+    warning: str = ""  # what the reader must know before using it
+    keeps_noise: bool = False  # whether its noise is that of the channel it replaces
 
 
 @dataclass(frozen=True)
 class DerivationInputs:
-    """What a derivation may use.
+    """What a derivation may use."""
 
-    Attributes
-    ----------
-    columns : mapping of str to ndarray
-        Of the drive so far, SI, at the CG.
-    period : float
-        [s].
-    segments : list of slice
-    vehicle : Vehicle or None
-    settings : mapping
-        The map's `derivations` entry.
-    time : ndarray, shape (N,), or None
-        Of every row [s]; None counts rows.
-    """
-
-    columns: Mapping[str, np.ndarray]
-    period: float
+    columns: Mapping[str, np.ndarray]  # of the drive so far, SI, at the CG
+    period: float  # [s]
     segments: list[slice]
     vehicle: Vehicle | None
-    settings: Mapping[str, Any]
-    time: np.ndarray | None = None
+    settings: Mapping[str, Any]  # the map's `derivations` entry
+    time: np.ndarray | None = None  # (N,): of every row [s]; None counts rows
 
     def require_vehicle(self, name: str) -> Vehicle:
         """Return the vehicle, which the derivation of that name cannot do without."""
@@ -70,28 +44,15 @@ class DerivationInputs:
 
 @dataclass(frozen=True)
 class Derivation:
-    """A way to compute channels.
+    """A way to compute channels."""
 
-    Attributes
-    ----------
-    name : str
-        As ``--derive`` takes it.
-    makes, needs : tuple of str
-        Channels.
-    settings : tuple of str
-        Keys that the map may give.
-    run : callable
-        DerivationInputs to Derived.
-    choices : tuple of (str, str)
-        Settings that name a channel it needs too, each with its default.
-    """
-
-    name: str
+    name: str  # as ``--derive`` takes it
+    # makes, needs: channels.
     makes: tuple[str, ...]
     needs: tuple[str, ...]
-    settings: tuple[str, ...]
-    run: Callable[[DerivationInputs], Derived]
-    choices: tuple[tuple[str, str], ...] = ()
+    settings: tuple[str, ...]  # keys that the map may give
+    run: Callable[[DerivationInputs], Derived]  # DerivationInputs to Derived
+    choices: tuple[tuple[str, str], ...] = ()  # settings that name a channel it needs too, each with its default
 
     def inputs(self, settings: Mapping[str, Any], mapped: Collection[str]) -> tuple[str, ...]:
         """Return the channels it needs under the map's settings; a default that is not mapped is left out."""

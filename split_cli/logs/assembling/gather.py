@@ -31,36 +31,16 @@ _SUFFIXES = {
 
 @dataclass(frozen=True)
 class Gathered:
-    """What a recording gave.
+    """What a recording gave."""
 
-    Attributes
-    ----------
-    series : mapping of str to tuple of RawSeries
-        Channel to its sources; their sum is the channel.
-    maps : mapping of str to ChannelMap
-        Of the channels found.
-    origin : float
-        What was subtracted from every time [s].
-    clock : str
-        In words.
-    conversions : tuple of str
-        Units, signs and frames converted.
-    assumed : tuple of str
-        What neither file nor map said.
-    contradictions : tuple of str
-        Where file and map disagree.
-    skipped : tuple of str
-        Optional channels whose sources do not exist.
-    """
-
-    series: Mapping[str, tuple[RawSeries, ...]]
-    maps: Mapping[str, ChannelMap]
-    origin: float
-    clock: str
-    conversions: tuple[str, ...]
-    assumed: tuple[str, ...]
-    contradictions: tuple[str, ...]
-    skipped: tuple[str, ...]
+    series: Mapping[str, tuple[RawSeries, ...]]  # channel to its sources; their sum is the channel
+    maps: Mapping[str, ChannelMap]  # of the channels found
+    origin: float  # what was subtracted from every time [s]
+    clock: str  # in words
+    conversions: tuple[str, ...]  # units, signs and frames converted
+    assumed: tuple[str, ...]  # what neither file nor map said
+    contradictions: tuple[str, ...]  # where file and map disagree
+    skipped: tuple[str, ...]  # optional channels whose sources do not exist
 
 
 def topic_of(name: str) -> str:
@@ -80,8 +60,6 @@ def gather(
 
     Parameters
     ----------
-    recording : RawRecording
-    signal_map : SignalMap
     clock : str, optional
         ``header``, ``publish`` or ``log``; overrides the map's.
     wheel_radius : float, optional

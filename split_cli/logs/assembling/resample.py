@@ -38,22 +38,12 @@ _ENOUGH_ROWS = 20000
 
 @dataclass(frozen=True)
 class SampleClock:
-    """The clock of a drive: rows at origin + index * period, in segments.
+    """The clock of a drive: rows at origin + index * period, in segments."""
 
-    Attributes
-    ----------
-    origin : float
-        [s].
-    period : float
-        [s].
-    index : ndarray of int64, shape (N,)
-    segment : ndarray of int32, shape (N,)
-    """
-
-    origin: float
-    period: float
-    index: np.ndarray
-    segment: np.ndarray
+    origin: float  # [s]
+    period: float  # [s]
+    index: np.ndarray  # int64 (N,)
+    segment: np.ndarray  # int32 (N,)
 
     @property
     def time(self) -> np.ndarray:
@@ -67,21 +57,11 @@ class SampleClock:
 
 @dataclass(frozen=True)
 class Resampled:
-    """A signal on the drive's clock.
+    """A signal on the drive's clock."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (N,)
-        NaN where the signal has a gap.
-    gain : float
-        Standard deviation of the output for white noise of unit deviation at the input [1].
-    autocorrelation : tuple of float
-        Of the filtered noise at lags 0, 1, 2, ... rows.
-    low_passed : bool
-    """
-
-    values: np.ndarray
-    gain: float
+    values: np.ndarray  # (N,): NaN where the signal has a gap
+    gain: float  # standard deviation of the output for white noise of unit deviation at the input [1]
+    # Of the filtered noise at lags 0, 1, 2, ... rows.
     autocorrelation: tuple[float, ...]
     low_passed: bool
 
@@ -155,7 +135,6 @@ def resample_together(
     time : ndarray, shape (M,)
         Strictly increasing; the clock may jitter.
     signals : sequence of ndarray, shape (M,)
-    grid : SampleClock
     gap : float
         Nothing is interpolated across a step longer than this [s].
 

@@ -49,28 +49,14 @@ receivers and of many loggers, with a quarter for jitter. What is slower misses 
 
 @dataclass(frozen=True)
 class Channels:
-    """Cleaned sources by channel.
+    """Cleaned sources by channel."""
 
-    Attributes
-    ----------
-    clean : dict of str to list of CleanSeries
-        A channel is the sum of its sources.
-    modes : mapping of str to list of str
-        How each source is resampled: ``continuous``, ``held`` or ``angle``.
-    maps : mapping of str to ChannelMap
-    needed : tuple of str
-        Channels without which a row is not kept.
-    gap : float
-        Longest step that is bridged [s].
-    widened : bool
-        Whether a needed channel that comes more slowly is bridged over more, see `SLOWEST_PERIOD`.
-    """
-
-    clean: dict[str, list[CleanSeries]]
-    modes: Mapping[str, list[str]]
+    clean: dict[str, list[CleanSeries]]  # a channel is the sum of its sources
+    modes: Mapping[str, list[str]]  # how each source is resampled: ``continuous``, ``held`` or ``angle``
     maps: Mapping[str, ChannelMap]
-    needed: tuple[str, ...]
-    gap: float
+    needed: tuple[str, ...]  # channels without which a row is not kept
+    gap: float  # longest step that is bridged [s]
+    # Whether a needed channel that comes more slowly is bridged over more, see `SLOWEST_PERIOD`.
     widened: bool = False
 
     def gap_of(self, channel: str, index: int) -> float:
@@ -164,7 +150,6 @@ def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Sample
 
     Parameters
     ----------
-    channels : Channels
     rate : float or None
         [Hz]; None takes the slowest continuous needed channel's, at most `HIGHEST_RATE`.
     where : str

@@ -29,26 +29,14 @@ _IN_OTHERS = ("vx", "r", "X", "hand", "yaw")
 
 @dataclass(frozen=True)
 class Consistency:
-    """What the checks found.
+    """What the checks found."""
 
-    Attributes
-    ----------
-    findings : tuple of ConsistencyFinding
-        What does not fit together; empty for a sound drive.
-    relations : tuple of Relation
-        Every relation measured, also those that hold.
-    unjudged : tuple of Unjudged
-    factors : mapping of str to float
-        Channel to the signed factor that is in it, where one mistake is clearly the best explanation.
-    cost : float
-        Of the explanation, as a negative logarithm [1]; 0 where all holds.
-    """
-
-    findings: tuple[ConsistencyFinding, ...] = ()
-    relations: tuple[Relation, ...] = ()
+    findings: tuple[ConsistencyFinding, ...] = ()  # what does not fit together; empty for a sound drive
+    relations: tuple[Relation, ...] = ()  # every relation measured, also those that hold
     unjudged: tuple[Unjudged, ...] = ()
+    # Channel to the signed factor that is in it, where one mistake is clearly the best explanation.
     factors: Mapping[str, float] = field(default_factory=dict)
-    cost: float = 0.0
+    cost: float = 0.0  # of the explanation, as a negative logarithm [1]; 0 where all holds
 
 
 def check_consistency(
@@ -58,7 +46,6 @@ def check_consistency(
 
     Parameters
     ----------
-    drive : Drive
     vehicle : Vehicle, optional
         Gives the wheelbase for the steer angle, the CG for v_y, mass and wheel radius for T.
     kinds : mapping of str to str

@@ -27,7 +27,6 @@ def copied_channels(drive: Drive, kinds: Mapping[str, str]) -> list[ConsistencyF
 
     Parameters
     ----------
-    drive : Drive
     kinds : mapping of str to str
         Derived channels are no copies: they say what they were made of.
 

@@ -20,32 +20,15 @@ _REFERENCE = "vx"
 
 @dataclass(frozen=True)
 class DelayEstimate:
-    """How late a channel is against the reference.
-
-    Attributes
-    ----------
-    channel : str
-    delay : float
-        As estimated, positive when late [s]; 0 when refused.
-    error : float
-        Standard error [s].
-    reference : str
-        Channel whose delay is 0 by definition.
-    identities : tuple of str
-        That it rests on.
-    determination : float
-        The least among them.
-    refusal : str
-        Why nothing is applied, else empty.
-    """
+    """How late a channel is against the reference."""
 
     channel: str
-    delay: float
-    error: float
-    reference: str
-    identities: tuple[str, ...] = ()
-    determination: float = 0.0
-    refusal: str = ""
+    delay: float  # as estimated, positive when late [s]; 0 when refused
+    error: float  # standard error [s]
+    reference: str  # channel whose delay is 0 by definition
+    identities: tuple[str, ...] = ()  # that it rests on
+    determination: float = 0.0  # the least among them
+    refusal: str = ""  # why nothing is applied, else empty
 
     @property
     def applied(self) -> float:
@@ -110,7 +93,6 @@ def estimate_delays(
         On the drive's clock, SI.
     period : float
         [s].
-    segments : list of slice
     vehicle : Vehicle, optional
         Needed for the steer angle, whose effect on yaw has dynamics of its own.
     topics : mapping of str to str

@@ -15,25 +15,16 @@ _MOST_SAMPLES = 50_000
 
 @dataclass(frozen=True)
 class Slope:
-    """How one signal follows another.
+    """How one signal follows another."""
 
-    Attributes
-    ----------
-    slope, error : float
-        Of y over x, signed ratio of their deviations, and its standard error from blocks of time.
-    offset, offset_error : float
-        Median of y - slope x.
-    correlation : float
-    count : int
-        Samples used.
-    """
-
+    # slope, error: of y over x, signed ratio of their deviations, and its standard error from blocks of time.
     slope: float
     error: float
+    # offset, offset_error: median of y - slope x.
     offset: float
     offset_error: float
     correlation: float
-    count: int
+    count: int  # samples used
 
 
 class Kinematics:
@@ -45,7 +36,6 @@ class Kinematics:
         Drive columns, SI.
     period : float
         [s].
-    segments : list of slice
     width : float
         Standard deviation of the Gaussian that smooths every signal [s]. All signals of a relation get the same,
         so that it holds among smoothed signals as it does among true ones.

@@ -44,7 +44,6 @@ def late_channels(
 
     Parameters
     ----------
-    drive : Drive
     vehicle : Vehicle, optional
         Needed for the steer angle.
     kinds : mapping of str to str

@@ -24,31 +24,18 @@ OTHER_RADIUS = "rolls on another radius than it was made with, here or in the lo
 
 @dataclass(frozen=True)
 class Mistake:
-    """A known mistake: the channel is `low` to `high` times what it should be, its sign turned where `turned`.
+    """A known mistake: the channel is `low` to `high` times what it should be, its sign turned where `turned`."""
 
-    Attributes
-    ----------
-    channel : str
-        A channel; ``hand`` stands for the order of X and Y.
-    low, high : float
-        Factor, or its range where the mistake has no fixed one [1].
-    turned : bool
-    what, remedy : str
-        In words.
-    cost : float
-        Negative logarithm of its frequency [1].
-    unit : str
-        The unit that the channel is in, where the mistake is one of unit.
-    """
-
-    channel: str
+    channel: str  # a channel; ``hand`` stands for the order of X and Y
+    # low, high: factor, or its range where the mistake has no fixed one [1].
     low: float
     high: float
     turned: bool
+    # what, remedy: in words.
     what: str
     remedy: str
-    cost: float = COMMON
-    unit: str = ""
+    cost: float = COMMON  # negative logarithm of its frequency [1]
+    unit: str = ""  # the unit that the channel is in, where the mistake is one of unit
 
     @property
     def factor(self) -> float | None:

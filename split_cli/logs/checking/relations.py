@@ -23,57 +23,30 @@ SHARED = ("vx", "r")
 
 @dataclass(frozen=True)
 class ConsistencyFinding:
-    """Something that does not fit together.
+    """Something that does not fit together."""
 
-    Attributes
-    ----------
-    check : str
-        ``scale``, ``sign``, ``hand``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``,
-        ``constant``, ``copied``, ``range``, ``contradiction``, ``course``.
-    channel : str
-        The one to look at.
-    text : str
-        What was measured, what it probably is, and what to do.
-    measured : float or None
-        Slope, factor or bias.
-    error : float or None
-        Its standard error from blocks of time.
-    """
-
+    # ``scale``, ``sign``, ``hand``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``,
+    # ``constant``, ``copied``, ``range``, ``contradiction``, ``course``.
     check: str
-    channel: str
-    text: str
-    measured: float | None = None
-    error: float | None = None
+    channel: str  # the one to look at
+    text: str  # what was measured, what it probably is, and what to do
+    measured: float | None = None  # slope, factor or bias
+    error: float | None = None  # its standard error from blocks of time
 
 
 @dataclass(frozen=True)
 class Relation:
-    """A measured ratio that should be 1.
-
-    Attributes
-    ----------
-    name : str
-    powers : mapping of str to int
-        Channel to the power with which its factor enters.
-    slope : Slope
-    tolerance : float
-        Of the logarithm of the ratio: what right recordings show.
-    corrected : callable or None
-        Takes the factors of v_x and r and returns the ratio that is left after both are corrected, for relations
-        that are no plain product; None where `powers` says it all.
-    of_the_world : bool
-        Whether it turns its sign when yaw and the order of X, Y are both turned.
-    certain : bool
-        Whether the channel that only this relation has is beyond doubt: a path of satellite fixes, a compass.
-    """
+    """A measured ratio that should be 1."""
 
     name: str
-    powers: Mapping[str, int]
+    powers: Mapping[str, int]  # channel to the power with which its factor enters
     slope: Slope
-    tolerance: float
+    tolerance: float  # of the logarithm of the ratio: what right recordings show
+    # Takes the factors of v_x and r and returns the ratio that is left after both are corrected, for relations
+    # that are no plain product; None where `powers` says it all.
     corrected: Callable[[float, float], float] | None = None
-    of_the_world: bool = False
+    of_the_world: bool = False  # whether it turns its sign when yaw and the order of X, Y are both turned
+    # Whether the channel that only this relation has is beyond doubt: a path of satellite fixes, a compass.
     certain: bool = False
 
     @property
@@ -98,19 +71,11 @@ class Relation:
 
 @dataclass(frozen=True)
 class Plausible:
-    """A magnitude that physics bounds: `value` is the product of channels to their `powers`.
-
-    Attributes
-    ----------
-    name : str
-    powers : mapping of str to int
-    value, high : float
-        What it reaches, and what no car reaches, SI.
-    unit : str
-    """
+    """A magnitude that physics bounds: `value` is the product of channels to their `powers`."""
 
     name: str
     powers: Mapping[str, int]
+    # value, high: what it reaches, and what no car reaches, SI.
     value: float
     high: float
     unit: str

@@ -31,47 +31,26 @@ _WORTH = 10.0
 
 @dataclass(frozen=True)
 class Stretch:
-    """One straight, or a part of one.
+    """One straight, or a part of one."""
 
-    Attributes
-    ----------
-    time : float
-        Of its middle [s].
-    seconds : float
-    angle : float
-        Median of v_y/v_x [rad].
-    """
-
-    time: float
+    time: float  # of its middle [s]
     seconds: float
-    angle: float
+    angle: float  # median of v_y/v_x [rad]
 
 
 @dataclass(frozen=True)
 class Direction:
-    """How the direction of v_y goes over a drive.
+    """How the direction of v_y goes over a drive."""
 
-    Attributes
-    ----------
-    kind : str
-        ``constant``, ``drifting``, ``stepping`` or ``wandering``.
-    time, angle : ndarray, shape (K,)
-        Knots [s], [rad]; a straight line between two, constant beyond the ends.
-    mean, error : float
-        Over the straights, and its standard error [rad].
-    scatter : float
-        What is left of the straights around the course [rad], rms.
-    count : int
-        Straights it is found on.
-    """
-
-    kind: str
+    kind: str  # ``constant``, ``drifting``, ``stepping`` or ``wandering``
+    # time, angle: (K,): knots [s], [rad]; a straight line between two, constant beyond the ends.
     time: np.ndarray
     angle: np.ndarray
+    # mean, error: over the straights, and its standard error [rad].
     mean: float
     error: float
-    scatter: float
-    count: int
+    scatter: float  # what is left of the straights around the course [rad], rms
+    count: int  # straights it is found on
 
     def at(self, t: np.ndarray) -> np.ndarray:
         """Return the angle at times t [s], shape (N,)."""
@@ -114,7 +93,6 @@ def straight_stretches(
         Rows where the car neither turns nor begins to.
     period : float
         [s].
-    segments : sequence of slice
     """
     found = []
     for segment in segments:

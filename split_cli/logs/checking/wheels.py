@@ -23,7 +23,6 @@ def without_turning(k: Kinematics, channel: str, usable: Callable[..., bool]) ->
 
     Parameters
     ----------
-    k : Kinematics
     channel : str
         ``wheel_speed_fl`` and so on.
     usable : callable

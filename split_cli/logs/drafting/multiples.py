@@ -28,11 +28,6 @@ def with_units_of_multiples(
 
     A column `Speed` that is 2.237 times another one is in mph, and the other in m/s. One that states its unit
     tells that of its multiples.
-
-    Parameters
-    ----------
-    candidates : sequence of TrialCandidate
-    signals : mapping of str to RawSignal
     """
     speeds = [c for c in candidates if c.channel == "vx" and len(c.sources) == 1 and c.sources[0] in signals]
     found: dict[tuple[str, ...], set[str]] = {}

@@ -96,7 +96,6 @@ def read_steering(
 
     Parameters
     ----------
-    chosen : mapping of str to Suggestion
     columns : mapping of str to ndarray
         Of the suggestions, SI.
     vehicle : Vehicle, optional

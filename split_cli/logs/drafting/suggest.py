@@ -71,7 +71,6 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
 
     Parameters
     ----------
-    recording : RawRecording
     row_rate : float, optional
         Of a table without a column of time [Hz].
     vehicle : Vehicle, optional

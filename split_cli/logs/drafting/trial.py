@@ -29,33 +29,17 @@ _GAP = 0.5
 
 @dataclass(frozen=True)
 class TrialCandidate:
-    """One reading of one or several recorded names.
-
-    Attributes
-    ----------
-    channel : str
-    sources : tuple of str
-        Recorded names; one without its axes for a quaternion.
-    weight : int
-        How clearly names say so; 3 is clear.
-    unit : str or None
-    convert : str
-    by_convention : bool
-        Whether the unit is that of ROS messages, which the recording itself does not state.
-    foreign_unit : str
-        What the file states where a unit stands, and is none that is known.
-    note : str
-        Why it is taken in spite of its name.
-    """
+    """One reading of one or several recorded names."""
 
     channel: str
-    sources: tuple[str, ...]
-    weight: int
+    sources: tuple[str, ...]  # recorded names; one without its axes for a quaternion
+    weight: int  # how clearly names say so; 3 is clear
     unit: str | None
     convert: str = ""
+    # Whether the unit is that of ROS messages, which the recording itself does not state.
     by_convention: bool = False
-    foreign_unit: str = ""
-    note: str = ""
+    foreign_unit: str = ""  # what the file states where a unit stands, and is none that is known
+    note: str = ""  # why it is taken in spite of its name
 
 
 def names_of(candidate: TrialCandidate) -> tuple[str, ...]:

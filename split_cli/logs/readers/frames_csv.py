@@ -15,17 +15,9 @@ _TITLES = re.compile(rb"^\s*(time stamp,id,extended,.*\bd1\b|time,addr,bus,data\
 
 @dataclass(frozen=True)
 class TextFrame:
-    """One frame, with what a frame of python-can has.
+    """One frame, with what a frame of python-can has."""
 
-    Attributes
-    ----------
-    timestamp : float
-        [s]
-    arbitration_id : int
-    data : bytes
-    """
-
-    timestamp: float
+    timestamp: float  # [s]
     arbitration_id: int
     data: bytes
     is_error_frame: bool = False

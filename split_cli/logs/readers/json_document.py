@@ -43,12 +43,7 @@ def _parsed_at_once(text: str) -> Any:
 
 
 class JsonDocument:
-    """The lists of a document that is a list, or an object that holds lists; parsed from the front to the end.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """The lists of a document that is a list, or an object that holds lists; parsed from the front to the end."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

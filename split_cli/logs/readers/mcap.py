@@ -49,21 +49,13 @@ class _DamageError(Exception):
 
 @dataclass
 class _Segment:
-    """A stretch of the file that holds messages: one chunk record, or records outside of chunks.
+    """A stretch of the file that holds messages: one chunk record, or records outside of chunks."""
 
-    Attributes
-    ----------
-    start, stop : int
-        Bytes of the file: of the chunk's content, or of the records.
-    chunk : bool
-    channels : frozenset of int, or None
-        Channels with messages in it, where known.
-    """
-
+    # start, stop: bytes of the file: of the chunk's content, or of the records.
     start: int
     stop: int
     chunk: bool
-    channels: frozenset[int] | None = None
+    channels: frozenset[int] | None = None  # channels with messages in it, where known
 
 
 @dataclass

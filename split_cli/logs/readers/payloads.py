@@ -15,33 +15,17 @@ STAMP_FIELDS = ("header.stamp", "stamp", "timestamp", "header.timestamp")
 
 @dataclass(frozen=True)
 class Columns:
-    """Decoded fields of a run of messages.
+    """Decoded fields of a run of messages."""
 
-    Attributes
-    ----------
-    values : ndarray of float64, shape (N, P)
-        One column a path; NaN where a message lacks the field (a list that is too short).
-    stamps : ndarray of int64, shape (N,), or None
-        The message's own time [ns]; None where the type has none.
-    readable : ndarray of bool, shape (N,)
-        False for messages that do not fit their definition; their values are NaN.
-    """
-
-    values: np.ndarray
-    stamps: np.ndarray | None
-    readable: np.ndarray
+    values: np.ndarray  # (N, P): one column a path; NaN where a message lacks the field (a list that is too short)
+    stamps: np.ndarray | None  # int64 (N,): the message's own time [ns]; None where the type has none
+    readable: np.ndarray  # bool (N,): False for messages that do not fit their definition; their values are NaN
 
 
 class PayloadDecoder(Protocol):
-    """Decodes the messages of one type.
+    """Decodes the messages of one type."""
 
-    Attributes
-    ----------
-    stamp : str or None
-        The field that holds the message's own time.
-    """
-
-    stamp: str | None
+    stamp: str | None  # the field that holds the message's own time
 
     def paths(self) -> list[str]:
         """Return the addresses of the numeric fields, in the order of the definition."""

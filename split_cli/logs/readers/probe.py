@@ -42,7 +42,6 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
 
     Parameters
     ----------
-    path : Path
     read : callable
         A function of a module.
 

@@ -167,7 +167,6 @@ class ConcatenatedContainer:
 
     Parameters
     ----------
-    parts : sequence of Container
     notes : list of ReadNote
         What was found before reading.
     packed : bool

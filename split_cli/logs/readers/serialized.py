@@ -40,20 +40,12 @@ class _UnreadableError(Exception):
 
 @dataclass(frozen=True)
 class _Offsets:
-    """Where the wanted fields of some messages are.
-
-    Attributes
-    ----------
-    little : bool
-    guards : tuple of (int, bytes)
-        Offsets of lengths, with the bytes that must stand there for the offsets below to hold.
-    places : dict of str to (int, str)
-        Byte offset and kind of each wanted path that this message has.
-    """
+    """Where the wanted fields of some messages are."""
 
     little: bool
+    # Offsets of lengths, with the bytes that must stand there for the offsets below to hold.
     guards: tuple[tuple[int, bytes], ...]
-    places: dict[str, tuple[int, str]]
+    places: dict[str, tuple[int, str]]  # byte offset and kind of each wanted path that this message has
 
 
 class SerializedDecoder:
@@ -61,7 +53,6 @@ class SerializedDecoder:
 
     Parameters
     ----------
-    layout : Layout
     cdr : bool
         CDR (ROS 2) with an encapsulation header and alignment, or the packed format of ROS 1.
     """
@@ -172,17 +163,10 @@ class SerializedDecoder:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """Addresses of numbers.
-
-    Attributes
-    ----------
-    paths : frozenset of str
-    elements : dict of str to list of (int, str)
-        Of each array: index and address of its elements that are wanted.
-    """
+    """Addresses of numbers."""
 
     paths: frozenset[str]
-    elements: dict[str, list[tuple[int, str]]]
+    elements: dict[str, list[tuple[int, str]]]  # of each array: index and address of its elements that are wanted
 
     @staticmethod
     @lru_cache(maxsize=8)
