@@ -83,7 +83,6 @@ class ExportedResidual(Residual):
 
         Parameters
         ----------
-        vehicle : Vehicle
         largest : float
             Slip angle up to which it is asked [rad]; the other features are zero.
 

@@ -32,8 +32,6 @@ def learned_grip(
 
     Parameters
     ----------
-    vehicle : Vehicle
-    features : FeatureSet
     z : ndarray, shape (N, D)
     y : ndarray, shape (N, 3)
         Labels: rates left out of v_x, v_y [m/s^2] and r [rad/s^2].
@@ -75,7 +73,6 @@ class PeakShift:
 
     Parameters
     ----------
-    vehicle : Vehicle
     features : FeatureSet
         Slip angles are among them.
     grip : ndarray, shape (2,)

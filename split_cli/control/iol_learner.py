@@ -40,7 +40,6 @@ class DictionaryResidual(Residual):
 
     Parameters
     ----------
-    dictionary : Dictionary
     header : TrainingSet
         For features and kernel.
     damped : bool

@@ -45,36 +45,19 @@ def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float)
 
 @dataclass(frozen=True)
 class Learned:
-    """What one interval gave.
+    """What one interval gave."""
 
-    Attributes
-    ----------
-    label : ndarray, shape (3,) or None
-        What the nominal model got wrong, None when the sample was rejected.
-    predicted : ndarray, shape (3,)
-        What the residual said of it before.
-    updates : int
-    seconds : float
-        Of label and update [s].
-    exact_label, exact_predicted : ndarray, shape (3,) or None
-        The same of the exact motion, where it was given and lies in the region.
-    """
-
-    label: np.ndarray | None
-    predicted: np.ndarray
+    label: np.ndarray | None  # (3,): what the nominal model got wrong, None when the sample was rejected
+    predicted: np.ndarray  # (3,): what the residual said of it before
     updates: int
-    seconds: float
+    seconds: float  # of label and update [s]
+    # exact_label, exact_predicted: (3,): the same of the exact motion, where it was given and lies in the region.
     exact_label: np.ndarray | None = None
     exact_predicted: np.ndarray | None = None
 
 
 class Learner(ABC):
-    """Gives the controller its residual, and takes what was driven.
-
-    Attributes
-    ----------
-    residual : Residual
-    """
+    """Gives the controller its residual, and takes what was driven."""
 
     residual: Residual
     size: int = 0

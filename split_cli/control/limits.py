@@ -30,26 +30,17 @@ SLIP_ROWS = 5
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of the controller, narrower than the region in which samples are learned.
+    """Bounds of the controller, narrower than the region in which samples are learned."""
 
-    Attributes
-    ----------
-    p_long, p_ellipse : float
-        Shape of the force ellipse [1].
-    alpha_max, dalpha_max : float
-        Slip angle and difference of slip angles [rad].
-    p_unknown : float or None
-        Ellipse where the residual knows nothing [1]; as `p_ellipse` when it is None.
-    guarded : bool
-        Whether the slip limits move with the load that driving and braking shift (`load_shift`), the torque is
-        bounded by the ellipse (`torque_limit`), and learned peaks are the residual's prior mean (`PeakShift`).
-    """
-
+    # p_long, p_ellipse: shape of the force ellipse [1].
     p_long: float = P_LONG
     p_ellipse: float = P_ELLIPSE
+    # alpha_max, dalpha_max: slip angle and difference of slip angles [rad].
     alpha_max: float = ALPHA_MAX
     dalpha_max: float = DALPHA_MAX
-    p_unknown: float | None = None
+    p_unknown: float | None = None  # ellipse where the residual knows nothing [1]; as `p_ellipse` when it is None
+    # Whether the slip limits move with the load that driving and braking shift (`load_shift`), the torque is
+    # bounded by the ellipse (`torque_limit`), and learned peaks are the residual's prior mean (`PeakShift`).
     guarded: bool = False
 
     def ellipse(self, residual: ResidualValues) -> np.ndarray:
@@ -178,8 +169,6 @@ def slip_rows(
 
     Parameters
     ----------
-    limits : Limits
-    found : Linearization
     free : float
         What stands for no bound.
     grip, shift : ndarray, shape (2,)

@@ -23,35 +23,18 @@ __all__ = ["ControlModel", "Linearization", "check_features"]
 
 @dataclass(frozen=True)
 class Linearization:
-    """The discrete model about N states and inputs, with n = 8 + S states.
+    """The discrete model about N states and inputs, with n = 8 + S states."""
 
-    Attributes
-    ----------
-    A : ndarray, shape (N, n, n)
-        x_{k+1} = following_k + A_k (x - x_k) + B_k (u - u_k).
-    B : ndarray, shape (N, n, 2)
-    following : ndarray, shape (N, n)
-        One step on from each of the states.
-    slip : ndarray, shape (N, 2)
-        Nominal front and rear slip angle [rad].
-    slip_slope : ndarray, shape (N, 2, n)
-    residual : ResidualValues
-    curve : ndarray, shape (N, 2, 3)
-        B [1/rad], C [1] and D [N] of front and rear, as the vehicle's terms leave them there.
-    force : ndarray, shape (N, 2)
-        Longitudinal force of front and rear, of the torque that has arrived [N].
-    force_slope : ndarray, shape (N, 2, n)
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    following: np.ndarray
-    slip: np.ndarray
-    slip_slope: np.ndarray
+    A: np.ndarray  # (N, n, n): x_{k+1} = following_k + A_k (x - x_k) + B_k (u - u_k)
+    B: np.ndarray  # (N, n, 2)
+    following: np.ndarray  # (N, n): one step on from each of the states
+    slip: np.ndarray  # (N, 2): nominal front and rear slip angle [rad]
+    slip_slope: np.ndarray  # (N, 2, n)
     residual: ResidualValues
+    # (N, 2, 3): B [1/rad], C [1] and D [N] of front and rear, as the vehicle's terms leave them there.
     curve: np.ndarray
-    force: np.ndarray
-    force_slope: np.ndarray
+    force: np.ndarray  # (N, 2): longitudinal force of front and rear, of the torque that has arrived [N]
+    force_slope: np.ndarray  # (N, 2, n)
 
     def stages(self, which: slice) -> Linearization:
         """Return the model at some of the stages."""

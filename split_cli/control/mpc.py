@@ -17,37 +17,17 @@ __all__ = ["Mpc", "MpcSettings", "SpeedController"]
 
 @dataclass(frozen=True)
 class MpcSettings:
-    """How the tracking controller weighs.
+    """How the tracking controller weighs."""
 
-    Attributes
-    ----------
-    horizon : int
-        N; the paper's 50 for steering alone, 25 for both.
-    step : float
-        [s]; the paper's 0.04.
-    weights : Weights
-    direction : float
-        Of the squared angle between car and line [1/rad^2].
-    speed : float
-        Of the squared speed error [s^2/m^2]; not used for steering alone.
-    yaw_rate : float
-        Of the squared difference from what the line's curvature asks for [s^2/rad^2].
-    limits : Limits
-    margin : float
-        Kept between the car's side and the border [m].
-    steering_alone : bool
-        Leave the torque to a speed controller; in the prediction it stays as it is.
-    """
-
-    horizon: int = 50
-    step: float = 0.04
+    horizon: int = 50  # N; the paper's 50 for steering alone, 25 for both
+    step: float = 0.04  # [s]; the paper's 0.04
     weights: Weights = Weights(contour=4.0, lag=1.0, torque_rate=0.02, steer_rate=1.0)
-    direction: float = 4.0
-    speed: float = 0.5
-    yaw_rate: float = 0.1
+    direction: float = 4.0  # of the squared angle between car and line [1/rad^2]
+    speed: float = 0.5  # of the squared speed error [s^2/m^2]; not used for steering alone
+    yaw_rate: float = 0.1  # of the squared difference from what the line's curvature asks for [s^2/rad^2]
     limits: Limits = Limits()
-    margin: float = 0.05
-    steering_alone: bool = True
+    margin: float = 0.05  # kept between the car's side and the border [m]
+    steering_alone: bool = True  # leave the torque to a speed controller; in the prediction it stays as it is
 
 
 class Mpc(RecedingController):
@@ -161,21 +141,13 @@ class Mpc(RecedingController):
 
 @dataclass
 class SpeedController:
-    """A proportional-integral controller of the speed through the torque.
+    """A proportional-integral controller of the speed through the torque."""
 
-    Attributes
-    ----------
-    speed : float
-        Wanted [m/s].
-    proportional, integral : float
-        Of the acceleration asked for, per speed error [1/s] and its integral [1/s^2].
-    mass, wheel_radius : float
-        [kg], [m]
-    """
-
-    speed: float
+    speed: float  # wanted [m/s]
+    # mass, wheel_radius: [kg], [m]
     mass: float
     wheel_radius: float
+    # proportional, integral: of the acceleration asked for, per speed error [1/s] and its integral [1/s^2].
     proportional: float = 1.5
     integral: float = 0.3
     sum: float = 0.0

@@ -17,34 +17,16 @@ __all__ = ["Mpcc", "MpccSettings"]
 
 @dataclass(frozen=True)
 class MpccSettings:
-    """How the contouring controller weighs.
+    """How the contouring controller weighs."""
 
-    Attributes
-    ----------
-    horizon : int
-        N; the paper's 80.
-    step : float
-        [s]; the paper's 0.05.
-    weights : Weights
-    progress : float
-        q_v, of the progress speed [s/m].
-    progress_rate : float
-        Of the squared acceleration of the progress [s^4/m^2].
-    max_speed : float
-        Of the progress and of the car [m/s].
-    limits : Limits
-    margin : float
-        Kept between the car's side and the border [m].
-    """
-
-    horizon: int = 80
-    step: float = 0.05
+    horizon: int = 80  # N; the paper's 80
+    step: float = 0.05  # [s]; the paper's 0.05
     weights: Weights = Weights(contour=0.02, lag=40.0, torque_rate=0.02, steer_rate=4.0)
-    progress: float = 1.0
-    progress_rate: float = 1e-3
-    max_speed: float = 30.0
+    progress: float = 1.0  # q_v, of the progress speed [s/m]
+    progress_rate: float = 1e-3  # of the squared acceleration of the progress [s^4/m^2]
+    max_speed: float = 30.0  # of the progress and of the car [m/s]
     limits: Limits = Limits()
-    margin: float = 0.3
+    margin: float = 0.3  # kept between the car's side and the border [m]
 
 
 class Mpcc(RecedingController):

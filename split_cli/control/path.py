@@ -14,51 +14,32 @@ __all__ = ["Path", "PathPoint", "check_path", "contour_and_lag", "resampled"]
 
 @dataclass(frozen=True)
 class PathPoint:
-    """The line at N places.
+    """The line at N places."""
 
-    Attributes
-    ----------
-    x, y : ndarray, shape (N,)
-        [m]
-    direction : ndarray, shape (N,)
-        Angle of the tangent, unwrapped over laps [rad].
-    curvature : ndarray, shape (N,)
-        Positive in a left turn [1/m].
-    left, right : ndarray, shape (N,)
-        Distance to the borders, both positive [m].
-    """
-
+    # x, y: (N,): [m]
     x: np.ndarray
     y: np.ndarray
-    direction: np.ndarray
-    curvature: np.ndarray
+    direction: np.ndarray  # (N,): angle of the tangent, unwrapped over laps [rad]
+    curvature: np.ndarray  # (N,): positive in a left turn [1/m]
+    # left, right: (N,): distance to the borders, both positive [m].
     left: np.ndarray
     right: np.ndarray
 
 
 @dataclass(frozen=True)
 class Path:
-    """A line sampled at even arc length.
-
-    Attributes
-    ----------
-    name : str
-    spacing : float
-        Arc length between samples [m].
-    x, y, direction, curvature, left, right : ndarray, shape (N,)
-        As in `PathPoint`.
-    closed : bool
-        Whether the last sample is one spacing before the first. An open line goes on straight beyond its ends.
-    """
+    """A line sampled at even arc length."""
 
     name: str
-    spacing: float
+    spacing: float  # arc length between samples [m]
+    # x, y, direction, curvature, left, right: (N,): as in `PathPoint`.
     x: np.ndarray
     y: np.ndarray
     direction: np.ndarray
     curvature: np.ndarray
     left: np.ndarray
     right: np.ndarray
+    # Whether the last sample is one spacing before the first. An open line goes on straight beyond its ends.
     closed: bool = True
 
     @property

@@ -21,68 +21,37 @@ __all__ = ["QPData", "QPSolution", "StageQP"]
 
 @dataclass(frozen=True)
 class QPData:
-    """Numbers of one quadratic programme, with N stages, n states, m inputs, g softened rows.
+    """Numbers of one quadratic programme, with N stages, n states, m inputs, g softened rows."""
 
-    Attributes
-    ----------
-    A : ndarray, shape (N, n, n)
-        x_{k+1} = A_k x_k + B_k u_k + c_k; A_0 is not used, since x_0 = 0.
-    B : ndarray, shape (N, n, m)
-    c : ndarray, shape (N, n)
-    Q : ndarray, shape (N, n, n)
-        The cost of x_1 to x_N is x^T Q x/2 + q^T x; symmetric and not negative.
-    q : ndarray, shape (N, n)
-    R : ndarray, shape (N, m)
-        The cost of u_0 to u_{N-1} is sum R u^2/2 + r u; positive.
-    r : ndarray, shape (N, m)
-    C : ndarray, shape (N - 1, g, n)
-        Softened rows of x_1 to x_{N-1}.
-    row_lower, row_upper : ndarray, shape (N - 1, g)
-    slack_weight : ndarray, shape (g,)
-        w of the cost w s^2; positive.
-    x_lower, x_upper : ndarray, shape (N, n)
-        Of x_1 to x_N.
-    u_lower, u_upper : ndarray, shape (N, m)
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    c: np.ndarray
-    Q: np.ndarray
-    q: np.ndarray
-    R: np.ndarray
-    r: np.ndarray
-    C: np.ndarray
+    A: np.ndarray  # (N, n, n): x_{k+1} = A_k x_k + B_k u_k + c_k; A_0 is not used, since x_0 = 0
+    B: np.ndarray  # (N, n, m)
+    c: np.ndarray  # (N, n)
+    Q: np.ndarray  # (N, n, n): the cost of x_1 to x_N is x^T Q x/2 + q^T x; symmetric and not negative
+    q: np.ndarray  # (N, n)
+    R: np.ndarray  # (N, m): the cost of u_0 to u_{N-1} is sum R u^2/2 + r u; positive
+    r: np.ndarray  # (N, m)
+    C: np.ndarray  # (N - 1, g, n): softened rows of x_1 to x_{N-1}
+    # row_lower, row_upper: (N - 1, g)
     row_lower: np.ndarray
     row_upper: np.ndarray
-    slack_weight: np.ndarray
+    slack_weight: np.ndarray  # (g,): w of the cost w s^2; positive
+    # x_lower, x_upper: (N, n): of x_1 to x_N.
     x_lower: np.ndarray
     x_upper: np.ndarray
+    # u_lower, u_upper: (N, m)
     u_lower: np.ndarray
     u_upper: np.ndarray
 
 
 @dataclass(frozen=True)
 class QPSolution:
-    """What the solver found.
+    """What the solver found."""
 
-    Attributes
-    ----------
-    x : ndarray, shape (N, n)
-        x_1 to x_N.
-    u : ndarray, shape (N, m)
-    slack : ndarray, shape (N - 1, g)
-    solved : bool
-        Whether the answer is finite and satisfies dynamics, rows and bounds.
-    seconds : float
-        Of the solver alone [s].
-    """
-
-    x: np.ndarray
-    u: np.ndarray
-    slack: np.ndarray
-    solved: bool
-    seconds: float
+    x: np.ndarray  # (N, n): x_1 to x_N
+    u: np.ndarray  # (N, m)
+    slack: np.ndarray  # (N - 1, g)
+    solved: bool  # whether the answer is finite and satisfies dynamics, rows and bounds
+    seconds: float  # of the solver alone [s]
 
 
 class _Bound:

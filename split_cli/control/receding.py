@@ -39,52 +39,32 @@ class ControllerLost(SplitError):
 
 @dataclass(frozen=True)
 class Actuators:
-    """What commands may be.
+    """What commands may be."""
 
-    Attributes
-    ----------
-    max_torque, max_brake_torque : float
-        Both positive [N m].
-    max_steer : float
-        [rad]
-    torque_rate : float
-        [N m/s]
-    steer_rate : float
-        [rad/s]
-    """
-
+    # max_torque, max_brake_torque: both positive [N m].
     max_torque: float
     max_brake_torque: float
-    max_steer: float = MAX_STEER
-    torque_rate: float = TORQUE_RATE
-    steer_rate: float = STEER_RATE
+    max_steer: float = MAX_STEER  # [rad]
+    torque_rate: float = TORQUE_RATE  # [N m/s]
+    steer_rate: float = STEER_RATE  # [rad/s]
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights that MPC and MPCC have in common.
+    """Weights that MPC and MPCC have in common."""
 
-    Attributes
-    ----------
-    contour, lag : float
-        Of squared errors [1/m^2].
-    torque_rate, steer_rate : float
-        Of squared inputs, in units of full torque a second and of 1 rad/s.
-    track, ellipse, slip_difference : float
-        Of squared slacks: contour beyond the border [1/m^2], slip angle beyond the ellipse [1/rad^2], difference
-        of slip angles beyond its bound [1/rad^2].
-    proximal : float
-        Of squared steps of the scaled states from one plan to the next.
-    """
-
+    # contour, lag: of squared errors [1/m^2].
     contour: float
     lag: float
+    # torque_rate, steer_rate: of squared inputs, in units of full torque a second and of 1 rad/s.
     torque_rate: float
     steer_rate: float
+    # track, ellipse, slip_difference: of squared slacks: contour beyond the border [1/m^2], slip angle beyond the
+    # ellipse [1/rad^2], difference of slip angles beyond its bound [1/rad^2].
     track: float = TRACK_SLACK
     ellipse: float = ELLIPSE_SLACK
     slip_difference: float = SLIP_DIFFERENCE_SLACK
-    proximal: float = PROXIMAL
+    proximal: float = PROXIMAL  # of squared steps of the scaled states from one plan to the next
 
 
 @dataclass
@@ -97,21 +77,13 @@ class Plan:
 
 @dataclass(frozen=True)
 class StepInfo:
-    """What one step of a controller took.
-
-    Attributes
-    ----------
-    solved : bool
-    solver_seconds, total_seconds : float
-        Of HPIPM, and of everything: residual, model, assembly and solver [s].
-    residual_seconds : float
-        Of model and residual together, part of the total [s].
-    """
+    """What one step of a controller took."""
 
     solved: bool
+    # solver_seconds, total_seconds: of HPIPM, and of everything: residual, model, assembly and solver [s].
     solver_seconds: float
     total_seconds: float
-    residual_seconds: float
+    residual_seconds: float  # of model and residual together, part of the total [s]
 
 
 class RecedingController(ABC):
@@ -119,11 +91,6 @@ class RecedingController(ABC):
 
     Parameters
     ----------
-    model : ControlModel
-    path : Path
-    actuators : Actuators
-    weights : Weights
-    limits : Limits
     horizon : int
         N.
     half_width : float

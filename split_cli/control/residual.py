@@ -21,24 +21,12 @@ __all__ = ["NoResidual", "OnlineResidual", "PredictorResidual", "Residual", "Res
 
 @dataclass(frozen=True)
 class ResidualValues:
-    """The residual at N features.
+    """The residual at N features."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (N, 3)
-        Rates left out, of v_x, v_y [m/s^2] and r [rad/s^2].
-    slope : ndarray, shape (N, 3, D)
-        Its Jacobian with respect to the features.
-    variance : ndarray, shape (N, 3)
-        Latent variance, same units squared.
-    knowledge : ndarray, shape (N, 3)
-        1 - variance/prior variance, from 0 (nothing was learned here) to 1.
-    """
-
-    mean: np.ndarray
-    slope: np.ndarray
-    variance: np.ndarray
-    knowledge: np.ndarray
+    mean: np.ndarray  # (N, 3): rates left out, of v_x, v_y [m/s^2] and r [rad/s^2]
+    slope: np.ndarray  # (N, 3, D): its Jacobian with respect to the features
+    variance: np.ndarray  # (N, 3): latent variance, same units squared
+    knowledge: np.ndarray  # (N, 3): 1 - variance/prior variance, from 0 (nothing was learned here) to 1
 
     @classmethod
     def told(
@@ -56,12 +44,6 @@ class ResidualValues:
 class Residual(ABC):
     """What a controller adds to its nominal model.
 
-    Attributes
-    ----------
-    features : FeatureSet
-    peak : PeakShift or None
-        What moved peaks of the tyres leave out: the prior mean.
-
     Notes
     -----
     A process without data returns to its prior mean. With zero for it, the nominal model speaks there, whose peaks
@@ -71,7 +53,7 @@ class Residual(ABC):
     """
 
     features: FeatureSet = Z2
-    peak: PeakShift | None = None
+    peak: PeakShift | None = None  # what moved peaks of the tyres leave out: the prior mean
 
     def rest_on(self, peak: PeakShift | None) -> None:
         """Take the prior mean; a residual of data lets them speak of what they say beyond it."""
@@ -109,7 +91,6 @@ class PredictorResidual(Residual):
 
     Parameters
     ----------
-    training_set : TrainingSet
     name : str
         Of the predictor.
     damped : bool
@@ -155,7 +136,6 @@ class OnlineResidual(Residual):
     Parameters
     ----------
     known : OnlineCommittee or OnlineProjection
-    features : FeatureSet
     damped : bool
         As of `PredictorResidual`.
     """

@@ -22,18 +22,12 @@ _FREE = 30.0
 
 @dataclass(frozen=True)
 class Lane:
-    """A stretch with cones on both sides.
+    """A stretch with cones on both sides."""
 
-    Attributes
-    ----------
-    begin, end : float
-        Along the track, 0 at the first cone [m].
-    right, width : float
-        Right border across the track, left positive, and distance to the left one [m].
-    """
-
+    # begin, end: along the track, 0 at the first cone [m].
     begin: float
     end: float
+    # right, width: right border across the track, left positive, and distance to the left one [m].
     right: float
     width: float
 
@@ -45,42 +39,25 @@ class Lane:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A manoeuvre ready to be driven.
-
-    Attributes
-    ----------
-    name : str
-    path : Path
-        The line to track, open, its borders those of the lanes where `borders`, far away elsewhere.
-    lanes : tuple of Lane
-    cones : ndarray, shape (K, 2)
-        Centres [m].
-    entry_speed, exit_speed : float
-        Wanted up to the first cone and at the last lane [m/s].
-    brake_begin, brake_end : float
-        Arc length between which the speed falls [m]; equal when it does not.
-    horizon : int
-    step : float
-        [s]
-    steering_alone, borders : bool
-        Whether torque is left to a speed controller, and whether lanes are constraints of the controller.
-    finish : float
-        Arc length of the end [m].
-    """
+    """A manoeuvre ready to be driven."""
 
     name: str
-    path: Path
+    path: Path  # the line to track, open, its borders those of the lanes where `borders`, far away elsewhere
     lanes: tuple[Lane, ...]
-    cones: np.ndarray
+    cones: np.ndarray  # (K, 2): centres [m]
+    # entry_speed, exit_speed: wanted up to the first cone and at the last lane [m/s].
     entry_speed: float
     exit_speed: float
+    # brake_begin, brake_end: arc length between which the speed falls [m]; equal when it does not.
     brake_begin: float
     brake_end: float
     horizon: int
-    step: float
+    step: float  # [s]
+    # steering_alone, borders: whether torque is left to a speed controller, and whether lanes are constraints of
+    # the controller.
     steering_alone: bool
     borders: bool
-    finish: float
+    finish: float  # arc length of the end [m]
 
     def speed(self, s: np.ndarray) -> np.ndarray:
         """Return the wanted speed [m/s] at arc lengths [m]: constant deceleration between its two places."""
