@@ -74,8 +74,6 @@ def flow_along(model: SingleTrack, drive: Drive, recording: Recording | None = N
 
     Parameters
     ----------
-    model : SingleTrack
-    drive : Drive
     recording : Recording, optional
         The drive's clock, with what terms remember at its first row where it is a piece of a longer drive; by
         default that of a whole drive.

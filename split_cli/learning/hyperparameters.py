@@ -44,33 +44,20 @@ _HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 
 @dataclass(frozen=True)
 class KernelFit:
-    """A fitted kernel and how it was found.
-
-    Attributes
-    ----------
-    kernel : Kernel
-    negative_log_likelihood : float
-        Per point and output, at the optimum [nat].
-    points, blocks : int
-        What the likelihood was summed over.
-    evaluations : int
-    at_bound : tuple of str
-        Hyperparameters that ended on a bound: the labels ask for more, or do not determine them. Not length
-        scales at a `longest` that was asked for.
-    lasting_variance : ndarray, shape (3,)
-        Part of the kernel's noise variance that lasts from label to label; zeros where no times were given.
-    memory : float
-        Time over which that part fades to 1/e [s]; 0 where no times were given.
-    """
+    """A fitted kernel and how it was found."""
 
     kernel: Kernel
-    negative_log_likelihood: float
+    negative_log_likelihood: float  # per point and output, at the optimum [nat]
+    # points, blocks: what the likelihood was summed over.
     points: int
     blocks: int
     evaluations: int
+    # Hyperparameters that ended on a bound: the labels ask for more, or do not determine them. Not length scales
+    # at a `longest` that was asked for.
     at_bound: tuple[str, ...]
+    # (3,): part of the kernel's noise variance that lasts from label to label; zeros where no times were given.
     lasting_variance: np.ndarray = field(default_factory=lambda: np.zeros(len(OUTPUTS)))
-    memory: float = 0.0
+    memory: float = 0.0  # time over which that part fades to 1/e [s]; 0 where no times were given
 
 
 def default_kernel(grid: Grid, y: np.ndarray, noise_variance: np.ndarray | None = None) -> Kernel:
@@ -122,7 +109,6 @@ def fit_kernel(
     ----------
     z, y : ndarray, shape (N, D), (N, 3)
         Accepted labels of training blocks of time; thinned evenly to 6,000.
-    grid : Grid
     start : Kernel
         Where the search begins; its length scales and four times them are tried.
     longest : float
@@ -276,7 +262,6 @@ def neighbour_blocks(index: np.ndarray, most: int) -> list[np.ndarray]:
     ----------
     index : ndarray of int64, shape (N, D)
         Cell indices, as of `Grid.index`.
-    most : int
     """
     pending, blocks = [np.arange(len(index))], []
     while pending:

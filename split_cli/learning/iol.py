@@ -193,7 +193,6 @@ def empty_dictionary(empty: TrainingSet, capacity: int = DEFAULT_DICTIONARY) -> 
     ----------
     empty : TrainingSet
         As `cells.empty_set` makes it; features, region, grid and kernel are kept.
-    capacity : int
     """
     if not 1 <= capacity <= 20_000:
         raise SetError(f"a dictionary of {capacity} points, 1 to 20000 was expected")

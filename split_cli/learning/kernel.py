@@ -13,23 +13,13 @@ OUTPUTS = ("vx", "vy", "r")
 
 @dataclass(frozen=True)
 class Kernel:
-    """Hyperparameters of the residual's Gaussian process.
+    """Hyperparameters of the residual's Gaussian process."""
 
-    Attributes
-    ----------
-    length_scales : ndarray, shape (D,)
-        One a feature, in the feature's unit; shared by the outputs, so that a cell keeps one point set.
-    signal_variance : ndarray, shape (3,)
-        S0 of v_x', v_y' [m^2/s^4] and r' [rad^2/s^4].
-    noise_variance : ndarray, shape (3,)
-        Label noise s^2, same units.
-    origin : {"default", "given", "fitted"}
-    """
-
+    # (D,): one a feature, in the feature's unit; shared by the outputs, so that a cell keeps one point set.
     length_scales: np.ndarray
-    signal_variance: np.ndarray
-    noise_variance: np.ndarray
-    origin: str = "given"
+    signal_variance: np.ndarray  # (3,): S0 of v_x', v_y' [m^2/s^4] and r' [rad^2/s^4]
+    noise_variance: np.ndarray  # (3,): label noise s^2, same units
+    origin: str = "given"  # {"default", "given", "fitted"}
 
     def __post_init__(self) -> None:
         for name in ("length_scales", "signal_variance", "noise_variance"):

@@ -64,8 +64,6 @@ class Labels:
         Name and content hash of the drive.
     vehicle_digest : str
         `Vehicle.digest` of the nominal model.
-    features : FeatureSet
-    region : Region
     horizon : float
         h [s], a whole number of samples.
     window : int
@@ -183,9 +181,6 @@ def compute_labels(
 
     Parameters
     ----------
-    drive : Drive
-    vehicle : Vehicle
-    features : FeatureSet
     region : Region, optional
         The vehicle's default region when not given.
     horizon : float
@@ -268,8 +263,6 @@ def nominal_errors(
 
     Parameters
     ----------
-    model : SingleTrack
-    drive : Drive
     starts : ndarray of int64, shape (N,)
         Every window must lie inside one segment.
     window : int

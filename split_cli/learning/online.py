@@ -21,18 +21,10 @@ _TOO_LITTLE, _WORDS = Reason.GAIN.word, tuple(reason.word for reason in Reason)
 
 
 class CellChange(NamedTuple):
-    """What one offer did.
+    """What one offer did."""
 
-    Attributes
-    ----------
-    changed : tuple of int
-        Positions of the cells whose points changed, see `OnlineSet.cell`.
-    updates : int
-        Insertions and replacements.
-    """
-
-    changed: tuple[int, ...]
-    updates: int
+    changed: tuple[int, ...]  # positions of the cells whose points changed, see `OnlineSet.cell`
+    updates: int  # insertions and replacements
 
 
 _NOTHING = CellChange((), 0)

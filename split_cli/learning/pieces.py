@@ -36,7 +36,6 @@ def pieces(
     ----------
     model : SingleTrack
         What its terms remember is handed on: the flow along each piece has to be followed before the next one.
-    drive : Drive
     starts : ndarray of int, shape (N,)
         Rows, ascending.
     window : int

@@ -27,8 +27,6 @@ class PrintedLearner:
     Parameters
     ----------
     length_scales : ndarray, shape (D,)
-    capacity : int
-    threshold : float
     forgetting : float, optional
         Time constant [s] of weighing gains down with age; the paper has none.
     """

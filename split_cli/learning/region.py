@@ -20,25 +20,14 @@ _CELLS_A_RANGE = 18
 
 @dataclass(frozen=True)
 class Region:
-    """Limits of the physically valid region.
+    """Limits of the physically valid region."""
 
-    Attributes
-    ----------
-    p_long, p_ellipse : float
-        Shape of the force ellipse [1].
-    alpha_max : float
-        Largest slip angle [rad].
-    dalpha_max : float
-        Largest |alpha_f - alpha_r| [rad].
-    minimum_speed : float
-        [m/s].
-    """
-
+    # p_long, p_ellipse: shape of the force ellipse [1].
     p_long: float = 0.9
     p_ellipse: float = 0.95
-    alpha_max: float = 0.18
-    dalpha_max: float = 0.10
-    minimum_speed: float = 5.0
+    alpha_max: float = 0.18  # largest slip angle [rad]
+    dalpha_max: float = 0.10  # largest |alpha_f - alpha_r| [rad]
+    minimum_speed: float = 5.0  # [m/s]
 
     @classmethod
     def of(cls, vehicle: Vehicle, **overrides: float) -> Region:
@@ -76,17 +65,10 @@ class Region:
 
 @dataclass(frozen=True)
 class Grid:
-    """Cells of equal edges: index floor(z/edge), half-open, the last cell of a bounded feature closed.
+    """Cells of equal edges: index floor(z/edge), half-open, the last cell of a bounded feature closed."""
 
-    Attributes
-    ----------
-    edges : tuple of float
-        Cell edge a feature, in the feature's unit.
-    lower, upper : tuple of float
-        Bounds a feature; infinite where there are none. A sample outside has no cell.
-    """
-
-    edges: tuple[float, ...]
+    edges: tuple[float, ...]  # cell edge a feature, in the feature's unit
+    # lower, upper: bounds a feature; infinite where there are none. A sample outside has no cell.
     lower: tuple[float, ...]
     upper: tuple[float, ...]
 
@@ -171,9 +153,6 @@ def build_grid(features: FeatureSet, vehicle: Vehicle, region: Region, z: np.nda
 
     Parameters
     ----------
-    features : FeatureSet
-    vehicle : Vehicle
-    region : Region
     z : ndarray, shape (N, D), optional
         Valid samples of the first drive, from which edges of features outside z2 are taken, once for the life of
         a set; z2 needs none.

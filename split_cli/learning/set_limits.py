@@ -25,7 +25,6 @@ def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_
     ----------
     described : mapping
         As `training_set` writes it.
-    features : sequence of str
     vehicle_digest : str
         Of the vehicle in the header, computed.
 

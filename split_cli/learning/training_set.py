@@ -34,7 +34,6 @@ class SetSource:
 
     Attributes
     ----------
-    name, sha256 : str
     samples : int
         Labels offered.
     accepted : int
@@ -74,10 +73,6 @@ class TrainingSet:
 
     Attributes
     ----------
-    vehicle : Vehicle
-    features : FeatureSet
-    region : Region
-    grid : Grid
     kernel : Kernel
         Of the residual; the marginal gain uses its length scales with unit variance and no noise.
     horizon : float
@@ -103,7 +98,6 @@ class TrainingSet:
         Index into `sources`.
     row : ndarray of int64, shape (P,)
         Row in its drive.
-    sources : tuple of SetSource
     plain : bool
         Whether y are the paper's plain differences, which depend on the horizon: for reproduction only.
     learner : {"split", "iol"}
@@ -211,7 +205,6 @@ class SetFile:
     ----------
     header : TrainingSet
         Everything but the points.
-    cell_count : int
 
     Raises
     ------
