@@ -52,7 +52,6 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
     ----------
     rates : ndarray, shape (N, 3)
         Of v_x, v_y [m/s^2] and r [rad/s^2], at the vehicle's own body, the effects of its file included.
-    vehicle : Vehicle
     terms : sequence of Term
         Those that alter no body are passed over, and where axles lie is the vehicle's, see `moved_axles`.
 

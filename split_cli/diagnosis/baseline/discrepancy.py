@@ -40,16 +40,10 @@ _MEMORY_SECONDS = (0.03, 0.1, 0.35)  # for a full-size car; times shrink with th
 
 @dataclass(frozen=True)
 class SharedDiscrepancy:
-    """The dictionary, scaled so that every weight has a standard normal prior.
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-    center, width : ndarray, shape (4,)
-        Of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
-    """
+    """The dictionary, scaled so that every weight has a standard normal prior."""
 
     vehicle: Vehicle
+    # center, width: (4,): of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
     center: np.ndarray
     width: np.ndarray
 

@@ -34,8 +34,6 @@ def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: S
     ----------
     rates : ndarray, shape (N, 3)
         Of v_x, v_y [m/s^2] and r [rad/s^2], in the middle of the samples of `series`.
-    series : Series
-    vehicle : Vehicle
     terms : sequence of Term
         Those that alter no tyre are passed over.
 

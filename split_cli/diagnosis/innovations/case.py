@@ -24,33 +24,22 @@ __all__ = ["DiagnosisCase", "gather_case"]
 
 @dataclass(frozen=True)
 class DiagnosisCase:
-    """Recordings and knowledge.
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-    real, holdout, simulated : tuple of Evidence
-    discrepancy : SharedDiscrepancy
-    posterior : DiscrepancyPosterior or None
-        None where the nominal model is the simulation.
-    keep, keep_holdout : tuple of ndarray of bool, shape (G,)
-        Rows of each real and held-out recording that are compared.
-    kinematics, simulated_kinematics : tuple of KinematicResiduals or Witness
-        What the real and the simulated recordings know twice: position and yaw, accelerations.
-    graded : tuple of Evidence
-        The simulated recordings as if they had the noise and disturbance of the real ones.
-    """
+    """Recordings and knowledge."""
 
     vehicle: Vehicle
     real: tuple[Evidence, ...]
     holdout: tuple[Evidence, ...]
     discrepancy: SharedDiscrepancy
-    posterior: DiscrepancyPosterior | None
+    posterior: DiscrepancyPosterior | None  # None where the nominal model is the simulation
+    # keep, keep_holdout: bool (G,): rows of each real and held-out recording that are compared.
     keep: tuple[np.ndarray, ...]
+    # kinematics, simulated_kinematics: what the real and the simulated recordings know twice: position and yaw,
+    # accelerations.
     kinematics: tuple[KinematicResiduals | Witness, ...]
     simulated_kinematics: tuple[KinematicResiduals | Witness, ...] = ()
     simulated: tuple[Evidence, ...] = ()
     keep_holdout: tuple[np.ndarray, ...] = ()
+    # The simulated recordings as if they had the noise and disturbance of the real ones.
     graded: tuple[Evidence, ...] = ()
 
     def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:

@@ -42,21 +42,12 @@ _FEATURES = FeatureSet((*Z2.names, "vx", "vy", "r", "row"))
 
 @dataclass(frozen=True)
 class SharedRates:
-    """What simulation and reality share beyond the nominal model, around a recording.
+    """What simulation and reality share beyond the nominal model, around a recording."""
 
-    Attributes
-    ----------
-    base : ndarray, shape (N, 3)
-        Rates at the recorded states, means over the sample that a row begins [m/s^2], [m/s^2], [rad/s^2].
-    slope : ndarray, shape (N, 3, 3)
-        Their derivative by (v_x, v_y, r).
-    around : ndarray, shape (N, 3)
-        The recorded states.
-    """
-
+    # (N, 3): rates at the recorded states, means over the sample that a row begins [m/s^2], [m/s^2], [rad/s^2].
     base: np.ndarray
-    slope: np.ndarray
-    around: np.ndarray
+    slope: np.ndarray  # (N, 3, 3): their derivative by (v_x, v_y, r)
+    around: np.ndarray  # (N, 3): the recorded states
 
     def ahead(self, window: int) -> SharedRates:
         """Return the same with rates averaged over the window that each row begins."""
@@ -130,45 +121,24 @@ def _that_returns(slope: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RolloutErrors:
-    """Squared errors of rollouts on one recording.
+    """Squared errors of rollouts on one recording."""
 
-    Attributes
-    ----------
-    horizons : tuple of float
-        [s]
-    t : ndarray, shape (S,)
-        When each begins [s].
-    squared : mapping of str to ndarray, shape (S, H, 3)
-        By stage; of v_x, v_y [m^2/s^2] and r [rad^2/s^2].
-    floor : ndarray, shape (S, H, 3)
-        Variance that sensor noise alone makes: at the start, carried along, and at the end.
-    signed : mapping of str to ndarray, shape (S, H, 3)
-        The errors themselves, model less recording [m/s], [m/s], [rad/s].
-    """
-
-    horizons: tuple[float, ...]
-    t: np.ndarray
-    squared: Mapping[str, np.ndarray]
+    horizons: tuple[float, ...]  # [s]
+    t: np.ndarray  # (S,): when each begins [s]
+    squared: Mapping[str, np.ndarray]  # (S, H, 3): by stage; of v_x, v_y [m^2/s^2] and r [rad^2/s^2]
+    # (S, H, 3): variance that sensor noise alone makes: at the start, carried along, and at the end.
     floor: np.ndarray
+    # (S, H, 3): the errors themselves, model less recording [m/s], [m/s], [rad/s].
     signed: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class LearnedCorrection:
-    """What SPLIT learned of a model's errors.
-
-    Attributes
-    ----------
-    predictor : Predictor
-    grid : Grid
-        Outside it nothing is predicted.
-    trust : ndarray, shape (3,)
-        Share of the prediction that is applied, an output [1].
-    """
+    """What SPLIT learned of a model's errors."""
 
     predictor: Predictor
-    grid: Grid
-    trust: np.ndarray
+    grid: Grid  # outside it nothing is predicted
+    trust: np.ndarray  # (3,): share of the prediction that is applied, an output [1]
 
     def at(self, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return what is predicted at features z (M, 3), shape (M, 3) [m/s^2], [m/s^2], [rad/s^2].
@@ -203,13 +173,10 @@ def roll_out_stages(
 
     Parameters
     ----------
-    evidence : Evidence
-    stages : mapping of str to Stage
     held : ndarray of bool, shape (N,)
         Rows of the recording.
     horizons : tuple of float
         Shortest first, in steps of 0.05 s [s].
-    most_starts : int
 
     Returns
     -------

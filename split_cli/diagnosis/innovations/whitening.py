@@ -18,29 +18,17 @@ __all__ = ["Whitener", "build_whitener"]
 
 @dataclass(frozen=True)
 class Whitener:
-    """Gains of the filter along one recording of N samples, for its N - 1 transitions.
+    """Gains of the filter along one recording of N samples, for its N - 1 transitions."""
 
-    Attributes
-    ----------
-    gain, root, carry : ndarray, shape (N - 1, 3, 3)
-        K_k, inverse Cholesky factor of the innovation's covariance, and I + period/2 A_k.
-    begins : ndarray of bool, shape (N - 1,)
-        Transitions at which the filter starts anew.
-    group : ndarray of int64, shape (N - 1,)
-        Number of the output row a transition is summed into; -1 for none.
-    count : ndarray, shape (G,)
-        Transitions a row.
-    log_determinant : float
-        Sum of the logarithms of the innovations' covariance determinants.
-    """
-
+    # gain, root, carry: (N - 1, 3, 3): K_k, inverse Cholesky factor of the innovation's covariance, and I +
+    # period/2 A_k.
     gain: np.ndarray
     root: np.ndarray
     carry: np.ndarray
-    begins: np.ndarray
-    group: np.ndarray
-    count: np.ndarray
-    log_determinant: float
+    begins: np.ndarray  # bool (N - 1,): transitions at which the filter starts anew
+    group: np.ndarray  # int64 (N - 1,): number of the output row a transition is summed into; -1 for none
+    count: np.ndarray  # (G,): transitions a row
+    log_determinant: float  # sum of the logarithms of the innovations' covariance determinants
 
     def __call__(self, defect: np.ndarray) -> np.ndarray:
         """Return whitened rows, shape (G, 3, C), of defects (N - 1, 3, C), or (G, 3) of (N - 1, 3).

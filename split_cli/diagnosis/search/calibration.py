@@ -41,32 +41,19 @@ _WAVES = 12
 
 @dataclass(frozen=True)
 class SelfTest:
-    """What one half of a simulation shows beyond what the other half taught.
+    """What one half of a simulation shows beyond what the other half taught."""
 
-    Attributes
-    ----------
-    rows : int
-        Rows that were judged; 0 where the halves have not been in the same places, and nothing is known.
-    ratio : float
-        Cost that a flexible fit saves, noise included, over its freedom; about 1 when nothing is there.
-    unnamed : float
-        Cost that a flexible fit saves.
-    terms : mapping of str to float
-        Cost that each term saves alone, in its best variant, start and place.
-    autocorrelation : float
-        How much rows vary together, see `residual_autocorrelation`.
-    witnessed : mapping of str to float
-        What each term saves of the witnesses' cost alone.
-    partly : mapping of str to float
-        Cost that each term saves alone in the best part of the drive, see `parts_of_drive`.
-    """
-
+    # Rows that were judged; 0 where the halves have not been in the same places, and nothing is known.
     rows: int = 0
+    # Cost that a flexible fit saves, noise included, over its freedom; about 1 when nothing is there.
     ratio: float = 1.0
-    unnamed: float = 0.0
+    unnamed: float = 0.0  # cost that a flexible fit saves
+    # Cost that each term saves alone, in its best variant, start and place.
     terms: Mapping[str, float] = field(default_factory=dict)
-    autocorrelation: float = 1.0
+    autocorrelation: float = 1.0  # how much rows vary together, see `residual_autocorrelation`
+    # What each term saves of the witnesses' cost alone.
     witnessed: Mapping[str, float] = field(default_factory=dict)
+    # Cost that each term saves alone in the best part of the drive, see `parts_of_drive`.
     partly: Mapping[str, float] = field(default_factory=dict)
 
     def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
@@ -118,7 +105,6 @@ def self_test(
     ----------
     graded : sequence of Evidence
         The simulation with the noise and disturbance of the real recordings, see `graded_as`.
-    discrepancy : SharedDiscrepancy
     candidates : sequence of Candidate
         Terms that reality will be searched for.
     kinematics : sequence of KinematicResiduals or Witness
@@ -127,7 +113,6 @@ def self_test(
         As for reality.
     posterior : DiscrepancyPosterior, optional
         Of the whole simulation: then halves are taken as a fixed baseline.
-    policy : Policy
 
     Notes
     -----

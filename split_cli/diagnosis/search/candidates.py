@@ -20,26 +20,14 @@ _WIDE = (1.0, 4.0, 12.0, -1.0, -4.0, -12.0)
 
 @dataclass(frozen=True)
 class Candidate:
-    """One term, in one variant, with where to look for its parameters.
-
-    Attributes
-    ----------
-    term, variant : str
-    ranges : mapping of str to Range
-    starts : tuple of mapping of str to float
-        Several where the cost has several valleys.
-    located : bool
-        Whether start and end along the track, or a wavelength, have to be scanned for.
-    complexity : float
-        Parameters that were effectively searched for; a place counts more than a scale.
-    """
+    """One term, in one variant, with where to look for its parameters."""
 
     term: str
     variant: str
     ranges: Mapping[str, Range]
-    starts: tuple[Mapping[str, float], ...]
-    located: str = ""
-    complexity: float = 1.0
+    starts: tuple[Mapping[str, float], ...]  # several where the cost has several valleys
+    located: str = ""  # whether start and end along the track, or a wavelength, have to be scanned for
+    complexity: float = 1.0  # parameters that were effectively searched for; a place counts more than a scale
 
     def build(self, values: Mapping[str, float]) -> Term:
         """Return the term with values held inside their bounds."""

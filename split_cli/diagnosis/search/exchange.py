@@ -114,8 +114,6 @@ def relieved(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | Non
 
     Parameters
     ----------
-    explore : Explorer
-    chosen : Fit
     rivals : sequence of Fit
         The same with another term in the place of one, which is the last part.
     """

@@ -30,14 +30,7 @@ __all__ = ["Explorer", "nearest_start"]
 
 @dataclass(frozen=True)
 class Explorer:
-    """Adds each candidate in turn to an explanation; what was worked out for one explanation serves the next.
-
-    Attributes
-    ----------
-    objective : MarginalLikelihood
-    candidates : tuple of Candidate
-    variance_inflation : float
-    """
+    """Adds each candidate in turn to an explanation; what was worked out for one explanation serves the next."""
 
     objective: MarginalLikelihood
     candidates: tuple[Candidate, ...]

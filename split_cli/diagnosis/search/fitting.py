@@ -66,22 +66,12 @@ class Prior:
 
 @dataclass(frozen=True)
 class Fit:
-    """An explanation fitted on an objective's rows.
-
-    Attributes
-    ----------
-    parts : tuple of Part
-    cost : float
-        In units of chi squared.
-    residuals : ndarray, shape (R,)
-        Whitened residuals it leaves, the shared discrepancy taken out.
-    sensitivity : ndarray, shape (R, P)
-        Derivative of the residuals by each parameter, over the parts in order; empty until asked for.
-    """
+    """An explanation fitted on an objective's rows."""
 
     parts: tuple[Part, ...]
-    cost: float
-    residuals: np.ndarray
+    cost: float  # in units of chi squared
+    residuals: np.ndarray  # (R,): whitened residuals it leaves, the shared discrepancy taken out
+    # (R, P): derivative of the residuals by each parameter, over the parts in order; empty until asked for.
     sensitivity: np.ndarray
 
     @property
@@ -112,8 +102,6 @@ def fit_parts(
 
     Parameters
     ----------
-    objective : MarginalLikelihood
-    parts : sequence of Part
     refreshes : int
         How often the shared discrepancy follows what the terms do to the inputs; 0 to leave it where the recording
         puts it, for a first look at many candidates.
@@ -154,8 +142,6 @@ def fit_with_prior(
 
     Parameters
     ----------
-    objective : MarginalLikelihood
-    parts : sequence of Part
     priors : sequence of mapping of str to Prior
         For each part, by parameter; those without one are free.
 
@@ -321,19 +307,11 @@ class Tangent:
     """A part at a start and straight lines from there, on an objective's whitened rows.
 
     What one term does beside others is taken for what it does alone: good enough to see what promises most.
-
-    Attributes
-    ----------
-    part : Part
-    moved : ndarray, shape (R,)
-        What the part at its start does to the residuals.
-    slopes : ndarray, shape (R, P)
-        Derivatives by its parameters, a step each.
     """
 
     part: Part
-    moved: np.ndarray
-    slopes: np.ndarray
+    moved: np.ndarray  # (R,): what the part at its start does to the residuals
+    slopes: np.ndarray  # (R, P): derivatives by its parameters, a step each
 
     def cost(self, current: Fit, free: np.ndarray | None = None) -> float:
         """Return the cost that one linear fit of this part and those of an explanation promises.
@@ -358,10 +336,8 @@ def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside:
 
     Parameters
     ----------
-    objective : MarginalLikelihood
     base : ndarray, shape (R,)
         What is left without it, by `MarginalLikelihood.left_by`.
-    part : Part
     beside : tuple of Term
         Others that act.
     """
@@ -398,10 +374,8 @@ def scan_places(
 
     Parameters
     ----------
-    objective : MarginalLikelihood
     residuals : ndarray, shape (R,)
         Whitened residuals left by what is explained already.
-    candidate : Candidate
     effect : ndarray, shape (R,)
         Of `effect_everywhere`.
     """

@@ -47,7 +47,6 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
 
     Parameters
     ----------
-    explore : Explorer
     nothing, current : Fit
         Nothing added, and an explanation. Of its parts only those with a place are taken along: all others begin
         near no effect, lest a wrong one keep the place that it has. Where that ends in a worse valley than all

@@ -29,71 +29,41 @@ _MOST_BLOCKS = 240  # of which parts are made, eight minutes in blocks of 2 s: t
 
 
 class PartReading(NamedTuple):
-    """One parameter of one term that explains a part of the drive.
-
-    Attributes
-    ----------
-    term, parameter : str
-    estimate : ParameterEstimate
-        What it is there, with its interval.
-    """
+    """One parameter of one term that explains a part of the drive."""
 
     term: str
     parameter: str
-    estimate: ParameterEstimate
+    estimate: ParameterEstimate  # what it is there, with its interval
 
 
 @dataclass(frozen=True)
 class ActingPart:
-    """A part of the drive in which a term acts.
+    """A part of the drive in which a term acts."""
 
-    Attributes
-    ----------
-    part : Part
-        A term with its parameters there.
-    recording : int
-        Which of the real recordings it begins in.
-    begin, end : float
-        In that recording's time [s].
-    p_value : float
-        Of an effect no larger than what is allowed, after counting all parts and terms that were asked.
-    share : float
-        Of all rows that are compared, how many lie in it [1].
-    readings : tuple of PartReading
-        What explains this part nearly as well within what a car can have, best first; each term once.
-    """
-
-    part: Part
-    recording: int
+    part: Part  # a term with its parameters there
+    recording: int  # which of the real recordings it begins in
+    # begin, end: in that recording's time [s].
     begin: float
     end: float
+    # Of an effect no larger than what is allowed, after counting all parts and terms that were asked.
     p_value: float
-    share: float
+    share: float  # of all rows that are compared, how many lie in it [1]
+    # What explains this part nearly as well within what a car can have, best first; each term once.
     readings: tuple[PartReading, ...] = ()
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What directions save in every part of a drive that is long enough.
+    """What directions save in every part of a drive that is long enough."""
 
-    Attributes
-    ----------
-    first, last : ndarray of int, shape (W,)
-        Blocks of time that a part begins and ends with.
-    size, saved : ndarray, shape (W, P)
-        Best size of each direction in each part, and the cost that it saves there.
-    z : ndarray, shape (W, P)
-        The same in standard errors, from differences block by block, see `block_z`.
-    t : ndarray, shape (W, P)
-        The size in standard errors, from scores block by block, see `block_t`.
-    """
-
+    # first, last: (W,): blocks of time that a part begins and ends with.
     first: np.ndarray
     last: np.ndarray
+    # size, saved: (W, P): best size of each direction in each part, and the cost that it saves there.
     size: np.ndarray
     saved: np.ndarray
-    z: np.ndarray
-    t: np.ndarray
+    z: np.ndarray  # (W, P): the same in standard errors, from differences block by block, see `block_z`
+    t: np.ndarray  # (W, P): the size in standard errors, from scores block by block, see `block_t`
 
 
 def parts_of_drive(objective: MarginalLikelihood, columns: np.ndarray, residuals: np.ndarray) -> Parts:
@@ -166,12 +136,10 @@ def strongest_part(
 
     Parameters
     ----------
-    objective : MarginalLikelihood
     lines : sequence of Tangent
         Terms, as straight lines.
     residuals : ndarray, shape (R,)
         Whitened, what nothing has explained.
-    variance_inflation : float
     """
     widened = max(variance_inflation, objective.form_error_inflation)
     lines = [line for line in lines if not _has_witnesses(objective, line)]
