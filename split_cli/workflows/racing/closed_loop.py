@@ -49,29 +49,14 @@ def path_of(track: Track) -> Path:
 
 @dataclass
 class World:
-    """A car on a road, driven from outside, and what its sensors report at 100 Hz.
-
-    Attributes
-    ----------
-    car : CarParameters
-    path : Path
-        Where the car starts on.
-    speed : float
-        At the start [m/s].
-    start : float
-        Arc length of the start [m].
-    friction : float
-        Of the road, against the tyres' own peak [1].
-    seed : int or None
-        Of the sensors' noise; None for exact sensors.
-    """
+    """A car on a road, driven from outside, and what its sensors report at 100 Hz."""
 
     car: CarParameters
-    path: Path
-    speed: float
-    start: float = 0.0
-    friction: float = 1.0
-    seed: int | None = 0
+    path: Path  # where the car starts on
+    speed: float  # at the start [m/s]
+    start: float = 0.0  # arc length of the start [m]
+    friction: float = 1.0  # of the road, against the tyres' own peak [1]
+    seed: int | None = 0  # of the sensors' noise; None for exact sensors
     t: float = 0.0
     state: np.ndarray = field(init=False)
     rows: list[np.ndarray] = field(init=False, default_factory=list)
