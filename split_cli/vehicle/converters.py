@@ -108,16 +108,23 @@ def convert_parameters(sources: Sequence[str | Path], *, alpha_max: float = 0.18
 
 # The C++ simulator of F1TENTH names the same parameters otherwise than the gym.
 _F1TENTH_LONG_NAMES = {
-    "friction_coeff": "mu",
-    "C_S_front": "C_Sf",
-    "C_S_rear": "C_Sr",
-    "l_cg2front": "lf",
-    "l_cg2rear": "lr",
-    "height_cg": "h",
-    "mass": "m",
-    "moment_inertia": "I",
-    "max_accel": "a_max",
-}
+    "friction_coeff": "mu", "C_S_front": "C_Sf", "C_S_rear": "C_Sr", "l_cg2front": "lf", "l_cg2rear": "lr",
+    "height_cg": "h", "mass": "m", "moment_inertia": "I", "max_accel": "a_max",
+}  # fmt: skip
+#: Keys of each project, and ours; those in `_OPTIONAL` may be missing.
+_COMMONROAD = {
+    "m": "mass", "I_z": "yaw_inertia", "a": "cg_to_front_axle", "b": "cg_to_rear_axle", "R_w": "wheel_radius",
+    "T_se": "drive_split_front", "T_sb": "brake_split_front", "h_cg": "cg_height",
+}  # fmt: skip
+_F1TENTH = {
+    "m": "mass", "I": "yaw_inertia", "lf": "cg_to_front_axle", "lr": "cg_to_rear_axle",
+    "mu": "friction_coefficient", "h": "cg_height",
+}  # fmt: skip
+_FORZAETH = {
+    "m": "mass", "I_z": "yaw_inertia", "l_f": "cg_to_front_axle", "l_r": "cg_to_rear_axle", "h_cg": "cg_height",
+    "mu": "friction_coefficient",
+}  # fmt: skip
+_OPTIONAL = {"h_cg", "h", "mu"}
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -145,8 +152,12 @@ def _axle_loads(m: float, l_f: float, l_r: float) -> tuple[float, float]:
     return m * _GRAVITY * l_r / (l_f + l_r), m * _GRAVITY * l_f / (l_f + l_r)
 
 
-def _published(**values: float) -> dict[str, Any]:
-    return {key: {"value": value, "source": "published"} for key, value in values.items()}
+def _published(content: Mapping[str, Any], names: Mapping[str, str], where: str) -> dict[str, Any]:
+    """Return our keys with what a source says of them."""
+    there = {ours: theirs for theirs, ours in names.items() if theirs in content or theirs not in _OPTIONAL}
+    return {
+        ours: {"value": _value(content, theirs, where), "source": "published"} for ours, theirs in there.items()
+    }
 
 
 def _commonroad(content: Mapping[str, Any], where: str) -> _Read:
@@ -162,18 +173,7 @@ def _commonroad(content: Mapping[str, Any], where: str) -> _Read:
     loads = _axle_loads(get("m"), get("a"), get("b"))
     mu, C, E, k = get("p_dy1", tire), get("p_cy1", tire), get("p_ey1", tire), abs(get("p_ky1", tire))
     tires = [_pacejka(k / (C * mu), C, mu * load, E) for load in loads]
-    mapping = _published(
-        mass=get("m"),
-        yaw_inertia=get("I_z"),
-        cg_to_front_axle=get("a"),
-        cg_to_rear_axle=get("b"),
-        wheel_radius=get("R_w"),
-        drive_split_front=get("T_se"),
-        brake_split_front=get("T_sb"),
-        friction_coefficient=mu,
-    )
-    if "h_cg" in content:
-        mapping |= _published(cg_height=get("h_cg"))
+    mapping = _published(content, _COMMONROAD, where) | _published(tire, {"p_dy1": "friction_coefficient"}, where)
     longitudinal = content.get("longitudinal") or {}
     limit = _value(longitudinal, "a_max", where) * get("m") * get("R_w")
     mapping |= _assumed(max_torque=limit, max_brake_torque=limit)
@@ -191,20 +191,8 @@ def _f1tenth(content: Mapping[str, Any], where: str) -> _Read:
     tires = tuple(
         _linear(mu * get(key) * load, mu * load) for key, load in zip(("C_Sf", "C_Sr"), loads, strict=True)
     )
-    mapping = _published(
-        mass=get("m"),
-        yaw_inertia=get("I"),
-        cg_to_front_axle=get("lf"),
-        cg_to_rear_axle=get("lr"),
-        friction_coefficient=mu,
-    )
-    if "h" in content:
-        mapping |= _published(cg_height=get("h"))
-    return (
-        mapping | _small_car(content, get("m")),
-        tires,
-        [*_SMALL_CAR_ASSUMED, "C = 1.4: the source's tyre is linear"],
-    )
+    mapping = _published(content, _F1TENTH, where) | _small_car(content, get("m"))
+    return mapping, tires, [*_SMALL_CAR_ASSUMED, "C = 1.4: the source's tyre is linear"]
 
 
 def _forzaeth(content: Mapping[str, Any], where: str) -> _Read:
@@ -226,17 +214,7 @@ def _forzaeth(content: Mapping[str, Any], where: str) -> _Read:
             _linear(get(key) * load, mu * load) for key, load in zip(("C_Sf", "C_Sr"), loads, strict=True)
         )
         assumed.append("C = 1.4: the source's tyre is linear")
-    mapping = _published(
-        mass=get("m"),
-        yaw_inertia=get("I_z"),
-        cg_to_front_axle=get("l_f"),
-        cg_to_rear_axle=get("l_r"),
-    )
-    if "h_cg" in content:
-        mapping |= _published(cg_height=get("h_cg"))
-    if "mu" in content:
-        mapping |= _published(friction_coefficient=mu)
-    return mapping | _small_car(content, get("m")), tires, assumed
+    return _published(content, _FORZAETH, where) | _small_car(content, get("m")), tires, assumed
 
 
 def _four(values: Any, key: str, load: float, where: str) -> tuple[float, float, float, float]:
