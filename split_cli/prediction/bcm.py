@@ -149,7 +149,6 @@ class BcmPredictor(Predictor):
         return np.ascontiguousarray(np.maximum(np.maximum(variance, mean).max(axis=1), 0.0))
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
         z = queries(z, self.training_set)
         kernel = self.training_set.kernel
         run = _compiled.predict_parallel if self.parallel else _compiled.predict
@@ -157,7 +156,6 @@ class BcmPredictor(Predictor):
         return Prediction(mean, spread * kernel.signal_variance)
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         z = queries(z, self.training_set)
         scales = self.training_set.kernel.length_scales
         slopes: np.ndarray = _compiled.jacobian(z / scales, *self._arguments) / scales

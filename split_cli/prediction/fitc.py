@@ -82,7 +82,6 @@ class FitcPredictor(Predictor):
         return FitcPredictor(stored, _Situation(pseudo, factor, tuple(posterior_factors), weights))
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
         z, now = queries(z, self.training_set), self._require_situation()
         cross = self.training_set.kernel.correlation(now.pseudo_inputs, z)
         projected = solve_triangular(now.factor, cross, lower=True, check_finite=False)
@@ -94,13 +93,11 @@ class FitcPredictor(Predictor):
         return Prediction(cross.T @ now.weights, variance)
 
     def mean(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean alone, shape (N, 3)."""
         z, now = queries(z, self.training_set), self._require_situation()
         mean: np.ndarray = self.training_set.kernel.correlation(z, now.pseudo_inputs) @ now.weights
         return mean
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         z, now = queries(z, self.training_set), self._require_situation()
         scales = self.training_set.kernel.length_scales
         cross = self.training_set.kernel.correlation(z, now.pseudo_inputs)

@@ -50,7 +50,6 @@ class FullPredictor(Predictor):
         return weights
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
         z = queries(z, self.training_set)
         kernel, size = self.training_set.kernel, self.training_set.size
         mean = np.zeros((len(z), 3))

@@ -95,11 +95,9 @@ class GrbcmPredictor(Predictor):
         return ratio, factor, told, experts
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
         return self._answer(z, slopes=False)[0]
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         return self._answer(z, slopes=True)[1]
 
     def _answer(self, z: np.ndarray, slopes: bool) -> tuple[Prediction, np.ndarray]:

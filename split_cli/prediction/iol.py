@@ -36,15 +36,12 @@ class IolPredictor(Predictor):
         self._dense = FullPredictor(_reduced(training_set, capacity))
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
         return self._dense.predict(z)
 
     def mean(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean alone, shape (N, 3)."""
         return self._dense.mean(z)
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         return self._dense.jacobian(z)
 
 

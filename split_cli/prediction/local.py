@@ -39,11 +39,9 @@ class LocalPredictor(Predictor):
         self._ratio = kernel.noise_variance / kernel.signal_variance
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
         return self._answer(z, slopes=False)[0]
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         return self._answer(z, slopes=True)[1]
 
     def _answer(self, z: np.ndarray, slopes: bool) -> tuple[Prediction, np.ndarray]:

@@ -63,13 +63,10 @@ class ProjectedPredictor(Predictor):
         self.process = process_of(training_set, most, threshold)
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
         return Prediction(*self.process.along(queries(z, self.training_set))[:2])
 
     def mean(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean alone, shape (N, 3)."""
         return self.process.along(queries(z, self.training_set), certainty=False)[0]
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         return self.process.along(queries(z, self.training_set), certainty=False)[2]

@@ -69,16 +69,13 @@ class WeightsPredictor(Predictor):
         )
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Return mean and latent variance at queries `z`, shape (N, D)."""
         return Prediction(self.mean(z), self._near.predict(z).variance)
 
     def mean(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean alone, shape (N, 3)."""
         z = queries(z, self.training_set)
         return _compiled.weighted_sum(z / self.training_set.kernel.length_scales, *self._arguments)[0]
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
-        """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""
         z, scales = queries(z, self.training_set), self.training_set.kernel.length_scales
         slopes: np.ndarray = _compiled.weighted_sum(z / scales, *self._arguments)[1] / scales
         return slopes

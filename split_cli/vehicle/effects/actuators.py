@@ -37,7 +37,6 @@ class DriveDelay(Delayed):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"torque arrives {late(p['delay'])}"
 
 
@@ -58,7 +57,6 @@ class DriveGain(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         source = "judgement: a torque that a file does not know better is another car's"
         limits = Range(0.3, 2.5, 0.01, source)
         ranges = {"drive_gain": limits, "brake_gain": limits}
@@ -66,7 +64,6 @@ class DriveGain(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         told = {
             kind: (p[name], scaled(p[name], "too strong", "too weak"))
             for kind, name in (("driving", "drive_gain"), ("braking", "brake_gain"))
@@ -112,7 +109,6 @@ class DriveLag(Lagging):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"torque builds up with a time constant of {amount(p['tau'], one_sided=True)}"
 
     def actuate(self, flow: Flow) -> None:
@@ -144,7 +140,6 @@ class SteerDelay(Delayed):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"the steering answers {late(p['delay'])}"
 
 
@@ -164,12 +159,10 @@ class SteerGain(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"gain": Range(0.5, 1.8, 0.005, _RATIO)}, ({"gain": 0.98},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"the wheels turn {scaled(p['gain'], 'more than commanded', 'less than commanded')}"
 
     def actuate(self, flow: Flow) -> None:
@@ -197,13 +190,11 @@ class SteerBacklash(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         starts = tuple({"width": value} for value in (0.0003, 0.001, 0.003, 0.01, 0.03))
         return Search({"width": Range(0.0, 0.1, 0.0001, _PLAY)}, starts)
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"the steering has a play of {amount(p['width'], one_sided=True)} in all"
 
     def fastest_rate(self, speed: float) -> float:
@@ -235,7 +226,6 @@ class SteerLag(Lagging):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"steering builds up with a time constant of {amount(p['tau'], one_sided=True)}"
 
     def actuate(self, flow: Flow) -> None:
@@ -258,12 +248,10 @@ class SteerOffset(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"offset": Range(-0.1, 0.1, 0.0005, _ZERO)}, ({"offset": 0.002},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return (
             f"the road wheels are {amount(p['offset'], more='too far to the left', less='too far to the right')}"
         )

@@ -85,12 +85,10 @@ class Mass(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"scale": Range(least_mass(vehicle), 1.7, 0.01, _MASS)}, ({"scale": 1.03},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"the car is {scaled(p['scale'], 'heavier', 'lighter')}"
 
     def body(self, flow: Flow) -> None:
@@ -126,13 +124,11 @@ class YawInertia(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         lower, upper = inertia_range(vehicle)
         return Search({"scale": Range(lower, upper, 0.01, _INERTIA)}, ({"scale": 1.03},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"the yaw inertia is {scaled(p['scale'], 'larger', 'smaller')}"
 
     def body(self, flow: Flow) -> None:
@@ -166,19 +162,16 @@ class CgShift(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"dx": vehicle.wheelbase}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         front = vehicle.cg_to_front_axle / vehicle.wheelbase
         lower, upper = max(-_MOVED, front - _FURTHEST), min(_MOVED, front - 1.0 + _FURTHEST)
         return Search({"dx": Range(min(lower, -0.02), max(upper, 0.02), 0.002, _PLACE)}, ({"dx": 0.005},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"the centre of gravity lies {amount(p['dx'], more='further forward', less='further back')}"
 
     def body(self, flow: Flow) -> None:

@@ -38,19 +38,16 @@ class AeroDrag(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"drag": 0.1 * vehicle.mass * GRAVITY / speed_unit(vehicle) ** 2}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         # No car pushes itself: what is taken off is at most what the nominal has.
         least = vehicle.drag_coefficient / cls.sizes(vehicle)["drag"]
         return Search({"drag": Range(-least, 2.0, 0.01, _DRAG, ends_at_none=True)}, ({"drag": 0.1},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"there is {amount(p['drag'], more='more drag', less='less drag')}"
 
     def external(self, flow: Flow) -> None:
@@ -79,19 +76,16 @@ class RollingResistance(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"force": vehicle.mass * GRAVITY}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         nominal = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
         least = nominal / cls.sizes(vehicle)["force"]
         return Search({"force": Range(-least, 0.25, 0.001, _ROLLING, ends_at_none=True)}, ({"force": 0.005},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"there is {amount(p['force'], more='more resistance', less='less resistance')} to rolling"
 
     def external(self, flow: Flow) -> None:
@@ -127,19 +121,16 @@ class YawMomentDifferential(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         # Damping that takes a tenth of what the tyres damp at a brisk speed.
         capacity = vehicle.front_tire.D + vehicle.rear_tire.D
         return {"yaw_damping": 0.25 * capacity * vehicle.wheelbase**2 / speed_unit(vehicle)}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"yaw_damping": Range(0.0, 5.0, 0.01, _LOCKED)}, ({"yaw_damping": 0.05},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         damping = amount(p["yaw_damping"], one_sided=True)
         return f"a yaw damping of {damping} opposes turning, as a locked differential does"
 
@@ -180,12 +171,10 @@ class Wind(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"wx": speed_unit(vehicle), "wy": speed_unit(vehicle)}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         if vehicle.drag_coefficient == 0.0:
             return None
         limits = Range(-1.5, 1.5, 0.01, _STORM)
@@ -193,7 +182,6 @@ class Wind(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         along = amount(p["wx"], more="along X", less="against X")
         return f"the air moves over the ground, {along} and {amount(p['wy'], more='along Y', less='against Y')}"
 

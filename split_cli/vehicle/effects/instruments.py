@@ -81,7 +81,6 @@ class VelocityBias(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         angle = Range(-0.15, 0.15, 0.0005, _TURNED)
         if variant == "step":
             at = Range(0.0, course.duration, 0.005 * course.duration)
@@ -95,7 +94,6 @@ class VelocityBias(_Instrument):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         angle = amount(p["angle"])
         if variant == "step":
             return (
@@ -148,14 +146,12 @@ class AccelerationBias(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         limits = Range(-2.0, 2.0, 0.01, _TILTED, everyday=_CROSSFALL)
         names = cls.parameter_units(variant)
         return Search(dict.fromkeys(names, limits), (dict.fromkeys(names, 0.05),))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         words = {"ax": "ahead", "ay": "to the left"}
         sizes = {name: amount(p[name], more="too much", less="too little") for name in words if name in p}
         read = [f"{size} {words[name]}" for name, size in sizes.items()]
@@ -184,12 +180,10 @@ class YawRateBias(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"r": Range(-0.05, 0.05, 1e-4, _GYRO)}, ({"r": 0.001},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"the yaw rate reads {amount(p['r'], more='too far to the left', less='too far to the right')}"
 
     def _changed(
@@ -209,12 +203,10 @@ class _Scale(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"scale": Range(0.85, 1.15, 0.001, _WORN)}, ({"scale": 0.99},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         subject = _WORDS[variant] if variant else cls.subject
         return f"{subject} reads {scaled(p['scale'], 'too much', 'too little')}"
 
@@ -307,7 +299,6 @@ class ChannelDelay(_Instrument):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         if variant == "velocity":
             each = f"the longitudinal velocity is {late(p['vx'])} and the lateral velocity {late(p['vy'])}"
             return f"{each} against the other channels"

@@ -23,12 +23,10 @@ class Delayed(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"delay": time_unit(vehicle)}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return DELAY_SEARCH
 
     @property
@@ -51,7 +49,6 @@ class Lagging(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"tau": time_unit(vehicle)}
 
     @classmethod

@@ -39,7 +39,6 @@ class _Incline(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         limits = Range(-cls.steepest[variant], cls.steepest[variant], 0.001, cls.source)
         reach = course.reach
         if variant == "wave":
@@ -58,7 +57,6 @@ class _Incline(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         up, down = cls.directions
         if variant == "wave":
             size = amount(p["amplitude"], one_sided=True, unsigned=True)

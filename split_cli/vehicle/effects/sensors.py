@@ -51,19 +51,16 @@ class SensorLeverArm(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"dx": vehicle.wheelbase}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         length = vehicle.wheelbase
         lower, upper = -vehicle.cg_to_rear_axle / length - _TAIL, vehicle.cg_to_front_axle / length + _NOSE
         return Search({"dx": Range(lower, upper, 0.002, _INSIDE)}, ({"dx": 0.02},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         sits = "sensor sits" if not variant else "sensor and the accelerometers sit"
         return f"the velocity {sits} {amount(p['dx'], more='further forward', less='further back')} than stated"
 
@@ -105,12 +102,10 @@ class SensorMisalignment(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"angle": Range(-0.2, 0.2, 0.0005, _TURNED, unwitnessed=_CRABS)}, ({"angle": 0.003},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"the velocity sensor is turned {amount(p['angle'], more='counter-clockwise', less='clockwise')}"
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
@@ -149,7 +144,6 @@ class SensorDelay(Delayed):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"against the commands every measured channel is {late(p['delay'])}"
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:

@@ -98,12 +98,10 @@ class CombinedSlip(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"strength": Range(0.0, 4.0, 0.02, _ELLIPSE)}, ({"strength": 0.3},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return (
             f"driving and braking reduce lateral grip, with a strength of {amount(p['strength'], one_sided=True)}"
         )
@@ -158,12 +156,10 @@ class FrictionScale(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"scale": _grip_range(vehicle)}, ({"scale": 0.97},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"{_curve(variant)} is {scaled(p['scale'], 'higher', 'lower')} on the whole road"
 
     def tire(self, flow: Flow) -> None:
@@ -193,7 +189,6 @@ class FrictionPatch(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         ranges = {"scale": _grip_range(vehicle), **place_ranges(course.reach)}
         return Search(ranges, located="patch", complexity=PLACE_COMPLEXITY)
 
@@ -204,7 +199,6 @@ class FrictionPatch(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         size = scaled(p["scale"], "higher", "lower")
         return f"{stretch_in_words(p)} {_curve(variant)} is {size} than elsewhere"
 
@@ -238,7 +232,6 @@ class GripFade(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         duration = course.duration
         # A fade that is over at once is less grip all along, `friction_scale`.
         tau = Range(0.02 * duration, 10.0 * duration, 0.02 * duration, ends_as_another=True)
@@ -247,7 +240,6 @@ class GripFade(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         loss, tau = p["final_loss"], p["tau"]
         verb = "fades" if loss.value >= 0.0 else "grows"
         if tau.std_error is not None and tau.std_error > _LONG_AGAINST * abs(tau.value):
@@ -288,18 +280,15 @@ class TireRelaxation(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"length": vehicle.wheelbase / 2.7}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         starts = tuple({"length": value} for value in (0.1, 0.5, 1.5))
         return Search({"length": Range(0.0, 3.5, 0.02, _ROLLED)}, starts)
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         return f"lateral force builds up over {amount(p['length'], one_sided=True)} of travel"
 
     def fastest_rate(self, speed: float) -> float:
@@ -336,17 +325,14 @@ class LoadTransfer(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         return {"cg_height": vehicle.wheelbase}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         return Search({"cg_height": Range(0.0, 0.5, 0.005, _HEIGHT)}, ({"cg_height": 0.05},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         height = amount(p["cg_height"], one_sided=True, more="high", less="high")
         return f"accelerating and braking move axle load as a centre of gravity {height} does"
 
@@ -390,13 +376,11 @@ class TireStiffness(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         limits = Range(0.55, 1.8, 0.01, _STIFF)
         return Search({"front_scale": limits, "rear_scale": limits}, ({"front_scale": 0.97, "rear_scale": 0.97},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         front, rear = (scaled(p[name], "stiffer", "softer") for name in ("front_scale", "rear_scale"))
         return f"the front tyres are {front} and the rear tyres {rear}"
 
@@ -427,20 +411,17 @@ class AeroDownforce(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return units that grow with the car."""
         # What changes an axle's load by its static weight at a brisk speed.
         unit = 0.5 * vehicle.mass * GRAVITY / speed_unit(vehicle) ** 2
         return {"front": unit, "rear": unit}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts in units of `sizes`."""
         limits = Range(-0.8, 2.0, 0.02, _LOADED)
         return Search({"front": limits, "rear": limits}, ({"front": 0.1, "rear": 0.1},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what it says."""
         front, rear = (amount(p[name], more="more", less="less") for name in ("front", "rear"))
         return f"axle load changes with speed squared: {front} at the front, {rear} at the rear"
 
