@@ -20,11 +20,6 @@ from tests.optional import needed
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay", "delta", "T")
 
 
-@pytest.fixture(scope="module")
-def planted() -> PlantedDrive:
-    return PlantedDrive(seconds=60.0, yaw=2.0)
-
-
 def drafted(style: Style, planted: PlantedDrive, tmp_path):
     written(style, planted, tmp_path / "log.csv")
     return draft_map(open_recording(tmp_path / "log.csv"))

@@ -15,16 +15,10 @@ from split_cli.logs.raw import unit_of_time
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import read_map
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive
 from tests.logs.test_stranger_loggers import table
 
 DEG, G = 180.0 / np.pi, 9.80665
 HALF_TRACK = 0.8
-
-
-@pytest.fixture(scope="module")
-def planted() -> PlantedDrive:
-    return PlantedDrive(seconds=60.0, yaw=2.0)
 
 
 @pytest.fixture(scope="module")

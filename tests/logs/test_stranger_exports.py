@@ -8,15 +8,9 @@ from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import find_unit
-from tests.logs.planted import PlantedDrive
 from tests.logs.test_stranger_styles import DEG, TOLERANCES, Style, compare
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "delta", "T")
-
-
-@pytest.fixture(scope="module")
-def planted() -> PlantedDrive:
-    return PlantedDrive(seconds=60.0, yaw=2.0)
 
 
 @pytest.fixture

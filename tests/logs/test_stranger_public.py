@@ -10,16 +10,10 @@ from split_cli.logs.readers.delimited import open_delimited
 from split_cli.logs.readers.opening import open_recording
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from tests.factories import road_car
-from tests.logs.planted import PlantedDrive
 from tests.logs.test_stranger_styles import DEG, G, Style, written
 from tests.optional import needed
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay", "delta", "T")
-
-
-@pytest.fixture(scope="module")
-def planted() -> PlantedDrive:
-    return PlantedDrive(seconds=60.0, yaw=2.0)
 
 
 def drafted(write, planted, tmp_path) -> Draft:

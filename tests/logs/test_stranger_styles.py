@@ -312,12 +312,6 @@ STYLES = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def planted() -> PlantedDrive:
-    # Towards north-west, so that a bearing of 0 to 360 degrees exceeds 180.
-    return PlantedDrive(seconds=60.0, yaw=2.0)
-
-
 def written(style: Style, planted: PlantedDrive, path) -> None:
     t = np.arange(0.0, 60.0, 0.01)
     channels = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay", "delta", "T")

@@ -11,16 +11,11 @@ from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.delimited import degrees_of, seconds_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
-from tests.logs.planted import UNITS, PlantedDrive
+from tests.logs.planted import UNITS
 from tests.logs.test_stranger_exports import ingested
 from tests.logs.test_stranger_styles import DEG
 
 MPH = 0.44704
-
-
-@pytest.fixture(scope="module")
-def planted() -> PlantedDrive:
-    return PlantedDrive(seconds=60.0, yaw=2.0)
 
 
 def write(path, columns: dict[str, object], separator: str = ",", decimal: str = ".") -> None:

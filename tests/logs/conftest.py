@@ -1,0 +1,11 @@
+"""The drive that files of strange loggers hold."""
+
+import pytest
+
+from tests.logs.planted import PlantedDrive
+
+
+@pytest.fixture(scope="session")
+def planted() -> PlantedDrive:
+    """A minute towards north-west, so that a bearing of 0 to 360 degrees exceeds 180."""
+    return PlantedDrive(seconds=60.0, yaw=2.0)
