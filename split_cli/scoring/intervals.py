@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.stats import norm, t
 
+from split_cli.learning.running_width import RunningWidth
 from split_cli.learning.training_set import TrainingSet
 from split_cli.scoring.belonging import near_points
 from split_cli.scoring.report import IntervalShares
@@ -23,13 +24,17 @@ _ALLOWED = 0.03
 _FEWEST_BLOCKS = 4
 
 
-def interval_shares(traces: Sequence[Trace], sets: Mapping[str, TrainingSet]) -> tuple[IntervalShares, ...]:
+def interval_shares(
+    traces: Sequence[Trace], sets: Mapping[str, TrainingSet], running: str = ""
+) -> tuple[IntervalShares, ...]:
     """Return the shares that intervals held, by predictor, near the points of the set and beyond.
 
     Parameters
     ----------
     sets : mapping of str to TrainingSet
         By features.
+    running : str
+        What the names of predictors end in whose widths follow the drive (`RunningWidth`).
 
     Notes
     -----
@@ -39,16 +44,25 @@ def interval_shares(traces: Sequence[Trace], sets: Mapping[str, TrainingSet]) ->
     found = []
     for name, features in dict.fromkeys((trace.name, trace.features) for trace in traces):
         same = [trace for trace in traces if (trace.name, trace.features) == (name, features)]
-        ratio = np.concatenate([_ratios(trace) for trace in same])
+        follows = bool(running) and name.endswith(running)
+        ratios = [_ratios(trace) for trace in same]
+        inside = np.concatenate([_inside(ratio, follows) for ratio in ratios])
+        finite = np.isfinite(np.concatenate(ratios)).all(axis=1)
         near = np.concatenate([near_points(sets[features], trace.tested.z) for trace in same])
-        finite = np.isfinite(ratio).all(axis=1)
-        for inside in (True, False):
-            part = ratio[finite & (near == inside)]
+        for close in (True, False):
+            part = inside[finite & (near == close)]
             if len(part):
-                held = (np.mean(part <= norm.ppf(0.5 + 0.5 * level), axis=0) for level in _LEVELS)
                 share = len(part) / int(finite.sum())
-                found.append(IntervalShares(name, features, inside, len(part), share, *held))
+                found.append(IntervalShares(name, features, close, len(part), share, *part.mean(axis=0)))
     return tuple(found)
+
+
+def _inside(ratio: np.ndarray, follows: bool) -> np.ndarray:
+    """Return whether each label was inside its intervals, shape (N, 3 levels, 3); `follows` as they then were."""
+    if not follows:
+        return ratio[:, None, :] <= norm.ppf(0.5 + 0.5 * np.array(_LEVELS))[:, None]
+    width = RunningWidth(_LEVELS)
+    return np.array([width.observe(one) for one in ratio]).reshape(-1, len(_LEVELS), 3)
 
 
 def _ratios(trace: Trace) -> np.ndarray:

@@ -153,7 +153,8 @@ def evaluate(
     comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
     sizes = _sizes(contestants, baselines, settings, say)
     shown = [trace for trace in traces if trace.name in settings.predictors]
-    intervals = interval_shares(shown, {name: own for name, _, own in contestants})
+    followed = [trace for trace in traces if trace.name.endswith(RUNNING)]
+    intervals = interval_shares([*shown, *followed], {name: own for name, _, own in contestants}, RUNNING)
     say("noise floor")
     facts = tuple(drive_facts(h, model, trained) for h in nominal)
     report = Evaluation(

@@ -31,7 +31,7 @@ def follow(most: np.ndarray, transition: np.ndarray, innovation: np.ndarray, res
 def reference(
     most: np.ndarray, transition: np.ndarray, innovation: np.ndarray, response: np.ndarray
 ) -> np.ndarray:
-    """Return the share from the definition: every error summed over all intervals before it, then SciPy's minimum."""
+    """Return the share by definition: every error as a sum over all intervals before it, then SciPy's minimum."""
     count, kept = len(innovation), 1.0 / (1.0 + H / SPAN)
     error, change = np.zeros((count, 3)), np.zeros((count, 3, 3))
     for end in range(count):

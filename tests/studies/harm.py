@@ -309,13 +309,14 @@ def ratio_of(values: list[float | None]) -> str:
 
 
 def summary(reports: list[dict], predictor: str) -> list[str]:
-    """Return a line for the correction as it is trusted, one for all of it, and one for the warnings given."""
+    """Return a line for all of the correction, as stored trust and as running trust apply it, and for warnings."""
     told = []
-    for name in (f"{predictor}, full trust", predictor):
+    for name in (f"{predictor}, full trust", predictor, f"{predictor}, running trust"):
         found = []
         for report in reports:
             rows = {(c["name"], c["state"], c["horizon"]): c for c in report["comparisons"]}
             keys = [key for key in rows if key[0] == predictor]
+            # Where nothing is trusted, or all of it, there is no row of its own.
             found += [rows.get((name, *key[1:]), rows[key]) for key in keys]
         found = [row for row in found if row["to_nominal"][1] is not None]  # fewer than four blocks judge nothing
         worse = [row for row in found if is_worse(row)]
