@@ -12,8 +12,12 @@ from split_cli.prediction.trusted import TrustedPredictor, untrusted
 from split_cli.scoring.evaluation import HeldOutSamples
 from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.windows import Windows
 
 __all__ = ["FollowedPredictor"]
+
+#: Of central differences [m/s, m/s, rad/s]: truncation and rounding are both below 1e-6.
+_APART = 1e-4
 
 
 class FollowedPredictor(Predictor):
@@ -50,6 +54,18 @@ class FollowedPredictor(Predictor):
         raise TypeError("a running trust needs the row of the drive: ask `beginning`")
 
 
+def _transition(model: SingleTrack, windows: Windows, velocity: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Return the derivative of the nominal step by the velocities, shape (N, 3, 3), by central differences.
+
+    Not exp(A h): while a slow car is steered, A itself changes within the interval, by a half and more.
+    """
+    columns = []
+    for moved in _APART * np.eye(3):
+        ends = [windows.predict(model, velocity + side * moved, jacobian) for side in (1.0, -1.0)]
+        columns.append((ends[0] - ends[1]) / (2.0 * _APART))
+    return np.stack(columns, axis=2)
+
+
 def _shares_along(inner: Predictor, held: HeldOutSamples) -> tuple[np.ndarray, np.ndarray]:
     """Return rows of the drive, ascending, and the shares that are known from each of them on, (N, 3)."""
     labels = held.labels.take(np.isfinite(held.labels.y).all(axis=1))
@@ -59,10 +75,10 @@ def _shares_along(inner: Predictor, held: HeldOutSamples) -> tuple[np.ndarray, n
     for span, piece in pieces(model, held.drive, labels.row, labels.window):
         rows = labels.row[span] - piece.first
         velocity = np.stack([piece.drive[name][rows] for name in ("vx", "vy", "r")], axis=1)
-        inputs = inputs_along(model, piece.drive, piece.recording)
-        jacobian = inputs.windows(rows, labels.window).jacobian(model, velocity)
+        windows = inputs_along(model, piece.drive, piece.recording).windows(rows, labels.window)
+        jacobian = windows.jacobian(model, velocity)
         held_for = labels.horizon * phi_matrix(jacobian, labels.horizon)
-        transition = np.eye(3) + held_for @ jacobian  # exp(A h)
+        transition = _transition(model, windows, velocity, jacobian)
         rate = labels.y[span][:, :, None]
         innovation = (labels.horizon * rate if labels.plain else held_for @ rate)[:, :, 0]
         response = held_for * inner.mean(held.z[labels.row[span]])[:, None, :]
