@@ -14,6 +14,7 @@ from split_cli.errors import DriveError
 from split_cli.files import parse_json
 
 __all__ = [
+    "MEASURED_SIDESLIP",
     "DriveMetadata",
     "NoiseEstimate",
     "Source",
@@ -24,6 +25,8 @@ __all__ = [
 ]
 
 _FORMAT = "split-drive/1"
+#: Words of a v_y that a measured side-slip angle gives.
+MEASURED_SIDESLIP = "the measured sideslip angle"
 #: Words of a torque that was derived from what was asked of the drive train.
 _ASKED = ("throttle", "pedal", "brake", "current", "N m/A")
 

@@ -7,10 +7,12 @@ import json
 import numpy as np
 import pytest
 
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map
-from split_cli.logs.raw import RawChannelInfo
+from split_cli.logs.raw import RawChannelInfo, RawSignal
 from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import PlantedDrive
 
 DEG = 180.0 / np.pi
@@ -89,3 +91,24 @@ def test_labview_writes_its_units_above_the_titles(tmp_path):
 )  # fmt: skip
 def test_names_of_simulators_and_model_cars(name, channel):
     assert meanings(RawChannelInfo(name, "column", None))[0].channel == channel
+
+
+def test_a_side_slip_angle_of_the_rear_axle_is_judged_and_moved(tmp_path):
+    """A v_y derived from it had counted as derived, so that nothing judged its place."""
+    planted = PlantedDrive(seconds=60.0)
+    axle = planted.vehicle.cg_to_rear_axle
+    log = planted.recording()
+    there = planted.at("vy", log.signals["vy"].time) - axle * log.signals["r"].values
+    log.signals["beta"] = RawSignal(
+        "beta", log.signals["vy"].time, np.arctan2(there, log.signals["vx"].values), "rad"
+    )
+    names = ("vx", "r", "ay", "delta", "T")
+    settings = IngestSettings(derive=("lateral-velocity-from-sideslip",))
+    for position in ({}, {"position": "rear_axle"}):
+        base = {name: {"source": name} for name in names}
+        mapping = {"channels": {**base, "sideslip": {"source": "beta", **position}}, "kinds": {}}
+        made = assemble_drive(log, map_from_mapping(mapping, where="m"), planted.vehicle, settings)
+        told = [f.text for f in made.quality.consistency.findings if f.check == "place"]
+        assert len(told) == (0 if position else 1)
+        assert position or told[0].endswith("Set `position: rear_axle` for `sideslip`.")
+    assert np.allclose(made.drive["vy"], planted.at("vy", made.drive["t"]), atol=5e-3)

@@ -328,6 +328,10 @@ def _place_and_derive(
         time = (grid.index - grid.index[0]) * grid.period
         derived = DERIVATIONS[name].run(DerivationInputs(columns, grid.period, slices, vehicle, settings, time))
         columns.update({channel: set_aside(values) for channel, values in derived.columns.items()})
+        if name == "lateral-velocity-from-sideslip" and "sideslip" in gathered.maps:
+            # It is v_y where the angle was measured.
+            there = {"vy": gathered.maps["sideslip"]}
+            move_to_cg(columns, there, vehicle, grid.period, slices, noise, conversions, before=False)
         for channel in derived.columns:
             if not derived.keeps_noise:
                 noise[channel] = NoiseEstimate(channel, None, None, reason=f"derived ({name})")

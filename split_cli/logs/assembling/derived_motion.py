@@ -10,6 +10,7 @@ from split_cli.logs.assembling.derivation import Derivation, DerivationInputs, D
 from split_cli.logs.assembling.smoothing import derivative, smooth
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
+from split_cli.logs.drive_metadata import MEASURED_SIDESLIP
 
 __all__ = ["MOTIONS", "velocity_from_pose"]
 
@@ -61,7 +62,7 @@ def _run_velocity_from_pose(situation: DerivationInputs) -> Derived:
 
 def _run_lateral_velocity_from_sideslip(situation: DerivationInputs) -> Derived:
     c = situation.columns
-    return Derived({"vy": c["vx"] * np.tan(c["sideslip"])}, "v_x times the tangent of the measured sideslip angle")
+    return Derived({"vy": c["vx"] * np.tan(c["sideslip"])}, f"v_x times the tangent of {MEASURED_SIDESLIP}")
 
 
 def _run_lateral_velocity_from_straights(situation: DerivationInputs) -> Derived:

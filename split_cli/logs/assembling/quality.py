@@ -166,7 +166,8 @@ def source_quality(clean: CleanSeries, gap: float, resampling: str) -> ChannelQu
 
 def render_quality(report: QualityReport) -> str:
     """Return the report as text for a terminal."""
-    share = report.duration / report.recorded if report.recorded > 0 else 1.0
+    # Rows stand for a period each, the last one too.
+    share = min(report.duration / report.recorded, 1.0) if report.recorded > 0 else 1.0
     wide = max(18, *(len(c.channel) + 2 for c in report.channels), 0)
     lines = [
         f"{report.duration:.1f} s in {report.segments} segment(s), {100.0 * share:.1f} % of what was recorded; "

@@ -70,14 +70,16 @@ class Channels:
 
     def bridged(self) -> list[str]:
         """Return in words which needed channels come so slowly that more than the gap is bridged."""
-        told = []
+        slow: dict[str, dict[str, None]] = {}
         for channel in self.needed:
             for index, part in enumerate(self.clean[channel]):
                 gap = self.gap_of(channel, index)
                 if self.modes[channel][index] != "held" and gap > self.gap:
-                    rate = f"{1.0 / part.period:.3g} Hz"
-                    told.append(f"{channel} comes at {rate}: steps up to {gap:.2g} s are bridged (--gap)")
-        return told
+                    told = f"at {1.0 / part.period:.3g} Hz: steps up to {gap:.2g} s are bridged (--gap)"
+                    slow.setdefault(told, {})[channel] = None
+        return [
+            f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()
+        ]
 
 
 def clean_channels(

@@ -21,7 +21,7 @@ from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.checking.wheels import AXLES, without_turning
 from split_cli.logs.drive import Drive
-from split_cli.logs.drive_metadata import is_derived
+from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, is_derived
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
@@ -71,7 +71,10 @@ class Checks:
         self.vehicle = vehicle
         self.certain = certain
         self.k = Kinematics(columns, drive.period, drive.segments())
-        self.derived = {channel for channel, kind in kinds.items() if is_derived(kind)}
+        # A side-slip angle is measured, and may be so at another place or with another sign than v_y is taken for.
+        derived = {channel for channel, kind in kinds.items() if is_derived(kind)}
+        self.of_sideslip = "vy" in derived and MEASURED_SIDESLIP in kinds["vy"]
+        self.derived = derived - ({"vy"} if self.of_sideslip else set())
         self.absent = {channel for channel in self.derived if kinds[channel] == NOT_RECORDED}
         self.pose_fits = True
         self.arm = 0.0
@@ -155,7 +158,9 @@ class Checks:
         # Noise can move the ratio by 1/correlation.
         tolerance = base - float(np.log(abs(slope.correlation))) + 3.0 * slope.error / abs(slope.slope)
         if tolerance > 1.0:
-            self.unjudged.append(Unjudged(name, f"the slope {slope.slope:.3g} is uncertain by {slope.error:.2g}"))
+            self.unjudged.append(
+                Unjudged(name, f"the slope {slope.slope:.3g} has a standard error of {slope.error:.2g}")
+            )
             return
         relation = Relation(name, powers, slope, tolerance, corrected)
         self.relations.append(replace(relation, certain=relation.leaf in self.certain))
@@ -187,7 +192,7 @@ class Checks:
         if self.usable("vx", "vy", "r") and not across:
             self._sideslip_sign()
         if self.usable("r") and not any("r" in relation.powers for relation in self.relations):
-            self.unjudged.append(Unjudged("yaw rate", "no yaw, position or a_y that turns with it"))
+            self.unjudged.append(Unjudged("yaw rate", "neither yaw, position nor a_y follows its turning"))
 
     def _spread_of_ground_speed(self) -> float:
         """Return how much more the speed of X, Y varies than v_x, as a share of the latter [1].
@@ -373,7 +378,7 @@ class Checks:
             )
             (p, q, _), (p_error, q_error, _) = self._sideslip
             if 3.0 * p_error > 0.5 * self.vehicle.cg_to_rear_axle:
-                reason = f"{p:.2f} +- {p_error:.2f} m ahead of the rear axle is too vague"
+                reason = f"measured {p:.2f} +- {p_error:.2f} m ahead of the rear axle, too uncertain to tell"
                 self.unjudged.append(Unjudged(name, reason))
         values, errors = self._sideslip
         return None if 3.0 * errors[0] > 0.5 * self.vehicle.cg_to_rear_axle else (values, errors)
@@ -453,14 +458,15 @@ class Checks:
 
         The rear tyres need the slip m l_f v_x r/(L C_r), so q > 0; at the CG p is l_r.
         """
+        vy, entry = ("The side-slip angle", " for `sideslip`") if self.of_sideslip else ("v_y", "")
         if self.arm:
             at = "the rear axle" if self.arm > 0.0 else "the front axle"
             axle = self.vehicle.cg_to_rear_axle if self.arm > 0.0 else -self.vehicle.cg_to_front_axle
             near = abs(self.arm - axle) < 0.3 * abs(axle)
             place = at.removeprefix("the ").replace(" ", "_") if near else f"{{x: {-self.arm:.2f}, y: 0.0}}"
             text = (
-                f"v_y is measured {abs(self.arm):.2f} m {'behind' if self.arm > 0.0 else 'ahead of'} the CG, by "
-                f"the path across yaw{f': near {at}' if near else ''}. Set `position: {place}`."
+                f"{vy} is measured {abs(self.arm):.2f} m {'behind' if self.arm > 0.0 else 'ahead of'} the CG, by "
+                f"the path across yaw{f': near {at}' if near else ''}. Set `position: {place}`{entry}."
             )
             return [ConsistencyFinding("place", "vy", text, self.vehicle.cg_to_rear_axle - self.arm, None)]
         fit = self._sideslip_fit()
@@ -468,14 +474,12 @@ class Checks:
             return []
         (p, q, _), (p_error, _, _) = fit
         car = self.vehicle
-        where = f"v_y follows a place {p:.2f} +- {p_error:.2f} m ahead of the rear axle"
         l_r = car.cg_to_rear_axle
+        where = f"{vy} follows a place {p:.2f} +- {p_error:.2f} m ahead of the rear axle, the CG is at {l_r:.2f} m"
         if q > 0.0 and abs(p) < 0.3 * l_r and p + 4.0 * p_error < 0.6 * l_r:
-            text = (
-                f"{where}, the CG is at {l_r:.2f} m: it is measured at the rear axle. Set `position: rear_axle`."
-            )
+            text = f"{where}: it is measured at the rear axle. Set `position: rear_axle`{entry}."
             return [ConsistencyFinding("place", "vy", text, float(p), float(p_error))]
         if q > 0.0 and p - 4.0 * p_error > 1.5 * l_r and abs(p - car.wheelbase) < 0.3 * car.wheelbase:
-            text = f"{where}, the CG is at {l_r:.2f} m: it is near the front axle: `position: front_axle`."
+            text = f"{where}: it is near the front axle: `position: front_axle`{entry}."
             return [ConsistencyFinding("place", "vy", text, float(p), float(p_error))]
         return []
