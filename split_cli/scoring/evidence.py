@@ -20,6 +20,7 @@ from split_cli.prediction import Predictor, make_predictor
 from split_cli.scoring.application import correction_from, predict_rows
 from split_cli.scoring.persistence import velocity_persistence_errors
 from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
+from split_cli.scoring.splits import with_guards
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
@@ -131,7 +132,10 @@ def held_out_evidence(
         tests = [its == fold for its in folds]
         if not any(test.any() for test in tests):
             continue
-        kept = [p.labels.within(~_widen(test, p.drive)) for p, test in zip(drives, tests, strict=True)]
+        near = [
+            with_guards(test, int(np.ceil(_GUARD / p.drive.period))) for p, test in zip(drives, tests, strict=True)
+        ]
+        kept = [p.labels.within(~its) for p, its in zip(drives, near, strict=True)]
         if not sum(int(labels.accepted.sum()) for labels in kept):
             continue
         learned = make_predictor(predictor, extend(empty, [labels for labels in kept if len(labels)]))
@@ -186,15 +190,6 @@ def _folds_of(numbered: Sequence[np.ndarray]) -> list[np.ndarray]:
         return [np.where(block >= 0, block % _FOLDS, -1) for block in numbered]
     fold_of = {number: rank % _FOLDS for rank, number in enumerate(judged)}
     return [np.where(block >= 0, fold_of.get(number, -1), -1) for number, block in enumerate(numbered)]
-
-
-def _widen(test: np.ndarray, drive: Drive) -> np.ndarray:
-    """Return the rows of held-out blocks and of the guards beside them."""
-    margin = int(np.ceil(_GUARD / drive.period))
-    edges = np.concatenate([[0], np.cumsum(test)])
-    rows = np.arange(len(test))
-    near: np.ndarray = edges[np.minimum(rows + margin + 1, len(test))] > edges[np.maximum(rows - margin, 0)]
-    return near
 
 
 def _conditions(drive: Drive, number: int, model: SingleTrack) -> np.ndarray:

@@ -9,7 +9,10 @@ import numpy as np
 from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
 
-__all__ = ["DEFAULT_BLOCKS", "DEFAULT_GUARD", "DEFAULT_HOLDOUT", "BlockSplit", "hold_out_blocks", "whole_drive"]
+__all__ = [
+    "DEFAULT_BLOCKS", "DEFAULT_GUARD", "DEFAULT_HOLDOUT", "BlockSplit", "hold_out_blocks", "whole_drive",
+    "with_guards",
+]  # fmt: skip
 
 DEFAULT_BLOCKS = 10
 DEFAULT_HOLDOUT = 0.3
@@ -62,9 +65,7 @@ def hold_out_blocks(
     count = min(max(1, round(holdout * blocks)), blocks - 1)
     held_out = tuple(int((j + 0.5) * blocks / count) for j in range(count))
     test = np.isin(block, held_out)
-    margin = int(np.ceil(guard / drive.period))
-    near = np.convolve(test, np.ones(2 * margin + 1), mode="same") > 0.5 if margin < rows else np.ones(rows, bool)
-    train = ~near
+    train = ~with_guards(test, int(np.ceil(guard / drive.period)))
     if train.sum() < 0.5 * (~test).sum():
         raise DriveError(
             f"{blocks} blocks of {rows * drive.period / blocks:.3g} s with guards of {guard:g} s leave "
@@ -75,6 +76,14 @@ def hold_out_blocks(
     time = drive["t"]
     intervals = tuple((float(time[block == b][0]), float(time[block == b][-1])) for b in held_out)
     return BlockSplit(train, test, block, held_out, intervals)
+
+
+def with_guards(test: np.ndarray, margin: int) -> np.ndarray:
+    """Return which rows are held out or at most `margin` rows from one that is, shape (N,)."""
+    count = np.concatenate([[0], np.cumsum(test)])
+    rows = np.arange(len(test))
+    near: np.ndarray = count[np.minimum(rows + margin + 1, len(test))] > count[np.maximum(rows - margin, 0)]
+    return near
 
 
 def whole_drive(drive: Drive) -> BlockSplit:

@@ -20,7 +20,7 @@ from split_cli.logs.drive import Drive, read_drive
 from split_cli.prediction import make_predictor
 from split_cli.scoring.application import time_per_query
 from split_cli.scoring.selection import SelectionSettings, SetCandidate, SetSelection, choose, relative_error
-from split_cli.scoring.splits import DEFAULT_BLOCKS, DEFAULT_GUARD
+from split_cli.scoring.splits import DEFAULT_BLOCKS, DEFAULT_GUARD, with_guards
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
@@ -142,12 +142,9 @@ def _parts(drives: Sequence[Drive], vehicle: Vehicle, features: str, settings: S
 def _training(part: _Part, fold: int) -> Labels:
     """Return the labels of a fold's training blocks, less the guards beside the held-out ones."""
     test = part.block % DEFAULT_BLOCKS % _FOLDS == fold
-    rows = np.arange(len(test))
     # A guard as long as a block would leave nothing of two training blocks in a row.
-    margin = int(np.ceil(min(DEFAULT_GUARD / part.drive.period, len(rows) / DEFAULT_BLOCKS / 3)))
-    edges = np.concatenate([[0], np.cumsum(test)])
-    near = edges[np.minimum(rows + margin + 1, len(test))] > edges[np.maximum(rows - margin, 0)]
-    return part.labels.within(~near)
+    margin = int(np.ceil(min(DEFAULT_GUARD / part.drive.period, len(test) / DEFAULT_BLOCKS / 3)))
+    return part.labels.within(~with_guards(test, margin))
 
 
 def _fold(
