@@ -22,6 +22,7 @@ from split_cli.logs.readers.blf import is_cut_blf
 from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.definitions import Definitions, leaf_paths
 from split_cli.vehicle.parameters import read_vehicle
+from tests.trust.test_hostile_containers import mcap, record, text
 
 MEMORY = 1 << 30
 """Of the process that opens a bomb [bytes]: the project's bound; imports alone take some 300 MB of addresses."""
@@ -50,37 +51,28 @@ def opened_within_memory(path: Path) -> str:
     return done.stdout
 
 
+def zeros_packed(engine, megabytes: int) -> bytes:
+    """Return zeros as an engine of compression packs them, megabyte by megabyte."""
+    return b"".join(engine.compress(bytes(1 << 20)) for _ in range(megabytes)) + engine.flush()
+
+
 def mcap_with_chunk(path: Path, compression: bytes, packed: bytes, claimed: int) -> Path:
     """Write an MCAP file of one chunk, by the format's own layout."""
-
-    def record(opcode: int, body: bytes) -> bytes:
-        return struct.pack("<BQ", opcode, len(body)) + body
-
-    def text(value: bytes) -> bytes:
-        return struct.pack("<I", len(value)) + value
-
-    header = record(1, text(b"") + text(b""))
     chunk = struct.pack("<QQQI", 0, 1, claimed, 0) + text(compression) + struct.pack("<Q", len(packed)) + packed
-    path.write_bytes(b"\x89MCAP0\r\n" + header + record(6, chunk) + record(15, bytes(4)))
-    return path
+    return mcap(path, record(6, chunk))
 
 
 @pytest.mark.parametrize("claimed", [1000, 2 << 30, 3 << 30])
 @pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
 def test_a_chunk_of_mcap_unfolds_into_what_it_claims_at_most(tmp_path, compression, claimed):
-    zeros = bytes(1 << 20)
-    if compression == b"zstd":
-        engine = zstandard.ZstdCompressor().compressobj()
-        packed = b"".join(engine.compress(zeros) for _ in range(200)) + engine.flush()
-    else:
-        packed = lz4.frame.compress(bytes(64 << 20))
+    zeros = zeros_packed(zstandard.ZstdCompressor().compressobj(), 200)
+    packed = zeros if compression == b"zstd" else lz4.frame.compress(bytes(64 << 20))
     path = mcap_with_chunk(tmp_path / "bomb.mcap", compression, packed, claimed)
     assert "refused" in opened_within_memory(path)
 
 
 def test_a_chunk_of_a_bag_unfolds_within_its_budget(tmp_path):
-    engine = bz2.BZ2Compressor()
-    packed = b"".join(engine.compress(bytes(1 << 20)) for _ in range(100)) + engine.flush()
+    packed = zeros_packed(bz2.BZ2Compressor(), 100)
     assert len(packed) < 5000
 
     def field(name: bytes, value: bytes) -> bytes:
@@ -94,8 +86,7 @@ def test_a_chunk_of_a_bag_unfolds_within_its_budget(tmp_path):
 
 
 def test_a_matlab_variable_is_measured_before_it_is_unpacked(tmp_path):
-    engine = zlib.compressobj(9)
-    packed = b"".join(engine.compress(bytes(1 << 20)) for _ in range(100)) + engine.flush()
+    packed = zeros_packed(zlib.compressobj(9), 100)
     head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
     path = tmp_path / "bomb.mat"
     path.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
@@ -104,8 +95,7 @@ def test_a_matlab_variable_is_measured_before_it_is_unpacked(tmp_path):
 
 
 def test_a_block_of_can_frames_is_measured_before_it_is_unpacked(tmp_path):
-    engine = zlib.compressobj(9)
-    packed = b"".join(engine.compress(bytes(1 << 20)) for _ in range(100)) + engine.flush()
+    packed = zeros_packed(zlib.compressobj(9), 100)
     container = struct.pack("<H6xL4x", 2, 1000) + packed
     block = struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(container), 10) + container
     (tmp_path / "bomb.blf").write_bytes(b"LOGG" + struct.pack("<L", 144) + bytes(136) + block)

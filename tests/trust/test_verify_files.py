@@ -14,12 +14,9 @@ from split_cli.errors import SplitError
 from split_cli.files import sha256_of_file
 from split_cli.logs.drive import Source, read_drive, write_drive
 from split_cli.workflows.verifying.verify import verify
+from tests.trust.test_forged_folders import failed
 
 FILES = Path(__file__).parents[1] / "golden" / "files"
-
-
-def failed(path) -> set[str]:
-    return {i.check for i in verify(path).items if i.passed is False}
 
 
 @pytest.fixture
