@@ -60,7 +60,7 @@ __all__ = ["command"]
     default="auto",
     show_default=True,
     help="Predictor that evaluates the set. bcm and projected follow every update, others are rebuilt after "
-    "each lap; auto is bcm for three features and projected for more.",
+    "each lap. With auto it is bcm for three features, projected for more.",
 )
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
