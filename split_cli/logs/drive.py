@@ -26,17 +26,9 @@ from split_cli.logs.scratch import let_go
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
-    "INPUT_CHANNELS",
-    "Drive",
-    "DriveMetadata",
-    "NoiseEstimate",
-    "Source",
-    "metadata_of_drive",
-    "open_drive",
-    "read_drive",
-    "untold_inputs",
-    "write_drive",
-]
+    "INPUT_CHANNELS", "Drive", "DriveMetadata", "NoiseEstimate", "Source", "metadata_of_drive", "open_drive",
+    "read_drive", "untold_inputs", "write_drive",
+]  # fmt: skip
 
 INPUT_CHANNELS = ("T", "delta")
 _GROUP_ROWS = 2**20

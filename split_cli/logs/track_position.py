@@ -10,14 +10,8 @@ import numpy as np
 from split_cli.logs.drive import Drive
 
 __all__ = [
-    "AWAY",
-    "CLOSE_ANGLE",
-    "TrackReference",
-    "build_reference",
-    "closing_distance",
-    "places_of",
-    "track_position",
-]
+    "AWAY", "CLOSE_ANGLE", "TrackReference", "build_reference", "closing_distance", "places_of", "track_position",
+]  # fmt: skip
 
 #: How far the direction of travel may differ where a path closes [rad]; judgement.
 CLOSE_ANGLE = 0.35

@@ -49,33 +49,18 @@ _FARTHEST = 4.0
 
 @dataclass(frozen=True)
 class LateralVelocity:
-    """A lateral velocity from accelerations, and how sure it is.
+    """A lateral velocity from accelerations, and how sure it is."""
 
-    Attributes
-    ----------
-    vy, std : ndarray, shape (N,)
-        At the CG [m/s], and its standard deviation.
-    bias : tuple of float
-        Least and greatest of what a_y read too much [m/s^2]: bias of the sensor and bank of the road.
-    gain : float
-        Of v_x r against a_y, less 1 [1]: roll of the body, scale of the gyro.
-    slip : float
-        Of the rear axle for its lateral acceleration [rad/(m/s^2)].
-    gentle : float
-        Share of the time where the car drives gently [1].
-    longest : float
-        Time between two such moments [s].
-    contradicted : float
-        Share of these moments that a_y contradicts by more than four standard deviations [1]; they are not used.
-    """
-
+    # vy, std: (N,): at the CG [m/s], and its standard deviation.
     vy: np.ndarray
     std: np.ndarray
+    # Least and greatest of what a_y read too much [m/s^2]: bias of the sensor and bank of the road.
     bias: tuple[float, float]
-    gain: float
-    slip: float
-    gentle: float
-    longest: float
+    gain: float  # of v_x r against a_y, less 1 [1]: roll of the body, scale of the gyro
+    slip: float  # of the rear axle for its lateral acceleration [rad/(m/s^2)]
+    gentle: float  # share of the time where the car drives gently [1]
+    longest: float  # time between two such moments [s]
+    # Share of these moments that a_y contradicts by more than four standard deviations [1]; they are not used.
     contradicted: float
 
     @property
@@ -110,7 +95,6 @@ def lateral_velocity_from_accelerations(
         ``vx`` [m/s], ``r`` [rad/s] and ``ay`` [m/s^2] at the CG, finite, shape (N,).
     period : float
         [s].
-    segments : sequence of slice
     vehicle : Vehicle
         Its place of the rear axle, and its grip, which says what is gentle. Its stiffness is not used.
 

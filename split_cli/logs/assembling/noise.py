@@ -50,7 +50,6 @@ def estimate_noise(
 
     Parameters
     ----------
-    channel : str
     values : ndarray, shape (N,)
         At full rate, SI.
     runs : list of (int, int)

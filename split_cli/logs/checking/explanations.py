@@ -43,20 +43,12 @@ _LEAST_REVERSED = 3
 
 @dataclass(frozen=True)
 class Explanation:
-    """Findings, and the exact signed factors that correct the channels they blame.
-
-    Attributes
-    ----------
-    findings : tuple of ConsistencyFinding
-    factors : mapping of str to float
-        Channel to the factor that is in it; only where one mistake is clearly the best.
-    cost : float
-        Of the best story, 0 where all relations hold [1].
-    """
+    """Findings, and the exact signed factors that correct the channels they blame."""
 
     findings: tuple[ConsistencyFinding, ...] = ()
+    # Channel to the factor that is in it; only where one mistake is clearly the best.
     factors: Mapping[str, float] = field(default_factory=dict)
-    cost: float = 0.0
+    cost: float = 0.0  # of the best story, 0 where all relations hold [1]
 
 
 def explain(
@@ -66,7 +58,6 @@ def explain(
 
     Parameters
     ----------
-    relations : sequence of Relation
     vehicle : Vehicle, optional
         Its wheel radius tells wheel speeds in rad/s.
     plausible : sequence of Plausible

@@ -24,25 +24,14 @@ _MOST_ROWS = 8000
 
 @dataclass(frozen=True)
 class LagFit:
-    """By how much one signal lags another.
+    """By how much one signal lags another."""
 
-    Attributes
-    ----------
-    lag, error : float
-        Positive when the first is late [s]; standard error from blocks of time.
-    determination : float
-        Share of the first signal's variance that the second explains at that lag.
-    refusal : str
-        Why the lag is not to be used, else empty.
-    beyond : float or None
-        Where a wider search finds it, when it lies beyond what is searched [s].
-    """
-
+    # lag, error: positive when the first is late [s]; standard error from blocks of time.
     lag: float
     error: float
-    determination: float
-    refusal: str = ""
-    beyond: float | None = None
+    determination: float  # share of the first signal's variance that the second explains at that lag
+    refusal: str = ""  # why the lag is not to be used, else empty
+    beyond: float | None = None  # where a wider search finds it, when it lies beyond what is searched [s]
 
 
 def fit_lag(
@@ -64,7 +53,6 @@ def fit_lag(
         Rows to use.
     period : float
         [s].
-    segments : list of slice
     longest : float
         Lags searched on both sides [s].
 

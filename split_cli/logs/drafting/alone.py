@@ -14,14 +14,9 @@ from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.wheels import told_of_a_part
 
 __all__ = [
-    "read_acceleration",
-    "read_pedal",
-    "read_sideslip",
-    "read_torque",
-    "read_wheel",
-    "read_yaw_rate",
+    "read_acceleration", "read_pedal", "read_sideslip", "read_torque", "read_wheel", "read_yaw_rate",
     "without_the_tilted",
-]
+]  # fmt: skip
 
 _LEAST_OF_A_CAR = 50.0
 """Mass times wheel radius of the lightest car that a person drives: 250 kg on wheels of 0.2 m [kg m]."""

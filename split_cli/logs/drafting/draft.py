@@ -25,71 +25,37 @@ _MARKS = {"judged": "judged: ", "unsided": "CHECK left and right; size judged: "
 
 @dataclass(frozen=True)
 class Suggestion:
-    """What the draft says of one channel.
-
-    Attributes
-    ----------
-    channel : str
-    sources : tuple of str
-        Recorded names; several with `convert`, or to be summed.
-    unit : str or None
-    scale : float
-    convert, world : str
-    status : str
-        ``judged`` (a relation to other channels holds), ``unsided`` (the same, but nothing tells left from right),
-        ``stated`` (the file gives the unit, nothing judges it),
-        ``assumed`` (nobody gives the unit, nothing judges it) or ``open`` (left out, with the reason).
-    reason : str
-    offset : float
-        Added after `scale`, in `unit`.
-    command : bool
-        Whether the name says that it was asked for, not measured.
-    by_convention : bool
-        Whether the unit is that of ROS messages, which the recording itself does not state.
-    foreign_unit : str
-        What the file states where a unit stands, and is none that is known.
-    """
+    """What the draft says of one channel."""
 
     channel: str
-    sources: tuple[str, ...]
+    sources: tuple[str, ...]  # recorded names; several with `convert`, or to be summed
     unit: str | None = None
     scale: float = 1.0
     convert: str = ""
     world: str = ""
+    # ``judged`` (a relation to other channels holds), ``unsided`` (the same, but nothing tells left from right),
+    # ``stated`` (the file gives the unit, nothing judges it), ``assumed`` (nobody gives the unit, nothing judges
+    # it) or ``open`` (left out, with the reason).
     status: str = "assumed"
     reason: str = ""
-    offset: float = 0.0
-    command: bool = False
+    offset: float = 0.0  # added after `scale`, in `unit`
+    command: bool = False  # whether the name says that it was asked for, not measured
+    # Whether the unit is that of ROS messages, which the recording itself does not state.
     by_convention: bool = False
-    foreign_unit: str = ""
+    foreign_unit: str = ""  # what the file states where a unit stands, and is none that is known
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A drafted map.
-
-    Attributes
-    ----------
-    suggestions : tuple of Suggestion
-    time : str
-        The map's line for the time, a comment where none was found.
-    unused : tuple of str
-    undefined : tuple of str
-        Message types that cannot be read, for want of a definition.
-    left : str
-        What decides which side is left; empty where nothing does.
-    hints : tuple of str
-        What to do with a file of another form than a column for each signal.
-    by_gravity : str
-        What the vertical axis of the accelerometer tells of left and right, where nothing else does.
-    """
+    """A drafted map."""
 
     suggestions: tuple[Suggestion, ...]
-    time: str
+    time: str  # the map's line for the time, a comment where none was found
     unused: tuple[str, ...]
-    undefined: tuple[str, ...] = ()
-    left: str = ""
-    hints: tuple[str, ...] = ()
+    undefined: tuple[str, ...] = ()  # message types that cannot be read, for want of a definition
+    left: str = ""  # what decides which side is left; empty where nothing does
+    hints: tuple[str, ...] = ()  # what to do with a file of another form than a column for each signal
+    # What the vertical axis of the accelerometer tells of left and right, where nothing else does.
     by_gravity: str = ""
 
     def of(self, channel: str) -> Suggestion | None:

@@ -16,7 +16,6 @@ def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) 
 
     Parameters
     ----------
-    recording : RawRecording
     infos : sequence of RawChannelInfo
         Its channels.
     """

@@ -30,18 +30,10 @@ _LAST_TWO = {
 
 @dataclass(frozen=True)
 class Meaning:
-    """One reading of a name.
+    """One reading of a name."""
 
-    Attributes
-    ----------
-    channel : str
-        A channel of the drive, or ``latitude``, ``sideslip``, ``steering_wheel_angle`` and the like.
-    weight : int
-        How clearly the name says so; 3 is clear, 1 needs the data to agree.
-    """
-
-    channel: str
-    weight: int
+    channel: str  # a channel of the drive, or ``latitude``, ``sideslip``, ``steering_wheel_angle`` and the like
+    weight: int  # how clearly the name says so; 3 is clear, 1 needs the data to agree
 
 
 _CORNER = {
@@ -126,22 +118,8 @@ _LETTERS = {
 """Single letters that only their unit makes clear."""
 _COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pattern in _RULES)
 _MAKERS = {
-    "esp",
-    "abs",
-    "ecu",
-    "can",
-    "imu",
-    "ins",
-    "gps",
-    "vbox",
-    "obd",
-    "ego",
-    "odom",
-    "mti",
-    "oxts",
-    "ff",
-    "pf",
-}
+    "esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff", "pf",
+}  # fmt: skip
 """Words in front that say which device measured."""
 _COMMAND_WORDS = {"cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference"}
 COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")

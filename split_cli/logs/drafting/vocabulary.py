@@ -218,15 +218,8 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
     if channel == "vx" and weight == 1 and {"n", "e", "d", "u"} & set(words):
         return None  # along north, east, down or up
     inputs = (
-        "delta",
-        "steering_wheel_angle",
-        "T",
-        "wheel_torque",
-        "axle_torque",
-        "throttle",
-        "brake",
-        "brake_pressure",
-    )
+        "delta", "steering_wheel_angle", "T", "wheel_torque", "axle_torque", "throttle", "brake", "brake_pressure",
+    )  # fmt: skip
     if "command" in concepts and channel not in inputs:
         return None
     return channel, max(weight - min(unknown, 2), 1)

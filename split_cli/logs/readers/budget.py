@@ -5,13 +5,8 @@ from __future__ import annotations
 from split_cli.errors import LogError
 
 __all__ = [
-    "LONGEST_NAME",
-    "MOST_FIELDS",
-    "Unfolded",
-    "most_bytes_out",
-    "refuse_many_columns",
-    "refuse_unpacked_size",
-]
+    "LONGEST_NAME", "MOST_FIELDS", "Unfolded", "most_bytes_out", "refuse_many_columns", "refuse_unpacked_size",
+]  # fmt: skip
 
 ALWAYS = 64 << 20
 """What any source may unfold into [bytes]; judgement: one chunk of a recorder has 1 to 8 MB."""

@@ -26,40 +26,22 @@ _RULE = "=" * 80
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a message.
-
-    Attributes
-    ----------
-    name : str
-    kind : str
-        ``float64``, ``int8`` and so on, ``bool``, ``string``, ``wstring``, or ``struct``.
-    fields : tuple of Field
-        The members of a struct; empty otherwise.
-    length : int or None
-        None for one value, the length of a fixed array, or `SEQUENCE`.
-    """
+    """One field of a message."""
 
     name: str
-    kind: str
-    fields: tuple[Field, ...] = ()
-    length: int | None = None
+    kind: str  # ``float64``, ``int8`` and so on, ``bool``, ``string``, ``wstring``, or ``struct``
+    fields: tuple[Field, ...] = ()  # the members of a struct; empty otherwise
+    length: int | None = None  # None for one value, the length of a fixed array, or `SEQUENCE`
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The definition of one message type.
-
-    Attributes
-    ----------
-    type_name : str
-    fields : tuple of Field
-    embedded : bool
-        Whether it came from inside the recording; a definition from elsewhere may be of another version, so
-        that payloads are checked against its full length.
-    """
+    """The definition of one message type."""
 
     type_name: str
     fields: tuple[Field, ...]
+    # Whether it came from inside the recording; a definition from elsewhere may be of another version, so that
+    # payloads are checked against its full length.
     embedded: bool
 
 

@@ -49,56 +49,29 @@ _PATTERN_OF_A_TIME = re.compile(r"(?=.*([hHms]{1,2}|[YyJ]{2,4}))[hHmsfSDdTtMYyJ0
 
 @dataclass(frozen=True)
 class Dialect:
-    """How the rows of values are written.
+    """How the rows of values are written."""
 
-    Attributes
-    ----------
-    separator, decimal : str
-        One character each; a separator that is a blank stands for any run of blanks.
-    encoding : str
-    offset : int
-        Byte at which the first row of values begins.
-    quoted_whole : bool
-        Whether each line stands in quotes as one cell, as a spreadsheet saves a file that it did not split.
-    end : int or None
-        Byte at which the rows end, if not with the file.
-    """
-
+    # separator, decimal: one character each; a separator that is a blank stands for any run of blanks.
     separator: str
     decimal: str
     encoding: str
-    offset: int
+    offset: int  # byte at which the first row of values begins
+    # Whether each line stands in quotes as one cell, as a spreadsheet saves a file that it did not split.
     quoted_whole: bool = False
-    end: int | None = None
+    end: int | None = None  # byte at which the rows end, if not with the file
 
 
 @dataclass(frozen=True)
 class Sniffed:
-    """What stands before the values.
-
-    Attributes
-    ----------
-    dialect : Dialect
-    header : list of str
-        A title a column.
-    units : list of str or None
-        A unit a column, where there is a row of them.
-    rows : list of list of str
-        The first rows of values.
-    unnamed : bool
-        Whether there is no header and the titles were made up.
-    titles : int
-        Then the most titles that stand in a row before the values, and do not fit them in number.
-    devices : list of str or None
-        Where each column comes from, if a further row under the titles tells it (RaceChrono: ``100: gps``).
-    """
+    """What stands before the values."""
 
     dialect: Dialect
-    header: list[str]
-    units: list[str] | None
-    rows: list[list[str]]
-    unnamed: bool
-    titles: int = 0
+    header: list[str]  # a title a column
+    units: list[str] | None  # a unit a column, where there is a row of them
+    rows: list[list[str]]  # the first rows of values
+    unnamed: bool  # whether there is no header and the titles were made up
+    titles: int = 0  # then the most titles that stand in a row before the values, and do not fit them in number
+    # Where each column comes from, if a further row under the titles tells it (RaceChrono: ``100: gps``).
     devices: list[str] | None = None
 
 

@@ -31,30 +31,15 @@ _SCHEMAS_OF_ENCODING = {"cdr": ("ros2msg", "ros2idl", "omgidl"), "ros1": ("ros1m
 
 @dataclass(frozen=True)
 class Stream:
-    """Messages of one type on one topic.
+    """Messages of one type on one topic."""
 
-    Attributes
-    ----------
-    key : int
-        The container's own number for it.
-    topic, type_name : str
-    encoding : str
-        Of the messages: ``cdr``, ``ros1``, ``protobuf``, ``json``.
-    schema_encoding : str
-        Of the definition: ``ros2msg``, ``ros2idl``, ``ros1msg``, ``protobuf``, ``jsonschema``.
-    schema : bytes
-        The definition stored in the recording; may be empty.
-    count : int or None
-        Messages, where the container says so.
-    """
-
-    key: int
+    key: int  # the container's own number for it
     topic: str
     type_name: str
-    encoding: str
-    schema_encoding: str
-    schema: bytes
-    count: int | None
+    encoding: str  # of the messages: ``cdr``, ``ros1``, ``protobuf``, ``json``
+    schema_encoding: str  # of the definition: ``ros2msg``, ``ros2idl``, ``ros1msg``, ``protobuf``, ``jsonschema``
+    schema: bytes  # the definition stored in the recording; may be empty
+    count: int | None  # messages, where the container says so
 
 
 @dataclass(frozen=True)
@@ -89,19 +74,10 @@ def in_batches(messages: Iterable[tuple[int, int, int, bytes]]) -> Iterator[Mess
 
 
 class Container(Protocol):
-    """A file, or several in a row, that holds messages.
-
-    Attributes
-    ----------
-    streams : list of Stream
-    origin : int
-        First log time [ns].
-    has_publish_times : bool
-    notes : list of ReadNote
-    """
+    """A file, or several in a row, that holds messages."""
 
     streams: list[Stream]
-    origin: int
+    origin: int  # first log time [ns]
     has_publish_times: bool
     notes: list[ReadNote]
 

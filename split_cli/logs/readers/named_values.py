@@ -31,14 +31,8 @@ from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
 __all__ = [
-    "NAMES",
-    "VALUES",
-    "Places",
-    "open_named_rows",
-    "open_named_table",
-    "places_in",
-    "table_of_named_values",
-]
+    "NAMES", "VALUES", "Places", "open_named_rows", "open_named_table", "places_in", "table_of_named_values",
+]  # fmt: skip
 
 NAMES = ("signal", "signal_name", "channel", "name", "variable", "parameter", "topic", "key", "field", "_field",
           "metric", "sensor")  # fmt: skip
@@ -53,26 +47,17 @@ _LONGEST_LINE = 4 << 20  # [bytes]; judgement, as for Pi Toolbox: what goes on i
 
 @dataclass(frozen=True)
 class Places:
-    """Where a row holds what.
+    """Where a row holds what."""
 
-    Attributes
-    ----------
-    time, name, value : int or str
-        Position of a cell, or key of an object.
-    unit, group : int, str or None
-        Of the value, and of what several names stand in, as a message.
-    unit_of_time : str or None
-        As the title says.
-    separator, decimal : str
-        Of a table.
-    """
-
+    # time, name, value: position of a cell, or key of an object.
     time: Any
     name: Any
     value: Any
+    # unit, group: of the value, and of what several names stand in, as a message.
     unit: Any = None
     group: Any = None
-    unit_of_time: str | None = None
+    unit_of_time: str | None = None  # as the title says
+    # separator, decimal: of a table.
     separator: str = ","
     decimal: str = "."
 
@@ -99,7 +84,6 @@ def open_named_rows(
 
     Parameters
     ----------
-    path : Path
     looked_at : sequence of dict
         Some objects, which show the form.
     rows : iterable of dict

@@ -79,18 +79,10 @@ def open_pi_toolbox(path: Path) -> RawRecording:
 
 @dataclass(frozen=True)
 class _Block:
-    """Titles of one block, and where its rows stand in the file.
-
-    Attributes
-    ----------
-    titles : list of str
-    width : int
-        Cells of its rows: a tabulator may end each.
-    dialect : Dialect
-    """
+    """Titles of one block, and where its rows stand in the file."""
 
     titles: list[str]
-    width: int
+    width: int  # cells of its rows: a tabulator may end each
     dialect: Dialect
 
 
