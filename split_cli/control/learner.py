@@ -21,15 +21,9 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "FOLLOWING",
-    "LabellingLearner",
-    "Learned",
-    "Learner",
-    "NoLearner",
-    "SplitLearner",
-    "learning_region",
+    "FOLLOWING", "LabellingLearner", "Learned", "Learner", "NoLearner", "SplitLearner", "learning_region",
     "settling_time",
-]
+]  # fmt: skip
 
 
 def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float) -> Region:
