@@ -17,15 +17,9 @@ from split_cli.learning.training_set import SetSource, TrainingSet
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
-    "DEFAULT_CAPACITY",
-    "DEFAULT_THRESHOLD",
-    "empty_set",
-    "extend",
-    "learn",
-    "recompute_gains",
-    "warm_up",
+    "DEFAULT_CAPACITY", "DEFAULT_THRESHOLD", "empty_set", "extend", "learn", "recompute_gains", "warm_up",
     "without_points",
-]
+]  # fmt: skip
 
 DEFAULT_CAPACITY = 10
 DEFAULT_THRESHOLD = 1e-3

@@ -13,16 +13,9 @@ from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid
 
 __all__ = [
-    "FEWEST_TO_FIT",
-    "LONGEST_SCALE",
-    "KernelFit",
-    "block_likelihood",
-    "default_kernel",
-    "fit_kernel",
-    "longest_scale",
-    "neighbour_blocks",
-    "scatter_variance",
-]
+    "FEWEST_TO_FIT", "LONGEST_SCALE", "KernelFit", "block_likelihood", "default_kernel", "fit_kernel",
+    "longest_scale", "neighbour_blocks", "scatter_variance",
+]  # fmt: skip
 
 LENGTH_SCALE_EDGES = 2.0
 # Bounds of the fit: length scales in cell edges, variances in the label's mean square.

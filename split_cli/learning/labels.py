@@ -21,13 +21,8 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
 
 __all__ = [
-    "DEFAULT_HORIZON",
-    "Labels",
-    "Reason",
-    "compute_labels",
-    "nominal_errors",
-    "window_samples",
-]
+    "DEFAULT_HORIZON", "Labels", "Reason", "compute_labels", "nominal_errors", "window_samples",
+]  # fmt: skip
 
 DEFAULT_HORIZON = 0.05
 _CHUNK = 4096  # temporaries of that length stay in the cache

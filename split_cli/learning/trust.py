@@ -43,19 +43,6 @@ def supported_variance(share: np.ndarray, doubt: np.ndarray, signal_variance: np
 class Trust:
     """The share of the learned correction that is applied, an output each.
 
-    Attributes
-    ----------
-    share : tuple of float
-        Of v_x', v_y' and r'; 1 applies the whole correction, 0 leaves the nominal model as it is.
-    origin : {"full", "given", "held-out", "unjudged"}
-        ``held-out``: found on held-out blocks of the training drives. ``unjudged``: the drives are too short for
-        that, and no correction is applied.
-    blocks : int
-        Held-out blocks of time that the share was found on.
-    doubt : tuple of float or None
-        Variance of what remains wrong beyond the process's own and the label noise, measured on held-out blocks
-        [m^2/s^4, m^2/s^4, rad^2/s^4]; None where it was not measured.
-
     Notes
     -----
     With m and v the mean and the latent variance of the process, what is believed is tau m, with the variance
@@ -66,9 +53,14 @@ class Trust:
     sqrt(1 - tau^2) times another draw from the prior.
     """
 
+    # Of v_x', v_y' and r'; 1 applies the whole correction, 0 leaves the nominal model as it is.
     share: tuple[float, float, float]
+    # {"full", "given", "held-out", "unjudged"} ``held-out``: found on held-out blocks of the training drives.
+    # ``unjudged``: the drives are too short for that, and no correction is applied.
     origin: str = "full"
-    blocks: int = 0
+    blocks: int = 0  # held-out blocks of time that the share was found on
+    # Variance of what remains wrong beyond the process's own and the label noise, measured on held-out blocks
+    # [m^2/s^4, m^2/s^4, rad^2/s^4]; None where it was not measured.
     doubt: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
