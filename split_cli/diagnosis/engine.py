@@ -188,10 +188,8 @@ class _Comparison:
 
     Attributes
     ----------
-    outcome : SearchOutcome
     line : Line or None
         In the spectrum, if it is large enough.
-    p_value : float
     contradictions : tuple of str
         Sensors out of scale, see `out_of_scale`.
     """

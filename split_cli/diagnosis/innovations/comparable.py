@@ -31,13 +31,10 @@ def comparable(
 
     Parameters
     ----------
-    one : Evidence
     simulated : sequence of Evidence
         None, if the nominal model is the simulation; only rows of positive weight count.
-    discrepancy : SharedDiscrepancy
     reach : float
         How far a row may be from the nearest simulated one, in scaled features.
-    policy : Policy
     """
     fast = one.series.smooth[one.at, 0] >= policy.screening.valid_speed * one.vehicle.minimum_speed
     usable = fast & (one.weight > 0.0)

@@ -11,13 +11,9 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
 __all__ = [
-    "effect_to_noise",
-    "effects_to_noise",
-    "effects_to_noise_of",
-    "products_over_noise",
-    "rms_over_noise",
+    "effect_to_noise", "effects_to_noise", "effects_to_noise_of", "products_over_noise", "rms_over_noise",
     "windowed",
-]
+]  # fmt: skip
 
 _HORIZON = 0.05
 

@@ -30,11 +30,8 @@ def limits_of(
 
     Parameters
     ----------
-    real : sequence of Evidence
-    vehicle : Vehicle
     share : float
         Of the real recordings, how much is compared.
-    policy : Policy
     """
     out = []
     if share < policy.reporting.least_compared:

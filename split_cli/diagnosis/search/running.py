@@ -36,9 +36,6 @@ def with_variants_that_run(
     ----------
     structure : Structure
         With the objective.
-    candidates : sequence of Candidate
-    selection : Selection
-    variance_inflation : float
     """
     objective, chosen = structure.objective, selection.chosen
     rules = objective.policy.selection
