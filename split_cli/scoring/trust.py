@@ -40,7 +40,6 @@ def judge_correction(
 
     Parameters
     ----------
-    drives : sequence of TrainingDrive
     empty : TrainingSet
         Without points: its settings and kernel are those of the set that is trained on everything.
     say : callable
@@ -72,7 +71,6 @@ def best_trust(
 
     Parameters
     ----------
-    evidence : sequence of TrustEvidence
     most : sequence of float, shape (3,)
         Largest trust of each output.
 
@@ -151,7 +149,6 @@ def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, kernel: Ker
 
     Parameters
     ----------
-    evidence : sequence of TrustEvidence
     share : ndarray, shape (3,)
         Trust of each output.
     kernel : Kernel
