@@ -27,7 +27,6 @@ def choose_features(lap: Drive, vehicle: Vehicle, settings: RaceSettings) -> tup
         Driven by the nominal model.
     vehicle : Vehicle
         With the terms that the candidates need.
-    settings : RaceSettings
 
     Notes
     -----
@@ -63,7 +62,6 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings) -> str:
     ----------
     laps : sequence of Lap
         All that were driven, lap 0 first.
-    settings : RaceSettings
 
     Returns
     -------
@@ -89,7 +87,9 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings) -> str:
         left = ", ".join(f"{100 * share:.0f} %" for share in shares)
         told += f" In lap {last.number} the one-step errors of v_x, v_y and r were {left} of the nominal model's."
     if settings.features != AUTO:
-        return f"{told} Leave out --features and --predictor: the race then chooses both on held-out parts of lap 0."
+        return (
+            f"{told} Leave out --features and --predictor: the race then chooses both on held-out parts of lap 0."
+        )
     return (
         f"{told} Drive with --learner none, or keep the lap (-o lap0.parquet --laps 0 --learner none) and let "
         "`split diagnose --real lap0.parquet` name what the vehicle file lacks."

@@ -88,8 +88,6 @@ class Race:
 
     Parameters
     ----------
-    settings : RaceSettings
-    vehicle : Vehicle
     set_output : path or None
         Where the set goes after each lap.
     say : callable

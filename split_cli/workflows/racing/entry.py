@@ -23,15 +23,9 @@ from split_cli.workflows.racing.closed_loop import path_of
 from split_cli.workflows.racing.settings import AUTO, FITS, LEARNERS, RaceSettings
 
 __all__ = [
-    "check_car",
-    "check_exported",
-    "check_predictor",
-    "check_settings",
-    "check_start",
-    "check_torque",
-    "check_trusted",
-    "find_path",
-]
+    "check_car", "check_exported", "check_predictor", "check_settings", "check_start", "check_torque",
+    "check_trusted", "find_path",
+]  # fmt: skip
 
 LARGEST_LABEL = 30.0
 """Three times gravity [m/s^2]: no tyre force, and so no model of one, is wrong by more."""
@@ -161,7 +155,6 @@ def check_start(path: Path, start: float, width: float, margin: float) -> None:
 
     Parameters
     ----------
-    path : Path
     start : float
         Arc length, on the centre line [m].
     width, margin : float

@@ -22,37 +22,18 @@ __all__ = ["PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]
 
 @dataclass(frozen=True)
 class Experiment:
-    """One race, or one sweep of a manoeuvre.
+    """One race, or one sweep of a manoeuvre."""
 
-    Attributes
-    ----------
-    name : str
-        Of its files.
-    group : str
-        Table it belongs to.
-    model : str
-        How tables call the model: nominal, iol, split, ...
-    settings : RaceSettings or ManeuverSettings
-        A start set is named by the experiment that wrote it.
-    vehicle : str
-        Of `ExperimentPlan.vehicles`.
-    """
-
-    name: str
-    group: str
-    model: str
-    settings: RaceSettings | ManeuverSettings
-    vehicle: str = "gentle"
+    name: str  # of its files
+    group: str  # table it belongs to
+    model: str  # how tables call the model: nominal, iol, split, ..
+    settings: RaceSettings | ManeuverSettings  # a start set is named by the experiment that wrote it
+    vehicle: str = "gentle"  # of `ExperimentPlan.vehicles`
 
 
 @dataclass(frozen=True)
 class ExperimentPlan:
-    """What is run, in order.
-
-    Attributes
-    ----------
-    experiments : tuple of Experiment
-    """
+    """What is run, in order."""
 
     experiments: tuple[Experiment, ...]
 

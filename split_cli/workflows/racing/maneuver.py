@@ -41,52 +41,27 @@ __all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]
 
 @dataclass(frozen=True)
 class ManeuverSettings:
-    """What to drive.
-
-    Attributes
-    ----------
-    scenario : str
-    car : str
-    start_set : path or None
-        A trained set, or the folder of its export; the nominal model alone without one.
-    predictor : str
-        Evaluates the set; ``auto`` as of a race.
-    speeds : tuple of float
-        Entry speeds [m/s]; the scenario's own when empty.
-    grip : float
-        Friction of the road [1].
-    seed : int
-    exact_sensors, delay : bool
-        As of a race.
-    width : float or None
-        Of the car's body [m].
-    max_torque : float or None
-        [N m]
-    p_long : float
-        Of the controller's limits [1]; below that of races, since a whole manoeuvre brakes while it turns.
-    p_ellipse : float or None
-        Share of the peak [1]; by default what races use with the nominal model, or with what was learned.
-    guarded : bool
-        As of `Limits`; the peaks are those that the set's labels tell.
-    features : str
-        Of a set that the first run trains.
-    """
+    """What to drive."""
 
     scenario: str = "iso3888-1"
     car: str = "road_car"
+    # A trained set, or the folder of its export; the nominal model alone without one.
     start_set: str | FilePath | None = None
-    predictor: str = AUTO
-    speeds: tuple[float, ...] = ()
-    grip: float = 1.0
+    predictor: str = AUTO  # evaluates the set; ``auto`` as of a race
+    speeds: tuple[float, ...] = ()  # entry speeds [m/s]; the scenario's own when empty
+    grip: float = 1.0  # friction of the road [1]
     seed: int = 0
+    # exact_sensors, delay: as of a race.
     exact_sensors: bool = False
     delay: bool = True
-    width: float | None = None
-    max_torque: float | None = None
+    width: float | None = None  # of the car's body [m]
+    max_torque: float | None = None  # [N m]
+    # Of the controller's limits [1]; below that of races, since a whole manoeuvre brakes while it turns.
     p_long: float = P_LONG
+    # Share of the peak [1]; by default what races use with the nominal model, or with what was learned.
     p_ellipse: float | None = None
-    guarded: bool = True
-    features: str = "z2"
+    guarded: bool = True  # as of `Limits`; the peaks are those that the set's labels tell
+    features: str = "z2"  # of a set that the first run trains
 
     def limits(self, vehicle: Vehicle) -> Limits:
         """Return the limits of the controller that drives with a vehicle file, and with the start set if any."""
@@ -98,44 +73,22 @@ class ManeuverSettings:
 
 @dataclass(frozen=True)
 class ManeuverRun:
-    """One entry speed.
+    """One entry speed."""
 
-    Attributes
-    ----------
-    speed : float
-        Asked for [m/s].
-    entered, left : float
-        Speed at the first cone and at the end [m/s].
-    cones, hit : int
-        How many there are, and how many the car touched.
-    deviation : float
-        Largest distance of the CG from the line within the manoeuvre [m].
-    max_lateral : float
-        [m/s^2]
-    solver_ms : tuple of float
-        Median, 99 % and worst of HPIPM [ms].
-    failures : int
-        Programmes without a solution.
-    ended : str
-        Why the manoeuvre was not finished; empty when it was.
-    trace : ndarray
-        A row a sample: t, X, Y, yaw, v_x, v_y, r, a_x, a_y, T, delta.
-    hit_at : ndarray, shape (hit, 2)
-        Cones that were touched [m].
-    """
-
-    speed: float
+    speed: float  # asked for [m/s]
+    # entered, left: speed at the first cone and at the end [m/s].
     entered: float
     left: float
+    # cones, hit: how many there are, and how many the car touched.
     cones: int
     hit: int
-    deviation: float
-    max_lateral: float
-    solver_ms: tuple[float, ...]
-    failures: int
-    ended: str
-    trace: np.ndarray
-    hit_at: np.ndarray
+    deviation: float  # largest distance of the CG from the line within the manoeuvre [m]
+    max_lateral: float  # [m/s^2]
+    solver_ms: tuple[float, ...]  # median, 99 % and worst of HPIPM [ms]
+    failures: int  # programmes without a solution
+    ended: str  # why the manoeuvre was not finished; empty when it was
+    trace: np.ndarray  # a row a sample: t, X, Y, yaw, v_x, v_y, r, a_x, a_y, T, delta
+    hit_at: np.ndarray  # (hit, 2): cones that were touched [m]
 
     @property
     def passed(self) -> bool:
@@ -145,28 +98,16 @@ class ManeuverRun:
 
 @dataclass(frozen=True)
 class ManeuverResult:
-    """All entry speeds.
-
-    Attributes
-    ----------
-    scenario, car, vehicle, model : str
-    grip : float
-    width : float
-        [m]
-    runs : tuple of ManeuverRun
-    highest_passed : float or None
-        Highest speed up to which every run passed [m/s].
-    output, set_path : str or None
-    """
+    """All entry speeds."""
 
     scenario: str
     car: str
     vehicle: str
     model: str
     grip: float
-    width: float
+    width: float  # [m]
     runs: tuple[ManeuverRun, ...]
-    highest_passed: float | None
+    highest_passed: float | None  # highest speed up to which every run passed [m/s]
     output: str | None = None
     set_path: str | None = None
 

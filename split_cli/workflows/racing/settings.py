@@ -27,85 +27,44 @@ LEARNING = MpccSettings(limits=Limits(p_long=RACE_P_LONG, p_ellipse=SHARE_LEARNE
 
 @dataclass(frozen=True)
 class RaceSettings:
-    """What to drive.
+    """What to drive."""
 
-    Attributes
-    ----------
-    track : str
-        Name of a track, or a centre-line CSV.
-    car : str
-        The car of the plant.
-    laps : int
-        After lap 0, which the nominal model drives.
-    learner : str
-        none, iol or split.
-    start_set : path or None
-        What is known before, a set or the folder of its export; lap 0 is left out then.
-    max_speed : float
-        [m/s]
-    max_torque : float or None
-        Cap of the driving torque [N m]; by default what the vehicle file says.
-    grip : float
-        Friction of the road against the tyres' own peak [1].
-    seed : int
-        Of the sensors' noise.
-    exact_sensors : bool
-    delay : bool
-        Whether a command takes effect one interval after the measurement it follows from.
-    features : str
-        Inputs of the correction; ``auto`` chooses one of `CANDIDATES` after lap 0.
-    predictor : str
-        Evaluates the set; ``bcm`` and ``projected`` follow every update of a learner, others are built anew after
-        each lap. ``auto`` is ``bcm`` for three features, ``projected`` for more.
-    hyperparameters : str
-        ``fit`` (to lap 0), ``fit-lasting`` (the same with errors that last from label to label, see
-        `fit_kernel`), ``default``, or a kernel's YAML.
-    width : float or None
-        Of the car's body [m].
-    printed_iol : bool
-        Count updates of the dictionary as costly as the papers print them; see `IolLearner`.
-    margin : float or None
-        Kept from the car's side to the border [m]; by default `MARGIN`, in proportion to the car's wheelbase.
-    deviation : float or None
-        By how much more than the margin the borders are moved in until a lap has shown how far plan and drive part
-        [m]; by default `FIRST_DEVIATION`, in proportion to the car's wheelbase. After each lap it is what the lap
-        needed, and no less than a share of what it was.
-    tightening : float
-        Standard deviations by which the borders are moved in [1].
-    settings : MpccSettings
-        Its margin and its largest speed are those named above.
-    first_share : float or None
-        Share of the peak that run-up and lap 0 may use with the nominal model [1]; by default `first_share` of the
-        vehicle file. Each clean lap lets the next one use `SHARE_STEP` more: up to `nominal_share` without a
-        learner, and up to the share of `settings` with one.
-    assumed_friction : float
-        What the slip limits take for the road's grip before anything is learned [1].
-    learn_grip : bool
-        Whether a learner moves the slip limits to the peaks that its labels tell; see `learned_grip`.
-    """
-
-    track: str = "small"
-    car: str = "road_car"
-    laps: int = 3
-    learner: str = "split"
+    track: str = "small"  # name of a track, or a centre-line CSV
+    car: str = "road_car"  # the car of the plant
+    laps: int = 3  # after lap 0, which the nominal model drives
+    learner: str = "split"  # none, iol or split
+    # What is known before, a set or the folder of its export; lap 0 is left out then.
     start_set: str | FilePath | None = None
-    max_speed: float = 30.0
-    max_torque: float | None = None
-    grip: float = 1.0
-    seed: int = 0
+    max_speed: float = 30.0  # [m/s]
+    max_torque: float | None = None  # cap of the driving torque [N m]; by default what the vehicle file says
+    grip: float = 1.0  # friction of the road against the tyres' own peak [1]
+    seed: int = 0  # of the sensors' noise
     exact_sensors: bool = False
-    delay: bool = True
-    features: str = AUTO
+    delay: bool = True  # whether a command takes effect one interval after the measurement it follows from
+    features: str = AUTO  # inputs of the correction; ``auto`` chooses one of `CANDIDATES` after lap 0
+    # Evaluates the set; ``bcm`` and ``projected`` follow every update of a learner, others are built anew after
+    # each lap. ``auto`` is ``bcm`` for three features, ``projected`` for more.
     predictor: str = AUTO
+    # ``fit`` (to lap 0), ``fit-lasting`` (the same with errors that last from label to label, see `fit_kernel`),
+    # ``default``, or a kernel's YAML.
     hyperparameters: str = "fit"
-    width: float | None = None
+    width: float | None = None  # of the car's body [m]
+    # Count updates of the dictionary as costly as the papers print them; see `IolLearner`.
     printed_iol: bool = True
+    # Kept from the car's side to the border [m]; by default `MARGIN`, in proportion to the car's wheelbase.
     margin: float | None = None
+    # By how much more than the margin the borders are moved in until a lap has shown how far plan and drive part
+    # [m]; by default `FIRST_DEVIATION`, in proportion to the car's wheelbase. After each lap it is what the lap
+    # needed, and no less than a share of what it was.
     deviation: float | None = None
-    tightening: float = 0.0
-    settings: MpccSettings = LEARNING
+    tightening: float = 0.0  # standard deviations by which the borders are moved in [1]
+    settings: MpccSettings = LEARNING  # its margin and its largest speed are those named above
+    # Share of the peak that run-up and lap 0 may use with the nominal model [1]; by default `first_share` of the
+    # vehicle file. Each clean lap lets the next one use `SHARE_STEP` more: up to `nominal_share` without a
+    # learner, and up to the share of `settings` with one.
     first_share: float | None = None
-    assumed_friction: float = 1.0
+    assumed_friction: float = 1.0  # what the slip limits take for the road's grip before anything is learned [1]
+    # Whether a learner moves the slip limits to the peaks that its labels tell; see `learned_grip`.
     learn_grip: bool = True
 
     @property
