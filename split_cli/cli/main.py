@@ -150,6 +150,10 @@ def main(arguments: list[str] | None = None) -> None:
     # Matrices here are small: BLAS threads only wait for each other, and stall when other programs are busy.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("MKL_NUM_THREADS", "1")
+    if "OMP_NUM_THREADS" in os.environ:
+        # A list for nested loops is legal, and numexpr, which pandas loads, fails on it.
+        outermost = os.environ["OMP_NUM_THREADS"].partition(",")[0]
+        os.environ["OMP_NUM_THREADS"] = outermost if outermost.isdigit() else "1"
     warnings.showwarning = _show_warning
     warnings.simplefilter("always", NumericalRepairWarning)
     _open_closed_streams()

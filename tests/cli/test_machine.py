@@ -115,3 +115,10 @@ def test_a_run_that_is_stopped_leaves_the_old_set_or_the_new_one(here, number):
             assert "Traceback" not in err and "an error of this program" not in err
             assert run.returncode in (0, 130, -number)
             assert not [name for name in os.listdir(".") if name.endswith(".part")]
+
+
+@pytest.mark.parametrize("threads", ["4,2", "many"])
+def test_a_list_of_threads_for_nested_loops_is_no_number_for_a_library(here, threads):
+    """numexpr, which pyarrow loads with pandas, ended with an error of its own; the drive was blamed for it."""
+    run = spawn("info", "d0.parquet", env={**os.environ, "OMP_NUM_THREADS": threads})
+    assert run.communicate(timeout=120)[1] == "" and run.returncode == 0

@@ -97,3 +97,17 @@ def test_channels_that_disagree_about_jumps_are_refused():
 def test_too_little_left_is_an_error_that_says_what_was_dropped():
     with pytest.raises(LogError, match="2 usable samples of vx.*3 NaN"):
         clean_series(series(np.arange(5), [1, 2, np.nan, np.nan, np.nan]))
+
+
+@pytest.mark.parametrize("rows", [[0], [250], [100, 101, 102], [3, 250]])
+def test_stamps_far_ahead_of_all_that_follow_cost_their_rows_alone(rows):
+    """One wrong stamp among a thousand moved what followed behind it, where it shared one time and was dropped."""
+    time = np.arange(500) * 0.01
+    wrong = time.copy()
+    wrong[rows] += 1e17
+    joined, said = join_clock_resets({"vx": (series(wrong, time),), "r": (series(time, time, "r"),)}, 0.1)
+    kept = np.isfinite(joined["vx"][0].time)
+    np.testing.assert_array_equal(np.flatnonzero(~kept), rows)
+    np.testing.assert_array_equal(joined["vx"][0].time[kept], time[kept])
+    np.testing.assert_array_equal(joined["r"][0].time, time)
+    assert said == (f"{len(rows)} stamps far ahead of all that follow were left out",)

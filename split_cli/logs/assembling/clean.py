@@ -59,13 +59,15 @@ def join_clock_resets(
     """Move what follows a backward clock jump behind what was before it, all channels by the same time.
 
     A few samples out of order are no jump: they are sorted later. A jump leaves at least `_RESET_WINDOW` samples
-    behind the clock's highest reading.
+    behind the clock's highest reading. A few stamps far ahead of all that follow are no jump either: they are left
+    out.
 
     Raises
     ------
     LogError
         If channels do not agree on how often the clock jumped.
     """
+    series, said = _without_stray_stamps(series, largest_step_back)
     clocks = {id(part.time): part.time for parts in series.values() for part in parts}
     found_in = {key: clock_resets(time, largest_step_back) for key, time in clocks.items()}
     boundaries = {
@@ -75,7 +77,7 @@ def join_clock_resets(
     }
     counts = {len(found) for found in boundaries.values()}
     if counts <= {0}:
-        return {channel: tuple(parts) for channel, parts in series.items()}, ()
+        return {channel: tuple(parts) for channel, parts in series.items()}, tuple(said)
     if len(counts) > 1:
         worst = max(boundaries, key=lambda key: len(boundaries[key]))
         raise LogError(
@@ -83,7 +85,6 @@ def join_clock_resets(
             where=series[worst[0]][worst[1]].source,
             advice="Choose another clock with --clock, or cut the recording there.",
         )
-    said = []
     eras = counts.pop() + 1
     pieces = {
         key: np.split(np.arange(len(series[key[0]][key[1]].time)), found) for key, found in boundaries.items()
@@ -103,6 +104,33 @@ def join_clock_resets(
         for channel, parts in series.items()
     }
     return joined, tuple(said)
+
+
+def _without_stray_stamps(
+    series: Mapping[str, Sequence[RawSeries]], largest_step_back: float
+) -> tuple[dict[str, tuple[RawSeries, ...]], list[str]]:
+    """Return the series without the few stamps that alone make a clock seem to jump, and what was left out."""
+    clocks = {id(part.time): part.time for parts in series.values() for part in parts}
+    said, cleaned = [], dict(clocks)
+    for key, time in clocks.items():
+        resets = clock_resets(time, largest_step_back)
+        if not resets:
+            continue
+        finite = np.where(np.isfinite(time), time, np.inf)
+        lowest_behind = np.minimum.accumulate(finite[::-1])[::-1]
+        ahead = np.isfinite(time) & (time > lowest_behind + largest_step_back)
+        stray = np.zeros(len(time), dtype=bool)
+        for first, last in _runs(ahead):
+            stray[first:last] = last - first < _RESET_WINDOW
+        without = np.where(stray, np.nan, time)
+        if len(clock_resets(without, largest_step_back)) < len(resets):
+            cleaned[key] = without
+            said.append(f"{np.count_nonzero(stray)} stamps far ahead of all that follow were left out")
+    new = {
+        channel: tuple(replace(part, time=cleaned[id(part.time)]) for part in parts)
+        for channel, parts in series.items()
+    }
+    return new, sorted(set(said))
 
 
 def newest_first(time: np.ndarray) -> bool:

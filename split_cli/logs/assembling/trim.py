@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -47,6 +48,8 @@ def trim(
     spans += [*cuts, *([(end, np.inf)] if end is not None else [])]
     if not spans:
         return {channel: tuple(parts) for channel, parts in series.items()}, ()
+    if any(limit is not None and math.isnan(limit) for limit in (start, end)):
+        raise MapError("--start and --end must be numbers", advice="Give seconds from the first sample.")
     if start is not None and end is not None and not start < end:
         what = f"the end {end:g} s is not after the start {start:g} s"
         raise MapError(what, advice="Give --start less than --end.")
