@@ -169,7 +169,8 @@ def update_cells(
                 outcome[sample] = _INSERTED
             else:
                 outcome[sample] = _REPLACED
-            z[c, slot] = z_new[sample]
+            for feature in range(z.shape[2]):  # a row put into another would compile the words of an error
+                z[c, slot, feature] = z_new[sample, feature]
             clock[c, slot] = clock_new[sample]
             origin[c, slot] = sample
             same = slot if jitter == 0 else 0
@@ -293,7 +294,9 @@ def blocks_likelihood(
     and then wait for each other longer than they compute.
     """
     dimension, outputs = z.shape[1], y.shape[1]
-    most = np.max(np.diff(offsets))
+    most = 0
+    for block in range(len(offsets) - 1):  # a difference of arrays takes a second to compile
+        most = max(most, offsets[block + 1] - offsets[block])
     shape = (most, most)
     low, rows, inverse, covariance = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
     correlation, distances = np.zeros(shape), np.zeros((dimension, most, most))

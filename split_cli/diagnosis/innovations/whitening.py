@@ -90,7 +90,7 @@ def build_whitener(
     return Whitener(gain, root, carry, begins, group, count, float(log_determinant))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _product(a, b, out):
     for i in range(3):
         for j in range(3):
@@ -107,7 +107,10 @@ def _gains(carry, onward, R, Q, begins):
     PR, NS, E, L, scaled = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
     for k in range(n):
         if begins[k]:
-            S[:] = R
+            # An array put into another takes four seconds to compile: the words of its error are compiled with it.
+            for i in range(3):
+                for j in range(3):
+                    S[i, j] = R[i, j]
         N, P = carry[k], onward[k]
         # Products of 3 by 3 are written out: a library's take ten times as long.
         _product(P, R, PR)
