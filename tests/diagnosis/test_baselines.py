@@ -14,7 +14,7 @@ from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, ends_beyond, search, settled
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.selection import Rival, Selection
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -141,9 +141,41 @@ def neutral(names: list[str]) -> tuple[Term, ...]:
     ],
 )
 def test_what_is_believed_with_a_fixed_baseline(names, marginalised, p_value, expected):
-    chosen = [SimpleNamespace(candidate=SimpleNamespace(term=one, variant="")) for one in marginalised]
-    first = SimpleNamespace(chosen=SimpleNamespace(parts=chosen))
     selection = SimpleNamespace(terms=neutral(names), first_p=p_value)
+    assert _brings_back(selection, searched_first(marginalised), STANDARD.selection) is expected
+
+
+def part_of(name: str) -> SimpleNamespace:
+    return SimpleNamespace(candidate=SimpleNamespace(term=name, variant="", effect=name))
+
+
+def searched_first(names: list[str], rivals: tuple[Rival, ...] = (), named: bool = False) -> SearchOutcome:
+    """Return a search that chose terms, each of which saves 1000, beside rivals of each."""
+    chosen = SimpleNamespace(parts=[part_of(one) for one in names], cost=0.0)
+    without = [SimpleNamespace(cost=1000.0) for _ in names]
+    selection = SimpleNamespace(
+        chosen=chosen, without=without, named=[named] * len(names), rivals=[rivals] * len(names)
+    )
+    return SimpleNamespace(selection=selection, structure=SimpleNamespace(objective=None))
+
+
+@pytest.mark.parametrize(
+    ("excess", "named", "p_value", "expected"),
+    [
+        (2.0, True, 0.0, True),  # a heavier car, that the first search cannot tell from less grip
+        (2.0, True, 1e-3, False),  # not beyond doubt
+        (900.0, True, 0.0, False),  # the first search tells it from less grip
+        (2.0, False, 0.0, False),  # nothing is named, and has no class
+    ],
+)
+def test_what_the_first_search_cannot_tell_from_its_name_is_believed(
+    monkeypatch, excess, named, p_value, expected
+):
+    monkeypatch.setattr("split_cli.diagnosis.search.selection.part_over_allowance", lambda *_: 100.0)
+    rival = Rival(SimpleNamespace(parts=[part_of("mass")]), excess, 9.0)
+    first = searched_first(["friction_scale"], (rival,), named)
+    first.structure.objective = SimpleNamespace(policy=STANDARD, form_error_inflation=1.0)
+    selection = SimpleNamespace(terms=neutral(["mass"]), first_p=p_value)
     assert _brings_back(selection, first, STANDARD.selection) is expected
 
 

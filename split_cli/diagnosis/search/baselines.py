@@ -29,7 +29,7 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.running import with_variants_that_run
-from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms
 from split_cli.diagnosis.search.term_tests import term_p, witnessed_p
 from split_cli.diagnosis.statement.separation import exact_mimics
 
@@ -123,7 +123,7 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     confirmed = bool(marginalised.terms) and _ids(marginalised) <= _ids(fixed)
     surer = not marginalised.terms or fixed.first_p <= marginalised.first_p
     kept = first
-    if _brings_back(fixed, marginalised, rules) and (surer or confirmed):
+    if _brings_back(fixed, first, rules) and (surer or confirmed):
         kept = again if surer else first
     elif surer and ends_beyond(fixed, again.structure.objective.policy):
         kept = again
@@ -159,19 +159,29 @@ def _alters(candidate: Candidate) -> bool:
     return bool(candidate.starts) and alters_inputs(candidate.build(candidate.starts[0]))
 
 
-def _brings_back(selection: Selection, marginalised: Selection, rules: SelectionRules) -> bool:
+def _brings_back(selection: Selection, first: SearchOutcome, rules: SelectionRules) -> bool:
     """Return whether all that a fixed baseline names may be believed.
 
     That is what alters inputs or sensors, and beyond doubt what the search with a marginalised baseline chose
-    too, if only to keep it as a nuisance: a function that is wrong off its path looks like physics with a fixed
-    baseline alone. It has stood against what the simulation saves between its own halves, as any name does.
+    too, if only to keep it as a nuisance, or could not tell from what it named: a function that is wrong off its
+    path looks like physics with a fixed baseline alone. It has stood against what the simulation saves between its
+    own halves, as any name does.
     """
     chosen: set[str] = set()
-    for part in marginalised.chosen.parts if selection.first_p < rules.sure_level else ():
-        # A whole friction curve is its peak with both stiffnesses: under either name the first search chose it.
-        one = part.candidate
-        chosen |= {one.term, *(name for terms in exact_mimics(one.term, one.variant) for name in terms.split("+"))}
+    for k in range(len(first.selection.chosen.parts)) if selection.first_p < rules.sure_level else ():
+        for one in _not_told_apart(first, k):
+            # A whole friction curve is its peak with both stiffnesses: under either name it was chosen.
+            alike = (name for terms in exact_mimics(one.term, one.variant) for name in terms.split("+"))
+            chosen |= {one.term, *alike}
     return bool(selection.terms) and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
+
+
+def _not_told_apart(outcome: SearchOutcome, k: int) -> list[Candidate]:
+    """Return a chosen part's candidate, and those that explain as well where it is named."""
+    selection = outcome.selection
+    several = selection.rivals[k] if selection.named[k] else ()
+    alike = explaining_as_well(outcome.structure.objective, selection, k, several) if several else ()
+    return [selection.chosen.parts[k].candidate, *(rival.fit.parts[-1].candidate for rival in alike)]
 
 
 def _undoubted(first: SearchOutcome, confirmed: set[str], rules: SelectionRules) -> list[bool]:
