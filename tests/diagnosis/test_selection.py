@@ -15,7 +15,8 @@ from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, Marg
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit, Part, fit_parts
-from split_cli.diagnosis.search.forward import other_beginnings, refusal
+from split_cli.diagnosis.search.form_error import saved_beside_form_error
+from split_cli.diagnosis.search.forward import other_beginnings
 from split_cli.diagnosis.search.selection import (
     Selection,
     explaining_as_well,
@@ -38,6 +39,7 @@ def ignorant(objective: MarginalLikelihood) -> DiscrepancyPosterior:
 
 
 DISCREPANCY = "discrepancy to noise"
+VARIED = "varied discrepancy"
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
 
 
@@ -218,31 +220,42 @@ def test_names_are_given_in_the_order_of_size_not_of_finding():
     objective = objective_of(*planted(yaw_inertia=1.33, steer_offset=0.00035))
     candidates = {one.term: one for one in candidates_of(objective, "yaw_inertia", "steer_offset")}
     parts = [Part(candidates[name], dict(candidates[name].starts[0])) for name in ("steer_offset", "yaw_inertia")]
+    explore = Explorer(objective, tuple(candidates.values()), VARIANCE_INFLATION)
     for ordered, expected in ((parts, (False, True)), (parts[::-1], (True, False))):
         fit = fit_parts(objective, ordered)
         without = without_parts(objective, nothing(objective), fit)
-        assert selecting._believed_together(objective, fit, without, (True, True), STANDARD.selection) == expected
+        assert selecting._believed_together(explore, fit, without, (True, True)) == expected
         # What is not sure is no name, and nothing is a model-form error of it.
         backwards = expected[::-1]
-        assert selecting._believed_together(objective, fit, without, backwards, STANDARD.selection) == backwards
+        assert selecting._believed_together(explore, fit, without, backwards) == backwards
 
 
-def test_a_further_term_no_larger_than_a_form_error_of_the_shared_discrepancy_is_not_named(pair, chosen_pair):
-    """A tenth of what simulation and reality have in common, in its channel: no dictionary is exact."""
-    terms, fit = chosen_pair.chosen.terms, chosen_pair.chosen
-    first = fit_parts(pair, fit.parts[:1])
-    (evidence,) = pair.evidence
-    sizes = effects_to_noise_of(evidence, evidence.at, terms, first.terms)
-    channel = int(np.argmax(sizes))
-    for others, believed in ((9.0, True), (11.0, False)):
-        discrepancy = np.zeros(3)
-        discrepancy[channel] = others * sizes[channel]
-        objective = replace(pair, posterior=ignorant(pair), memo={DISCREPANCY: discrepancy})
-        assert (not refusal(Explorer(objective, (), VARIANCE_INFLATION), first, np.zeros(3), fit)) == believed
-        discrepancy[:] = others * sizes.max()
-        discrepancy[channel] = 0.0
-        other = Explorer(replace(objective, memo={DISCREPANCY: discrepancy}), (), VARIANCE_INFLATION)
-        assert not refusal(other, first, np.zeros(3), fit)
+def test_evidence_for_a_further_term_is_what_it_saves_beyond_a_form_error_of_the_shared_discrepancy(pair):
+    """No dictionary is exact: its columns times a tenth, their weights integrated out."""
+    rng, count = np.random.default_rng(7), len(pair.weight)
+    columns = 3.0 * rng.standard_normal((count, 18))
+    share = STANDARD.selection.form_error_share
+    objective = replace(pair, posterior=ignorant(pair), basis=np.zeros((count, 0)), memo={VARIED: columns})
+    noise, like, other = rng.standard_normal(count), columns @ rng.standard_normal(18), rng.standard_normal(count)
+
+    def left(rows: np.ndarray) -> Fit:
+        return Fit((), float(rows @ rows), rows, np.empty((count, 0)))
+
+    def saved(rows: np.ndarray) -> float:
+        return saved_beside_form_error(objective, left(rows), left(noise))
+
+    # Of columns Q R with orthonormal Q, what lies beside them stays, and what is along them is divided.
+    along, triangle = np.linalg.qr(share * columns)
+    inverse = np.linalg.inv(np.eye(18) + triangle @ triangle.T) - np.eye(18)
+
+    def cost(rows: np.ndarray) -> float:
+        return float(rows @ rows + (along.T @ rows) @ inverse @ (along.T @ rows))
+
+    for rows in (noise + share * like, noise + other):
+        assert saved(rows) == pytest.approx(cost(rows) - cost(noise), rel=1e-6)
+    # What resembles it saves no more than its eighteen weights do by chance; anything else saves all but as much.
+    assert left(noise + share * like).cost - left(noise).cost > 100.0 * saved(noise + share * like)
+    assert saved(noise + other) == pytest.approx(left(noise + other).cost - left(noise).cost, rel=0.05)
 
 
 def test_a_term_that_settles_a_channel_is_no_form_error_of_a_large_one_elsewhere(pair):

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.baseline.discrepancy import scaled_features
-from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.vehicle.effects import Term
@@ -30,6 +30,8 @@ __all__ = [
     "residuals_beside_form_error",
     "saved_beside_form_error",
 ]
+
+_DISCREPANCY = "varied discrepancy"  # what is remembered of the shared discrepancy's columns, before whitening
 
 
 def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
@@ -51,15 +53,16 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
     """Return what an explanation saves against another, the other's terms free to be wrong by their share.
 
     What single-track terms get wrong of a real car's effect is of their own kind, and varies with the operating
-    point: axle by axle of what alters tyres, or asks them for other forces, else channel by channel. And how tyres
-    carry another load is known within the variants alone. Evidence for a further term is what it saves beyond.
+    point: axle by axle of what alters tyres, or asks them for other forces, else channel by channel. The shared
+    discrepancy is one of these terms: no dictionary is exact. And how tyres carry another load is known within the
+    variants alone. Evidence for a further term is what it saves beyond.
 
     Notes
     -----
     With P = (I + M M^T)^-1 as in `costs_beside_form_error` and the columns V of `_other_load_laws`, each cost is
     the least of (e - V u)^T P (e - V u) with u from 0, the variant that was chosen, to 1, another.
     """
-    form_error = _columns(objective, [(before.terms, k) for k in range(len(before.parts))])
+    form_error = np.hstack([form_error_columns(objective, before), _columns_of_discrepancy(objective)])
     here, there = _costs(form_error, [before.residuals, after.residuals])
     laws = _other_load_laws(objective, before)
     if not laws.shape[1]:
@@ -193,6 +196,19 @@ def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ..
     return np.hstack(columns) if columns else np.empty((len(objective.weight), 0))
 
 
+def _columns_of_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
+    """Return the same of what simulation and reality have in common, shape (R, 18); none if that is nothing."""
+    if objective.posterior is None:
+        return np.empty((len(objective.weight), 0))
+    if _DISCREPANCY not in objective.memo:
+        weights, rows = objective.posterior.weights, []
+        for one in objective.evidence:
+            shared = integrated(one.series, objective.discrepancy.rates(one.series, weights))
+            rows.append(one.whitener(_varied_by(one, shared, by_axle=True)))
+        objective.memo[_DISCREPANCY] = objective.stack(rows)
+    return objective.policy.selection.form_error_share * objective.whiten(objective.memo[_DISCREPANCY])
+
+
 def _costs(form_error: np.ndarray, residuals: Sequence[np.ndarray]) -> list[float]:
     if not form_error.shape[1]:
         return [float(one @ one) for one in residuals]
@@ -212,7 +228,11 @@ def _varied(objective: MarginalLikelihood, terms: tuple[Term, ...], k: int) -> n
 
 def _variations(one: Evidence, terms: Sequence[Term], others: Sequence[Term], by_axle: bool) -> np.ndarray:
     """Return the defects that terms take off beyond others, varied, shape (N - 1, 3, 18)."""
-    effect = one.left(others) - one.left(terms)
+    return _varied_by(one, one.left(others) - one.left(terms), by_axle)
+
+
+def _varied_by(one: Evidence, effect: np.ndarray, by_axle: bool) -> np.ndarray:
+    """Return an effect (N - 1, 3), piece by piece and times each function, shape (N - 1, 3, 18)."""
     pieces = _by_force(effect, one.vehicle) if by_axle else effect[:, :, None] * np.eye(3)
     functions = _functions(one)
     return (pieces[:, :, :, None] * functions[:, None, None, :]).reshape(len(effect), 3, -1)

@@ -17,14 +17,21 @@ from split_cli.diagnosis.search.term_tests import (
     is_form_error,
     is_spread,
     is_witnessed,
+    part_sizes,
     sizes_in_velocity,
-    sizes_of_terms,
     term_p,
     witnessed_p,
 )
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Found", "other_beginnings", "refusal", "search_forward", "sizes_with_form_error"]
+__all__ = [
+    "Found",
+    "is_beyond_form_error",
+    "other_beginnings",
+    "refusal",
+    "search_forward",
+    "sizes_with_form_error",
+]
 
 _ONCE = "nearly all of it in a few moments"
 _FORM_ERROR = "within the model-form error of the other terms"
@@ -194,27 +201,31 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
     """Return why a further term is not believed, in words; nothing where it is.
 
-    It may be no larger than what single-track terms leave of a real car's effect. That is measured by prediction
-    errors over 0.05 s: costs also weigh what builds up slowly, and one term's slow channel would drown another's
-    fast one. What is left of one term is of its own kind, so channels count apart. It has to be told from what the
-    others may get wrong, too: by what it saves where they are free to. Or it may save all in a few moments, unless
-    it acts at a place, which is passed once a lap.
+    It may be no more than the others' model-form error, see `is_beyond_form_error`. Or it may save all in a few
+    moments, unless it acts at a place, which is passed once a lap.
+    """
+    last = len(further.parts) - 1
+    if not is_beyond_form_error(explore, chosen, sizes, further, last):
+        return _FORM_ERROR
+    return "" if is_spread(explore.objective, further, last, chosen, explore.rules) else _ONCE
+
+
+def is_beyond_form_error(explore: Explorer, without: Fit, sizes: np.ndarray, fit: Fit, k: int) -> bool:
+    """Return whether part k of a fit is more than the others' model-form error; they leave `without`.
+
+    It may be no larger than what single-track terms leave of a real car's effect, `sizes` of the others. That is
+    measured by prediction errors over 0.05 s: costs also weigh what builds up slowly, and one term's slow channel
+    would drown another's fast one. What is left of one term is of its own kind, so channels count apart. What it
+    saves has to be more than what the others and the shared discrepancy may get wrong would save, too.
     """
     objective, rules = explore.objective, explore.rules
-    k = len(further.parts) - 1
     # What witnesses show is the instrument's own, whatever the model gets wrong.
-    if not is_witnessed(objective, further, k):
-        if is_form_error(
-            objective, sizes_of_terms(objective, further.terms, chosen.terms), sizes, chosen, further, rules
-        ):
-            return _FORM_ERROR
-        saved = saved_beside_form_error(objective, chosen, further)
-        if (
-            term_p(objective, further, k, saved, explore.variance_inflation) * len(explore.candidates)
-            >= rules.level
-        ):
-            return _FORM_ERROR
-    return "" if is_spread(objective, further, len(further.parts) - 1, chosen, rules) else _ONCE
+    if is_witnessed(objective, fit, k):
+        return True
+    if is_form_error(objective, part_sizes(objective, fit, k), sizes, without, fit, rules):
+        return False
+    saved = saved_beside_form_error(objective, without, fit)
+    return term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates) < rules.level
 
 
 def sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:

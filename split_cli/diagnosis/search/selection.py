@@ -9,7 +9,6 @@ from functools import cache
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exchange import (
     alone,
@@ -25,6 +24,7 @@ from split_cli.diagnosis.search.fitting import Fit, fit_parts, fits_without
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
 from split_cli.diagnosis.search.forward import (
     Found,
+    is_beyond_form_error,
     other_beginnings,
     refusal,
     search_forward,
@@ -35,7 +35,6 @@ from split_cli.diagnosis.search.partly import ActingPart, strongest_part
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     is_apart_from_itself,
-    is_form_error,
     is_spread,
     is_witnessed,
     part_over_allowance,
@@ -278,7 +277,7 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
         and not chosen.parts[k].candidate.is_everyday(chosen.parts[k].values)
         for k, one in enumerate(without)
     ]
-    named = _believed_together(objective, chosen, without, sure, rules)
+    named = _believed_together(explore, chosen, without, sure)
     rivals = tuple(rivals_of(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without))
     others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
     return Selection(base, chosen, without, others, siblings, named)
@@ -298,17 +297,17 @@ def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selecti
 
 
 def _believed_together(
-    objective: MarginalLikelihood, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool], rules: SelectionRules
+    explore: Explorer, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool]
 ) -> tuple[bool, ...]:
     """Return which parts are named: the largest sure one, and what is no model-form error of larger ones."""
+    objective = explore.objective
     if sum(sure) < 2:
         return tuple(sure)
     sizes = {k: part_sizes(objective, chosen, k) for k, one in enumerate(sure) if one}
     named: list[int] = []
     for k in sorted(sizes, key=lambda k: -sizes[k].max()):
         larger = sizes_with_form_error(objective, tuple(chosen.terms[i] for i in named))
-        witnessed = is_witnessed(objective, chosen, k)
-        if not named or witnessed or not is_form_error(objective, sizes[k], larger, without[k], chosen, rules):
+        if not named or is_beyond_form_error(explore, without[k], larger, chosen, k):
             named.append(k)
     return tuple(k in named for k in range(len(chosen.parts)))
 

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
-from split_cli.diagnosis.remainder.structure import discrepancy_to_noise, minimum_effect_p, term_allowances
+from split_cli.diagnosis.remainder.structure import minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit
 from split_cli.vehicle.effects import Term
@@ -166,7 +166,8 @@ def is_form_error(
 ) -> bool:
     """Return whether sizes (3,) are no more than the model-form error of terms with sizes `of` (3,).
 
-    Sizes are effect-to-noise ratios in v_x, v_y and r.
+    Sizes are effect-to-noise ratios in v_x, v_y and r. What simulation and reality share is not asked here: its
+    model-form error is beside what a term saves, see `saved_beside_form_error`.
 
     The model-form error of large terms in a channel they hardly act in has no simple shape: a term that takes
     nearly all that was left there, and much was, is none of it.
@@ -174,8 +175,7 @@ def is_form_error(
     channel = int(np.argmax(size))
     across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
     least = objective.policy.allowances.unnamed
-    discrepancy = rules.form_error_share * discrepancy_to_noise(objective)[channel]
-    return bool(size[channel] < max(least, rules.form_error_share * of[channel], across, discrepancy))
+    return bool(size[channel] < max(least, rules.form_error_share * of[channel], across))
 
 
 def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
