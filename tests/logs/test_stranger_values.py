@@ -11,9 +11,11 @@ from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawChannelInfo, RawSignal
+from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import PlantedDrive
+from tests.optional import needed
 
 DEG = 180.0 / np.pi
 INFLUX = (
@@ -87,7 +89,8 @@ def test_labview_writes_its_units_above_the_titles(tmp_path):
 @pytest.mark.parametrize(
     ("name", "channel"),
     [("rotation_yaw", "yaw"), ("Rotation Z", "r"), ("pf_theta", "yaw"), ("vesc_current", "motor_current"),
-     ("Angle_Wheel_Front_L", "delta"), ("carState.brakePressed", "brake")],
+     ("Angle_Wheel_Front_L", "delta"), ("aSteer", "delta"), ("/eps/angle", "delta"), ("ESP_vq", "vy"),
+     ("carState.brakePressed", "brake")],
 )  # fmt: skip
 def test_names_of_simulators_and_model_cars(name, channel):
     assert meanings(RawChannelInfo(name, "column", None))[0].channel == channel
@@ -112,3 +115,47 @@ def test_a_side_slip_angle_of_the_rear_axle_is_judged_and_moved(tmp_path):
         assert len(told) == (0 if position else 1)
         assert position or told[0].endswith("Set `position: rear_axle` for `sideslip`.")
     assert np.allclose(made.drive["vy"], planted.at("vy", made.drive["t"]), atol=5e-3)
+
+
+@pytest.mark.parametrize("form", ["list", "dict"])
+def test_json_with_an_object_for_each_channel_is_read_with_its_clocks(form, rows, tmp_path):
+    """As racing teams keep laps: each channel with its unit and rate, or its own times."""
+    signals = {}
+    for t, name, v, unit in rows:
+        own = signals.setdefault(name, {"unit": unit, "time": [], "values": []})
+        own["time"].append(1e3 * t)
+        own["values"].append(v)
+    if form == "list":
+        rates = {name: 1e3 / (one["time"][1] - one["time"][0]) for name, one in signals.items()}
+        channels = [{"name": name, "unit": one["unit"], "frequency": rates[name], "data": one["values"]}
+                    for name, one in signals.items()]  # fmt: skip
+        document = {"session": "FP1", "channels": channels}
+    else:
+        document = signals
+    (tmp_path / "lap.json").write_text(json.dumps(document))
+    recording = open_recording(tmp_path / "lap.json")
+    read = recording.read(["yaw_rate"])["yaw_rate"]
+    truth = np.array([(t, v) for t, name, v, _ in rows if name == "yaw_rate"])
+    assert read.unit == "deg/s" and np.array_equal(read.values, truth[:, 1])
+    assert np.allclose(np.diff(read.time), np.diff(truth[:, 0]))
+    assert draft_map(recording).of("ay").status == "unsided"
+
+
+def test_clocks_in_groups_tell_their_unit_and_colons_before_milliseconds_are_read(tmp_path):
+    h5py = needed("h5py")
+    t = np.arange(0.0, 5.0, 0.01)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, step in (("ins", 1), ("eps", 2)):
+            group = file.create_group(name)
+            group["timestamp"] = (1.77e15 + np.round(t[::step] * 1e6)).astype("int64")
+            group["value"], group["other"] = np.sin(t[::step]), np.cos(t[::step])
+    read = open_recording(tmp_path / "a.h5").read(["eps.other"])["eps.other"]
+    assert np.allclose(np.diff(read.time), 0.02, atol=1e-6)  # of a double in 2026
+    assert seconds_of("14:20:07:250") == 14 * 3600 + 20 * 60 + 7.25
+
+
+def test_a_time_of_too_few_digits_is_told(tmp_path):
+    """A spreadsheet keeps seven digits of 7.7e14 microseconds."""
+    lines = [f"7.700000E+14,{20 + np.sin(n / 30):.4f},{np.cos(n / 30):.4f}" for n in range(400)]
+    (tmp_path / "a.csv").write_text("Timestamp (us),speed [m/s],gyro_z [rad/s]\n" + "\n".join(lines) + "\n")
+    assert "Timestamp has 1 different values in 400 rows" in draft_map(open_recording(tmp_path / "a.csv")).time

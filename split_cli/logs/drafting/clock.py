@@ -88,6 +88,7 @@ def clock_of_rows(
         line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
         return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
     if row_rate is None:
+        needed = _why_no_clock(found, signals) or needed
         steps = _from_steps(infos, recording)
         if steps is not None:
             return steps
@@ -101,6 +102,17 @@ def clock_of_rows(
         line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: {why}"
         return np.arange(count) / row_rate, line, True
     return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
+
+
+def _why_no_clock(found: RawChannelInfo | None, signals: Mapping[str, RawSignal]) -> str:
+    """Return the line for a column that is called time and cannot be it: one of too few digits stands still."""
+    values = signals[found.name].values if found is not None and found.name in signals else np.zeros(0)
+    if not len(values):
+        return ""
+    kept = len(np.unique(values[np.isfinite(values)]))
+    told = f"{found.name} has {kept} different values in {len(values)} rows: too few digits to be the clock"
+    told = told if 2 * kept < len(values) else f"{found.name} does not rise from row to row"
+    return f"# time: {{period: SECONDS}}   # {told}. Export it again, or state the period here"
 
 
 def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tuple[np.ndarray, str, bool] | None:

@@ -254,6 +254,9 @@ def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
             found[channel] = max(found.get(channel, 0), weight)
     if not found:
         read = read_concepts([*tokens_of(bare), *_said_by_unit(info)])
+        if read is None and info.name.count("/") > 1:
+            # Of /eps/angle the field alone says nothing.
+            read = read_concepts(tokens_of("_".join(info.name.rsplit("/", 2)[1:])))
         if read is not None:
             found[read[0]] = read[1]
     if {"wheel_torque", "T"} & set(found):

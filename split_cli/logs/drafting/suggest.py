@@ -226,11 +226,12 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
             weight = meaning.weight - info.name.startswith("_")
             found.append(TrialCandidate(channel, (info.name,), weight, unit, foreign_unit=foreign))
     bare = {spelled_without_unit(info): info for info in infos if info.type_name != "text"}
-    for u, v in (("u", "v"), ("U", "V")):
+    for u, v in (("u", "v"), ("U", "V"), ("Vl", "Vq"), ("vl", "vq"), ("v_l", "v_q"), ("V_l", "V_q")):
         if u in bare and v in bare:
-            # Beside a u, v is the lateral velocity of the textbooks.
-            found = [c for c in found if c.sources != (bare[v].name,)]
-            found.append(TrialCandidate("vy", (bare[v].name,), 2, stated_unit(bare[v])))
+            # Beside a u, v is the lateral velocity of the textbooks; q is quer, German for it.
+            found = [c for c in found if c.sources not in ((bare[v].name,), (bare[u].name,))]
+            found += [TrialCandidate("vx", (bare[u].name,), 2, stated_unit(bare[u])),
+                      TrialCandidate("vy", (bare[v].name,), 2, stated_unit(bare[v]))]  # fmt: skip
     numbers = [info for info in infos if info.type_name != "text"]
     lowered = {spelled_without_unit(info).lower(): info for info in numbers}
     lowered |= {"_".join(words_of(info.name)): info for info in numbers}

@@ -34,7 +34,7 @@ _WORDS: dict[str, str] = {
     "lat": "y lat lateral laterale side sideways quer transverse transversal transversale trasversale 侧向 横向",
     "up": "z vert vertical up hoch",
     "linear": "linear lin",
-    "steer": "steer steered steering str strg lenk 转向 lenkung braquage direccion sterzo sterzata",
+    "steer": "steer steered steering eps str strg lenk 转向 lenkung braquage direccion sterzo sterzata",
     "handwheel": "handwheel lws lenkrad stw swa sw msw volant volante 方向盘 转向盘",
     "wheel": "wheel wheels whl whls roadwheel roue roues rueda ruedas ruota ruote 轮 车轮",
     "road": "road tire tyre",
@@ -76,7 +76,7 @@ _WORDS: dict[str, str] = {
     "driver": "driver fahrer",
     "user": "user pilot",
     "velocity long": "vx vlong vlon vlgt vfwd vlaengs",
-    "velocity lat": "vy vlat vquer",
+    "velocity lat": "vy vlat vquer vq",
     "acceleration long": "ax along alon algt alaengs",
     "acceleration lat": "ay alat aquer",
     "yaw rate": "wz avz psip yr yawrate psidot psipunkt dpsi",
@@ -170,6 +170,9 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
     concepts = {concept for entry in known for concept in entry.split()}
     if {"steer", "driver"} <= concepts:
         concepts = (concepts - {"steer"}) | {"handwheel"}
+    if words[:1] == ["a"] and "steer" in concepts:
+        # In front of it, a is the letter of angles (aSteer beside nYaw and vCar).
+        concepts = (concepts - {"acceleration"}) | {"angle"}
     known_words = len(known)
     if concepts & {"front", "rear"} and (letter := {"l", "r"} & set(words)):
         # Angle_Wheel_Front_L: beside an axle a letter is a side.

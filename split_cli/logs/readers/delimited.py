@@ -181,7 +181,7 @@ def degrees_of(cell: str) -> float:
 _SPAN = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?) (sec|min|hr)$")
 """A duration as MATLAB writes it."""
 _SECONDS = {"sec": 1.0, "min": 60.0, "hr": 3600.0}
-_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)(?:\s*([AaPp])\.?[Mm]\.?)?$")
+_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+|:\d{3})?)(?:\s*([AaPp])\.?[Mm]\.?)?$")
 _MONTH = re.compile(r"(\d{1,2})([-/. ])([A-Za-z]{3})[a-z]*\2(\d{2,4})")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _OF_A_PROGRAM = re.compile(
@@ -207,7 +207,7 @@ def seconds_of(cell: str) -> float:
         hour = float(hours or 0)
         if half:
             hour = hour % 12.0 + (12.0 if half in "Pp" else 0.0)
-        return 3600.0 * hour + 60.0 * float(minutes) + float(seconds.replace(",", "."))
+        return 3600.0 * hour + 60.0 * float(minutes) + float(re.sub("[,:]", ".", seconds))
     span = _SPAN.match(cell)
     if span:
         return float(span[1]) * _SECONDS[span[2]]

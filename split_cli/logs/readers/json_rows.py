@@ -25,6 +25,7 @@ from split_cli.logs.raw import (
 )
 from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS, refuse_many_columns
 from split_cli.logs.readers.delimited import seconds_of
+from split_cli.logs.readers.json_channels import open_json_channels
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
@@ -63,8 +64,8 @@ def open_json(path: Path) -> RawRecording:
     """
     with path.open("rb") as stream:
         first = parsed(stream.readline(LONGEST_ELEMENT))
-    if not isinstance(first, dict) or _has_columns(first):
-        return _whole(path)
+    if not isinstance(first, dict) or _has_columns(first) or _holds_objects(first):
+        return open_json_channels(path) or _whole(path)
     notes: list[ReadNote] = []
     beginning = list(itertools.islice(_rows(path, []), _LISTED_ROWS))
     named = open_named_rows(path, beginning, _rows(path, notes))
@@ -267,6 +268,14 @@ def _is_column(value: Any) -> bool:
 def _has_columns(document: dict[str, Any]) -> bool:
     """Whether an object holds a list for each column; see `_are_columns`."""
     return _are_columns([len(value) for value in document.values() if _is_column(value)])
+
+
+def _holds_objects(document: dict[str, Any]) -> bool:
+    """Whether an object holds objects with lists, directly or one below another: channels, not a row."""
+    inside = [one for value in document.values() for one in (value if isinstance(value, list) else [value])]
+    return any(
+        isinstance(one, dict) and any(_is_column(v) for v in one.values()) for one in inside[:_LISTED_ELEMENTS]
+    )
 
 
 def _are_columns(lengths: Sequence[int]) -> bool:

@@ -13,7 +13,15 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs import scratch
-from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, column_name_and_unit, note_once
+from split_cli.logs.raw import (
+    RawRecording,
+    RawSignal,
+    ReadNote,
+    TableRecording,
+    column_name_and_unit,
+    note_once,
+    unit_of_time,
+)
 from split_cli.logs.readers.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.scratch import set_aside
@@ -370,7 +378,9 @@ def _clocks_of_structures(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray
         time = np.asarray(values, dtype=np.float64).ravel()
         step = np.diff(time[np.isfinite(time)])
         if len(step) and np.mean(step > 0) > 0.95:
-            times[structure] = time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(match[1] or "", 1.0)
+            # A clock that states no unit tells it by its steps.
+            unit = match[1] or unit_of_time(time)
+            times[structure] = time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit, 1.0)
     clocks = {}
     for name, values in arrays.items():
         time = times.get(name.split(" [")[0].rpartition(".")[0])

@@ -71,7 +71,7 @@ class InitResult:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
         if self.draft.time.startswith("# time: {period"):
             steps.append(
-                f"State the time in {self.map_path}, or add --row-rate HZ below: the log has no column of it."
+                f"State the time in {self.map_path}, or add --row-rate HZ below: no column of the log counts it."
             )
         if not self.draft.left:
             steps.append(

@@ -1,0 +1,116 @@
+"""JSON with an object for each channel: its numbers in a list, its unit, and its own times or rate."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from split_cli.logs.raw import (
+    RawRecording,
+    RawSignal,
+    TableRecording,
+    UniqueNames,
+    column_name_and_unit,
+    unit_of_time,
+)
+from split_cli.logs.readers.budget import refuse_many_columns
+from split_cli.logs.readers.delimited import seconds_of
+from split_cli.logs.readers.json_document import parsed
+from split_cli.signals import find_unit
+
+__all__ = ["open_json_channels"]
+
+_VALUES = ("data", "values", "samples", "value", "y")
+_NAMES = ("name", "channel", "signal", "id", "label", "title")
+_TIMES = ("time", "times", "timestamp", "timestamps", "t", "x")
+_RATES = ("frequency", "rate", "sample_rate", "samplerate", "sampling_rate", "freq", "hz", "fs")
+_PERIODS = ("period", "dt", "interval", "sample_time")
+_DEEPEST = 3
+_LARGEST = 32 << 20
+"""Of a document that is held as a whole [bytes]: objects take ten times as much memory."""
+_BEGINNING = 1 << 16
+
+
+def open_json_channels(path: Path) -> RawRecording | None:
+    """Open a document of this form; None if it has another, or is too large to be held as a whole."""
+    with path.open("rb") as stream:
+        begins = stream.read(_BEGINNING)
+        if not re.search(rb'"(data|values|samples|value|y)"\s*:\s*\[', begins, re.IGNORECASE):
+            return None
+        if path.stat().st_size > _LARGEST:
+            return None
+        document = parsed(begins + stream.read())
+    channels = next(_groups(document, 0), None)
+    if channels is None:
+        return None
+    refuse_many_columns(len(channels), path.name)
+    unique, signals = UniqueNames(), {}
+    for title, channel in channels.items():
+        values = _numbers(channel[_key(channel, _VALUES)])
+        name, unit = column_name_and_unit(title)
+        name = unique.of(name or title)
+        stated = next((str(channel[key]) for key in channel if key.lower() in ("unit", "units")), unit or "")
+        known = find_unit(stated) if stated else None
+        signals[name] = RawSignal(
+            name, _clock(channel, len(values)), values, known.symbol if known else stated or None
+        )
+    return TableRecording(path.name, path, signals)
+
+
+def _groups(node: Any, depth: int) -> Iterator[dict[str, Mapping[str, Any]]]:
+    """Yield the first objects that are channels, by name."""
+    if depth > _DEEPEST:
+        return
+    if isinstance(node, list):
+        named = [(str(one.get(_key(one, _NAMES) or "", "")), one) for one in node if isinstance(one, dict)]
+    elif isinstance(node, dict):
+        named = [(str(key), one) for key, one in node.items() if isinstance(one, dict)]
+    else:
+        return
+    found = {name: one for name, one in named if name and _holds_numbers(one)}
+    if len(found) > 1:
+        yield found
+        return
+    for _, one in named[:64]:
+        yield from _groups(one, depth + 1)
+    if isinstance(node, dict):
+        for one in node.values():
+            if isinstance(one, list):
+                yield from _groups(one, depth + 1)
+
+
+def _key(channel: Mapping[str, Any], names: tuple[str, ...]) -> str | None:
+    return next((key for name in names for key in channel if key.lower() == name), None)
+
+
+def _holds_numbers(channel: Mapping[str, Any]) -> bool:
+    key = _key(channel, _VALUES)
+    values = channel[key] if key is not None else None
+    return isinstance(values, list) and len(values) > 1 and bool(np.any(np.isfinite(_numbers(values[:64]))))
+
+
+def _numbers(values: list[Any]) -> np.ndarray:
+    def number(value: Any) -> float:
+        if isinstance(value, str) and len(value) < 64:
+            return seconds_of(value)
+        return float(value) if isinstance(value, bool | int | float) and abs(value) < 1e300 else math.nan
+
+    return np.fromiter((number(value) for value in values), dtype=float, count=len(values))
+
+
+def _clock(channel: Mapping[str, Any], count: int) -> np.ndarray | None:
+    """Return the times of a channel [s], by its own list, its rate or its period; None where it has neither."""
+    key = _key(channel, _TIMES)
+    if key is not None and isinstance(channel[key], list) and len(channel[key]) == count:
+        time = _numbers(channel[key])
+        return time * find_unit(unit_of_time(time)).factor
+    for names, power in ((_RATES, -1.0), (_PERIODS, 1.0)):
+        told = channel.get(_key(channel, names) or "")
+        if isinstance(told, int | float) and 0.0 < told < 1e12:
+            return np.arange(count) * float(told) ** power
+    return None
