@@ -52,6 +52,13 @@ class ExportedResidual(Residual):
                 f"holds no CasADi function: {file.name} is missing", where=str(folder),
                 advice="Export the set with --target casadi.",
             )  # fmt: skip
+        terms = {name.partition(".")[0] for name in manifest["features"] if "." in name}
+        lacking = sorted(terms - {effect.term for effect in vehicle.effects})
+        if lacking:
+            raise SetError(
+                f"has states of {', '.join(lacking)} as features, which {vehicle.name} lacks", where=str(folder),
+                advice="Name the set itself in place of its export: the set brings the term.",
+            )  # fmt: skip
         if manifest["vehicle_digest"] != vehicle.digest():
             raise SetError(
                 f"was exported for another vehicle than {vehicle.name}", where=str(folder),

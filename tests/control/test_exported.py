@@ -75,6 +75,11 @@ def test_what_is_no_export_of_this_car_is_refused(learned, tmp_path):
     with pytest.raises(SplitError, match="learner split cannot go on"):
         run_race(RaceSettings(learner="split", start_set=folder), CAR)
     damaged = shutil.copytree(folder, tmp_path / "damaged")
+    manifest = damaged / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"torque_ratio"', '"feature_lag.torque"'))
+    with pytest.raises(SetError, match=r"has states of feature_lag as features.*the set brings the term"):
+        ExportedResidual(damaged, read_vehicle(CAR))
+    shutil.copy(folder / "manifest.json", manifest)
     (damaged / "wet.casadi").write_bytes(b"not a function")
     with pytest.raises(ExportError, match="CasADi cannot read it"):
         ExportedResidual(damaged, read_vehicle(CAR))

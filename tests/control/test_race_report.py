@@ -86,7 +86,9 @@ def test_one_lap_of_two_learners_is_called_no_comparison():
     split = race()
     one = replace(split, laps=split.laps[:2], traces=split.traces[:2])
     other = replace(one, learner="iol")
-    assert "not a comparison" in race_page([one, other], split.path)
+    other = replace(other, verdict="Learning <b>did not help</b>.")
+    page = race_page([one, other], split.path)
+    assert "not a comparison" in page and "iol: Learning &lt;b&gt;did not help" in page
     assert "not a comparison" not in race_page([split, other], split.path)
     assert "not a comparison" not in race_page([one, replace(one, learner="none")], split.path)
 

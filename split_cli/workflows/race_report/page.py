@@ -15,7 +15,7 @@ from split_cli.plots.palette import ROLES
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.report.markup import charts_block, plain_table
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import heading
+from split_cli.workflows.report.words import escape, heading
 
 __all__ = ["race_charts", "race_page"]
 
@@ -138,11 +138,12 @@ def _headline(races: Sequence[RaceResult]) -> str:
 
 
 def _caution(races: Sequence[RaceResult]) -> str:
-    """Return a paragraph where learners stand beside each other after one lap each; nothing otherwise."""
+    """Return whether learning helped, and a warning where learners stand beside each other after one lap each."""
     learning = [race for race in races if race.learner != "none"]
+    told = "".join(f"<p>{escape(_called(race))}: {escape(race.verdict)}</p>" for race in races if race.verdict)
     if len(learning) < 2 or max(lap.number for race in learning for lap in race.laps) > 1:
-        return ""
-    return (
+        return told
+    return told + (
         "<p>Each learner drove one lap with what lap 0 had taught. One lap of learning is not a comparison of the "
         "learners: laps scatter by tenths of a second, and learning goes on. Compare them over ten laps "
         "(<code>--laps 10</code>) and several seeds.</p>"
