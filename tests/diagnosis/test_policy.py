@@ -80,7 +80,7 @@ BESIDE_THEIR_ALGORITHM = {
     "recording/witnesses.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS", "_LEAST_SPREAD"},
     "recording/scales.py": {"_BLOCKS"},
     "recording/screening.py": {"SMOOTHED_SECONDS", "_STEP_SECONDS", "_OUTER_SHARE"},
-    "recording/series.py": {"_SLACK", "_WORTHLESS", "_REMEMBERED"},
+    "recording/series.py": {"_SLACK", "_WORTHLESS", "REMEMBERED"},
     "remainder/flexible.py": {"_BESIDE_SECONDS", "_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},
     "remainder/location.py": {"_AVERAGE_SECONDS", "_ALIKE", "_FOLDS"},

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
@@ -12,7 +11,8 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener
 from split_cli.diagnosis.policy import STANDARD, Believing
-from split_cli.diagnosis.recording.series import Series, extended_model
+from split_cli.diagnosis.recent import Recent
+from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -56,6 +56,10 @@ class Evidence:
     disturbance: np.ndarray
     weight: np.ndarray
     rolls: np.ndarray
+    # Made anew for a copy with other arrays.
+    _moved_before: Recent[tuple[np.ndarray, ...]] = field(
+        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    )
 
     def rows(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
         """Return whitened rows, shape (G, 3), of what `left` returns."""
@@ -74,13 +78,15 @@ class Evidence:
         rates = self.series.rates(extended_model(self.vehicle, terms), smooth)
         if discrepancy_rates is not None:
             rates = rates + discrepancy_rates
-        plain = measured is self.series.measured and smooth is self.series.smooth
-        moved = self._moved if plain else motion(self.series, self.jacobian, measured, smooth)
-        return moved - integrated(self.series, rates)
+        return self._moved(measured, smooth) - integrated(self.series, rates)
 
-    @cached_property
-    def _moved(self) -> np.ndarray:
-        return motion(self.series, self.jacobian, self.series.measured, self.series.smooth)
+    def _moved(self, measured: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+        # Velocities are kept with their motion, so that no others can come to have their ids.
+        made = self._moved_before(
+            (id(measured), id(smooth)),
+            lambda: (motion(self.series, self.jacobian, measured, smooth), measured, smooth),
+        )
+        return made[0]
 
 
 def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, smooth: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ integrated out (a marginalised baseline), or taken for what they are (a fixed ba
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -19,12 +20,14 @@ from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovaria
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
+from split_cli.diagnosis.recent import Recent
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import values_of
 from split_cli.vehicle.effects import Term
 
 _LEAST_INFORMED = 2e-3
-#: States of terms of which rows and rates are kept while a fit moves other parameters.
+#: States of terms of which rows and rates are kept while a fit moves other parameters [1]; the discrepancy's rates
+#: are as long as the recording, and those without any term are kept for good.
 _REMEMBERED = 64
 #: Shifts of the CG in wheelbases between which the shared discrepancy runs in straight lines.
 _SHIFTS = 0.02
@@ -210,14 +213,10 @@ class MarginalLikelihood:
         self, what: Hashable, terms: Sequence[Term], made: Callable[[], np.ndarray], *, for_good: bool = False
     ) -> np.ndarray:
         """Return what is made of terms, as it was made before for the same values of them."""
-        known = self.memo.setdefault(what, {})
-        key = values_of(terms)
-        found = known.get(key)
-        if found is None:
-            if len(known) >= _REMEMBERED and not for_good:
-                known.clear()
-            known[key] = found = made()
-        return found
+        known = self.memo.get(what)
+        if known is None:
+            known = self.memo.setdefault(what, Recent(sys.maxsize if for_good else _REMEMBERED))
+        return known(values_of(terms), made)
 
     def places(self) -> np.ndarray:
         """Return how far along the track each entry lies [m], shape (R,)."""

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from split_cli.diagnosis.recent import Recent
 from split_cli.logs.assembling.dead_reckoning import TOGETHER, TOLERANCE
 from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import INPUT_CHANNELS, Drive
@@ -17,9 +18,11 @@ from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["Series", "build_series", "extended_model", "values_of"]
+__all__ = ["REMEMBERED", "Series", "build_series", "extended_model", "values_of"]
 
-_REMEMBERED = 4  # corrected velocities of a recording, one a thread
+#: Corrected velocities of a recording that are kept, with the flow at them [1]. A search moves other parameters
+#: far more often than those of sensors; more than those of four threads and their steps are never asked again.
+REMEMBERED = 8
 _WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
 # A window counts as too long when what it takes away exceeds the noise by more than this.
 _SLACK = 1.04
@@ -51,11 +54,20 @@ class Series:
     place_reference: str = "dead_reckoned"
     # Made anew for a copy with other arrays.
     _plain_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _known_corrected: dict[tuple, tuple] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _turned_by: dict[tuple[str, str], bool] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _corrected_before: Recent[tuple[np.ndarray, np.ndarray]] = field(
+        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    )
+    _accelerations_before: Recent[dict[str, np.ndarray]] = field(
+        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    )
+    _flows_before: Recent[tuple[np.ndarray, Flow]] = field(
+        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    )
 
     def __getstate__(self) -> dict:
         # Flows are found by ids of vehicles, which another process gives to others.
-        return {**self.__dict__, "_plain_flows": {}, "_known_corrected": {}}
+        return {**self.__dict__, "_plain_flows": {}}
 
     def __len__(self) -> int:
         return len(self.t)
@@ -86,17 +98,20 @@ class Series:
     def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""
         # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
-        correcting = [term for term in terms if term.corrects]
+        correcting = [term for term in terms if term.corrects and self._is_turned_by(term)]
         if not correcting:
             return self.measured, self.smooth
-        # One explanation is asked for by the model and by every witness in turn.
-        key = values_of(correcting)
-        found = self._known_corrected.get(key)
-        if found is None:
-            if len(self._known_corrected) >= _REMEMBERED:
-                self._known_corrected.clear()
-            self._known_corrected[key] = found = self._corrected(correcting)
-        return found
+        # One explanation is asked for by the model and by every witness in turn, and while others are fitted.
+        return self._corrected_before(values_of(correcting), lambda: self._corrected(correcting))
+
+    def _is_turned_by(self, term: Term) -> bool:
+        """Return whether a sensor's fault is one of velocities: the bias of an accelerometer leaves them alone."""
+        kind = (term.id, term.variant)
+        if term.moves_samples:
+            return True
+        if kind not in self._turned_by:
+            self._turned_by[kind] = self._apply(term, self.smooth) is not self.smooth
+        return self._turned_by[kind]
 
     def _corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         measured, smooth = self.measured, self.smooth
@@ -113,6 +128,11 @@ class Series:
         v_y' + v_x r. Samples without a number are filled by straight lines; a channel that was not recorded is
         left out.
         """
+        telling = [term for term in terms if term.corrects or term.is_felt]
+        # Both accelerometers are asked in turn.
+        return self._accelerations_before(values_of(telling), lambda: self._accelerations(telling))
+
+    def _accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
         names = [name for name in ("ax", "ay") if name in self.drive]
         columns = {name: _filled(self.drive[name]) for name in names} | {"t": self.t}
         for term in terms:
@@ -128,6 +148,8 @@ class Series:
     def _apply(self, term: Term, velocity: np.ndarray) -> np.ndarray:
         columns = dict(zip(("vx", "vy", "r"), velocity.T, strict=True))
         good = term.correct({**columns, "t": self.t}, self.recording)
+        if all(good[name] is column for name, column in columns.items()):
+            return velocity
         return np.stack([good["vx"], good["vy"], good["r"]], axis=1)
 
     def flow(self, model: SingleTrack, velocity: np.ndarray | None = None) -> Flow:
@@ -140,9 +162,10 @@ class Series:
         a sample: of a staircase they are exact. Place, time and yaw are those of the sample's begin.
         """
         if velocity is not None and velocity is not self.smooth:
-            return self._flow(model, *over_samples(velocity, self.recording).T)
-        plain = self._plain(model.vehicle)
-        return self._flow(model, *self._columns, plain=plain) if model.terms else plain
+            plain = self._plain_at(velocity, model.vehicle)
+        else:
+            plain = self._plain(model.vehicle)
+        return self._flow(model, plain.vx, plain.vy, plain.r, plain=plain) if model.terms else plain
 
     def inputs(self, model: SingleTrack, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what actuators make of torque [N m] and steer angle [rad], means over samples, (N,) each."""
@@ -178,6 +201,17 @@ class Series:
     def rate_rows(self, model: SingleTrack, velocity: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
         """Return v_x', v_y' and r' of a model in the middle of samples, shape (N,) each."""
         return model.balance(self.flow(model, velocity))
+
+    def _plain_at(self, velocity: np.ndarray, vehicle: Vehicle) -> Flow:
+        """Return the flow without any term at corrected velocities, shape (N, 3)."""
+
+        def made() -> tuple[np.ndarray, Flow]:
+            columns = map(np.ascontiguousarray, over_samples(velocity, self.recording).T)
+            # Velocities are kept with their flow, so that no others can come to have their id. Wheels point where
+            # they do at the recorded velocities.
+            return velocity, self._flow(SingleTrack(vehicle, ()), *columns, plain=self._plain(vehicle))
+
+        return self._flows_before((id(velocity), id(vehicle)), made)[1]
 
     def transitions_begin(self) -> np.ndarray:
         """Return where the filter starts anew, shape (N - 1,), the transition over a gap included."""

@@ -69,6 +69,7 @@ class VelocityBias(_Instrument):
     """
 
     id = "velocity_bias"
+    _turned: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
     units: ClassVar = {"angle": "rad", "drift": "rad/s"}
     variants: ClassVar = ("", "step")
     variant_units: ClassVar = {"step": {"angle": "rad", "step": "rad", "at": "s"}}
@@ -114,10 +115,17 @@ class VelocityBias(_Instrument):
     def _changed(
         self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
     ) -> dict[str, np.ndarray]:
-        angle = sign * self.angle(columns["t"])
-        cosine, sine = np.cos(angle), np.sin(angle)
-        vx, vy = columns["vx"], columns["vy"]
+        cosine, sine = self._direction(columns["t"])
+        vx, vy, sine = columns["vx"], columns["vy"], sign * sine
         return {**columns, "vx": cosine * vx - sine * vy, "vy": sine * vx + cosine * vy}
+
+    def _direction(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        # Several channels of one recording are turned in a row, and this is most of the work.
+        known = self._turned
+        if known is None or known[0] is not t:
+            angle = self.angle(t)
+            self._turned = known = t, (np.cos(angle), np.sin(angle))
+        return known[1]
 
 
 class AccelerationBias(_Instrument):

@@ -1,0 +1,43 @@
+"""A small memory of what was worked out last, for values that a search comes back to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+__all__ = ["Recent"]
+
+_Made = TypeVar("_Made")
+
+
+class Recent(Generic[_Made]):
+    """Results by key; the one that was asked for longest ago is forgotten first.
+
+    Safe between threads: at worst two of them work out the same.
+
+    Parameters
+    ----------
+    most : int
+        How many results are kept.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._known: dict[Hashable, _Made] = {}
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def __reduce__(self) -> tuple[type[Recent], tuple[int]]:
+        # Keys may hold ids of objects, which another process gives to others.
+        return type(self), (self.most,)
+
+    def __call__(self, key: Hashable, made: Callable[[], _Made]) -> _Made:
+        """Return the result of a key: as it was made before, or made now."""
+        found = self._known.pop(key, None)
+        if found is None:
+            found = made()
+            for oldest in list(self._known)[: max(len(self._known) + 1 - self.most, 0)]:
+                self._known.pop(oldest, None)
+        self._known[key] = found
+        return found
