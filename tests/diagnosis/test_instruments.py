@@ -12,7 +12,8 @@ from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable
-from split_cli.diagnosis.search.selection import nothing, rivals_of
+from split_cli.diagnosis.search.late_channel import late_by_witnesses, with_late_channel
+from split_cli.diagnosis.search.selection import Selection, nothing, rivals_of
 from split_cli.diagnosis.search.term_tests import (
     is_apart_from_itself,
     systematic_error,
@@ -285,12 +286,46 @@ def test_what_witnesses_see_has_no_systematic_error_of_the_car(late_yaw_rate):
     assert systematic_error(wide, small, 0) > 10.0 * systematic_error(late_yaw_rate, small, 0)
 
 
+def test_witnesses_alone_tell_how_late_a_channel_is(late_yaw_rate):
+    every = tuple(candidates_of(late_yaw_rate, "channel_delay", "yaw_rate_scale", "yaw_rate_bias", "speed_scale"))
+    part = late_by_witnesses(late_yaw_rate, every)
+    assert part.candidate.variant == "r" and part.values["r"] == pytest.approx(0.04, abs=0.004)
+    told = with_late_channel(late_yaw_rate, without_a_name(late_yaw_rate), every, 1.5)
+    assert [term.parameters for term in told.terms] == [part.values] and told.first_p < 1e-12
+    # Halves of the simulation that contradict themselves as much leave no name, nor do equations that deny it.
+    seen = late_yaw_rate.witnesses_cost(told.base.residuals) - late_yaw_rate.witnesses_cost(told.chosen.residuals)
+    same = replace(late_yaw_rate, witness_floors={"channel_delay (r)": 0.4 * seen})
+    assert with_late_channel(same, without_a_name(same), every, 1.5) is None
+    base = told.base
+    denied = replace(base, cost=base.cost - 2.0 * seen - (base.cost - told.chosen.cost))
+    assert (
+        with_late_channel(late_yaw_rate, replace(without_a_name(late_yaw_rate), base=denied), every, 1.5) is None
+    )
+
+
+@pytest.mark.parametrize("k", [None, 3, 4, 6])
+def test_what_is_not_late_is_not_told_to_be(k):
+    """A clean recording, and those of a sensor that is biased or scaled."""
+    faults = [] if k is None else [fault(*PLANTED[k])]
+    series = prepared(recording(46, *faults))
+    habits = habits_of(build_witnesses(prepared(recording(47))))
+    objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series, habits))
+    names = ("channel_delay", "velocity_bias", "yaw_rate_scale", "yaw_rate_bias", "speed_scale")
+    every = tuple(candidates_of(objective, *names))
+    assert with_late_channel(objective, without_a_name(objective), every, 1.5) is None
+
+
 def test_a_term_is_one_where_it_saves_twice_what_halves_of_the_simulation_differ_by(late_yaw_rate):
     (one,) = (c for c in candidates_of(late_yaw_rate, "channel_delay") if c.variant == "r")
     known = replace(late_yaw_rate, own_savings={"channel_delay (r)": 100.0})
     # Sizes go with the root of what they save: 1.96 times the size is 3.84 times the saving.
     assert is_apart_from_itself(known, one, 385.0) and not is_apart_from_itself(known, one, 384.0)
     assert is_apart_from_itself(late_yaw_rate, one, 1.0)
+
+
+def without_a_name(objective) -> Selection:
+    base = nothing(objective)
+    return Selection(base, base, (), (), (), ())
 
 
 def fit_at(objective, part: Part) -> Fit:

@@ -218,6 +218,11 @@ class MarginalLikelihood:
             known = self.memo.setdefault(what, Recent(sys.maxsize if for_good else _REMEMBERED))
         return known(values_of(terms), made)
 
+    def witness_rows(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return what a recording knows twice, terms corrected, shape (W,): the last rows of every stack."""
+        rows = [self._kinematic_rows(one, terms) for one in self.kinematics]
+        return np.concatenate([*rows, np.zeros(0)])
+
     def places(self) -> np.ndarray:
         """Return how far along the track each entry lies [m], shape (R,)."""
         pairs = zip(self.evidence, self.keep, strict=True)

@@ -10,7 +10,8 @@ inputs or sensors do that. Where model-form error is large, both searches are ma
 names and values: where the first is less sure, the discrepancy took a part of the value. Other terms are named
 with a fixed baseline only where the first search had chosen them, too small to name. What the first names gives
 way to a surer fault of the second: a steering offset, free to be taken by the discrepancy, leaves what looks like
-a road that leans all along.
+a road that leans all along. Where neither leaves a name, witnesses are asked for a late channel, see
+`late_channel`.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
+from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms
 from split_cli.diagnosis.search.term_tests import term_p, witnessed_p
@@ -95,7 +97,12 @@ def search(
     if known.ratio <= policy.selection.much_over_noise:
         return first
     progress("naming with a fixed baseline")
-    return settled(first, search_again(case, candidates, objective, reach=reach), policy.selection)
+    again = search_again(case, candidates, objective, reach=reach)
+    found = settled(first, again, policy.selection)
+    if any(found.selection.named):
+        return found
+    late = with_late_channel(again.structure.objective, again.selection, candidates, again.variance_inflation)
+    return found if late is None else replace(again, selection=late, objectives=found.objectives)
 
 
 def search_again(

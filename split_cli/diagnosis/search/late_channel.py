@@ -1,0 +1,127 @@
+"""A channel that is late, told by its witnesses alone: two instruments are compared, and no model of the car.
+
+Where model-form error is large, the equations of motion hardly say when a channel was read: their cost has many
+valleys over a delay, none of which is its size. The change of yaw tells when the yaw rate was, positions when the
+velocities were, and accelerations when both were. These have one valley, and physics that a model lacks moves none
+of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.fitting import Fit, Part, tangent
+from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.term_tests import witnessed_p
+from split_cli.vehicle.effects import CATALOGUE
+
+__all__ = ["late_by_witnesses", "with_late_channel"]
+
+
+def with_late_channel(
+    objective: MarginalLikelihood, selection: Selection, candidates: Sequence[Candidate], variance_inflation: float
+) -> Selection | None:
+    """Return a selection of the one late channel that witnesses tell, or None where they tell none.
+
+    It has to save more than halves of the simulation differ by, and more than the equations of motion lose by it,
+    whose model-form error widens what they say. Its size is that which the witnesses tell.
+    """
+    rules = objective.policy.selection
+    part = late_by_witnesses(objective, candidates)
+    if part is None:
+        return None
+    fit, base = _as_it_is(objective, part, selection.base), selection.base
+    p_value = witnessed_p(objective, fit, 0, base, rules) * len(candidates)
+    seen = objective.witnesses_cost(base.residuals) - objective.witnesses_cost(fit.residuals)
+    lost = fit.cost - base.cost + seen
+    told = seen / variance_inflation - lost / max(objective.form_error_inflation, variance_inflation)
+    own = objective.witness_floors.get(part.candidate.effect, 0.0) / objective.policy.self_test.term_margin
+    if p_value >= rules.level or told < rules.price or seen < rules.deviations**2 * own:
+        return None
+    return replace(
+        selection,
+        chosen=fit,
+        without=(base,),
+        rivals=((),),
+        siblings=((),),
+        named=(True,),
+        history=(*selection.history, f"added {part.candidate.label}, witnesses save {seen:.0f}"),
+        first_p=p_value,
+    )
+
+
+def late_by_witnesses(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> Part | None:
+    """Return the late channel that leaves least of what witnesses contradict; None where another fault does too.
+
+    The others are all faults of sensors, along straight lines from no effect.
+    """
+    rules = objective.policy.selection
+    before = _left(objective, None)
+    if not len(before):
+        return None
+    best, most, others = None, 0.0, [0.0]
+    total = float(before @ before)
+    for one in candidates:
+        kind = CATALOGUE[one.term]
+        if kind.exported or not one.starts:
+            continue
+        if kind.moves_samples:
+            part = _fitted(objective, one)
+            after = _left(objective, part)
+            saved = total - float(after @ after)
+            if saved > most and len(one.ranges) == 1:
+                best, most = part, saved
+        else:
+            others.append(_saved_along(objective, one, before))
+    if best is None or best.candidate.at_limit(best.values) or most < rules.fair_share * total:
+        return None
+    return best if max(others) < (1.0 - rules.fair_share) * most else None
+
+
+def _left(objective: MarginalLikelihood, part: Part | None) -> np.ndarray:
+    """Return what witnesses contradict, the mean of each taken off, shape (W,)."""
+    return objective.of_witnesses(objective.witness_rows(() if part is None else (part.term,)))
+
+
+def _fitted(objective: MarginalLikelihood, candidate: Candidate) -> Part:
+    """Return the size of a delay that leaves least of what witnesses contradict."""
+    names = list(candidate.ranges)
+    lower, upper = (np.array([getattr(candidate.ranges[n], end) for n in names]) for end in ("lower", "upper"))
+
+    def left(x: np.ndarray) -> np.ndarray:
+        return _left(objective, Part(candidate, dict(zip(names, x.tolist(), strict=True))))
+
+    starts = [np.array([start[name] for name in names]) for start in candidate.starts]
+    begin = min(starts, key=lambda x: float(np.sum(left(x) ** 2)))
+    step = np.array([candidate.ranges[name].step for name in names])
+    found = least_squares(left, begin, bounds=(lower, upper), x_scale=begin, diff_step=step / begin)
+    return Part(candidate, dict(zip(names, found.x.tolist(), strict=True)))
+
+
+def _saved_along(objective: MarginalLikelihood, candidate: Candidate, before: np.ndarray) -> float:
+    """Return what a sensor's fault saves of the witnesses' cost along straight lines from no effect."""
+    neutral, most = CATALOGUE[candidate.term].neutral, 0.0
+    for start in candidate.starts:
+        sized = [name for name in start if neutral.get(name) is not None]
+        none = {**start, **{name: neutral[name] for name in sized}}
+        columns = np.stack(
+            [_left(objective, Part(candidate, {**none, name: start[name]})) - before for name in sized], axis=1
+        )
+        weights = np.linalg.lstsq(columns, -before, rcond=1e-9)[0]
+        after = before + columns @ weights
+        most = max(most, float(before @ before - after @ after))
+    return most
+
+
+def _as_it_is(objective: MarginalLikelihood, part: Part, base: Fit) -> Fit:
+    """Return an explanation by one part at the values it has, not fitted."""
+    line = tangent(objective, objective.left_by(()), part)
+    residuals = base.residuals + line.moved
+    steps = np.array([part.candidate.ranges[name].step for name in part.values])
+    return Fit((part,), float(residuals @ residuals), residuals, line.slopes / steps)
