@@ -216,6 +216,8 @@ def test_a_sure_name_lends_its_sureness_to_no_other(restless):
         (["steer_offset"], 1e-4, ["steer_offset"], 1e-20, "second"),
         (["steer_offset"], 1e-30, [], 1.0, "first"),
         (["steer_offset"], 1e-4, [], 1.0, ""),
+        (["steer_offset", "tire_stiffness"], 1e-4, ["steer_offset"], 1e-3, "steer_offset"),  # each name by itself
+        (["steer_offset", "tire_stiffness"], 1e-4, ["tire_stiffness"], 1e-3, ""),
     ],
 )
 def test_the_surer_search_is_believed(restless, first, first_p, second, second_p, expected):
@@ -231,7 +233,9 @@ def test_the_surer_search_is_believed(restless, first, first_p, second, second_p
 
     one, other = outcome(first, first_p), outcome(second, second_p)
     believed = settled(one, other, STANDARD.selection)
-    if expected:
+    if expected in first:
+        assert [term.id for term in believed.selection.terms] == [expected]
+    elif expected:
         assert believed.selection is (one if expected == "first" else other).selection
     else:
         assert not any(believed.selection.named)

@@ -135,7 +135,9 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     elif surer and ends_beyond(fixed, again.structure.objective.policy):
         kept = again
     elif marginalised.terms and marginalised.first_p >= rules.sure_level:
-        kept = replace(first, selection=_only_named(marginalised, [False] * len(marginalised.named)))
+        shared = _ids(fixed) if _brings_back(fixed, first, rules) else set()
+        both = [part.candidate.term in shared for part in marginalised.chosen.parts]
+        kept = replace(first, selection=_only_named(marginalised, both))
     elif len(marginalised.terms) > 1:
         kept = replace(first, selection=_only_named(marginalised, _undoubted(first, _ids(fixed), rules)))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
