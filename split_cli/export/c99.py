@@ -19,6 +19,7 @@ from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData
+from split_cli.learning.running_trust import MEMORY, SPAN
 from split_cli.learning.trust import kept_share, supported_variance
 
 __all__ = ["CSource", "c_identifier", "c_source", "fill", "memory_parts", "template"]
@@ -157,9 +158,17 @@ def c_source(
         values["NOMINAL"] = _nominal(graph, real)
         values["LIMITS"] = _limits(graph, provenance, real)
         values["LINEAR"] = fill(template("linear.c.in"), values)
+        trust = {
+            **values,
+            "SPAN": f"{SPAN:g}",
+            "MEMORY": f"{MEMORY:g}",
+            "APART": "1e-4" if real == "double" else "1e-2",
+        }
         kind, kept = "memory_step" if memory else "step", memory_parts(memory)
-        step_header = fill(template(f"{kind}.h.in"), values, kept)
-        step_body = fill(template(f"{kind}.c.in"), values, kept)
+        step_header, step_body = (
+            fill(template(f"{kind}.{end}.in"), {**values, "TRUST": fill(template(f"trust.{end}.in"), trust)}, kept)
+            for end in ("h", "c")
+        )
     header = fill(template("model.h.in"), {**values, "STEP_DECLARATIONS": step_header})
     # Values are put in once; text that was put in is not searched again for placeholders.
     source = fill(template("model.c.in"), {**values, "STEP": step_body})
