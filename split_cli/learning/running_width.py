@@ -46,7 +46,7 @@ class RunningWidth:
         What is not finite leaves its widths as they are and counts as outside.
         """
         size = np.abs(ratio)
-        inside = size <= self.widths
+        inside: np.ndarray = size <= self.widths
         self.widths = np.where(
             np.isfinite(size), self.widths * np.exp(_STEP * (~inside - self._outside)), self.widths
         )

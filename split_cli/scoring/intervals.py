@@ -60,7 +60,8 @@ def interval_shares(
 def _inside(ratio: np.ndarray, follows: bool) -> np.ndarray:
     """Return whether each label was inside its intervals, shape (N, 3 levels, 3); `follows` as they then were."""
     if not follows:
-        return ratio[:, None, :] <= norm.ppf(0.5 + 0.5 * np.array(_LEVELS))[:, None]
+        inside: np.ndarray = ratio[:, None, :] <= norm.ppf(0.5 + 0.5 * np.array(_LEVELS))[:, None]
+        return inside
     width = RunningWidth(_LEVELS)
     return np.array([width.observe(one) for one in ratio]).reshape(-1, len(_LEVELS), 3)
 
