@@ -24,38 +24,19 @@ _TUNING_ROWS = 9000
 
 @dataclass(frozen=True)
 class Evidence:
-    """One recording's rows.
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-    series : Series
-    jacobian : ndarray, shape (N, 3, 3)
-        Nominal velocity Jacobian at the smoothed states.
-    whitener : Whitener
-    plain : ndarray, shape (G, 3)
-        Whitened rows against the nominal model.
-    discrepancy : ndarray, shape (G, 3, C)
-        Whitened columns of the shared discrepancy.
-    at : ndarray of int64, shape (G,)
-        Sample in the middle of each row.
-    disturbance : ndarray, shape (3,)
-    weight : ndarray, shape (G,)
-        Root of the robust weight of a row, 0 where it is not compared: where wheels spin or lock.
-    rolls : ndarray of bool, shape (N,)
-        Where the wheels roll, see `rolling`.
-    """
+    """One recording's rows."""
 
     vehicle: Vehicle
     series: Series
-    jacobian: np.ndarray
+    jacobian: np.ndarray  # (N, 3, 3): nominal velocity Jacobian at the smoothed states
     whitener: Whitener
-    plain: np.ndarray
-    discrepancy: np.ndarray
-    at: np.ndarray
-    disturbance: np.ndarray
+    plain: np.ndarray  # (G, 3): whitened rows against the nominal model
+    discrepancy: np.ndarray  # (G, 3, C): whitened columns of the shared discrepancy
+    at: np.ndarray  # int64 (G,): sample in the middle of each row
+    disturbance: np.ndarray  # (3,)
+    # (G,): root of the robust weight of a row, 0 where it is not compared: where wheels spin or lock.
     weight: np.ndarray
-    rolls: np.ndarray
+    rolls: np.ndarray  # bool (N,): where the wheels roll, see `rolling`
     # Made anew for a copy with other arrays.
     _moved_before: Recent[tuple[np.ndarray, ...]] = field(
         default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
@@ -70,7 +51,6 @@ class Evidence:
 
         Parameters
         ----------
-        terms : sequence of Term
         discrepancy_rates : ndarray, shape (N, 3), optional
             What the shared discrepancy adds to the model's rates [m/s^2], [m/s^2], [rad/s^2].
         """
@@ -126,12 +106,8 @@ def gather_evidence(
 
     Parameters
     ----------
-    vehicle : Vehicle
-    series : Series
-    discrepancy : SharedDiscrepancy
     least_disturbance : ndarray, shape (3,), optional
         Found on another recording of the same kind; never less is assumed.
-    rules : Believing
     """
     rows = series.smooth.T
     jacobian = extended_model(vehicle).velocity_jacobian(

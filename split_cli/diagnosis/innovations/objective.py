@@ -37,16 +37,10 @@ __all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "lea
 
 @dataclass(frozen=True)
 class DiscrepancyPosterior:
-    """What the simulation taught about the shared discrepancy: weights and their precision.
+    """What the simulation taught about the shared discrepancy: weights and their precision."""
 
-    Attributes
-    ----------
-    weights : ndarray, shape (C,)
-    precision : ndarray, shape (C, C)
-    """
-
-    weights: np.ndarray
-    precision: np.ndarray
+    weights: np.ndarray  # (C,)
+    precision: np.ndarray  # (C, C)
 
 
 def learn_discrepancy(
@@ -56,10 +50,8 @@ def learn_discrepancy(
 
     Parameters
     ----------
-    simulations : sequence of Evidence
     variance_inflation : float
         By which autocorrelation widens the noise.
-    rules : Believing
 
     Notes
     -----
@@ -111,67 +103,33 @@ class MarginalLikelihood:
 
     The shared discrepancy's weights are integrated out: with r the weighted rows left by the terms and the
     simulation's weights, the cost is r^T (I + Phi H^-1 Phi^T)^-1 r = |r|^2 - |V^T r|^2.
-
-    Attributes
-    ----------
-    evidence : tuple of Evidence
-    posterior : DiscrepancyPosterior or None
-        None where the nominal model is the simulation: nothing is common.
-    discrepancy : SharedDiscrepancy
-    keep : tuple of ndarray of bool
-        Rows used, of every recording.
-    offset : ndarray, shape (R,)
-        Weighted rows of the shared discrepancy at the simulation's weights.
-    basis : ndarray, shape (R, C)
-        V; without columns when nothing is common.
-    block : ndarray of int, shape (R,)
-        Block of time each entry lies in.
-    weight : ndarray, shape (R,)
-        Root of each entry's robust weight.
-    root : ndarray, shape (C,)
-        M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T.
-    kinematics : tuple of KinematicResiduals or Witness
-        Recordings against themselves; their rows come last in every stack. Sensors move them, and inclined roads
-        what accelerometers feel; no other physics does.
-    unnamed_floor : float
-        Cost that a flexible fit may save without a difference: what simulation shows against itself, see
-        `calibration`.
-    term_floors : mapping of str to float
-        The same for terms.
-    own_savings : mapping of str to float
-        What each term saves between halves of the simulation, at as many rows.
-    witness_floors : mapping of str to float
-        The same of the witnesses' cost alone.
-    part_floors : mapping of str to float
-        The same in the best part of the drive.
-    form_error_inflation : float
-        By how much what no dictionary holds widens what a term saves by chance.
-    fixed_baseline : bool
-        Whether the simulation is a fixed baseline, see `with_fixed_baseline`.
-    policy : Policy
-    memo : dict
-        What was computed before: shifts and effect-to-noise ratios of the shared discrepancy, kinematic rows
-        without faulty sensors.
     """
 
     evidence: tuple[Evidence, ...]
-    posterior: DiscrepancyPosterior | None
+    posterior: DiscrepancyPosterior | None  # None where the nominal model is the simulation: nothing is common
     discrepancy: SharedDiscrepancy
-    keep: tuple[np.ndarray, ...]
-    offset: np.ndarray
-    basis: np.ndarray
-    block: np.ndarray
-    weight: np.ndarray
-    root: np.ndarray
+    keep: tuple[np.ndarray, ...]  # rows used, of every recording
+    offset: np.ndarray  # (R,): weighted rows of the shared discrepancy at the simulation's weights
+    basis: np.ndarray  # (R, C): V; without columns when nothing is common
+    block: np.ndarray  # (R,): block of time each entry lies in
+    weight: np.ndarray  # (R,): root of each entry's robust weight
+    root: np.ndarray  # (C,): M, diagonal in the directions of V, with (I - V M V^T)^2 = I - V V^T
+    # Recordings against themselves; their rows come last in every stack. Sensors move them, and inclined roads
+    # what accelerometers feel; no other physics does.
     kinematics: tuple[KinematicResiduals, ...] = ()
+    # Cost that a flexible fit may save without a difference: what simulation shows against itself, see
+    # `calibration`.
     unnamed_floor: float = 0.0
-    term_floors: Mapping[str, float] = field(default_factory=dict)
+    term_floors: Mapping[str, float] = field(default_factory=dict)  # the same for terms
+    # What each term saves between halves of the simulation, at as many rows.
     own_savings: Mapping[str, float] = field(default_factory=dict)
-    witness_floors: Mapping[str, float] = field(default_factory=dict)
-    part_floors: Mapping[str, float] = field(default_factory=dict)
-    form_error_inflation: float = 1.0
-    fixed_baseline: bool = False
+    witness_floors: Mapping[str, float] = field(default_factory=dict)  # the same of the witnesses' cost alone
+    part_floors: Mapping[str, float] = field(default_factory=dict)  # the same in the best part of the drive
+    form_error_inflation: float = 1.0  # by how much what no dictionary holds widens what a term saves by chance
+    fixed_baseline: bool = False  # whether the simulation is a fixed baseline, see `with_fixed_baseline`
     policy: Policy = STANDARD
+    # What was computed before: shifts and effect-to-noise ratios of the shared discrepancy, kinematic rows without
+    # faulty sensors.
     memo: dict = field(default_factory=dict, repr=False, compare=False)
 
     def __getstate__(self) -> dict:

@@ -40,28 +40,14 @@ __all__ = ["SearchOutcome", "ends_beyond", "search", "search_again", "settled"]
 
 @dataclass(frozen=True)
 class SearchOutcome:
-    """What the search found in the real recordings.
+    """What the search found in the real recordings."""
 
-    Attributes
-    ----------
-    structure : Structure
-        With the objective.
-    gap : FlexibleFit
-        Of the whole gap.
-    selection : Selection
-    known : SelfTest
-        What the simulation shows against itself, searched alike.
-    variance_inflation : float
-        By which residual autocorrelation widens chi squared.
-    objectives : tuple of MarginalLikelihood
-        With a marginalised baseline, and with a fixed one where that was searched, too.
-    """
-
-    structure: Structure
-    gap: FlexibleFit
+    structure: Structure  # with the objective
+    gap: FlexibleFit  # of the whole gap
     selection: Selection
-    known: SelfTest
-    variance_inflation: float
+    known: SelfTest  # what the simulation shows against itself, searched alike
+    variance_inflation: float  # by which residual autocorrelation widens chi squared
+    # With a marginalised baseline, and with a fixed one where that was searched, too.
     objectives: tuple[MarginalLikelihood, ...] = ()
 
 
@@ -79,11 +65,8 @@ def search(
 
     Parameters
     ----------
-    case : DiagnosisCase
-    candidates : sequence of Candidate
     reach : float
         See `ComparisonRules`.
-    policy : Policy
     progress : callable
         Called with the name of each step.
     """

@@ -22,14 +22,9 @@ from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = [
-    "costs_beside_form_error",
-    "divided_out",
-    "form_error_columns",
-    "free_to_form_error",
-    "moved_between_load_laws",
-    "residuals_beside_form_error",
-    "saved_beside_form_error",
-]
+    "costs_beside_form_error", "divided_out", "form_error_columns", "free_to_form_error",
+    "moved_between_load_laws", "residuals_beside_form_error", "saved_beside_form_error",
+]  # fmt: skip
 
 _DISCREPANCY = "varied discrepancy"  # what is remembered of the shared discrepancy's columns, before whitening
 

@@ -25,13 +25,8 @@ from split_cli.diagnosis.search.term_tests import (
 from split_cli.vehicle.effects import Term
 
 __all__ = [
-    "Found",
-    "is_beyond_form_error",
-    "other_beginnings",
-    "refusal",
-    "search_forward",
-    "sizes_with_form_error",
-]
+    "Found", "is_beyond_form_error", "other_beginnings", "refusal", "search_forward", "sizes_with_form_error",
+]  # fmt: skip
 
 _ONCE = "nearly all of it in a few moments"
 _FORM_ERROR = "within the model-form error of the other terms"
@@ -39,21 +34,13 @@ _FORM_ERROR = "within the model-form error of the other terms"
 
 @dataclass(frozen=True)
 class Found:
-    """What a search forward ended with.
+    """What a search forward ended with."""
 
-    Attributes
-    ----------
-    chosen, with_refused : Fit
-        As far as it is believed or kept as a nuisance, and with the term that was refused last.
-    names : int
-        How many of its parts were added to be named.
-    history : tuple of str
-    first_p : float
-    """
-
+    # chosen, with_refused: as far as it is believed or kept as a nuisance, and with the term that was refused
+    # last.
     chosen: Fit
     with_refused: Fit
-    names: int
+    names: int  # how many of its parts were added to be named
     history: tuple[str, ...]
     first_p: float
 
@@ -78,7 +65,6 @@ def search_forward(
 
     Parameters
     ----------
-    explore : Explorer
     base : Fit
         Without any term.
     first : sequence of Fit

@@ -46,74 +46,43 @@ from split_cli.diagnosis.search.term_tests import (
 from split_cli.vehicle.effects import Term
 
 __all__ = [
-    "Rival",
-    "Selection",
-    "explaining_as_well",
-    "nothing",
-    "rivals_of",
-    "select_terms",
-    "with_chosen",
+    "Rival", "Selection", "explaining_as_well", "nothing", "rivals_of", "select_terms", "with_chosen",
     "without_parts",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another explanation of the same rows, with how it compares.
-
-    Attributes
-    ----------
-    fit : Fit
-    excess : float
-        Cost above the chosen explanation, prices included, in units of chi squared after variance inflation by
-        chance or model-form error, whichever is more.
-    z : float
-        The same over its standard error from differences block by block.
-    """
+    """Another explanation of the same rows, with how it compares."""
 
     fit: Fit
+    # Cost above the chosen explanation, prices included, in units of chi squared after variance inflation by
+    # chance or model-form error, whichever is more.
     excess: float
-    z: float
+    z: float  # the same over its standard error from differences block by block
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The chosen explanation and everything it was compared with.
+    """The chosen explanation and everything it was compared with."""
 
-    Attributes
-    ----------
-    base, chosen : Fit
-        Nothing added, and the explanation.
-    without : tuple of Fit
-        The explanation refitted without each part.
-    rivals : tuple of tuple of Rival
-        For each part of the chosen fit that is named, that part replaced by every other term, best first.
-    siblings : tuple of tuple of Rival
-        The same with other variants of the part's own term.
-    named : tuple of bool
-        Which parts are large enough to be named; the others are nuisance terms, so that they take nothing from
-        these.
-    history : tuple of str
-        What was added or removed, in order, in words.
-    first_p : float
-        Smallest minimum-effect p value of a term that was tried, times the number of terms tried; of none that any
-        sound recording has, or that halves of the simulation differ by as much.
-    first : tuple of Fit
-        What each term, in each variant that promised most, explains alone, best first.
-    partly : callable
-        Returns the term that most surely acts in a part of the drive, or None, whatever acts all along it; worked
-        out when first asked, which is where nothing is named.
-    """
-
+    # base, chosen: nothing added, and the explanation.
     base: Fit
     chosen: Fit
-    without: tuple[Fit, ...]
+    without: tuple[Fit, ...]  # the explanation refitted without each part
+    # For each part of the chosen fit that is named, that part replaced by every other term, best first.
     rivals: tuple[tuple[Rival, ...], ...]
-    siblings: tuple[tuple[Rival, ...], ...]
+    siblings: tuple[tuple[Rival, ...], ...]  # the same with other variants of the part's own term
+    # Which parts are large enough to be named; the others are nuisance terms, so that they take nothing from
+    # these.
     named: tuple[bool, ...]
-    history: tuple[str, ...] = ()
+    history: tuple[str, ...] = ()  # what was added or removed, in order, in words
+    # Smallest minimum-effect p value of a term that was tried, times the number of terms tried; of none that any
+    # sound recording has, or that halves of the simulation differ by as much.
     first_p: float = 1.0
-    first: tuple[Fit, ...] = ()
+    first: tuple[Fit, ...] = ()  # what each term, in each variant that promised most, explains alone, best first
+    # Returns the term that most surely acts in a part of the drive, or None, whatever acts all along it; worked
+    # out when first asked, which is where nothing is named.
     partly: Callable[[], ActingPart | None] = lambda: None
 
     @property
@@ -142,9 +111,6 @@ def select_terms(
 
     Parameters
     ----------
-    objective : MarginalLikelihood
-    candidates : sequence of Candidate
-    variance_inflation : float
     leaves_structure : callable
         Whether an explanation leaves more than noise and the model-form error of its terms.
     """

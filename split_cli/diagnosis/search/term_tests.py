@@ -16,26 +16,11 @@ from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit
 from split_cli.vehicle.effects import Term
 
 __all__ = [
-    "block_t",
-    "block_z",
-    "effect_to_noise_of_terms",
-    "error_of_sum",
-    "is_apart_from_itself",
-    "is_form_error",
-    "is_spread",
-    "is_witnessed",
-    "over_allowance",
-    "p_of_effect",
-    "part_over_allowance",
-    "part_sizes",
-    "sizes_in_velocity",
-    "sizes_of_terms",
-    "systematic_error",
-    "term_p",
-    "term_size",
-    "witnessed_p",
+    "block_t", "block_z", "effect_to_noise_of_terms", "error_of_sum", "is_apart_from_itself", "is_form_error",
+    "is_spread", "is_witnessed", "over_allowance", "p_of_effect", "part_over_allowance", "part_sizes",
+    "sizes_in_velocity", "sizes_of_terms", "systematic_error", "term_p", "term_size", "witnessed_p",
     "witnesses_disagree",
-]
+]  # fmt: skip
 
 
 def block_z(objective: MarginalLikelihood, fit: Fit, other: Fit) -> float:

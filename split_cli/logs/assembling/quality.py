@@ -15,13 +15,8 @@ from split_cli.logs.map_entries import EXTRA_UNITS
 from split_cli.signals import CHANNELS
 
 __all__ = [
-    "ChannelQuality",
-    "QualityReport",
-    "render_quality",
-    "source_quality",
-    "stored_faults",
-    "stored_findings",
-]
+    "ChannelQuality", "QualityReport", "render_quality", "source_quality", "stored_faults", "stored_findings",
+]  # fmt: skip
 
 _KNOWN = {*CHANNELS, *EXTRA_UNITS}
 _MOST_ROWS = 12
@@ -33,80 +28,41 @@ _MODEL_CHANNELS = ("vx", "vy", "r", "T", "delta")
 
 @dataclass(frozen=True)
 class ChannelQuality:
-    """One source of a channel.
-
-    Attributes
-    ----------
-    channel, source : str
-    samples : int
-        Usable.
-    rate : float
-        From the median distance of two samples [Hz].
-    jitter : float
-        Half the spread between the 1 % and 99 % quantile of that distance, as a share of the median [1].
-    gaps : int
-        Steps longer than the gap.
-    longest_gap : float
-        [s].
-    spikes : int
-    low, high : float
-        Range in SI.
-    resampling : str
-        ``held``, ``interpolated`` or ``low-passed``.
-    drops : tuple of Drop
-    """
+    """One source of a channel."""
 
     channel: str
     source: str
-    samples: int
-    rate: float
+    samples: int  # usable
+    rate: float  # from the median distance of two samples [Hz]
+    # Half the spread between the 1 % and 99 % quantile of that distance, as a share of the median [1].
     jitter: float
-    gaps: int
-    longest_gap: float
+    gaps: int  # steps longer than the gap
+    longest_gap: float  # [s]
     spikes: int
+    # low, high: range in SI.
     low: float
     high: float
-    resampling: str
+    resampling: str  # ``held``, ``interpolated`` or ``low-passed``
     drops: tuple[Drop, ...] = ()
 
 
 @dataclass(frozen=True)
 class QualityReport:
-    """All that ingest found out.
-
-    Attributes
-    ----------
-    channels : tuple of ChannelQuality
-    segments : int
-    duration : float
-        Of the drive, gaps left out [s].
-    recorded : float
-        From the first to the last sample of the slowest required channel [s].
-    origin : float
-        Time of the recording at which t is 0 [s].
-    clock : str
-        In words.
-    consistency : Consistency
-    delays : tuple of DelayEstimate
-        Estimated, whether applied or refused.
-    assumed, contradictions, skipped, warnings : tuple of str
-    unverified : str
-        Why a bit that flipped in the source would go unnoticed; empty where checksums tell.
-    """
+    """All that ingest found out."""
 
     channels: tuple[ChannelQuality, ...]
     segments: int
-    duration: float
-    recorded: float
-    origin: float
-    clock: str
+    duration: float  # of the drive, gaps left out [s]
+    recorded: float  # from the first to the last sample of the slowest required channel [s]
+    origin: float  # time of the recording at which t is 0 [s]
+    clock: str  # in words
     consistency: Consistency
-    delays: tuple[DelayEstimate, ...] = ()
+    delays: tuple[DelayEstimate, ...] = ()  # estimated, whether applied or refused
     assumed: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    unverified: str = ""
+    unverified: str = ""  # why a bit that flipped in the source would go unnoticed; empty where checksums tell
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the report as plain values for JSON; what is not finite becomes null."""

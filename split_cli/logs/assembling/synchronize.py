@@ -28,18 +28,9 @@ from split_cli.logs.scratch import let_go, set_aside
 from split_cli.signals import CHANNELS
 
 __all__ = [
-    "SLOWEST_PERIOD",
-    "Channels",
-    "bring_to_clock",
-    "clean_channels",
-    "judge_sources",
-    "lay_grid",
-    "moved_earlier",
-    "resample_channels",
-    "slices_of",
-    "sum_sources",
-    "without_missing",
-]
+    "SLOWEST_PERIOD", "Channels", "bring_to_clock", "clean_channels", "judge_sources", "lay_grid", "moved_earlier",
+    "resample_channels", "slices_of", "sum_sources", "without_missing",
+]  # fmt: skip
 
 
 SLOWEST_PERIOD = 0.125
