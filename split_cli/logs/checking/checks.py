@@ -378,7 +378,8 @@ class Checks:
             )
             (p, q, _), (p_error, q_error, _) = self._sideslip
             if 3.0 * p_error > 0.5 * self.vehicle.cg_to_rear_axle:
-                reason = f"measured {p:.2f} +- {p_error:.2f} m ahead of the rear axle, too uncertain to tell"
+                side = "ahead of" if p > 0.0 else "behind"
+                reason = f"measured {abs(p):.2f} +- {p_error:.2f} m {side} the rear axle, too uncertain to tell"
                 self.unjudged.append(Unjudged(name, reason))
         values, errors = self._sideslip
         return None if 3.0 * errors[0] > 0.5 * self.vehicle.cg_to_rear_axle else (values, errors)

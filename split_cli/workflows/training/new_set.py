@@ -167,7 +167,12 @@ def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
     fit = fit_kernel(z, y, grid, start, longest=longest_scale(grid))
     names = drives.labelling.features.names
     scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(names)}
-    drives.note(*(f"the {scales.get(name, name)} ended on a bound of the fit" for name in fit.at_bound))
+    outputs = (("vx", "v_x"), ("vy", "v_y"), ("r", "r"))
+    scales |= {
+        f"{what} of {o}": f"{what} deviation of {name}" for what in ("signal", "noise") for o, name in outputs
+    }
+    bounds = [scales.get(name, name) for name in fit.at_bound]
+    drives.note(*(f"the {name} ended on a bound of the fit: the labels do not determine it" for name in bounds))
     return fit
 
 
