@@ -70,9 +70,10 @@ __all__ = ["command"]
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
 @click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share in lap 0. Each clean lap "
-              f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse. With learner none and assumed peaks "
-              f"{SHARE_NOMINAL} is the most. [default: --p-ellipse; else {SHARE_LEARNED} if the vehicle file knows "
-              f"the tyres' peaks from data, {SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes them].")  # fmt: skip
+              f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse. With learner none and assumed "
+              f"peaks {SHARE_NOMINAL} is the most. [default: --p-ellipse; else {SHARE_LEARNED} if the vehicle "
+              f"file knows the tyres' peaks from data, {SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes "
+              "them].")  # fmt: skip
 @click.option("--p-unknown", type=float, metavar="SHARE", help="The same share where there are no training data. "
               "It rises to --p-ellipse with the information that the data hold  [default: "
               "--p-ellipse].")  # fmt: skip

@@ -23,7 +23,16 @@ from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["SLIP_ROWS", "Limits", "first_share", "load_shift", "nominal_share", "slip_limit", "slip_rows", "torque_limit"]
+__all__ = [
+    "SLIP_ROWS",
+    "Limits",
+    "first_share",
+    "load_shift",
+    "nominal_share",
+    "slip_limit",
+    "slip_rows",
+    "torque_limit",
+]
 
 SLIP_ROWS = 5
 

@@ -25,9 +25,9 @@ SHARE_NOMINAL, SHARE_LEARNED, RACE_P_LONG = 0.85, 0.95, 1.2
 [1]: found by one search for both, docs/experiments.md."""
 
 SHARE_STEP = SHARE_LEARNED - SHARE_NOMINAL
-"""By how much the share of the peak may rise after a clean lap [1]: what was learned tells of forces up to those that
-were driven, and a correction that is asked far beyond them extends what it saw. It is the step that races on dry road
-take after lap 0."""
+"""By how much the share of the peak may rise after a clean lap [1]: what was learned tells of forces up to those
+that were driven, and a correction that is asked far beyond them extends what it saw. It is the step from what
+races use with the nominal model to what they use with what was learned."""
 
 MARGIN, FIRST_DEVIATION = 0.3, 0.8
 """Kept from the car's side to the border in races, and on top of it until a lap has shown how far plan and drive

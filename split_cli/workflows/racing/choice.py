@@ -76,7 +76,8 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings) -> str:
     if clean and min(clean) < first:
         return (
             f"The best clean lap with what was learned took {min(clean):.2f} s, "
-            f"{100 * (1 - min(clean) / first):.1f} % less than the careful lap 0 of the nominal model ({first:.2f} s). "
+            f"{100 * (1 - min(clean) / first):.1f} % less than lap 0, which the nominal model drives "
+            f"carefully ({first:.2f} s). "
             "`--learner none --learner split` compares both over as many laps."
         )
     best = f"the best clean lap with it took {min(clean):.2f} s" if clean else "no lap with it was clean"

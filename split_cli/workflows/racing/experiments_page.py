@@ -133,7 +133,9 @@ def _falls(race: dict, reference: dict | None) -> list[str]:
     own, told = _motion(race), None if reference is None else _motion(reference)
     if own is None or told is None:
         return ["-"] * 3
-    return [f"{100.0 * (1.0 - a / b):.0f}" for a, b in zip(own["motion_after"], told["motion_before"], strict=True)]
+    return [
+        f"{100.0 * (1.0 - a / b):.0f}" for a, b in zip(own["motion_after"], told["motion_before"], strict=True)
+    ]
 
 
 def clean_times(race: dict) -> list[float]:

@@ -12,7 +12,7 @@ from split_cli.control.mpcc import MpccSettings
 from split_cli.control.policy import PAST
 from split_cli.control.residual import PredictorResidual
 from split_cli.learning.cells import empty_set
-from split_cli.learning.features import Z2, FeatureSet, parse_features
+from split_cli.learning.features import Z2, FeatureSet
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.kernel_file import read_kernel

@@ -77,8 +77,9 @@ def select(
     Notes
     -----
     Each drive is cut into ten blocks; each of three folds holds every third of them out, and trains on the others
-    less a guard of 1 s, or of a third of a block in a drive of less than 30 s. Hyperparameters are fitted on the training blocks of the fold, once for every cell edge.
-    All that the process has learned is believed: trust is found afterwards, for the settings chosen.
+    less a guard of 1 s, or of a third of a block in a drive of less than 30 s.
+    Hyperparameters are fitted on the training blocks of the fold, once for every cell edge. All that the process
+    has learned is believed: trust is found afterwards, for the settings chosen.
 
     Raises
     ------
