@@ -12,6 +12,7 @@ import pyarrow.parquet
 
 from split_cli.errors import DriveError
 from split_cli.files import ScratchFolder
+from split_cli.logs.readers.budget import refuse_many_columns
 from split_cli.signals import CHANNELS, convert_to_si, split_name_and_unit
 
 __all__ = ["ColumnsOfFile", "column_in_si", "columns_of_csv"]
@@ -38,6 +39,7 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
         self.keeps: object = None  # what has to last as long as the columns
         self._file = pa.parquet.ParquetFile(path, page_checksum_verification=True)
         self.schema = self._file.schema_arrow
+        refuse_many_columns(len(self.schema), str(path))
         self.length: int = self._file.metadata.num_rows
         titles = [(*split_name_and_unit(title), title) for title in self.schema.names]
         self._titles = {name: (title, unit) for name, unit, title in titles}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +23,8 @@ from split_cli.logs.drive_metadata import (
     metadata_of_drive,
     schema_of,
 )
-from split_cli.logs.scratch import let_go
+from split_cli.logs.readers.budget import refuse_many_columns
+from split_cli.logs.scratch import LONG, let_go
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
@@ -228,8 +230,11 @@ def _read_table(path: Path) -> pa.Table:
     try:
         if path.suffix.lower() == ".csv":
             table = pa.csv.read_csv(path)
+            refuse_many_columns(table.num_columns, str(path))
         else:
-            table = pa.parquet.read_table(path, page_checksum_verification=True)
+            with pa.parquet.ParquetFile(path, page_checksum_verification=True) as file:
+                refuse_many_columns(len(file.schema_arrow), str(path))
+                table = file.read()
     except (pa.ArrowInvalid, pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         if "magic bytes not found" in reason:
@@ -248,17 +253,20 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
     metadata, period = metadata_from_schema(table.schema.metadata or {}, path)
     columns: dict[str, np.ndarray] = {}
     segment: np.ndarray | None = None
-    while table.num_columns:
-        # A column goes as soon as it is read, so that a long drive is not held twice.
-        name, unit = split_name_and_unit(table.column_names[0])
-        column, table = table.column(0), table.remove_column(0)
+    # A column goes as soon as it is read, so that a long drive is not held twice.
+    titles, left, long = table.column_names, deque(table.columns), table.num_rows >= LONG
+    del table
+    for title in titles:
+        name, unit = split_name_and_unit(title)
+        column = left.popleft()
         try:
             values = np.array(column.to_numpy(), dtype=float)
         except (TypeError, ValueError):
             continue  # text columns ride along in logs; a drive has no use for them
         finally:
             del column
-            pa.default_memory_pool().release_unused()
+            if long:
+                pa.default_memory_pool().release_unused()
         if name == "segment":
             segment = _whole(values, path)
         else:

@@ -5,9 +5,12 @@ import random
 import time
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, SplitError
+from split_cli.logs.drive import open_drive, read_drive
 from split_cli.logs.raw import UniqueNames
 from split_cli.logs.readers import json_document
 from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
@@ -188,3 +191,16 @@ def test_a_byte_of_no_encoding_far_behind_the_beginning_costs_its_row(tmp_path, 
     time_of = recording.read([info.name for info in recording.channels()])["t"].values
     np.testing.assert_array_equal(time_of, [k for k in range(30_000) if k != 29_000 or b"," not in damage])
     assert [note.count for note in recording.notes] == [1] and capfd.readouterr().err == ""
+
+
+def test_a_drive_has_no_more_columns_than_a_log_may_have(tmp_path):
+    """100,000 columns of three rows, 17 MB, took 1.5 GB; the time grew with the square of their number."""
+    names = ["t", *(f"c{k}" for k in range(MOST_FIELDS + 1))]
+    for count, said in ((2000, "the drive lacks vx"), (MOST_FIELDS + 1, "more than 20,000 columns")):
+        wide = pa.Table.from_arrays([pa.array([0.0, 0.01, 0.02])] * count, names=names[:count])
+        pq.write_table(wide, tmp_path / "d.parquet", use_dictionary=False, write_statistics=False)
+        began = time.process_time()
+        for opened in (read_drive, open_drive):
+            with pytest.raises(SplitError, match=said):
+                opened(tmp_path / "d.parquet")
+        assert time.process_time() - began < 5.0
