@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.search.selection import select_terms
+from split_cli.diagnosis.search.fitting import Fit, Part, tangent
+from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.detectable import smallest_named
+from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, faulty, late, noisy_objective
 
@@ -66,8 +68,11 @@ def test_so_it_is_with_a_delay_which_is_not_in_proportion_and_with_a_sensor(told
 
 
 def test_form_error_asks_for_more(sound, told):
-    for form_error, factor in ((20.0, 1.0), (2000.0, 1.4)):
-        for term, one in smallest(replace(sound, form_error_inflation=form_error)).items():
+    for form_error, factor, most in ((20.0, 1.0, 0), (2000.0, 1.4, 2)):
+        found = smallest(replace(sound, form_error_inflation=form_error)).items()
+        # Of the largest model-form error an interval may not be free at any size that a car has.
+        assert sum(not one.parameters for _, one in found) <= most
+        for term, one in ((term, one) for term, one in found if one.parameters):
             ((parameter, (value, _)),) = one.parameters.items()
             neutral = CATALOGUE[term].neutral[parameter]
             assert abs(value - neutral) > factor * abs(told[term].parameters[parameter][0] - neutral)
@@ -78,6 +83,24 @@ def test_what_alters_inputs_is_told_by_the_last_objective(sound, told):
     both = smallest(sound, replace(sound, fixed_baseline=True, form_error_inflation=20.0))
     assert both["aero_drag"] == told["aero_drag"] and both["yaw_inertia"] == told["yaw_inertia"]
     assert 1.0 - both["steer_gain"].parameters["gain"][0] > 1.2 * (1.0 - told["steer_gain"].parameters["gain"][0])
+
+
+def test_a_size_that_is_told_has_an_interval_without_no_effect(sound):
+    """Model-form error widens the intervals of all that acts on tyres: with 0.45 of a size it takes 0.9 of it."""
+    vague = replace(sound, policy=sound.policy.altered("selection", form_error_share=0.45))
+    candidates = candidates_of(vague, *NAMES)
+    for one in smallest_named((vague,), candidates, VARIANCE_INFLATION, LEVEL):
+        (own,) = (candidate for candidate in candidates if candidate.term == one.term)
+        for name, (value, _) in one.parameters.items():
+            part = Part(own, {name: value})
+            slopes = tangent(vague, vague.left_by(()), part).slopes / own.ranges[name].step
+            residuals = nothing(vague).residuals
+            fit = Fit((part,), float(residuals @ residuals), residuals, slopes)
+            low, high = parameter_estimates(vague, fit, recorded=False)[0][name].interval_95
+            assert not low <= CATALOGUE[one.term].neutral[name] <= high
+    # With 0.6 of it no size of what acts on tyres is apart from none.
+    hopeless = replace(sound, policy=sound.policy.altered("selection", form_error_share=0.6))
+    assert not smallest(hopeless)["steer_gain"].parameters and CATALOGUE["steer_gain"].through_tires
 
 
 def test_what_is_told_holds_for_every_variant(sound):

@@ -295,7 +295,7 @@ class Diagnosis:
     summary : str
         One paragraph a reader can act on.
     detectable : tuple of Detectable
-        What a silence about each term is worth; none where nothing was decided.
+        What a silence about each term is worth. Where the verdict is undecided, sizes hold if nothing differs yet.
     corrected_vehicle : CorrectedVehicle or None
         None where nothing of the car was found, or no held-out time can judge it.
     leads : tuple of Lead

@@ -9,17 +9,19 @@ from scipy.optimize import brentq
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.fitting import Fit
+from split_cli.diagnosis.search.fitting import Fit, Part, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.together import apart
+from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE, Term
 
 __all__ = ["smallest_named"]
 
 _ROUNDS = 8  # an effect of twice the size saves nearly four times as much; past a tyre's peak it hardly saves more
 _FURTHEST = 1e4
+_GROWTH = 1.25  # steps in which a size grows until it is apart from no effect
 # Steps after which what alters inputs, and what does not, is as told.
 _NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
 
@@ -47,8 +49,9 @@ def smallest_named(
     Were an effect there, its term would save the squared length of what it moves in the whitened rows, less what
     the difference that is there already may take off: nobody knows the sign of an effect beforehand. A fault of
     one sign moves the rows as its term of the other does, and where much is curved not as far to either side; what
-    is told holds for both. Its size is searched where the test that is asked of every name is passed just so.
-    Chance makes it pass a little earlier or later; what looks the same may be named in its stead.
+    is told holds for both. Its size is searched where the test that is asked of every name is passed just so, and
+    it grows until its 95 % interval leaves out no effect. Chance makes it pass a little earlier or later; what
+    looks the same may be named in its stead.
     """
     bare = [nothing(objective) for objective in objectives]
 
@@ -141,8 +144,31 @@ def _smallest(
         if not candidate.allows(values):
             break
         if everyday or abs(log) < near:
-            return factor, values
+            return _grown_apart(objective, bare, candidate, start, factor)
     return np.inf, {}
+
+
+def _grown_apart(
+    objective: MarginalLikelihood, bare: Fit, candidate: Candidate, start: Mapping[str, float], factor: float
+) -> tuple[float, dict[str, float]]:
+    """Return a factor and values as of `_smallest`, grown until an interval leaves out no effect."""
+    for _ in range(_ROUNDS):
+        values = candidate.moved(start, factor)
+        if not candidate.allows(values):
+            break
+        if _is_apart(objective, bare, Part(candidate, values)):
+            return factor, values
+        factor *= _GROWTH
+    return np.inf, {}
+
+
+def _is_apart(objective: MarginalLikelihood, bare: Fit, part: Part) -> bool:
+    """Return whether a part that leaves what is left now would have an interval without its neutral value."""
+    steps = np.array([part.candidate.ranges[name].step for name in part.values])
+    slopes = tangent(objective, np.zeros(len(objective.weight)), part).slopes / steps
+    (told,) = parameter_estimates(objective, Fit((part,), bare.cost, bare.residuals, slopes), recorded=False)
+    ends = [(part.term.neutral[name], one.interval_95) for name, one in told.items() if name in part.term.neutral]
+    return any(not low <= neutral <= high for neutral, (low, high) in ends)
 
 
 def _moved(objective: MarginalLikelihood, bare: Fit, term: Term) -> tuple[float, float]:

@@ -31,13 +31,22 @@ class PartEstimate:
     regions: tuple[JointRegion, ...]
 
 
-def parameter_estimates(objective: MarginalLikelihood, fit: Fit) -> tuple[dict[str, ParameterEstimate], ...]:
+def parameter_estimates(
+    objective: MarginalLikelihood, fit: Fit, *, recorded: bool = True
+) -> tuple[dict[str, ParameterEstimate], ...]:
     """Return the parameters of every part, each by itself; see `estimate_parts`."""
-    return tuple(one.parameters for one in estimate_parts(objective, fit))
+    return tuple(one.parameters for one in estimate_parts(objective, fit, recorded=recorded))
 
 
-def estimate_parts(objective: MarginalLikelihood, fit: Fit) -> tuple[PartEstimate, ...]:
+def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = True) -> tuple[PartEstimate, ...]:
     """Return the parameters of every part.
+
+    Parameters
+    ----------
+    objective : MarginalLikelihood
+    fit : Fit
+    recorded : bool
+        Whether the recording has these effects; else its witnesses cannot be asked about their sizes.
 
     Notes
     -----
@@ -79,7 +88,8 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit) -> tuple[PartEstimat
     for k, part in enumerate(fit.parts):
         term, told, names = part.term, {}, []
         shared = np.hypot(systematic_error(objective, fit, k), _between_recordings(objective, fit, k))
-        shared = np.hypot(shared, witnesses_disagree(objective, fit, k, objective.policy.selection))
+        if recorded:
+            shared = np.hypot(shared, witnesses_disagree(objective, fit, k, objective.policy.selection))
         own = form_error if term.through_tires else 0.0
         first = column
         for name, unit in term.parameter_units(part.candidate.variant).items():

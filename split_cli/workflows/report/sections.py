@@ -341,6 +341,11 @@ def _would_show(diagnosis: Diagnosis) -> str:
         "several parameters are each for one parameter alone. A smaller effect stays unnoticed or unexplained, or "
         "a similar effect is identified instead.</p>"
     )
+    if diagnosis.verdict == "undecided":
+        words += (
+            "<p>It is undecided whether these drives differ already. The sizes hold only if they do not; what "
+            "differs may hide an effect of more than this size.</p>"
+        )
     unfolded = " open" if diagnosis.verdict == "match" else ""
     listed = table(("Effect", "Detectable from"), rows)
     body = f"<details{unfolded}><summary>Effect by effect</summary>{listed}</details>"
