@@ -182,10 +182,11 @@ class SelectionRules:
     form_error_share: float = number(
         0.10,
         "1",
-        "model-form error over the size of what makes it: prior deviation of a term's, least share of larger "
-        "terms and of the shared discrepancy that is a term of its own, least uncertainty of a parameter that "
-        "acts through the tyres, by which a variant has to run better freely, and of the whole gap, from which on "
-        "a remainder is unexplained; its square is the share of a cost, which grows with the square of a size",
+        "model-form error over the size of what makes it: prior deviation of a term's and of the shared "
+        "discrepancy's, least share of larger terms that is a term of its own, least uncertainty of a parameter "
+        "that acts through the tyres, by which a variant has to run better freely, and of the whole gap, from "
+        "which on a remainder is unexplained; its square is the share of a cost, which grows with the square of a "
+        "size",
         JUDGEMENT + "two curves stand for four tyres",
     )
     deviations: float = number(
