@@ -12,7 +12,7 @@ import pyarrow.parquet
 
 from split_cli.errors import DriveError
 from split_cli.files import ScratchFolder
-from split_cli.logs.readers.budget import refuse_many_columns
+from split_cli.logs.budget import refuse_many_columns
 from split_cli.signals import CHANNELS, convert_to_si, split_name_and_unit
 
 __all__ = ["ColumnsOfFile", "column_in_si", "columns_of_csv"]

@@ -14,6 +14,7 @@ import pyarrow.parquet
 
 from split_cli.errors import DriveError, nearest_names
 from split_cli.files import atomic_path, refuse_no_regular_file, sha256_of_file
+from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.columns_of_file import ColumnsOfFile, column_in_si, columns_of_csv
 from split_cli.logs.drive_metadata import (
     DriveMetadata,
@@ -23,7 +24,6 @@ from split_cli.logs.drive_metadata import (
     metadata_of_drive,
     schema_of,
 )
-from split_cli.logs.readers.budget import refuse_many_columns
 from split_cli.logs.scratch import LONG, let_go
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 

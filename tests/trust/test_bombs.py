@@ -17,9 +17,9 @@ import yaml
 import zstandard
 
 from split_cli.errors import LogError, SplitError, VehicleError
+from split_cli.logs.budget import most_bytes_out
 from split_cli.logs.readers import open_recording
 from split_cli.logs.readers.blf import is_cut_blf
-from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.definitions import Definitions, leaf_paths
 from split_cli.vehicle.parameters import read_vehicle
 from tests.trust.test_hostile_containers import mcap, record, text

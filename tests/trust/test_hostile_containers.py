@@ -13,8 +13,8 @@ import pytest
 import zstandard
 
 from split_cli.errors import LogError, SplitError
+from split_cli.logs.budget import Unfolded
 from split_cli.logs.readers import messages
-from split_cli.logs.readers.budget import Unfolded
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.serialized import SerializedDecoder
@@ -54,7 +54,7 @@ def packed(plain: bytes) -> bytes:
 
 def test_the_chunks_of_a_file_share_one_budget(tmp_path, monkeypatch):
     """Thirty chunks of 6 kB were thirty times two million empty messages."""
-    monkeypatch.setattr("split_cli.logs.readers.budget.ALWAYS", 1 << 20)
+    monkeypatch.setattr("split_cli.logs.budget.ALWAYS", 1 << 20)
     messages_of_a_chunk = record(5, struct.pack("<HIQQd", 1, 0, 1, 1, 0.0)) * 20_000
     path = mcap(tmp_path / "a.mcap", topic(1, b"float64 x"), *[packed(messages_of_a_chunk)] * 6)
     recording = open_recording(path)

@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from split_cli.errors import LogError, SplitError
+from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.drive import open_drive, read_drive
 from split_cli.logs.raw import UniqueNames
 from split_cli.logs.readers import json_document
-from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.frames_csv import frames_of
 from split_cli.logs.readers.guard import GuardedRecording

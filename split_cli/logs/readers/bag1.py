@@ -18,8 +18,8 @@ import lz4.frame
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.logs.budget import Unfolded
 from split_cli.logs.raw import ReadNote, note_once
-from split_cli.logs.readers.budget import Unfolded
 from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
 from split_cli.logs.scratch import let_go, mapped_file
 

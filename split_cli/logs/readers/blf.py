@@ -6,7 +6,7 @@ import struct
 import zlib
 from pathlib import Path
 
-from split_cli.logs.readers.budget import refuse_unpacked_size
+from split_cli.logs.budget import refuse_unpacked_size
 
 __all__ = ["is_cut_blf"]
 

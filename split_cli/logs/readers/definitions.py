@@ -10,7 +10,7 @@ from typing import Any
 
 from split_cli.errors import LogError, nearest_names
 from split_cli.files import read_text
-from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
+from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS
 
 __all__ = ["FILLER", "MOST_TEXT", "SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import (
     LazyTableRecording,
     RawChannelInfo,
@@ -23,7 +24,6 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.budget import refuse_many_columns
 from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_grouped, sniff, unwrapped
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, refuse_many_columns
 from split_cli.logs.raw import (
     LazyTableRecording,
     RawChannelInfo,
@@ -23,7 +24,6 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS, refuse_many_columns
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_channels import open_json_channels
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed

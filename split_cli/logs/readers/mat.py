@@ -13,6 +13,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs import scratch
+from split_cli.logs.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
@@ -22,7 +23,6 @@ from split_cli.logs.raw import (
     note_once,
     unit_of_time,
 )
-from split_cli.logs.readers.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.scratch import set_aside
 

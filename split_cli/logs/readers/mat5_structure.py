@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from split_cli.errors import LogError
-from split_cli.logs.readers.budget import Unfolded
+from split_cli.logs.budget import Unfolded
 
 __all__ = ["check_mat5"]
 

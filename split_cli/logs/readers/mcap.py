@@ -23,8 +23,8 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from split_cli.errors import LogError
+from split_cli.logs.budget import Unfolded
 from split_cli.logs.raw import ReadNote, note_once
-from split_cli.logs.readers.budget import Unfolded
 from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
 from split_cli.logs.scratch import let_go, mapped_file
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.readers.budget import LONGEST_NAME, MOST_FIELDS
+from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.readers.payloads import STAMP_FIELDS, Columns
 
 __all__ = ["JsonDecoder", "ProtobufDecoder"]

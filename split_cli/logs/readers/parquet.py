@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.logs.budget import MOST_FIELDS, Unfolded, refuse_many_columns, refuse_unpacked_size
 from split_cli.logs.raw import (
     LazyTableRecording,
     RawChannelInfo,
@@ -20,7 +21,6 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
-from split_cli.logs.readers.budget import MOST_FIELDS, Unfolded, refuse_many_columns, refuse_unpacked_size
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import set_aside
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
@@ -18,7 +19,6 @@ from split_cli.logs.raw import (
     UniqueNames,
     column_name_and_unit,
 )
-from split_cli.logs.readers.budget import refuse_many_columns
 from split_cli.logs.readers.delimited import read_columns
 from split_cli.logs.readers.dialect import Dialect
 from split_cli.signals import find_unit

@@ -16,8 +16,8 @@ import zstandard
 
 from split_cli.errors import LogError, SplitError
 from split_cli.files import ScratchFolder, read_text, refuse_no_regular_file
+from split_cli.logs.budget import most_bytes_out
 from split_cli.logs.raw import ReadNote, note_once
-from split_cli.logs.readers.budget import most_bytes_out
 from split_cli.logs.readers.mcap import McapContainer
 from split_cli.logs.readers.messages import Container, MessageBatch, Stream
 from split_cli.yaml_file import parse_yaml
