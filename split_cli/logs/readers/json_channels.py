@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
@@ -18,7 +19,6 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     unit_of_time,
 )
-from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_document import parsed
 from split_cli.signals import find_unit

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError
+from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import (
     TIME_COLUMNS,
     RawRecording,
@@ -25,7 +26,6 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     unit_of_time,
 )
-from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.readers.delimited import number_of
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
