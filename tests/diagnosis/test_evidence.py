@@ -114,4 +114,4 @@ def test_how_much_is_not_compared_is_said(spinning, discrepancy):
     (text,) = (
         text for text in limits_of([light_evidence(prepared(longer))], road_car()) if "spin or lock" in text
     )
-    assert text.startswith(f"{540 / len(spinning):.0%} of the real drive")
+    assert text.startswith(f"{100 * 540 / len(spinning):.0f} % of the real drive")

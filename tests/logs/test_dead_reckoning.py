@@ -106,7 +106,7 @@ def test_smoother_is_conditioning_of_the_joint_normal_distribution():
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ({"ay": lambda c: -c["ay"]}, r"contradicts v_x r at \d+% of the moments of gentle driving\. "),
+        ({"ay": lambda c: -c["ay"]}, r"contradicts v_x r at \d+ % of the moments of gentle driving\. "),
         ({"ay": lambda c: c["ay"] / 9.81}, r"a_y fits 0\.1\d times v_x r"),
         ({"r": lambda c: 0.0 * c["r"] + 0.5, "ay": lambda c: 0.5 * c["vx"]}, "gentle driving"),
     ],

@@ -56,7 +56,7 @@ def test_a_rival_of_the_wrong_size_is_left_open_instead_of_one_that_does_not_tur
         "accy": 1.3 * c["ay"], "acc_vehicle_y": np.gradient(c["vy"], 0.01)}, planted, tmp_path)  # fmt: skip
     found = draft.of("ay")
     assert found.sources == ("accy",) and found.status == "open"
-    assert float(found.reason.split("slope ")[1].split()[0]) == pytest.approx(1.3, rel=0.01)
+    assert float(found.reason.split(" is ")[1].split()[0]) == pytest.approx(1.3, rel=0.01)
 
 
 def test_a_game_with_y_up_is_read_along_its_own_axes(planted, tmp_path):

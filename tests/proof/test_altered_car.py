@@ -140,7 +140,7 @@ def test_a_car_that_would_spin_is_refused(drive):
 def test_a_file_that_does_not_explain_the_drive_says_nothing_of_another_car(drive):
     # Wheels that steer to the other side.
     mirrored = replace(drive, columns={**drive.columns, "delta": -drive["delta"]})
-    with pytest.raises(SplitError, match="explains 0%"):
+    with pytest.raises(SplitError, match="explains 0 %"):
         driven_by(mirrored, VEHICLE, altered_vehicle(VEHICLE, "mass", 1.1))
 
 
