@@ -7,9 +7,11 @@ and works on with the array that it gets: pages come back when they are read.
 from __future__ import annotations
 
 import contextlib
+import math
 import mmap
 import tempfile
 import weakref
+from array import array
 from collections.abc import Iterator
 from typing import BinaryIO
 
@@ -17,11 +19,13 @@ import numpy as np
 
 from split_cli.errors import LogError
 
-__all__ = ["LONG", "GrowingColumn", "let_go", "mapped_file", "room", "set_aside"]
+__all__ = ["LONG", "GrowingColumn", "GrowingSignal", "let_go", "mapped_file", "room", "set_aside"]
 
 LONG = 2**19
 """Values from which on a column is set aside [1]: 4 MB; shorter ones cost less in memory than in files."""
 PIECE = 2**18
+HELD = 2**14
+"""Samples of a signal that are held before they go to its columns [1]: 256 kB."""
 _maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 
 
@@ -120,6 +124,37 @@ class GrowingColumn:
         with _told_of_a_full_disk(), self._file as file:
             file.write(rest.data)
             return _mapped(file, self._dtype)
+
+
+class GrowingSignal:
+    """Times and values of one signal, sample by sample."""
+
+    def __init__(self) -> None:
+        # Arrays of doubles: a list of numbers takes four times their memory.
+        self._held = array("d"), array("d")
+        self._columns = GrowingColumn(), GrowingColumn()
+        self.first = math.nan  # its first time
+
+    def append(self, time: float, value: float) -> None:
+        """Add one."""
+        times, values = self._held
+        times.append(time)
+        values.append(value)
+        if math.isnan(self.first):
+            self.first = time
+        if len(times) == HELD:
+            self._hand_over()
+
+    def finished(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return times and values, shapes (N,); the signal ends here."""
+        self._hand_over()
+        time, values = self._columns
+        return time.finished(), values.finished()
+
+    def _hand_over(self) -> None:
+        for held, column in zip(self._held, self._columns, strict=True):
+            column.append(np.array(held))
+            del held[:]
 
 
 @contextlib.contextmanager

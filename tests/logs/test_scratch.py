@@ -12,7 +12,7 @@ import pytest
 
 from split_cli.errors import LogError
 from split_cli.logs import scratch
-from split_cli.logs.readers import can, mcap, messages
+from split_cli.logs.readers import mcap, messages
 from split_cli.logs.scratch import GrowingColumn, let_go, room, set_aside
 from split_cli.workflows.ingesting.ingest import IngestSettings, ingest_logs
 from tests.optional import needed
@@ -151,7 +151,7 @@ def test_a_long_log_of_any_format_makes_the_same_drive(tmp_path, monkeypatch, ki
         if name == "long":
             for module, bound, size in (
                 (scratch, "LONG", 100), (scratch, "PIECE", 64), (messages, "_BATCH_BYTES", 5000),
-                (messages, "_FLUSH_BYTES", 20_000), (mcap, "_PIECE", 10_000), (can, "_SAMPLES_HELD", 70),
+                (messages, "_FLUSH_BYTES", 20_000), (mcap, "_PIECE", 10_000), (scratch, "HELD", 70),
             ):  # fmt: skip
                 monkeypatch.setattr(module, bound, size)
         out = tmp_path / f"{name}.parquet"

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import logging
-import math
 import re
-from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.files import refuse_no_regular_file
@@ -20,13 +16,11 @@ from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, R
 from split_cli.logs.readers.blf import is_cut_blf
 from split_cli.logs.readers.frames_csv import frames_of, is_table_of_frames
 from split_cli.logs.readers.probe import probe
-from split_cli.logs.scratch import GrowingColumn, set_aside
+from split_cli.logs.scratch import GrowingSignal, set_aside
 
 __all__ = ["DATABASE_SUFFIXES", "is_can_log", "open_can", "read_databases"]
 
 DATABASE_SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
-_SAMPLES_HELD = 2**14
-"""Of one signal [1], before they go to its column."""
 _LONGEST_TEXT = 1000
 """Of what a database quotes [characters]; the longest names have 128."""
 _CANDUMP = re.compile(rb"^\s*\(\d+\.\d+\)\s+\w+\s+[0-9A-Fa-f]{3,8}#", re.MULTILINE)
@@ -145,7 +139,7 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
         raise LogError("is a CAN log", where=path.name, advice="pip install 'split-cli[can]'") from error
     database = read_databases(databases)
     by_id = {message.frame_id: message for message in database.messages}
-    decoded: dict[str, _Samples] = {}
+    decoded: dict[str, GrowingSignal] = {}
     unknown: Counter[int] = Counter()
     unfit: Counter[str] = Counter()
     cut = is_cut_blf(path)
@@ -171,7 +165,7 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
                         name = f"/{message.name}/{signal}"
                         samples = decoded.get(name)
                         if samples is None:
-                            samples = decoded[name] = _Samples()
+                            samples = decoded[name] = GrowingSignal()
                         samples.append(frame.timestamp, float(value))
     except LogError:
         raise
@@ -205,37 +199,6 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
             advice=f"Frames have the ids {seen}. Is it the DBC of this car and this bus?",
         )
     return _recording(path, database, decoded, notes)
-
-
-class _Samples:
-    """Times and values of one signal, frame by frame."""
-
-    def __init__(self) -> None:
-        # Arrays of doubles: a list of numbers takes four times their memory.
-        self._held = array("d"), array("d")
-        self._columns = GrowingColumn(), GrowingColumn()
-        self.first = math.nan
-
-    def append(self, time: float, value: float) -> None:
-        """Add one."""
-        times, values = self._held
-        times.append(time)
-        values.append(value)
-        if math.isnan(self.first):
-            self.first = time
-        if len(times) == _SAMPLES_HELD:
-            self._hand_over()
-
-    def finished(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times [s] and values, shapes (N,)."""
-        self._hand_over()
-        time, values = self._columns
-        return time.finished(), values.finished()
-
-    def _hand_over(self) -> None:
-        for held, column in zip(self._held, self._columns, strict=True):
-            column.append(np.array(held))
-            del held[:]
 
 
 @contextmanager
@@ -280,7 +243,7 @@ def _unread_lines() -> Iterator[_Unread]:
 def _recording(
     path: Path,
     database: Any,
-    decoded: dict[str, _Samples],
+    decoded: dict[str, GrowingSignal],
     notes: list[ReadNote],
 ) -> RawRecording:
     units = {f"/{m.name}/{s.name}": s.unit for m in database.messages for s in m.signals}

@@ -13,7 +13,10 @@ from pathlib import Path
 from split_cli.errors import LogError
 from split_cli.signals import find_unit
 
-__all__ = ["EMPTY_CELLS", "KNOWN_FORMATS", "Dialect", "Sniffed", "is_grouped", "sniff", "unwrapped"]
+__all__ = [
+    "EMPTY_CELLS", "KNOWN_FORMATS", "LONGEST_LINE", "Dialect", "Sniffed", "decoded", "is_grouped", "sniff",
+    "unwrapped",
+]  # fmt: skip
 
 KNOWN_FORMATS = (
     "Known are MCAP, rosbag2, ROS 1 bag, CSV, JSON lines, VBO, Parquet, Feather, MAT, MF4, "
@@ -21,6 +24,8 @@ KNOWN_FORMATS = (
 )
 EMPTY_CELLS = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--")
 """What loggers write where they measured nothing."""
+LONGEST_LINE = 4 << 20
+"""[bytes]; judgement: a row of a thousand numbers has 12 kB. What goes on is a line of its own."""
 _SAMPLE_BYTES = 1 << 18
 _SEPARATORS = (",", ";", "\t", "|")
 _BLANKS = " "
@@ -45,6 +50,14 @@ _WORD = re.compile(r"[^\W\d]")
 _UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.'\-\d² ]{0,12}[\])]?$")
 _PATTERN_OF_A_TIME = re.compile(r"(?=.*([hHms]{1,2}|[YyJ]{2,4}))[hHmsfSDdTtMYyJ0#.,:/\- ]{5,}")
 """What a spreadsheet writes as the unit of a clock or a date: hh:mm:ss,000 and TT.MM.JJJJ."""
+
+
+def decoded(line: bytes) -> str:
+    """Return a line; one that is no UTF-8 is Western European."""
+    try:
+        return line.decode()
+    except UnicodeDecodeError:
+        return line.decode("cp1252", errors="replace")
 
 
 @dataclass(frozen=True)

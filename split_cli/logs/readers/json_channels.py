@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,7 +19,7 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.logs.readers.delimited import seconds_of
-from split_cli.logs.readers.json_document import parsed
+from split_cli.logs.readers.json_document import parsed, plain_number
 from split_cli.signals import find_unit
 
 __all__ = ["open_json_channels"]
@@ -98,7 +97,7 @@ def _numbers(values: list[Any]) -> np.ndarray:
     def number(value: Any) -> float:
         if isinstance(value, str) and len(value) < 64:
             return seconds_of(value)
-        return float(value) if isinstance(value, bool | int | float) and abs(value) < 1e300 else math.nan
+        return plain_number(value)
 
     return np.fromiter((number(value) for value in values), dtype=float, count=len(values))
 

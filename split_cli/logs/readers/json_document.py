@@ -5,13 +5,14 @@ from __future__ import annotations
 import gc
 import io
 import json
+import math
 import re
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-__all__ = ["LONGEST_ELEMENT", "PIECE", "JsonDocument", "parsed"]
+__all__ = ["LONGEST_ELEMENT", "PIECE", "JsonDocument", "parsed", "plain_number"]
 
 LONGEST_ELEMENT = 4 << 20
 """Of one row, or of one element of a list [bytes]; judgement: a row of a thousand numbers has 30 kB."""
@@ -29,6 +30,11 @@ def parsed(text: bytes | str) -> Any:
         return json.loads(text.removeprefix(b"\xef\xbb\xbf") if isinstance(text, bytes) else text)
     except (ValueError, RecursionError):
         return None
+
+
+def plain_number(value: Any) -> float:
+    """Return a number, true and false as 1 and 0; NaN for anything else, and from 1e300 on."""
+    return float(value) if isinstance(value, bool | int | float) and abs(value) < 1e300 else math.nan
 
 
 def _parsed_at_once(text: str) -> Any:

@@ -27,7 +27,9 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.logs.readers.delimited import number_of
-from split_cli.logs.scratch import GrowingColumn
+from split_cli.logs.readers.dialect import LONGEST_LINE, decoded
+from split_cli.logs.readers.json_document import plain_number
+from split_cli.logs.scratch import GrowingSignal
 from split_cli.signals import find_unit
 
 __all__ = [
@@ -41,8 +43,6 @@ _GROUPS = ("message", "_measurement", "measurement", "message_name", "ecu", "dev
 _TIMES = ("_time", "receive_time", "log_time", *TIME_COLUMNS)
 _SEPARATORS = (",", ";", "\t")
 _ROWS_LOOKED_AT, _LINES_BEFORE = 40, 20
-_AT_ONCE = 4096
-_LONGEST_LINE = 4 << 20  # [bytes]; judgement, as for Pi Toolbox: what goes on is a line of its own
 
 
 @dataclass(frozen=True)
@@ -142,26 +142,12 @@ def _are_named(names: Sequence[str]) -> bool:
     return bool(words) and len(words) < len(names)
 
 
-class _Signal:
-    def __init__(self) -> None:
-        self.unit = ""
-        self.others = 0
-        self._rows: list[tuple[float, float]] = []
-        self._columns = (GrowingColumn(), GrowingColumn())
+class _Signal(GrowingSignal):
+    """A signal with its unit, and how many of its values are no numbers."""
 
-    def add(self, time: float, value: float) -> None:
-        self._rows.append((time, value))
-        if len(self._rows) >= _AT_ONCE:
-            self._hand_over()
-
-    def finished(self) -> tuple[np.ndarray, np.ndarray]:
-        self._hand_over()
-        return self._columns[0].finished(), self._columns[1].finished()
-
-    def _hand_over(self) -> None:
-        for column, values in zip(self._columns, np.array(self._rows, dtype=float).reshape(-1, 2).T, strict=True):
-            column.append(values)
-        self._rows = []
+    def __init__(self, unit: str) -> None:
+        super().__init__()
+        self.unit, self.others = unit, 0
 
 
 def _gathered(path: Path, at: Places, rows: Iterable[Sequence[Any]]) -> RawRecording:
@@ -178,11 +164,11 @@ def _gathered(path: Path, at: Places, rows: Iterable[Sequence[Any]]) -> RawRecor
         signal = found.get((group, name))
         if signal is None:
             refuse_many_columns(len(found) + 1, path.name)
-            signal = found[(group, name)] = _Signal()
-            signal.unit = str(row[at.unit] or "").strip() if at.unit is not None else ""
+            unit = str(row[at.unit] or "").strip() if at.unit is not None else ""
+            signal = found[(group, name)] = _Signal(unit)
         value = _number(row[at.value], at.decimal)
         if np.isfinite(value):
-            signal.add(time, value)
+            signal.append(time, value)
         else:
             signal.others += 1
     return _recording(path, at, found, bad)
@@ -191,7 +177,7 @@ def _gathered(path: Path, at: Places, rows: Iterable[Sequence[Any]]) -> RawRecor
 def _number(cell: Any, decimal: str) -> float:
     if isinstance(cell, str):
         return number_of(cell.strip(), decimal)
-    return float(cell) if isinstance(cell, bool | int | float) and abs(cell) < 1e300 else np.nan
+    return plain_number(cell)
 
 
 def _recording(path: Path, at: Places, found: dict[tuple[str, str], _Signal], bad: int) -> RawRecording:
@@ -223,12 +209,8 @@ def _lines(path: Path) -> Iterator[str]:
     """Yield the lines that are not empty, those that are no UTF-8 as Western European."""
     with path.open("rb") as stream:
         mark = b"\xef\xbb\xbf"
-        while raw := stream.readline(_LONGEST_LINE):
+        while raw := stream.readline(LONGEST_LINE):
             if raw.isspace():
                 continue
             raw, mark = raw.removeprefix(mark), b""
-            try:
-                line = raw.decode()
-            except UnicodeDecodeError:
-                line = raw.decode("cp1252", errors="replace")
-            yield line.rstrip("\r\n")
+            yield decoded(raw).rstrip("\r\n")

@@ -20,14 +20,12 @@ from split_cli.logs.raw import (
     column_name_and_unit,
 )
 from split_cli.logs.readers.delimited import read_columns
-from split_cli.logs.readers.dialect import Dialect
+from split_cli.logs.readers.dialect import LONGEST_LINE, Dialect, decoded
 from split_cli.signals import find_unit
 
 __all__ = ["is_pi_toolbox", "open_pi_toolbox"]
 
 _BLOCK, _BRACE = b"{channelblock}", ord("{")
-_LONGEST_LINE = 4 << 20
-"""[bytes]; judgement: a row of a thousand numbers has 12 kB. What goes on is a line of its own."""
 
 
 def is_pi_toolbox(head: bytes) -> bool:
@@ -94,7 +92,7 @@ def _blocks(path: Path) -> Iterator[_Block]:
     end = width = 0
     with path.open("rb") as stream:
         while True:
-            line = stream.readline(_LONGEST_LINE)
+            line = stream.readline(LONGEST_LINE)
             if (not line or line[0] == _BRACE) and len(titles) > 1 and width:
                 yield _Block(titles, width, Dialect("\t", "," if comma else ".", "utf-8", first, end=end))
             if not line:
@@ -106,7 +104,7 @@ def _blocks(path: Path) -> Iterator[_Block]:
                 if titles:
                     first, width = begin, len(titles) + _ends_in_a_tabulator(line, len(titles))
                 else:
-                    titles = [title.strip() for title in _decoded(line).split("\t")]
+                    titles = [title.strip() for title in decoded(line).split("\t")]
                     columns += len(titles)
                     refuse_many_columns(columns, path.name)
                     # A block of one column has a time and no channel.
@@ -119,11 +117,3 @@ def _ends_in_a_tabulator(row: bytes, width: int) -> bool:
     """Tell whether an empty cell follows those of the titles."""
     cells = row.split(b"\t")
     return len(cells) == width + 1 and not cells[-1].strip()
-
-
-def _decoded(line: bytes) -> str:
-    """Return a line; one that is no UTF-8 is Western European."""
-    try:
-        return line.decode()
-    except UnicodeDecodeError:
-        return line.decode("cp1252", errors="replace")
