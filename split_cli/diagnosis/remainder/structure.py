@@ -19,7 +19,7 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import FlexibleRows
 
 __all__ = [
-    "FlexibleFit", "Structure", "build_structure", "discrepancy_to_noise", "minimum_effect_p", "term_allowances",
+    "FlexibleFit", "Structure", "build_structure", "minimum_effect_p", "term_allowances",
 ]  # fmt: skip
 
 _RIDGE_SHARE = 2e-3
@@ -106,7 +106,7 @@ def build_structure(objective: MarginalLikelihood, rows: Sequence[FlexibleRows])
     return Structure(objective, columns, sizes, rows[0].groups, factor)
 
 
-def discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:
+def _discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:
     """Return the shared discrepancy's effect-to-noise ratios in v_x, v_y, r on the compared rows, (3,)."""
     if objective.posterior is None:
         return np.zeros(3)
@@ -128,7 +128,7 @@ def term_allowances(objective: MarginalLikelihood) -> np.ndarray:
     allowances = objective.policy.allowances
     if objective.posterior is None:
         return np.full(3, allowances.unnamed)
-    return np.maximum(allowances.term, allowances.discrepancy_share * discrepancy_to_noise(objective))
+    return np.maximum(allowances.term, allowances.discrepancy_share * _discrepancy_to_noise(objective))
 
 
 def minimum_effect_p(

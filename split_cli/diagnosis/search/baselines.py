@@ -112,13 +112,14 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     marginalised, fixed = first.selection, again.selection
     confirmed = bool(marginalised.terms) and _ids(marginalised) <= _ids(fixed)
     surer = not marginalised.terms or fixed.first_p <= marginalised.first_p
+    brought_back = _brings_back(fixed, first, rules)
     kept = first
-    if _brings_back(fixed, first, rules) and (surer or confirmed):
+    if brought_back and (surer or confirmed):
         kept = again if surer else first
     elif surer and ends_beyond(fixed, again.structure.objective.policy):
         kept = again
     elif marginalised.terms and marginalised.first_p >= rules.sure_level:
-        shared = _ids(fixed) if _brings_back(fixed, first, rules) else set()
+        shared = _ids(fixed) if brought_back else set()
         both = [part.candidate.term in shared for part in marginalised.chosen.parts]
         kept = replace(first, selection=_only_named(marginalised, both))
     elif len(marginalised.terms) > 1:

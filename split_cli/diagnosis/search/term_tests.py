@@ -18,7 +18,7 @@ from split_cli.vehicle.effects import Term
 __all__ = [
     "block_t", "block_z", "effect_to_noise_of_terms", "error_of_sum", "is_apart_from_itself", "is_form_error",
     "is_spread", "is_witnessed", "over_allowance", "p_of_effect", "part_over_allowance", "part_sizes",
-    "sizes_in_velocity", "sizes_of_terms", "systematic_error", "term_p", "term_size", "witnessed_p",
+    "sizes_in_velocity", "systematic_error", "term_p", "term_size", "witnessed_p",
     "witnesses_disagree",
 ]  # fmt: skip
 
@@ -178,7 +178,7 @@ def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fi
     return bool(much > rules.much_over_noise * noise and little < rules.fair_share * much)
 
 
-def sizes_of_terms(
+def _sizes_of_terms(
     objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]
 ) -> np.ndarray:
     """Return effect-to-noise ratios of terms against those of `without` in v_x, v_y and r, shape (3,)."""
@@ -200,7 +200,7 @@ def sizes_in_velocity(
 
 def part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:
     """Return the effect-to-noise ratios of one part of an explanation, the others in place, shape (3,)."""
-    return sizes_of_terms(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+    return _sizes_of_terms(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
 def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
@@ -210,12 +210,12 @@ def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
 
 def effect_to_noise_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> float:
     """Return the effect-to-noise ratio of terms, in the channel where it is most."""
-    return float(sizes_of_terms(objective, terms, ()).max())
+    return float(_sizes_of_terms(objective, terms, ()).max())
 
 
 def over_allowance(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:
     """Return the size of terms against `without` over what is allowed, in the channel where that is most."""
-    return float(np.max(sizes_of_terms(objective, terms, without) / term_allowances(objective)))
+    return float(np.max(_sizes_of_terms(objective, terms, without) / term_allowances(objective)))
 
 
 def part_over_allowance(objective: MarginalLikelihood, fit: Fit, k: int) -> float:

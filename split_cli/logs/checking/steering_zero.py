@@ -13,7 +13,7 @@ __all__ = ["steering_zero"]
 _CROOKED = 0.015
 """Road-wheel angle on straights that is no play of the steering [rad]: 13 deg of a steering wheel."""
 _OTHER_HAND = 0.2
-"""Share of the turning that the rarer hand has [1]: with less, understeer and zero cannot be told apart."""
+"""Share of the turning that the rarer hand has [1]; judgement: with less, understeer and zero look alike."""
 _BLOCKS = 10
 
 
