@@ -93,7 +93,7 @@ __all__ = ["command"]
     default="auto",
     show_default=True,
     help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states. "
-    "The choice auto takes z2, or z2,feature_lag where that predicts held-out tenths of lap 0 better.",
+    "The choice auto takes z2, or z2,feature_lag where that predicts held-out tenths of the laps so far better.",
 )
 @click.option(
     "--hyperparameters",

@@ -22,16 +22,19 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.learning.trust import Trust
-from split_cli.logs.drive import read_drive
+from split_cli.logs.drive import Drive, read_drive
 from split_cli.plant.cars import F1TENTH_CAR, ROAD_CAR
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.racing.choice import choose_features, whether_learning_helped
+from split_cli.workflows.racing import choice as choice_of_features
+from split_cli.workflows.racing import driving
+from split_cli.workflows.racing.choice import FeatureChoice, choose_features, whether_learning_helped
 from split_cli.workflows.racing.driving import Race, next_deviation
 from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
+from split_cli.workflows.racing.result import Lap
 from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
-from split_cli.workflows.racing.study import remembering
+from split_cli.workflows.racing.study import blank_header, remembering
 
 ROOT = Path(__file__).resolve().parents[2]
 CAR = str(ROOT / "sample_logs" / "road_car.yaml")
@@ -43,6 +46,11 @@ def ring(folder: Path, radius_x: float = 28.0, radius_y: float = 14.0, half_widt
     file = folder / "ring.csv"
     file.write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + "\n".join(rows))
     return file
+
+
+def first_rows(drive: Drive, count: int) -> Drive:
+    columns = {name: column[:count] for name, column in drive.columns.items()}
+    return replace(drive, columns=columns, segment=drive.segment[:count])
 
 
 def invoke(*arguments: str):
@@ -88,18 +96,29 @@ def test_a_clean_lap_lets_the_next_one_use_a_step_more_of_the_peak():
             assert race.controller.limits.p_ellipse == pytest.approx(share)
 
 
-def test_lap_0_chooses_what_is_learned_and_the_race_says_whether_it_helped():
-    lap = read_drive(ROOT / "sample_logs" / "road_pair_real.parquet")
+def test_lap_0_chooses_what_is_learned():
+    lap = first_rows(read_drive(ROOT / "sample_logs" / "road_pair_real.parquet"), 1000)
     vehicle, _ = remembering(read_vehicle(CAR), parse_features(CANDIDATES[-1]))
-    chosen, reason = choose_features(lap, vehicle, RaceSettings())
+    choice = choose_features([lap], vehicle, RaceSettings())
     # Actuators of the plant lag, and the vehicle file does not: the past predicts better.
-    left = [float(share) for share in re.findall(r"(\d+) % with", reason)]
-    assert chosen == "z2,feature_lag" and left[1] < left[0] < 100
-    assert choose_features(lap, vehicle, RaceSettings(features="z2")) == ("z2", "")
-    few = {name: column[:30] for name, column in lap.columns.items()}
-    short, reason = choose_features(replace(lap, columns=few, segment=lap.segment[:30]), vehicle, RaceSettings())
-    assert short == "z2" and "cannot choose" in reason
+    left = [float(share) for share in re.findall(r"(\d+) % with", choice.reason)]
+    assert choice.features == "z2,feature_lag" and left[1] < left[0] < 100 and not choice.undecided
+    assert choose_features([lap], vehicle, RaceSettings(features="z2")) == ("z2", "", False)
+    short = choose_features([first_rows(lap, 30)], vehicle, RaceSettings())
+    assert short.features == "z2" and "cannot choose" in short.reason and short.undecided
 
+
+@pytest.mark.parametrize(("behind", "undecided"), [(0.9, True), (1.1, False)])
+def test_a_choice_is_undecided_within_one_standard_error(monkeypatch, behind, undecided):
+    found = [SimpleNamespace(features=name, error=0.5, behind=more, behind_error=1.0, chosen=name == "z2")
+             for name, more in (("z2,feature_lag", behind), ("z2", 0.0))]  # fmt: skip
+    monkeypatch.setattr(choice_of_features, "select", lambda *given: SimpleNamespace(candidates=found))
+    choice = choose_features([None, None], read_vehicle(CAR), RaceSettings())
+    assert (choice.features, choice.undecided) == ("z2", undecided)
+    assert "laps 0 to 1" in choice.reason and ("next lap decides again" in choice.reason) == undecided
+
+
+def test_the_race_says_whether_learning_helped():
     def driven(number, time, outside=0.0):
         return SimpleNamespace(number=number, time=time, outside=outside, clean=outside == 0.0,
                                error_after=(0.2, 0.1, 0.3), error_before=(0.4, 0.4, 0.4))  # fmt: skip
@@ -112,6 +131,56 @@ def test_lap_0_chooses_what_is_learned_and_the_race_says_whether_it_helped():
         [driven(0, 40.0), driven(1, 41.0)], RaceSettings(features="z2")
     )
     assert whether_learning_helped([driven(0, 40.0), driven(1, 38.0)], RaceSettings(learner="none")) == ""
+
+
+def test_a_choice_that_later_laps_turn_learns_all_laps_as_if_it_had_been_made_at_once(tmp_path, monkeypatch):
+    drive = read_drive(ROOT / "sample_logs" / "road_pair_real.parquet")
+    settings = RaceSettings(hyperparameters="default")
+    choices: list[FeatureChoice] = []
+    monkeypatch.setattr(driving, "choose_features", lambda *given: choices.pop(0))
+    monkeypatch.setattr(driving, "ControlModel", lambda *given: given)
+
+    def race(file):
+        one = Race(settings, read_vehicle(CAR), tmp_path / file, lambda text: None)
+        one.header = blank_header(one.vehicle, one.features, one.mpcc)
+        one.world = SimpleNamespace(recording=lambda first, last, name: replace(
+            drive, name=name, segment=drive.segment[first:last],
+            columns={key: column[first:last] for key, column in drive.columns.items()}))  # fmt: skip
+        one.controller = SimpleNamespace(grip=np.ones(2), model=None)
+        return one
+
+    def end_laps(one, *numbers):
+        for number in numbers:
+            one.spans[number] = (1000 + 300 * number, 1301 + 300 * number)
+            one.laps.append(Lap(number, 9.0, *(0,) * 15))
+
+    def choose(one, features, reason="", undecided=False):
+        choices.append(FeatureChoice(features, reason, undecided))
+        one._choose_features()
+
+    turned, at_once = race("turned.split"), race("at_once.split")
+    end_laps(turned, 0)
+    choose(turned, "z2", undecided=True)
+    assert turned.header.features.is_z2 and turned.undecided
+    # As long as the choice stays, so does all that was learned; nothing is done twice.
+    learner, size = turned.learner, turned.learner.size
+    end_laps(turned, 1)
+    choose(turned, "z2", "still z2", undecided=True)
+    assert turned.learner is learner and learner.size == size and turned.laps[1].size == 0
+    assert turned.undecided and not turned.notes and len(turned.grips) == 1
+    turned.grips.append((0.5, 0.5))  # found with the features of before
+    end_laps(at_once, 0, 1)
+    for one in (turned, at_once):
+        choose(one, "z2,feature_lag")
+        assert len(one.header.features.names) == 6 and not one.undecided
+        assert one.laps[1].size == one.learner.size > 50 and one.grips[-1] == tuple(one.controller.grip)
+    assert len(turned.grips) == 2
+    kept, expected = read_set(tmp_path / "turned.split"), read_set(tmp_path / "at_once.split")
+    np.testing.assert_array_equal(kept.z, expected.z)
+    np.testing.assert_array_equal(kept.y, expected.y)
+    assert [source.name for source in kept.sources] == ["lap 0", "lap 1"]
+    z = kept.z[:5]
+    np.testing.assert_array_equal(turned.learner.residual.along(z).mean, at_once.learner.residual.along(z).mean)
 
 
 def test_the_margin_is_what_the_lap_before_has_needed():

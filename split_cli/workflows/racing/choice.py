@@ -1,8 +1,9 @@
-"""Which features a race learns, chosen on held-out blocks of lap 0, and whether learning helped."""
+"""Which features a race learns, chosen on held-out blocks of its laps, and whether learning helped."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from split_cli.control.learner import FOLLOWING
 from split_cli.errors import SplitError
@@ -15,16 +16,24 @@ from split_cli.workflows.racing.result import Lap
 from split_cli.workflows.racing.settings import AUTO, RaceSettings
 from split_cli.workflows.training.select import select
 
-__all__ = ["choose_features", "whether_learning_helped"]
+__all__ = ["FeatureChoice", "choose_features", "whether_learning_helped"]
 
 
-def choose_features(lap: Drive, vehicle: Vehicle, settings: RaceSettings) -> tuple[str, str]:
-    """Return the candidate that predicts held-out blocks of a lap best, and the reason in a sentence.
+class FeatureChoice(NamedTuple):
+    """What a race learns from now on."""
+
+    features: str
+    reason: str  # in a sentence; empty where there was nothing to choose
+    undecided: bool  # whether another candidate is within one standard error of the best: more laps may tell
+
+
+def choose_features(laps: Sequence[Drive], vehicle: Vehicle, settings: RaceSettings) -> FeatureChoice:
+    """Return the candidate that predicts held-out blocks of the laps best.
 
     Parameters
     ----------
-    lap : Drive
-        Driven by the nominal model.
+    laps : sequence of Drive
+        All that were driven, lap 0 first. The same tenths of every lap are held out together.
     vehicle : Vehicle
         With the terms that the candidates need.
 
@@ -35,24 +44,30 @@ def choose_features(lap: Drive, vehicle: Vehicle, settings: RaceSettings) -> tup
     """
     candidates = settings.candidates
     if len(candidates) == 1:
-        return candidates[0], ""
+        return FeatureChoice(candidates[0], "", False)
     asked = SelectionSettings(
         features=candidates, capacities=(DEFAULT_CAPACITY,), thresholds=(DEFAULT_THRESHOLD,), cell_edges=(1.0,),
         predictor=settings.predictor if settings.predictor in FOLLOWING else DEFAULT_PREDICTOR,
     )  # fmt: skip
+    driven = "lap 0" if len(laps) == 1 else f"laps 0 to {len(laps) - 1}"
     try:
-        found = select([lap], vehicle, asked).candidates
+        found = select(laps, vehicle, asked).candidates
     except SplitError as error:
-        return candidates[0], f"lap 0 cannot choose the features, {candidates[0]} is learned: {error}"
+        told = f"{driven} cannot choose the features, {candidates[0]} is learned: {error}"
+        return FeatureChoice(candidates[0], told, True)
     chosen = next(one for one in found if one.chosen)
     told = " and ".join(
         f"{100 * one.error:.0f} % with {one.features}"
         for one in sorted(found, key=lambda one: candidates.index(one.features))
     )
-    return chosen.features, (
-        f"features {chosen.features}: on held-out tenths of lap 0 the correction leaves {told} of the nominal "
+    reason = (
+        f"features {chosen.features}: on held-out tenths of {driven} the correction leaves {told} of the nominal "
         "model's error"
     )
+    undecided = sum(one.behind <= one.behind_error for one in found) > 1
+    if undecided:
+        reason += ". They differ by less than one standard error, and the next lap decides again"
+    return FeatureChoice(chosen.features, reason, undecided)
 
 
 def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings) -> str:

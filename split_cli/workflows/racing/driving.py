@@ -28,6 +28,7 @@ from split_cli.control.receding import Actuators, ControllerLost, StepInfo
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
 from split_cli.learning.features import parse_features
+from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import find_car
@@ -139,7 +140,7 @@ class Race:
         self.traces: list[np.ndarray] = []
         self.spans: dict[int, tuple[int, int]] = {}
         self.grips: list[tuple[float, ...]] = []
-        self.ended = ""
+        self.ended, self.undecided = "", False
         self.kept: str | None = None
         self.lines, self.crossing, self.until = 0, 0.0, 0.0
 
@@ -212,29 +213,44 @@ class Race:
                 break
             self.say(f"lap {number}")
             self._lap(number)
+            if self.undecided and number < s.laps and not self.ended:
+                self._choose_features()
 
     def _start_learning(self) -> None:
-        """Fit the kernel to lap 0, and learn what it drove."""
-        lap = self.world.recording(*self.spans[self.laps[-1].number], name="lap 0")
-        named, reason = choose_features(lap, self.header.vehicle, self.settings)
-        self.features = parse_features(named)
-        self.notes += [reason] if reason else []
-        self.header, labels = studied_header(self.header, lap, self.features, self.settings, self.notes)
-        self.learner = make_learner(self.settings, self.header)
-        self.learner.begin_lap("lap 0", float(lap["t"][0]))
-        updates = self.learner.watch(labels)
-        trained = self.learner.end_lap(float(lap["t"][-1] - lap["t"][0]))
-        self.laps[-1] = replace(
-            self.laps[-1], updates=updates, size=self.learner.size, cells=self.learner.cells
-        )  # fmt: skip
-        self._keep(trained)
-        self._learn_grip(labels.z[labels.accepted], labels.y[labels.accepted])
-        self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
-        self.controller.model = self.model
+        """Choose the features on lap 0, learn it, and drive with what was learned from now on."""
+        self._choose_features()
         # Its own p_unknown returns, and the share goes on from that of lap 0.
         self.controller.limits = replace(self.mpcc.limits, p_ellipse=self.controller.limits.p_ellipse)
         self.controller.half_width = 0.5 * self.width + self.mpcc.margin
         self.controller.deviation = self.deviation
+
+    def _choose_features(self) -> None:
+        """Choose the features on all laps so far; where they change, learn these laps from the beginning."""
+        laps = [self.world.recording(*span, name=f"lap {number}") for number, span in self.spans.items()]
+        choice = choose_features(laps, self.header.vehicle, self.settings)
+        chosen, number = parse_features(choice.features), self.laps[-1].number
+        stays = number > 0 and chosen == self.header.features
+        # A race need not hear after each lap that nothing has changed.
+        if choice.reason and not (stays and choice.undecided):
+            self.notes.append(choice.reason)
+        self.undecided = choice.undecided
+        if stays:
+            return
+        self.header, labels = studied_header(self.header, laps, chosen, self.settings, self.notes)
+        self.learner = make_learner(self.settings, self.header)
+        for lap, part in zip(laps, labels, strict=True):
+            self.learner.begin_lap(lap.name, float(lap["t"][0]))
+            updates = self.learner.watch(part)
+            trained = self.learner.end_lap(float(lap["t"][-1] - lap["t"][0]))
+        self.laps[-1] = replace(
+            self.laps[-1], updates=updates, size=self.learner.size, cells=self.learner.cells
+        )  # fmt: skip
+        self._keep(trained)
+        del self.grips[number:]
+        driven = Labels.joined(labels)
+        self._learn_grip(driven.z[driven.accepted], driven.y[driven.accepted])
+        self.model = ControlModel(self.header.vehicle, self.learner.residual, self.mpcc.step)
+        self.controller.model = self.model
 
     def _raise_share(self) -> None:
         """Let the next lap use more of the peak, by one step at most, where the last one was clean."""

@@ -69,7 +69,6 @@ def _race(
     if model is None:
         model = "nominal" if learner == "none" else learner
         model += "" if vehicle == "gentle" else f" {vehicle}"
-    options = {"features": "z2", "predictor": "bcm", **options}
     settings = RaceSettings(learner=learner, seed=seed, max_torque=1000.0, **options)
     return Experiment(f"{group}-{model.replace(' ', '-')}-{seed}", group, model, settings, vehicle)
 

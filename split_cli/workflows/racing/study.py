@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -54,15 +55,16 @@ def blank_header(vehicle: Vehicle, features: FeatureSet, mpcc: MpccSettings) -> 
 
 
 def studied_header(
-    blank: TrainingSet, lap: Drive, features: FeatureSet, settings: RaceSettings, notes: list[str]
-) -> tuple[TrainingSet, Labels]:
-    """Return an empty set over `features`, grid and kernel fitted to `lap` as the settings ask, and its labels.
+    blank: TrainingSet, laps: Sequence[Drive], features: FeatureSet, settings: RaceSettings, notes: list[str]
+) -> tuple[TrainingSet, list[Labels]]:
+    """Return an empty set over `features`, grid and kernel fitted to `laps` as the settings ask, and their labels.
 
     Remarks go to `notes`.
     """
-    labels = compute_labels(lap, blank.vehicle, features, blank.region, horizon=blank.horizon)
-    grid = build_grid(features, blank.vehicle, blank.region, labels.z[labels.accepted])
-    kernel = _kernel(labels, grid, settings, notes)
+    labels = [compute_labels(lap, blank.vehicle, features, blank.region, horizon=blank.horizon) for lap in laps]
+    driven = Labels.joined(labels)
+    grid = build_grid(features, blank.vehicle, blank.region, driven.z[driven.accepted])
+    kernel = _kernel(driven, grid, settings, notes)
     header = empty_set(blank.vehicle, features, blank.region, grid, kernel, horizon=blank.horizon)
     return replace(header, found_effects=blank.found_effects), labels
 
