@@ -152,7 +152,8 @@ def command(
     p_ellipse = SHARE_LEARNED if p_ellipse is None else p_ellipse
     limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown, guarded=guarded)
     results = []
-    for learner in learners:
+    # Without a learner first: the others are compared with it.
+    for learner in sorted(learners, key=lambda name: name != "none"):
         settings = RaceSettings(
             learner=learner, delay=not no_delay, printed_iol=iol_update == "printed",
             settings=MpccSettings(limits=limits), first_share=first_share, **options,
@@ -164,7 +165,9 @@ def command(
                 """Show "lap 3" as the step that begins; let "lap 3: 34.76 s" stay."""
                 bar.say(f"{say}: {text}") if ":" in text else bar(text)
 
-            results.append(run_race(settings, vehicle_path, output=output, set_output=set_output, progress=tell))
+            results.append(run_race(
+                settings, vehicle_path, output=output, set_output=set_output, progress=tell, others=results
+            ))  # fmt: skip
     if report is not None:
         from split_cli.files import atomic_write_text
         from split_cli.workflows.race_report.page import race_page

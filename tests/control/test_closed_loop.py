@@ -119,12 +119,26 @@ def test_a_choice_is_undecided_within_one_standard_error(monkeypatch, behind, un
 
 
 def test_the_race_says_whether_learning_helped():
-    def driven(number, time, outside=0.0):
-        return SimpleNamespace(number=number, time=time, outside=outside, clean=outside == 0.0,
+    def driven(number, time, outside=0.0, share=0.75):
+        return SimpleNamespace(number=number, time=time, outside=outside, clean=outside == 0.0, share=share,
                                error_after=(0.2, 0.1, 0.3), error_before=(0.4, 0.4, 0.4))  # fmt: skip
 
-    helped = whether_learning_helped([driven(0, 40.0), driven(1, 38.0)], RaceSettings())
-    assert "38.00 s, 5.0 % less" in helped
+    # Lap 0 is driven carefully, and a verdict that knows no other lap of the nominal model says so.
+    laps = [driven(0, 40.0), driven(1, 38.0, share=0.85)]
+    helped = whether_learning_helped(laps, RaceSettings())
+    assert "38.00 s, 5.0 % less than lap 0" in helped and "held to 0.75" in helped and "to 0.85 in" in helped
+
+    def without(*laps):
+        return SimpleNamespace(learner="none", laps=laps)
+
+    # As fast with no learner, a lap off the track aside: nothing was gained.
+    rival = without(driven(0, 40.0), driven(1, 37.0, 0.2), driven(2, 38.0))
+    assert "Learning did not help" in whether_learning_helped(laps, RaceSettings(), [rival])
+    fair = whether_learning_helped(laps, RaceSettings(), [without(driven(0, 40.0), driven(1, 39.0))])
+    assert "38.00 s, 2.6 % less than the nominal controller's in as many laps (39.00 s)." in fair
+    assert "held to" not in fair
+    # Where that left the track in every lap, only lap 0 is left to compare with.
+    assert "than lap 0" in whether_learning_helped(laps, RaceSettings(), [without(driven(0, 39.0, 0.1))])
     harmed = whether_learning_helped([driven(0, 40.0), driven(1, 38.0, 0.1)], RaceSettings())
     assert "no lap with it was clean" in harmed and "50 %, 25 %, 75 %" in harmed and "split diagnose" in harmed
     assert "Leave out --features" in whether_learning_helped(
@@ -371,6 +385,7 @@ def test_learners_are_compared_in_one_report(tmp_path):
     (first,), (second,) = (result["laps"] for result in json.loads(done.stdout))
     # Nothing is known in lap 0, so both drive the same one.
     assert first["time"] == pytest.approx(second["time"], abs=1e-9)
+    assert first["share"] == second["share"] == pytest.approx(0.75)
     page = report.read_text()
     assert "nominal, lap 0" in page and "split, lap 0" in page
     both = invoke("race", "--vehicle", CAR, "--learner", "none", "--learner", "split", "-o", "x.parquet")

@@ -43,7 +43,11 @@ def test_the_page_holds_the_laps_and_loads_nothing():
     assert all(abs(lap["s"][0]) < 1.0 for lap in numbers["laps"])
     gap = np.linalg.norm(np.array(numbers["left"]) - np.array(numbers["right"]), axis=1)
     assert gap == pytest.approx(np.full(len(gap), 8.0), abs=0.02)
-    assert "20.11 s (lap 1), 20.0\u00a0% less than the best nominal one" in page
+    # Lap 0 alone is no rival, since the nominal model drives it carefully; a race without a learner is one.
+    assert "20.11 s (lap 1)." in page and "less than the best nominal" not in page
+    nominal = replace(result, learner="none", laps=result.laps[:1], traces=result.traces[:1])
+    both = race_page([nominal, result], result.path)
+    assert "20.11 s (split, lap 1), 20.0\u00a0% less than the best nominal one" in both
     assert not re.search(r"""(src|href)=["']?(?!data:)[a-z]+:""", page)
 
 

@@ -123,12 +123,13 @@ def _headline(races: Sequence[RaceResult]) -> str:
     clean = [(lap.time, name) for name, lap, _ in _laps(races) if lap.clean]
     if not clean:
         return "No lap was finished within the track."
-    # Lap 0 is nominal in every race; where nobody learns, so are those that follow it.
+    # Lap 0 is nominal in every race, but it is driven carefully: only a race without a learner is a rival.
     nominal = [
         lap.time
         for race in races
+        if race.learner == "none" and race.laps[0].number == 0
         for lap in race.laps
-        if lap.clean and (lap.number == 0 or (race.learner == "none" and race.laps[0].number == 0))
+        if lap.clean
     ]
     best, name = min(clean)
     if not nominal or best >= min(nominal):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
 
@@ -278,7 +278,7 @@ class Race:
     def _lap(self, number: int) -> None:
         controller = self.controller
         margin = controller.half_width - 0.5 * self.width + controller.deviation
-        tally = Tally(number, len(self.world.rows) - 1, margin)
+        tally = Tally(number, len(self.world.rows) - 1, margin, controller.limits.p_ellipse)
         self.learner.begin_lap(f"lap {number}", self.world.t)
         begin = self.crossing
         self.lines += 1
@@ -382,12 +382,12 @@ class Race:
         else:
             write_drive(drive, output)
 
-    def result(self, output: str | FilePath | None) -> RaceResult:
-        """Return what was driven."""
+    def result(self, output: str | FilePath | None, others: Sequence[RaceResult] = ()) -> RaceResult:
+        """Return what was driven, compared with `others` as `whether_learning_helped` does."""
         return RaceResult(
             track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
             length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
             set_path=self.kept, notes=tuple(self.notes),
             traces=tuple(self.traces), path=self.path, grips=tuple(self.grips),
-            verdict=whether_learning_helped(self.laps, self.settings),
+            verdict=whether_learning_helped(self.laps, self.settings, others),
         )  # fmt: skip

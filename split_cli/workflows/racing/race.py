@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path as FilePath
 
 from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_written
@@ -21,8 +21,14 @@ def run_race(
     output: str | FilePath | None = None,
     set_output: str | FilePath | None = None,
     progress: Callable[[str], None] | None = None,
+    others: Sequence[RaceResult] = (),
 ) -> RaceResult:
     """Drive the laps; write the drive, and the set after each lap.
+
+    Parameters
+    ----------
+    others : sequence of RaceResult
+        Driven before with the same settings but the learner. The verdict compares with the one of no learner.
 
     Raises
     ------
@@ -38,4 +44,4 @@ def run_race(
     race.run()
     if output is not None:
         race.write(FilePath(output))
-    return race.result(output)
+    return race.result(output, others)

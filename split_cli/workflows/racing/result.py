@@ -43,6 +43,7 @@ class Lap:
     motion_before: tuple[float, ...] = (0.0, 0.0, 0.0)
     motion_after: tuple[float, ...] = (0.0, 0.0, 0.0)
     margin: float = 0.0  # kept from the car's side to the border in the plan [m]
+    share: float = 0.0  # of the peak force that the plan might use [1]
 
     @property
     def clean(self) -> bool:

@@ -24,10 +24,12 @@ class Tally:
         Row of the world's recording at which it begins.
     margin : float
         Kept from the car's side to the border in the plan [m].
+    share : float
+        Of the peak force that the plan might use [1].
     """
 
-    def __init__(self, number: int, first: int, margin: float) -> None:
-        self.number, self.first, self.margin = number, first, margin
+    def __init__(self, number: int, first: int, margin: float, share: float) -> None:
+        self.number, self.first, self.margin, self.share = number, first, margin, share
         self.infos: list[StepInfo] = []
         self.learned: list[Learned] = []
         self.trace: list[tuple[float, ...]] = []
@@ -58,6 +60,7 @@ class Tally:
             update_ms=_times([entry.seconds for entry in self.learned]),
             failures=sum(not info.solved for info in self.infos), outside=max(self.beyond, 0.0), ended=ended,
             motion_before=motion_before, motion_after=motion_after, margin=self.margin,
+            share=self.share,
         )  # fmt: skip
 
 
