@@ -14,10 +14,10 @@ from split_cli.files import atomic_path, atomic_write_text
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
-from split_cli.workflows.racing.settings import RaceSettings
+from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
 from split_cli.workflows.racing.study import PAST_TERM
 
-__all__ = ["PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]
+__all__ = ["PAST_FEATURES", "PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ _TRACKS = {"small": {"track": "small", "max_speed": 22.0}, "handling": {"track":
 _SMALL = _TRACKS["small"]
 # Tyres that nobody knows on a road of lower grip ask for more care: the nominal model begins at less of its peak.
 _WITH_THE_PAST = (("split", "split", "bcm"), ("split projected", "split", "projected"), ("iol", "iol", "bcm"))
-_PAST_FEATURES = "z2,feature_lag"
+PAST_FEATURES = CANDIDATES[-1]
 _WET, _WORN = ({"grip": grip, "assumed_friction": grip, "first_share": _CAREFUL, **_SMALL} for grip in (0.5, 0.85))
 
 
@@ -119,7 +119,7 @@ def _with_the_past() -> list[Experiment]:
     for seed in _SEEDS:
         for group, laps, road in _LAGGED:
             for model, learner, predictor in _WITH_THE_PAST:
-                options = {"laps": laps, "features": _PAST_FEATURES, "predictor": predictor, **road}
+                options = {"laps": laps, "features": PAST_FEATURES, "predictor": predictor, **road}
                 found.append(_race(group, learner, seed, "lagged", model=model, **options))
     return found
 
@@ -139,7 +139,7 @@ _SWEEPS = {
 
 
 def _maneuvers() -> list[Experiment]:
-    past = {"vehicle": "lagged", "features": _PAST_FEATURES, "laps": 1}
+    past = {"vehicle": "lagged", "features": PAST_FEATURES, "laps": 1}
     found = [_race("lap1", "split", 0, model="split dry", laps=1, **_SMALL),
              _race("lap1", "split", 0, model="split wet", laps=1, **_WET),
              _race("lap1", "split", 0, "physics", model="split dry physics", laps=1, **_SMALL),
@@ -178,7 +178,7 @@ def _sweeps_with_the_past(group: str, basic: ManeuverSettings) -> list[Experimen
     """
     origin, found = f"lap1-split-{group.rpartition('-')[2]}-lagged-0", []
     if basic.scenario == "iso3888-1":
-        first = replace(basic, speeds=basic.speeds[:1], features=_PAST_FEATURES)
+        first = replace(basic, speeds=basic.speeds[:1], features=PAST_FEATURES)
         found = [Experiment(f"{group}-nominal-lagged-{basic.seed}", group, "nominal lagged", first, "lagged")]
         origin = found[0].name
     for predictor, model in (("bcm", "split lagged"), ("projected", "split lagged projected")):

@@ -22,7 +22,7 @@ from split_cli.plots.closed_loop import (
 from split_cli.plots.style import save
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
-from split_cli.workflows.racing.experiments import PLAN
+from split_cli.workflows.racing.experiments import PAST_FEATURES, PLAN
 
 __all__ = ["fill_page", "tables"]
 
@@ -215,7 +215,7 @@ def _timing_table(races: list[dict]) -> str:
     """Return a row for each model: the largest median of a race, the largest 99 % and worst value of any lap."""
     models: dict[str, list[dict]] = {}
     for race in races:
-        past = "" if race["settings"].get("features", "z2") == "z2" else ", lagged"
+        past = ", lagged" if race["settings"].get("features") == PAST_FEATURES else ""
         models.setdefault(f"{race['model']}{past}", []).append(race)
     rows = []
     for model, alike in models.items():
