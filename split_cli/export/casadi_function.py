@@ -34,6 +34,7 @@ class CasadiFunctions:
     step: casadi.Function | None
     # Of a model with memory: its start, its right-hand side and, where commands are late, what arrives.
     memory: tuple[casadi.Function, ...] = ()
+    trust: tuple[casadi.Function, ...] = ()  # the step with a share of each correction, and the running trust
     valid: casadi.Function | None = None  # z to 1 where the valid region of training holds it, else 0
 
 
@@ -251,10 +252,13 @@ def check_casadi(
     if exported is None or steps is None:
         return check, None
 
-    def step(asked: np.ndarray) -> np.ndarray:
-        return np.array([_step_once(exported, row) for row in asked])
+    def step(asked: np.ndarray, function: casadi.Function = exported) -> np.ndarray:
+        return np.array([_step_once(function, row) for row in asked])
 
     error = compare_states(step(steps.asked), steps.exact, steps, "double", "CasADi: the step")
+    for trusted in functions.trust[:1]:
+        wholly = step(steps.asked, trusted)
+        error = max(error, compare_states(wholly, steps.exact, steps, "double", "CasADi: the step with all trust"))
     if steps.drives is not None:
         error = max(error, compare_drives(step, steps, "exact", "double", "CasADi: the step over a drive"))
         for function in functions.memory:
@@ -265,8 +269,9 @@ def check_casadi(
 
 def _step_once(step: casadi.Function, asked: np.ndarray) -> np.ndarray:
     n = step.size1_in(0)
-    arguments = [asked[:n], asked[n : n + 2], asked[n + 2], asked[n + 3 : n + 5]][: step.n_in()]
-    return np.asarray(step(*arguments)).ravel()
+    given = {"x": asked[:n], "u": asked[n : n + 2], "h": asked[n + 2], "p": asked[n + 3 : n + 5]}
+    given["tau"] = np.ones(3)
+    return np.asarray(step(*(given[step.name_in(k)] for k in range(step.n_in())))).ravel()
 
 
 def _memory_answer(function: casadi.Function) -> Stepper:

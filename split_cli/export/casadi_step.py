@@ -6,28 +6,65 @@ import casadi
 import numpy as np
 
 from split_cli.export.casadi_linear import linear_response
+from split_cli.export.casadi_trust import TRUST_SIZE, observation
 from split_cli.export.memory import Memory, nothing_kept, present
 from split_cli.export.symbolic import NominalGraph
 
-__all__ = ["memory_functions", "memory_step"]
+__all__ = ["memory_functions", "memory_step", "trust_functions"]
 
 
 def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: bool) -> casadi.Function:
     """Return (x, u, h[, p]) -> x_next over states of terms and past commands.
 
     Parameters are those of `casadi_function.model_step`.
+    """
+    given = _arguments(graph)
+    return _function(graph, name, given, _stepped(graph, given, predict, plain), "x_next")
+
+
+def trust_functions(
+    predict: casadi.Function, graph: NominalGraph, name: str, plain: bool
+) -> tuple[casadi.Function, ...]:
+    """Return ``NAME_step_trusted`` and ``NAME_observe``; nothing where there is no step.
+
+    ``step_trusted`` is (x, u, h, tau[, p]) -> x_next, with the share tau (3) of each correction. ``observe`` is
+    (x, u, h, x_end, trust[, p]) -> trust: the running trust after an interval from x that was measured to end in
+    x_end. Parameters are those of `casadi_function.model_step`.
 
     Notes
     -----
-    The commands that arrive take the place of those given: both ends of a step are known from the past commands,
-    and in between they move evenly. Plays move as evenly to where the end drags them.
-    Where there are delays, any interval but that of the past commands gives not-a-number.
+    Errors are judged as labels are made, by a nominal step of Runge-Kutta; plays move evenly within it. What an
+    output's whole correction adds is the derivative of `step_trusted` by tau, in which it is linear.
     """
+    if graph.features is None:
+        return ()
+    given, tau = _arguments(graph), casadi.MX.sym("tau", 3)
+    x, h, trust = given["x"], given["h"], casadi.MX.sym("trust", TRUST_SIZE)
+    shared = _stepped(graph, given, predict, plain, tau)
+    taking = {"x": x, "u": given["u"], "h": h, "tau": tau, "p": given["p"]}
+    step = _function(graph, f"{name}_step_trusted", taking, shared, "x_next")
+    velocity, x_end = casadi.MX.sym("v", 3), casadi.MX.sym("x_end", x.shape[0])
+    nominal = _integrated(graph, {**given, "x": casadi.vertcat(x[:3], velocity, x[6:])})
+    transition = casadi.jtimes(nominal, velocity, casadi.DM.eye(3))
+    nominal, transition = casadi.substitute([nominal, transition], [velocity], [x[3:6]])
+    response = casadi.jtimes(shared[3:6], tau, casadi.DM.eye(3))
+    (response,) = casadi.substitute([response], [tau], [casadi.MX.zeros(3)])
+    after = observation()(transition, x_end[3:6] - nominal, response, h, trust)
+    taking = {"x": x, "u": given["u"], "h": h, "x_end": x_end, "trust": trust, "p": given["p"]}
+    return step, _function(graph, f"{name}_observe", taking, after, "trust_next")
+
+
+def _arguments(graph: NominalGraph) -> dict[str, casadi.MX]:
     memory = graph.memory or nothing_kept(1.0)  # a step of any length, since no past command is spaced by it
-    x, u, h, p = (
-        casadi.MX.sym(label, size) for label, size in (("x", memory.whole), ("u", 2), ("h", 1), ("p", 2))
-    )
-    place_time = p if graph.needs_place_and_time else casadi.DM.zeros(2)
+    sizes = {"x": memory.whole, "u": 2, "h": 1, "p": 2}
+    return {label: casadi.MX.sym(label, size) for label, size in sizes.items()}
+
+
+def _begun(graph: NominalGraph, given: dict[str, casadi.MX]) -> tuple[Memory, casadi.MX, casadi.MX, casadi.MX]:
+    """Return the memory, what acts as a step begins, the rates of arriving commands and plays, and [t, s]."""
+    memory = graph.memory or nothing_kept(1.0)
+    x, u, h, p = (given[label] for label in ("x", "u", "h", "p"))
+    place_time = p if graph.needs_place_and_time else casadi.MX.zeros(2)
     first, last = _arrivals(memory, x, u, h)
     acting = casadi.vertcat(x[:6], first, x[8 : memory.continuous])
     moving = [(last[c] - first[c]) / h if memory.lengths[c] else u[c] for c in (0, 1)]
@@ -35,10 +72,62 @@ def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain:
         ended = casadi.vertcat(acting[2:6], last, acting[8:])
         dragged = present(graph.jumps)(ended, place_time)[0]
         moving += [(dragged[k] - acting[8 + play]) / h for k, play in enumerate(memory.plays)]
-    f, A = _whole_model(graph, memory)(acting, casadi.vertcat(*moving), place_time)
-    given = x if graph.memory is None else casadi.vertcat(acting, x[6:8])
-    residual = predict(present(graph.features)(given, u)[0])[0]
-    substeps = max(8, int(np.ceil(graph.stiffness * memory.step)))
+    return memory, acting, casadi.vertcat(*moving), place_time
+
+
+def _substeps(graph: NominalGraph, memory: Memory) -> int:
+    return max(8, int(np.ceil(graph.stiffness * memory.step)))
+
+
+def _whether_fits(memory: Memory, h: casadi.MX) -> casadi.MX:
+    """Return 0, or not-a-number where past commands lie in other intervals than h."""
+    if not memory.line:
+        return casadi.MX(0.0)
+    return casadi.if_else(casadi.fabs(h - memory.step) <= 1e-3 * memory.step, 0.0, np.nan)
+
+
+def _integrated(graph: NominalGraph, given: dict[str, casadi.MX]) -> casadi.MX:
+    """Return the velocities after a nominal step of Runge-Kutta."""
+    memory, acting, moving, place_time = _begun(graph, given)
+    y, m, dt = casadi.MX.sym("y", acting.shape[0] + 2), casadi.MX.sym("m", moving.shape[0]), casadi.MX.sym("dt")
+    model = _whole_model(graph, memory)
+
+    def rates(at: casadi.MX) -> casadi.MX:
+        return casadi.vertcat(model(at[:-2], m, at[-2:])[0], 1.0, at[3])
+
+    slope = total = rates(y)
+    for node, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+        slope = rates(y + node * dt * slope)
+        total += weight * slope
+    substep = casadi.Function("runge_kutta", [y, m, dt], [y + dt / 6.0 * total])
+    ended, count = casadi.vertcat(acting, place_time), _substeps(graph, memory)
+    for _ in range(count):
+        ended = substep(ended, moving, given["h"] / count)
+    return ended[3:6] + _whether_fits(memory, given["h"])
+
+
+def _stepped(
+    graph: NominalGraph,
+    given: dict[str, casadi.MX],
+    predict: casadi.Function,
+    plain: bool,
+    tau: casadi.MX | None = None,
+) -> casadi.MX:
+    """Return the state after a step, with a share tau of each correction where one is given.
+
+    Notes
+    -----
+    The commands that arrive take the place of those given: both ends of a step are known from the past commands,
+    and in between they move evenly. Plays move as evenly to where the end drags them.
+    Where there are delays, any interval but that of the past commands gives not-a-number.
+    """
+    memory, acting, moving, place_time = _begun(graph, given)
+    x, u, h = given["x"], given["u"], given["h"]
+    f, A = _whole_model(graph, memory)(acting, moving, place_time)
+    state = x if graph.memory is None else casadi.vertcat(acting, x[6:8])
+    residual = predict(present(graph.features)(state, u)[0])[0]
+    residual = residual if tau is None else tau * residual
+    substeps = _substeps(graph, memory)
     change = h * residual if plain else linear_response(A[3:6, 3:6], residual, h, substeps)
     after = acting + linear_response(A, f, h, substeps)
     line, begin = [], memory.continuous
@@ -47,10 +136,7 @@ def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain:
             line += [x[6 + c], x[begin : begin + length - 1]]
         begin += length
     following = casadi.vertcat(after[:3], after[3:6] + change, x[6:8] + h * u, after[8:], *line)
-    if memory.line:
-        fits = casadi.fabs(h - memory.step) <= 1e-3 * memory.step
-        following = following + casadi.if_else(fits, 0.0, np.nan)
-    return _function(graph, name, {"x": x, "u": u, "h": h, "p": p}, following, "x_next")
+    return following + _whether_fits(memory, h) if memory.line else following
 
 
 def memory_functions(predict: casadi.Function, graph: NominalGraph, name: str) -> tuple[casadi.Function, ...]:

@@ -21,7 +21,7 @@ from split_cli.export.casadi_function import (
     model_step,
     predictor_function,
 )
-from split_cli.export.casadi_step import memory_functions
+from split_cli.export.casadi_step import memory_functions, trust_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
 from split_cli.export.compiler import Compiler, find_compiler
 from split_cli.export.documents import (
@@ -243,7 +243,8 @@ def casadi_functions(
     predict = predictor_function(tables, name)
     step = model_step(predict, graph, f"{name}_step", training_set.plain)
     valid = valid_function(training_set, f"{name}_valid")
-    return CasadiFunctions(predict, step, memory_functions(predict, graph, name), valid)
+    trust = trust_functions(predict, graph, name, training_set.plain)
+    return CasadiFunctions(predict, step, memory_functions(predict, graph, name), trust, valid)
 
 
 def acados_source(name: str, graph: NominalGraph, horizon: float) -> str:
@@ -276,7 +277,7 @@ def _write_casadi(
         written.append(f"{functions.valid.name()}.casadi")
         functions.valid.save(str(folder / written[-1]))
     if functions.step is not None:
-        for function in (functions.step, *functions.memory):
+        for function in (functions.step, *functions.memory, *functions.trust):
             written.append(f"{function.name()}.casadi")
             function.save(str(folder / written[-1]))
     written += [path.name for path in generate_c(functions, plan.name, folder)]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["MEMORY", "SPAN", "RunningTrust"]
+__all__ = ["MEMORY", "SPAN", "SWEEPS", "RunningTrust"]
 
 #: Over how long errors add up before they fade [s]: the shortest rollout that `split evaluate` judges. One step
 #: alone does not show what a small rate does to the velocities later.
@@ -14,7 +14,7 @@ SPAN = 0.5
 #: Over how long evidence fades [s]: twenty spans, so that a share rests on about ten independent ones.
 MEMORY = 10.0
 #: Sweeps over the three outputs an interval; each begins where the last interval's ended.
-_SWEEPS = 3
+SWEEPS = 3
 
 
 class RunningTrust:
@@ -85,7 +85,7 @@ class RunningTrust:
         weight = np.divide(1.0, errors, out=np.zeros(3), where=errors > 0.0)
         normal = np.einsum("s,sij->ij", weight, self._products)
         share = self.share.copy()
-        for j in (0, 1, 2) * _SWEEPS:
+        for j in (0, 1, 2) * SWEEPS:
             if normal[j, j] > 0.0:
                 left = (normal[j, 3] - normal[j, :3] @ share) / normal[j, j]
                 share[j] = min(max(share[j] + left, 0.0), self.most[j])

@@ -231,6 +231,7 @@ int main(void)
 {
     car_real x[CAR_STATES], A[CAR_STATES * CAR_STATES], B[CAR_STATES * CAR_INPUTS];
     car_real y[CAR_STATES], f[CAR_CONTINUOUS_STATES], a[2];
+    car_trust trust = {{0}, {0}, {0}};
     double value, torque, angle, s = 3.0, t = 3.0;
     for (int i = 0; i < 8; ++i) {
         if (scanf("%lf", &value) != 1) {
@@ -246,6 +247,9 @@ int main(void)
         car_rates(x, u, a, (car_real)t, (car_real)s, f);
         car_linearise(x, u, (car_real)t, (car_real)s, h, A, B);
         car_step_rk4(x, u, (car_real)t, (car_real)s, h, 1, y);
+        car_observe(x, u, (car_real)t, (car_real)s, h, 1, y, &trust);
+        car_step_trusted(y, u, (car_real)t, (car_real)s, h, 1, &trust, y);
+        car_linearise_trusted(x, u, (car_real)t, (car_real)s, h, &trust, A, B);
         car_step(x, u, (car_real)t, (car_real)s, h, x);
         t += (double)h;
         s += (double)h * (double)x[3];

@@ -1,4 +1,4 @@
-"""The exported running trust: the same as Python's, and it finds a planted share, with and without memory."""
+"""The running trust in C and CasADi: the same as Python's, and it finds a planted share, with memory or without."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from split_cli.export.c99 import c_source
+from split_cli.export.casadi_function import committee, model_step
+from split_cli.export.casadi_step import trust_functions
+from split_cli.export.casadi_trust import TRUST_SIZE
 from split_cli.export.compiler import STRICT_FLAGS
 from split_cli.export.provenance import provenance_of
 from split_cli.export.symbolic import build_nominal
@@ -20,8 +23,11 @@ from split_cli.vehicle.single_track import SingleTrack
 from tests.export.effect_cases import STEP, Exported, manoeuvre
 from tests.factories import make_training_set, road_car
 
-CASES = {"plain": (), "lag": (EffectSpec("drive_lag", {"tau": 0.05}),)}
-SUBSTEPS = 4
+CASES = {
+    "plain": (),
+    "memory": (EffectSpec("drive_lag", {"tau": 0.05}), EffectSpec("steer_delay", {"delay": 0.08})),
+}
+SUBSTEPS = 8  # as many as CasADi's observer takes, so that both differ by rounding alone
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -45,7 +51,10 @@ def stepped(car: Exported, x: np.ndarray, u: np.ndarray, share: np.ndarray) -> n
     return after
 
 
-def test_it_is_pythons_and_finds_a_planted_share(exported):
+def test_c_and_casadi_have_the_trust_of_python_and_find_a_planted_share(exported):
+    predict = committee(build_tables(exported.training_set), "car")
+    trusted, observe = trust_functions(predict, exported.graph, "car", plain=False)
+    in_casadi = np.zeros(TRUST_SIZE)
     planted = np.array([0.6, 0.3, 0.8])
     x, commands, t, s = manoeuvre(steps=120)
     x, trust, python = exported.start(x, t[0], s[0]), np.zeros(63), RunningTrust(np.ones(3), STEP)
@@ -62,9 +71,21 @@ def test_it_is_pythons_and_finds_a_planted_share(exported):
             transition[:, j] = (ends[0] - ends[1]) / 2e-4
         share = python.observe(transition, after[3:6] - nominal, response)
         np.testing.assert_allclose(trust[:3], share, atol=1e-6)
+        in_casadi = np.asarray(observe(x, u, STEP, after, in_casadi)).ravel()
+        np.testing.assert_allclose(in_casadi[:3], share, atol=1e-6)
         x = after
     np.testing.assert_allclose(trust[:3], planted, atol=0.02)
     np.testing.assert_allclose(stepped(exported, x, u, np.ones(3)), _plain(exported, x, u), rtol=1e-14)
+    step, whole = model_step(predict, exported.graph, "car_step"), np.ones(3)
+    np.testing.assert_allclose(np.asarray(trusted(x, u, STEP, whole)), np.asarray(step(x, u, STEP)), rtol=1e-14)
+    # Linear in the share: at the whole share it is the plain one, and at half each the mean of none and all.
+    none, half, whole = (_linearised(exported, x, u, k * np.ones(3)) for k in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(half, 0.5 * (none + whole), rtol=1e-12, atol=1e-14)
+    np.testing.assert_array_equal(whole, _linearised(exported, x, u, None))
+    only_first = _linearised(exported, x, u, np.eye(3)[0])
+    others = [_linearised(exported, x, u, one) - none for one in np.eye(3)[1:]]
+    np.testing.assert_allclose(only_first + sum(others), whole, rtol=1e-12, atol=1e-12)
+    assert np.abs(whole - none).max() > 1e-3
 
 
 def test_what_is_not_finite_begins_the_errors_anew(exported):
@@ -75,9 +96,25 @@ def test_what_is_not_finite_begins_the_errors_anew(exported):
     np.testing.assert_array_equal(trust[:3], share)
     np.testing.assert_array_equal(trust[15:], products)
     assert not trust[3:15].any()
+    predict = committee(build_tables(exported.training_set), "car")
+    _, observe = trust_functions(predict, exported.graph, "car", plain=False)
+    given = np.arange(63.0) / 100.0
+    np.testing.assert_array_equal(
+        np.asarray(observe(x, u, STEP, np.full(exported.size, np.nan), given)).ravel(), trust
+    )
 
 
 def _plain(car: Exported, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     after = np.empty(car.size)
     car.call("step_rk4", x, u, STEP, SUBSTEPS, after)
     return after
+
+
+def _linearised(car: Exported, x: np.ndarray, u: np.ndarray, share: np.ndarray | None) -> np.ndarray:
+    """Return [A, B] with a share of each correction, None for what `linearise` gives."""
+    A, B = np.empty((car.size, car.size)), np.empty((car.size, 2))
+    if share is None:
+        car.call("linearise", x, u, STEP, A, B)
+    else:
+        car.call("linearise_trusted", x, u, STEP, np.concatenate([share, np.zeros(60)]), A, B)
+    return np.column_stack([A, B])
