@@ -21,14 +21,14 @@ _APART = 1e-4
 
 
 class FollowedPredictor(Predictor):
-    """A predictor on one drive, trusted at each row as far as the drive until then supports.
+    """A predictor on one drive, trusted at each row as far as its held-out rows until then support.
 
     Parameters
     ----------
     predictor : Predictor
         Its set holds the stored trust, which the running one never exceeds.
     held : HeldOutSamples
-        The drive as the model of the set labels it, whole.
+        The drive as the model of the set labels it. Only its test samples count: on the others the set learned.
     """
 
     def __init__(self, predictor: Predictor, held: HeldOutSamples) -> None:
@@ -68,7 +68,7 @@ def _transition(model: SingleTrack, windows: Windows, velocity: np.ndarray, jaco
 
 def _shares_along(inner: Predictor, held: HeldOutSamples) -> tuple[np.ndarray, np.ndarray]:
     """Return rows of the drive, ascending, and the shares that are known from each of them on, (N, 3)."""
-    labels = held.labels.take(np.isfinite(held.labels.y).all(axis=1))
+    labels = held.labels.take(held.tested)
     known, shares = labels.row + labels.window, np.zeros((len(labels) + 1, 3))  # the last is for no row at all
     trust = RunningTrust(inner.training_set.trust.share, labels.horizon)
     model, driven_to = SingleTrack(inner.training_set.vehicle), -1

@@ -146,7 +146,7 @@ def evaluate(
         contestants.append((features, held, own))
     _require_samples(nominal)
     baselines = [baseline_tallies(h, model, _variance_of(nominal, contestants[0][2])) for h in nominal]
-    scored = _score_predictors(contestants, baselines, settings, trained is not None, say, engine)
+    scored = _score_predictors(contestants, baselines, settings, say, engine)
     scores, traces, tallies, predictors = scored
     say("rollouts")
     rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings, engine)
@@ -315,7 +315,6 @@ def _score_predictors(
     contestants: list[tuple[str, list[HeldOutSamples], TrainingSet]],
     baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
-    follows: bool,
     say: Callable[[str], None],
     engine: Engine,
 ) -> tuple[list[Score], list[Trace], dict, dict]:
@@ -330,7 +329,7 @@ def _score_predictors(
     traces, predictors = [], {}
     for features, held, training_set in contestants:
         tested = [h.labels.take(h.tested) for h in held]
-        for name, way in _named(settings, training_set, follows):
+        for name, way in _named(settings, training_set):
             believed = replace(training_set, trust=Trust.full()) if way == PLAIN else training_set
             say(f"{features}: {name}{way} on {training_set.size} points")
             predictor = make_predictor(name, believed)
@@ -363,13 +362,13 @@ def _tally(job: tuple[HeldOutSamples, Predictor]) -> tuple[ScoreTally, Predictio
     return predictor_tally(*job)
 
 
-def _named(settings: EvaluationSettings, training_set: TrainingSet, follows: bool) -> list[tuple[str, str]]:
+def _named(settings: EvaluationSettings, training_set: TrainingSet) -> list[tuple[str, str]]:
     """Return the predictors and how each is believed: the plain way first, where trust makes a difference."""
     if settings.protocol != "held-out":
         return []
     ways = ("",) if training_set.trust.is_full else (PLAIN, "")
-    # Of a set that is judged on whole drives; where nothing is trusted there is nothing to follow.
-    running = (RUNNING,) if follows and training_set.trust.array.any() else ()
+    # Where nothing is trusted there is nothing to follow.
+    running = (RUNNING,) if training_set.trust.array.any() else ()
     return [
         (name, way)
         for name in settings.predictors

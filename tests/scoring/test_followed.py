@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from split_cli.scoring.application import predict_rows
 from split_cli.scoring.evaluation import HeldOutSamples, rollout_trajectories
 from split_cli.scoring.followed import FollowedPredictor
 from split_cli.scoring.rollouts import score_rollouts
-from split_cli.scoring.splits import whole_drive
+from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -67,6 +69,20 @@ def test_shares_rest_on_what_was_driven_before(predictor):
     window = whole(drive).labels.window
     assert not found.shares(np.arange(window)).any()
     assert found.shares(np.array([window])).any()
+
+
+def test_rows_that_train_say_nothing(predictor):
+    drive = make_drive(1, segments=2, seconds=5.0, terms=[LIKE], vehicle=CAR)
+    other = make_drive(1, segments=2, seconds=5.0, terms=[UNLIKE], vehicle=CAR)
+    split = hold_out_blocks(drive, blocks=4, holdout=0.5, guard=0.2)
+    columns = {name: np.where(split.test, drive[name], other[name]) for name in drive.columns}
+    mixed = Drive("mixed", columns, drive.segment, drive.period, metadata=drive.metadata)
+    shares = [
+        FollowedPredictor(predictor, replace(whole(one), split=split)).shares(np.arange(len(drive)))
+        for one in (drive, mixed)
+    ]
+    assert shares[0].any()
+    np.testing.assert_array_equal(*shares)
 
 
 def test_its_predictions_are_the_sets_times_the_shares(predictor):
