@@ -66,6 +66,10 @@ class LogError(SplitError):
     """A recording cannot be read or holds nothing usable."""
 
 
+class NoTableError(LogError):
+    """A text holds no rows of numbers."""
+
+
 class ClockError(LogError):
     """The time of a recording is in another unit than it is taken in."""
 

@@ -213,14 +213,15 @@ def _show(run, as_json: bool) -> None:
 
 
 def _tell_what_was_left(logs, output) -> None:
-    """Say which files of given folders are no recordings by their endings."""
+    """Say which files of given folders are taken for no recordings."""
     from split_cli.workflows.sources import left_alone
 
     left = left_alone(logs, outside=output)
     if left:
         kinds = ", ".join(f"{count} {ending}" for ending, count in list(left.items())[:8])
         click.echo(
-            f"note: files of other endings left alone: {kinds}; a pattern such as '*.json' names them", err=True
+            f"note: files that are no logs by ending or content: {kinds}; a pattern such as '*.json' takes them",
+            err=True,
         )
 
 
@@ -237,9 +238,11 @@ def _list_maps(as_json: bool) -> int:
 
 def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
     from split_cli.workflows.ingesting.ingest import list_channels, suggest_map_for
+    from split_cli.workflows.sources import find_sources
 
     described = []
-    for log in [tuple(logs)] if options["together"] else logs:
+    found = [source.address for source in find_sources(logs)]
+    for log in [tuple(found)] if options["together"] else found:
         if options["suggest_map"]:
             draft = suggest_map_for(log, message_paths=message_paths, row_rate=options["row_rate"],
                                     vehicle_path=vehicle_path)  # fmt: skip

@@ -15,12 +15,13 @@ from typing import Any
 
 from split_cli.errors import SplitError
 from split_cli.files import ScratchFolder, sha256_of_file
+from split_cli.logs.readers.opening import is_prose
 
 __all__ = ["DRIVE_SUFFIXES", "LOG_SUFFIXES", "SourceFile", "find_sources", "is_remote", "left_alone"]
 
 LOG_SUFFIXES = (
     ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".mdf", ".blf",
-    ".asc", ".trc", ".jsonl", ".ascii", ".lvm", ".tsv", ".arrow",
+    ".asc", ".trc", ".jsonl", ".ascii", ".lvm", ".tsv", ".arrow", ".mcap.zstd", ".db3.zstd",
 )  # fmt: skip
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
 _COPY_BYTES = 1 << 22
@@ -153,7 +154,7 @@ def _is_below(address: str, folder: str | Path) -> bool:
 
 
 def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = None) -> dict[str, int]:
-    """Return how many files of the folders among `addresses` `find_sources` does not take, by their endings.
+    """Return how many files of the folders among `addresses` `find_sources` takes for no log, by their endings.
 
     Those below the folder `outside` do not count.
     """
@@ -164,13 +165,13 @@ def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = Non
             system, path = _system(text)
             with _told(text):
                 below = system.find(path) if not glob.has_magic(path) and system.isdir(path) else []
-            places = [PurePosixPath(name.removeprefix(path).lstrip("/")) for name in below]
+            others = [name for name in below if not name.lower().endswith(LOG_SUFFIXES)]
+            places = [PurePosixPath(name.removeprefix(path).lstrip("/")) for name in others]
         else:
             folder = Path(text.removeprefix("file://"))
             below = [p for p in _files_below(folder) if outside is None or not _is_below(str(p), outside)]
-            places = [place.relative_to(folder) for place in below]
-        others = (place.suffix.lower() for place in places if not _hidden(place))
-        counts.update(suffix or "no ending" for suffix in others if suffix not in LOG_SUFFIXES)
+            places = [p.relative_to(folder) for p in below if not _is_one_of(p, LOG_SUFFIXES)]
+        counts.update(place.suffix.lower() or "no ending" for place in places if not _hidden(place))
     return dict(counts.most_common())
 
 
@@ -220,9 +221,16 @@ def _in_folder(folder: Path, base: Path, suffixes: Sequence[str]) -> list[Source
                 found.append(SourceFile(str(entry), _place(entry, base)))
             elif not entry.is_symlink():
                 found += _in_folder(entry, base, suffixes)
-        elif entry.suffix.lower() in suffixes:
+        elif _is_one_of(entry, suffixes):
             found.append(SourceFile(str(entry), _place(entry, base)))
     return found
+
+
+def _is_one_of(path: Path, suffixes: Sequence[str]) -> bool:
+    """Tell whether a file is of one of the kinds; a text must hold rows of numbers."""
+    if not path.name.lower().endswith(tuple(suffixes)):
+        return False
+    return not (path.suffix.lower() == ".txt" and path.is_file() and is_prose(path))
 
 
 def _place(path: Path, base: Path) -> str:
@@ -237,9 +245,9 @@ def _is_bag(path: Path) -> bool:
     """Tell a rosbag2 folder: it has metadata, or its recordings are the numbered parts of one database."""
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return path.is_dir()
-    logs = [entry for entry in path.iterdir() if entry.suffix.lower() in LOG_SUFFIXES]
-    parts = {re.sub(r"_\d+$", "", log.stem) for log in logs}
-    return len(parts) == 1 and all(log.suffix.lower() == ".db3" for log in logs)
+    logs = [entry for entry in path.iterdir() if not entry.name.startswith(".") and _is_one_of(entry, LOG_SUFFIXES)]
+    parts = {re.sub(r"(_\d+)?\.db3(\.zstd)?$", "", log.name.lower()) for log in logs}
+    return len(parts) == 1 and all(log.name.lower().endswith((".db3", ".db3.zstd")) for log in logs)
 
 
 def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
@@ -249,7 +257,7 @@ def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
             base, hits = _before_magic(path), system.glob(path)
         elif system.isdir(path):
             base = path
-            hits = [hit for hit in system.find(path) if PurePosixPath(hit).suffix.lower() in suffixes]
+            hits = [hit for hit in system.find(path) if hit.lower().endswith(tuple(suffixes))]
         else:
             base, hits = path.rpartition("/")[0], [path]
     sources = []

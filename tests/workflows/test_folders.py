@@ -11,15 +11,18 @@ from pathlib import Path
 
 import fsspec
 import pytest
+import zstandard
 
 from split_cli.cli.main import main
 from split_cli.errors import SplitError
+from split_cli.logs.readers.opening import open_recording
 from split_cli.workflows.engine import open_engine
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
 from split_cli.workflows.sources import find_sources, left_alone
 from tests.conftest import ROOT
+from tests.logs import readers_support as support
 
 
 @pytest.fixture(scope="session")
@@ -71,12 +74,14 @@ def test_drives_that_lie_below_the_logs_are_no_logs(archive):
         (("metadata.yaml", "a.db3", "b.csv"), True),
         (("monday.db3", "tuesday.db3"), False),
         (("run_0.db3", "lap.csv"), False),
+        (("run_0.db3.zstd", "run_1.db3.zstd"), True),
+        (("run.db3", "readme.txt"), True),
     ],
 )
 def test_a_folder_is_one_bag_only_if_all_it_holds_are_parts_of_it(tmp_path, names, whole):
     """Two days were joined into one drive, and a table beside a database was dropped without a word."""
     for name in names:
-        (tmp_path / name).touch()
+        (tmp_path / name).write_text("Monday, dry, 12 laps\n" if name == "readme.txt" else "")
     places = [source.place for source in find_sources([tmp_path])]
     assert places == ([tmp_path.name] if whole else sorted(names))
 
@@ -134,6 +139,25 @@ def test_what_a_folder_holds_beside_recordings_is_told(tmp_path, capsys):
     system = fsspec.filesystem("memory")
     system.put(str(tmp_path / "logs" / "more"), "/left/more", recursive=True)
     assert left_alone(["memory://left"]) == {".md": 1}
+
+
+def test_a_text_is_a_log_only_with_rows_of_numbers(tmp_path, capsys):
+    """A README.txt beside logs was one of them, and `--list` of a folder named its packed recording alone."""
+    planted = support.plant(count=40)
+    support.write_ros2_mcap(tmp_path / "plain.mcap", planted)
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    packed = zstandard.ZstdCompressor().compress((tmp_path / "plain.mcap").read_bytes())
+    (logs / "run.mcap.zstd").write_bytes(packed)
+    (logs / "lap.txt").write_text("t,vx\n" + "".join(f"{0.01 * n:.2f},10.0\n" for n in range(50)))
+    (logs / "README.txt").write_text("Car 7 on 2 sets of tyres.\nWind from the left.\n")
+    assert [s.place for s in find_sources([logs])] == ["lap.txt", "run.mcap.zstd"]
+    assert left_alone([logs]) == {".txt": 1}
+    support.check_planted(open_recording(logs / "run.mcap.zstd"), planted, ("header", "log", "publish"))
+    with pytest.raises(SystemExit, match="0"):
+        main(["ingest", str(logs), "--list"])
+    shown = capsys.readouterr().out
+    assert "lap.txt: 2 channels" in shown and "run.mcap.zstd: " in shown and "README" not in shown
 
 
 def test_a_damaged_manifest_says_what_to_do(archive, tmp_path):

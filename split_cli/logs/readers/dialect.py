@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, NoTableError
 from split_cli.signals import find_unit
 
 __all__ = [
@@ -119,7 +119,7 @@ def sniff(path: Path) -> Sniffed:
         if first is not None:
             offset = len(mark) + sum(len(line.encode(encoding)) for line in lines[:first])
             return _described(rows, first, Dialect(separator, decimal, encoding, offset, quoted))
-    raise LogError(
+    raise NoTableError(
         "is no table of numbers: no rows of numbers were found in its beginning",
         where=path.name,
         advice="Values are expected in columns, separated by comma, semicolon, tab or blanks.",

@@ -5,26 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, NoTableError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
-from split_cli.logs.readers.dialect import KNOWN_FORMATS
+from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
 from split_cli.logs.readers.guard import GuardedRecording, guarded
 from split_cli.logs.readers.json_rows import is_json, open_json
 from split_cli.logs.readers.messages import Container, MessageRecording
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
 
-__all__ = ["open_recording"]
+__all__ = ["is_prose", "open_recording"]
 
 _HEAD_BYTES = 4096
+_ZSTD = b"\x28\xb5\x2f\xfd"
 _FOREIGN_MAGIC = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
     (b"ULog\x01\x12\x35", "a PX4 ULog", "Convert it to CSV with ulog2csv."),
     (b"\x1f\x8b", "compressed with gzip", "Unpack it first."),
-    (b"\x28\xb5\x2f\xfd", "compressed with zstd", "Unpack it first with `zstd -d`."),
+    (_ZSTD, "compressed with zstd", "Unpack it first with `zstd -d`."),
     (b"PK\x03\x04", "a zip archive or a spreadsheet", "Unpack it, or export it as CSV."),
     (b"BZh", "compressed with bzip2", "Unpack it first."),
     (
@@ -91,6 +92,20 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     return GuardedRecording(guarded(path, lambda: _open(path, message_paths)))
 
 
+def is_prose(path: Path) -> bool:
+    """Tell a text that is no recording, such as a README.txt beside logs: it holds no rows of numbers."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        if not (is_can_log(path, head) or is_pi_toolbox(head) or is_json(head) or table_of_named_values(head)):
+            sniff(path)
+    except NoTableError:
+        return bool(head)
+    except (LogError, OSError):
+        pass
+    return False
+
+
 def _open(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     if path.is_dir() or path.name == "metadata.yaml":
         return _open_folder(path if path.is_dir() else path.parent, message_paths)
@@ -144,6 +159,11 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.bag1 import Bag1Container
 
         return _messages(path, Bag1Container(path), message_paths)
+    if head.startswith(_ZSTD):
+        from split_cli.logs.readers.rosbag2 import PACKED_SUFFIXES, open_packed_file
+
+        packed = path.name.lower().endswith(PACKED_SUFFIXES)
+        return _messages(path, open_packed_file(path), message_paths) if packed else None
     databases = [Path(p) for p in message_paths if Path(p).suffix.lower() in DATABASE_SUFFIXES]
     if head.startswith((b"MDF     ", b"UnFinMF ")):
         from split_cli.logs.readers.mf4 import open_mf4

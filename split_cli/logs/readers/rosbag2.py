@@ -1,4 +1,4 @@
-"""Recordings of rosbag2: folders (SQLite or MCAP, split or not) and bare ``.db3`` files."""
+"""Recordings of rosbag2: folders (SQLite or MCAP, split or not), bare ``.db3`` and compressed files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from split_cli.logs.readers.mcap import McapContainer
 from split_cli.logs.readers.messages import Container, MessageBatch, Stream
 from split_cli.yaml_file import parse_yaml
 
-__all__ = ["ConcatenatedContainer", "SqliteContainer", "open_rosbag2_folder"]
+__all__ = ["PACKED_SUFFIXES", "ConcatenatedContainer", "SqliteContainer", "open_packed_file", "open_rosbag2_folder"]
 
 _ROWS_AT_ONCE = 2048
 _LARGEST_METADATA = 16 << 20
@@ -37,7 +37,8 @@ FREE_STEPS, _STEPS_A_BYTE, _STEPS_AT_ONCE = 1_000_000, 4, 10_000
 """Steps of SQLite's machine that a query may take [1], and for a byte of the file; judgement: a message takes 12
 steps and 20 bytes at least. A bound of work holds on a busy disk, too, where one of time refuses sound files."""
 _BYTES_AT_ONCE = 1 << 22
-_STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+PACKED_SUFFIXES = (".mcap.zstd", ".db3.zstd")
+_STORAGE_SUFFIXES = (".mcap", ".db3", *PACKED_SUFFIXES)
 
 
 class SqliteContainer:
@@ -216,6 +217,21 @@ def open_rosbag2_folder(path: Path) -> Container:
     """
     notes: list[ReadNote] = []
     files, packed = _listed_files(path, notes)
+    return _opened(path, files, packed, notes)
+
+
+def open_packed_file(path: Path) -> Container:
+    """Open one file of a recording that rosbag2 compressed as a whole.
+
+    Raises
+    ------
+    LogError
+        If it cannot be decompressed, or what it holds cannot be read.
+    """
+    return _opened(path.parent, [path], False, [])
+
+
+def _opened(path: Path, files: Sequence[Path], packed: bool, notes: list[ReadNote]) -> Container:
     temporary: ScratchFolder | None = None
     parts: list[Container] = []
     problem: LogError | None = None
