@@ -53,7 +53,10 @@ def test_a_clock_in_another_unit_is_named_where_no_row_can_be_used(planted):
     with pytest.raises(LogError, match="probably in ms"):
         ingested(planted, time=1e3)
     with pytest.raises(LogError, match="probably in s, not in ms"):
-        ingested(planted, time=1e-6)
+        ingested(planted, unit="us")
+    for factor in (1e-6, 1e27):  # no unit makes these a drive, and "probably in s" was said of seconds
+        with pytest.raises(LogError, match="No unit of time makes a drive of it"):
+            ingested(planted, time=factor)
 
 
 def test_rows_that_run_backwards_are_one_mistake_and_turn_no_channel(planted):

@@ -106,10 +106,16 @@ def assemble_drive(
     try:
         return _assemble(recording, signal_map, vehicle, settings)
     except ClockError as error:
-        if not error.unit or signal_map.time.unit == error.unit:
+        if not error.unit:
             raise
         right = replace(signal_map, time=replace(signal_map.time, unit=error.unit))
-        more = _said_then(lambda: _assemble(recording, right, vehicle, settings))
+        try:
+            if right == signal_map:
+                raise error
+            more = _said_then(lambda: _assemble(recording, right, vehicle, settings))
+        except ClockError as again:
+            advice = "No unit of time makes a drive of it: map another column in the entry `time:`."
+            raise ClockError(error.what, where=error.where, advice=advice) from again
         advice = f"{error.advice}{more and f' With the time in {error.unit}: {more}'}"
         raise ClockError(error.what, where=error.where, advice=advice) from error
 
@@ -118,6 +124,8 @@ def _said_then(assemble: Callable[[], Assembled]) -> str:
     """Return what else is wrong with a log once its clock is right; empty where nothing is."""
     try:
         found = assemble().quality.consistency.findings
+    except ClockError:
+        raise
     except SplitError as error:
         return str(error)
     return " ".join(f"{finding.channel}: {finding.text}" for finding in found[:_MOST_BESIDE_A_CLOCK])

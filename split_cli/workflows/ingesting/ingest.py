@@ -366,8 +366,8 @@ def _told_of(error: SplitError, recording: RawRecording) -> SplitError:
     if recording.name not in str(error):
         where = f"{recording.name}, {where}" if where else recording.name
     if isinstance(error, LogError) and recording.notes:
-        left_out = "; ".join(f"{note.count} x {note.what}" for note in recording.notes[:3])
-        advice = f"{advice.rstrip('.')}{'. ' if advice else ''}While reading: {left_out}."
+        told = "; ".join(f"{note.what} ({note.count} times)" for note in recording.notes[:3])
+        advice = f"{advice.rstrip('.')}{'. ' if advice else ''}The reader found this beside: {told}."
     return type(error)(error.what, where=where, advice=advice or None)
 
 
