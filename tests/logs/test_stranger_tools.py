@@ -116,3 +116,34 @@ def test_elements_of_arrays_beside_the_channels_are_kept_and_read_again(planted,
     again = read_drive(tmp_path / "drive.parquet")
     np.testing.assert_array_equal(again.columns["q[1]"], made.drive.columns["q[1]"])
     assert {"q[0]", "q[1]"} <= set(again.columns)
+
+
+def test_a_bearing_of_a_satellite_receiver_is_no_yaw_where_nothing_measured_turning(planted, tmp_path):
+    """It passed for yaw in a lap timer's log: a v_y derived from the direction of travel is zero."""
+    t = np.arange(0.0, 60.0, 0.05)
+    c = {name: planted.at(name, t) for name in ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")}
+    course = 90.0 - (c["yaw"] + np.arctan2(c["vy"], c["vx"])) * DEG
+    columns = {
+        "TIME": t, "LATITUDE": 48.0 + c["Y"] / 111200.0, "LONGITUDE": 11.0 + c["X"] / 74560.0,
+        "SPEED_KMH": c["vx"] * 3.6, "HEADING_DEG": np.mod(course, 360.0), "LATERAL_G": c["ay"] / 9.80665,
+    }  # fmt: skip
+    write(tmp_path / "lap.csv", columns)
+    draft = draft_map(open_recording(tmp_path / "lap.csv"))
+    assert draft.of("yaw").status == "open" and "would be zero" in draft.of("yaw").reason
+    # A gyro beside it judges: the same column is a yaw, or shows no slip of tyres and is none.
+    columns |= {"YAW_RATE_DPS": c["r"] * DEG, "HEADING_DEG": np.mod(90.0 - c["yaw"] * DEG, 360.0)}
+    write(tmp_path / "lap.csv", columns)
+    assert draft_map(open_recording(tmp_path / "lap.csv")).of("yaw").status == "judged"
+
+
+@pytest.mark.parametrize(("name", "status"), [("Torque (Nm)", "assumed"), ("Wheel Torque (Nm)", "judged")])
+def test_a_torque_beside_an_engine_speed_may_be_the_engines(planted, tmp_path, name, status):
+    """At one gear a third of the wheels' torque goes with the acceleration as well as all of it."""
+    t = np.arange(0.0, 60.0, 0.05)
+    c = {channel: planted.at(channel, t) for channel in ("vx", "vy", "r", "T")}
+    columns = {"t": t, "Speed (m/s)": c["vx"], "vy": c["vy"], "r": c["r"], name: c["T"] / 3.0}
+    write(tmp_path / "game.csv", columns | {"Engine rpm": c["vx"] * 95.0})
+    torque = draft_map(open_recording(tmp_path / "game.csv")).of("T")
+    assert torque.status == status and ("gear ratio" in torque.reason) == (status == "assumed")
+    write(tmp_path / "game.csv", columns)  # without an engine there is no gearbox to ask of
+    assert draft_map(open_recording(tmp_path / "game.csv")).of("T").status == "judged"

@@ -44,7 +44,7 @@ from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.triples import along_the_car, names_of_triples, side_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.drafting.wheels import PARTS, sums_of_torques, torques_alike
+from split_cli.logs.drafting.wheels import PARTS, sums_of_torques, told_of_an_engine, torques_alike
 from split_cli.logs.raw import (
     RawChannelInfo,
     RawRecording,
@@ -114,7 +114,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     line += "".join(f"   # CHECK: {f.text}" for f in consistency.findings if f.channel == "time")
     suggestions = [with_status(s, corrected, consistency) for s in corrected.values()]
     suggestions = [s for s in suggestions if s.channel not in ("delta", "steering_wheel_angle", *_HELPERS)]
-    suggestions = [_as_course(s, consistency, trial) if s.channel == "yaw" else s for s in suggestions]
+    suggestions = [_as_course(s, consistency, trial, corrected) if s.channel == "yaw" else s for s in suggestions]
     in_doubt = {s.channel for s in suggestions if s.status == "open"}
     clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
     turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
@@ -123,6 +123,13 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
              "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate}  # fmt: skip
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
+    engine = {s.sources: told_of_an_engine(s.sources, [i.name for i in infos]) for s in suggestions}
+    suggestions = [
+        replace(s, status="assumed", reason=f"{engine[s.sources]}; {s.reason}")
+        if s.channel == "T" and s.status != "open" and engine[s.sources]
+        else s
+        for s in suggestions
+    ]
     suggestions = without_the_tilted(suggestions)
     suggestions = [
         read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions
@@ -147,17 +154,26 @@ def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehic
     return render_draft(draft_map(recording, row_rate=row_rate, vehicle=vehicle), recording.name)
 
 
-def _as_course(s: Suggestion, verdict: Consistency, trial: Trial) -> Suggestion:
-    """Leave a yaw open that is called a course over ground, or changes only with the satellite fix.
+def _as_course(
+    s: Suggestion, verdict: Consistency, trial: Trial, chosen: Mapping[str, Suggestion]
+) -> Suggestion:
+    """Leave a yaw open that is called a course over ground, or that only a satellite receiver can have told.
 
     Unless the sideslip between the two is seen.
     """
     if s.status == "open" or any(r.name == ACROSS and r.holds for r in verdict.relations):
         return s
     named = [m for name in s.sources for m in meanings(RawChannelInfo(name, "column", None))]
-    if Meaning("yaw", 3) not in named and _changes_with_the_fix(s, trial):
-        why = "changes only with the satellite fix: of one antenna it is the direction of travel, not yaw"
-        return replace(s, status="open", reason=why)
+    if Meaning("yaw", 3) not in named and s.world == "ned":
+        if _changes_with_the_fix(s, trial):
+            why = "changes only with the satellite fix: of one antenna it is the direction of travel, not yaw"
+            return replace(s, status="open", reason=why)
+        if "r" not in chosen and chosen.get("X", s).convert == "local_x":
+            why = (
+                "a bearing beside a satellite fix, without a yaw rate: the direction of travel if of the receiver. "
+                "A v_y derived from it would be zero"
+            )
+            return replace(s, status="open", reason=why)
     if "course" not in {m.channel for m in named}:
         return s
     return replace(s, status="open", reason="by its name the direction of travel: yaw plus sideslip, not yaw")

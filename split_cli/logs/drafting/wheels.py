@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from split_cli.logs.drafting.trial import TrialCandidate
-from split_cli.logs.drafting.vocabulary import place_and_rest
+from split_cli.logs.drafting.vocabulary import concepts_of, place_and_rest, tokens_of
 
-__all__ = ["PARTS", "sums_of_torques", "told_of_a_part", "torques_alike"]
+__all__ = ["PARTS", "sums_of_torques", "told_of_a_part", "told_of_an_engine", "torques_alike"]
 
 PARTS = ("wheel_torque", "axle_torque")
 """Meanings that together make T."""
@@ -54,4 +54,29 @@ def told_of_a_part(sources: Sequence[str]) -> str:
     if len(sources) == 1 and known:
         which = _AXLE_OF[known.pop()]
         return f"of the {which} axle alone: the other may drive or brake too"
+    return ""
+
+
+def told_of_an_engine(sources: Sequence[str], names: Sequence[str]) -> str:
+    """Return what to say of a torque that may be the engine's, empty where its name tells, or no engine is seen.
+
+    It goes with the acceleration as the torque at the wheels does: only its size differs, by the gear ratio.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Recorded names that T is made of.
+    names : sequence of str
+        All recorded names: an engine shows by its speed or by a gear.
+    """
+    if len(sources) != 1 or concepts_of(tokens_of(sources[0]))[0] & {"wheel", "drive", "road"}:
+        return ""
+    for name in names:
+        words = set(tokens_of(name))
+        wheel = concepts_of(list(words))[0] & {"wheel", *_AXLE_OF}
+        if words & {"gear", "rpm"} and not wheel:
+            return (
+                f"beside {name!r} it may be the engine's, which is no torque at the wheels: then `scale:` with gear "
+                "ratio times efficiency makes it T, where one gear is driven"
+            )
     return ""
