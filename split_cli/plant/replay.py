@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.plant import _compiled
+from split_cli.plant import _compiled, _loops_numba
 from split_cli.plant._numbers import as_numbers
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.road import Road
@@ -54,7 +54,7 @@ def predict(
     if window < 1 or abs(window * period - horizon) > 1e-9:
         raise SplitError(f"a horizon of {horizon:g} s is no whole number of samples of {period:g} s")
     motion = recorded_motion(run) if motion is None else np.ascontiguousarray(motion, dtype=float)
-    return _compiled.follow(
+    return _loops_numba.follow(
         motion, np.ascontiguousarray(run.s), run.torque_command, run.steer_command, run.states[0].copy(),
         as_numbers(car), road.tables(), CONTROL_PERIOD, STEP, int(round(period / STEP)), window,
     )  # fmt: skip

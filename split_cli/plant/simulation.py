@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.plant import _compiled
+from split_cli.plant import _compiled, _loops_numba
 from split_cli.plant._numbers import as_numbers
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.drivers import (
@@ -34,10 +34,10 @@ _ScriptTables = namedtuple("_ScriptTables", "torque steer speed acceleration")
 _StopTables = namedtuple("_StopTables", "distance speed off_track")
 
 _ENDINGS = {
-    _compiled.LEFT_TRACK: "the car left the track",
-    _compiled.SPUN: "the car spun",
-    _compiled.NOT_FINITE: "the integration diverged",
-    _compiled.OUT_OF_TIME: "the laps were not finished in time",
+    _loops_numba.LEFT_TRACK: "the car left the track",
+    _loops_numba.SPUN: "the car spun",
+    _loops_numba.NOT_FINITE: "the integration diverged",
+    _loops_numba.OUT_OF_TIME: "the laps were not finished in time",
 }
 
 
@@ -275,16 +275,16 @@ def _simulate(
     slope = np.gradient(script.speed, CONTROL_PERIOD) if steps > 1 else np.zeros(steps)
     tables = _ScriptTables(script.torque, script.steer, script.speed, np.where(np.isnan(slope), 0.0, slope))
     stop = _StopTables(float(min(distance, 1e300)), car.crawl_speed, float(min(off_track, 1e300)))
-    times, states, outputs, places, torques, steers, reason = _compiled.run(
+    times, states, outputs, places, torques, steers, reason = _loops_numba.run(
         start, 0.0, as_numbers(car), as_numbers(faults), road.tables(), path, plan, tables,
         driver_tables(believed, style, grip),
         CONTROL_PERIOD, STEP, substeps, keep, stop,
     )  # fmt: skip
-    if reason in _ENDINGS and not (may_time_out and reason == _compiled.OUT_OF_TIME):
+    if reason in _ENDINGS and not (may_time_out and reason == _loops_numba.OUT_OF_TIME):
         at = f"at {times[-1]:.1f} s, s = {places[-1]:.0f} m" if len(times) else "at once"
         raise SplitError(f"{_ENDINGS[reason]} {at}", where=car.name, advice="Use less aggressiveness.")
     return Trajectory(
         car=car, t=times, states=states, outputs=outputs, s=places,
         command_t=np.arange(len(torques)) * CONTROL_PERIOD, torque_command=torques, steer_command=steers,
-        lap_length=track.length if track else 0.0, ended_early=reason == _compiled.TOO_SLOW,
+        lap_length=track.length if track else 0.0, ended_early=reason == _loops_numba.TOO_SLOW,
     )  # fmt: skip
