@@ -109,3 +109,17 @@ def test_at_the_limit_the_same_slips_speed_and_force_are_compared_whatever_torqu
     beyond = (share_of_grip(limited) > 0.9) & ~asked_alike(other, one, discrepancy) & (other.weight > 0.0)
     assert beyond.sum() > 20
     assert comparable(limited, [one], discrepancy, REACH)[beyond].mean() > 0.9
+
+
+def test_sliding_without_the_forces_of_sliding_proves_nothing_either(simulated):
+    """A heading that is 0.25 rad off turns the velocity: slips beyond the peak, and the motion as it was."""
+    one, discrepancy = simulated
+    drive = make_drive(1, 8, 10.0, 0.02)
+    turned = {"vy": drive["vy"] + 0.25 * drive["vx"]}
+    other, _ = evidence_of(replace(drive, columns={**drive.columns, **turned}), discrepancy)
+    tire = other.vehicle.rear_tire
+    slip = features(other.series, other.vehicle)[other.at, 1]
+    peak = tire.C * np.arctan(tire.B * np.abs(slip)) > 0.5 * np.pi
+    unlike = peak & (share_of_grip(other) < 0.4) & ~asked_alike(other, one, discrepancy)
+    assert unlike.sum() > 20
+    assert not comparable(other, [one], discrepancy, REACH)[unlike].any()

@@ -72,6 +72,10 @@ def test_a_line_that_the_simulation_shows_too_is_common(drive):
     assert line_of(real, shaken(drive, "vx", faster, 1.5, seed=6)) is None
     assert line_of(real, shaken(drive, "vx", faster, 0.4, seed=5)) is not None
     assert line_of(real, shaken(drive, "vy", faster, 1.5, seed=5)) is not None
+    # One that swings the other way for ten seconds shakes as much in each block of them, though less as one line.
+    turned = angle + np.pi * (np.floor(drive["t"] / 10.0) == 2.0)
+    assert line_of(shaken(drive, "vx", turned, 0.9, seed=5)).amplitude < 0.5 * 1.5
+    assert line_of(real, shaken(drive, "vx", turned, 0.9, seed=5)) is None
 
 
 def test_the_second_line_is_told_where_the_first_is_common(drive):
@@ -99,3 +103,21 @@ def test_swings_that_a_driver_could_make_are_no_lines(drive):
 def test_too_short_to_tell(drive):
     short = drive.select(slice(0, 1500))
     assert line_of(shaken(short, "vx", 2.0 * np.pi * 13.0 * short["t"], 3.0)) is None
+
+
+def test_only_what_is_compared_and_no_faster_than_the_simulation_is_asked_for_lines(drive):
+    """Shaken where it is fast, by twice the amplitude: rows left out and a slower simulation say nothing of it."""
+    fast = drive["vx"] > np.quantile(drive["vx"], 0.5)
+    real = shaken(drive, "vx", 2.0 * np.pi * 13.0 * drive["t"], np.where(fast, 3.0, 0.0))
+    evidence = light_evidence(real)
+    everything = bare_objective(evidence)
+    policy = replace(everything.policy, unnamed=replace(everything.policy.unnamed, fewest=1000))
+    everything = replace(everything, policy=policy)
+    assert strongest_line(everything, ()).frequency == pytest.approx(13.0, abs=1.0 / 20.0)
+    slow_rows = [~fast[evidence.at]]
+    assert strongest_line(replace(everything, keep=slow_rows), ()) is None
+    assert strongest_line(replace(everything, keep=[fast[evidence.at]]), ()) is not None
+    slower = light_evidence(prepared(noisy(drive, 5)))
+    assert strongest_line(everything, (), [slower]) is not None
+    limited = replace(slower.series, smooth=np.minimum(slower.series.smooth, [np.median(drive["vx"]), 9.0, 9.0]))
+    assert strongest_line(everything, (), [replace(slower, series=limited)]) is None

@@ -16,6 +16,7 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.screening import SMOOTHED_SECONDS
+from split_cli.diagnosis.recording.series import extended_model
 
 __all__ = ["comparable"]
 
@@ -51,7 +52,7 @@ def comparable(
     scale[3] = discrepancy.width[3]
     wanted, mine = asked(one), _forces(one)
     # Nearer the tyres' limit the same motion may come of other slips, and a row nearby proves nothing.
-    sure = _share_of_grip(mine, one) < policy.believing.motion_share
+    sure = (_share_of_grip(mine, one) < policy.believing.motion_share) & ~_slides(one)
     # At the same slips, speed and force along the car, the tyres do the same at their limit, too.
     slipped, had_slipped = (
         np.column_stack([rows[:, [0, 1, 3]], forces[:, 2] / scale[2]])
@@ -93,3 +94,16 @@ def _share_of_grip(forces: np.ndarray, one: Evidence) -> np.ndarray:
     front, rear = one.vehicle.front_tire.D, one.vehicle.rear_tire.D
     share = np.abs(forces[:, 2]) / (front + rear)
     return np.hypot(np.maximum(np.abs(forces[:, 0]) / front, np.abs(forces[:, 1]) / rear), share)
+
+
+def _slides(one: Evidence) -> np.ndarray:
+    """Return where the rear axle slips beyond its tyres' peak, shape (G,).
+
+    Notes
+    -----
+    The peak is at C arctan(B |alpha|) = pi/2. A scaled or late command moves the front axle's slip, none the
+    rear's: a car that slides without the forces of sliding is recorded with another's velocity, as before a
+    navigation system has found its heading.
+    """
+    rear = one.series.flow(extended_model(one.vehicle)).rear
+    return (rear.C * np.arctan(rear.B * np.abs(rear.slip_angle)) > 0.5 * np.pi)[one.at]

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from split_cli.diagnosis.innovations.effect_to_noise import effect_to_noise
-from split_cli.diagnosis.innovations.evidence import Evidence, integrated
+from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence, integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import Policy, Unnamed
 from split_cli.vehicle.effects import Term
@@ -57,21 +57,39 @@ def strongest_line(
     Notes
     -----
     Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in
-    noise of any smooth spectrum (Brockwell and Davis, 1991, section 10.2).
+    noise of any smooth spectrum (Brockwell and Davis, 1991, section 10.2). Only compared samples count that a
+    simulation was as fast as: what shakes grows with speed, and a slower drive need not show it. A line that one
+    half of the recording lacks as well tells nothing of reality against simulation.
     """
     policy = objective.policy
-    lines = [line for one in objective.evidence for line in _lines(one, _left(objective, one, terms), policy)]
-    # A simulation that has lines of its own is a recording: another line of their size is no difference.
-    own = [line for one in simulated for line in _lines(one, _left(objective, one, ()), policy)] if lines else []
-    lines = [
-        line
-        for line in lines
-        if line.amplitude > policy.self_test.unnamed_margin * max(map(line.like, own), default=0.0)
+    fastest = max((float(one.series.smooth[:, 0].max()) for one in simulated), default=np.inf)
+    real = [
+        _Left(one, _left(objective, one, terms), _compared(one, rows, fastest), policy)
+        for one, rows in zip(objective.evidence, objective.keep, strict=True)
     ]
-    for line in sorted(lines, key=lambda line: line.p_value):
-        if not any(_shows(objective, one, line) for one in simulated):
+    lines = sorted((line for one in real for line in _lines(one)), key=lambda line: line.p_value)
+    # A simulation that has lines of its own is a recording: another line of their size is no difference.
+    others = [
+        _Left(one, _left(objective, one, ()), np.ones(len(one.series) - 1, dtype=bool), policy)
+        for one in (simulated if lines else ())
+    ]
+    own = [line for other in others for line in _lines(other)]
+    margin = policy.self_test.unnamed_margin
+    for line in lines:
+        shown = [*map(line.like, own), *(_by_blocks(line, other) for other in others)]
+        if line.amplitude > margin * max(shown, default=0.0):
             return line
     return None
+
+
+@dataclass(frozen=True)
+class _Left:
+    """What is left of one recording, and where it is asked for lines."""
+
+    one: Evidence
+    left: np.ndarray  # (N - 1, 3): defects
+    used: np.ndarray  # bool (N - 1,)
+    policy: Policy
 
 
 def _left(objective: MarginalLikelihood, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
@@ -84,12 +102,25 @@ def _left(objective: MarginalLikelihood, one: Evidence, terms: Sequence[Term]) -
     return left
 
 
-def _lines(one: Evidence, left: np.ndarray, policy: Policy) -> list[Line]:
-    """Return the strongest line of each channel, over time and over distance."""
-    if len(left) < policy.unnamed.fewest:
+def _compared(one: Evidence, rows: np.ndarray, fastest: float) -> np.ndarray:
+    """Return the transitions of compared rows (G,) that are no faster than `fastest` [m/s], bool (N - 1,)."""
+    group = one.whitener.group
+    return (group >= 0) & rows[group] & (one.series.smooth[:-1, 0] <= fastest)
+
+
+def _halves(used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and the second half of the used transitions, bool (N - 1,) each."""
+    first = np.cumsum(used) <= 0.5 * used.sum()
+    return used & first, used & ~first
+
+
+def _lines(asked: _Left) -> list[Line]:
+    """Return the strongest line of each channel, over time and over distance, in the used transitions."""
+    one, policy = asked.one, asked.policy
+    if asked.used.sum() < policy.unnamed.fewest:
         return []
-    white = one.whitener.of_every_sample()(left)
-    white = np.clip(white, -6.0, 6.0)
+    white = one.whitener.of_every_sample()(asked.left)
+    white = np.clip(white, -6.0, 6.0) * asked.used[:, None]
     found = []
     for over in ("time", "distance"):
         clock = _clock(one, over)
@@ -107,7 +138,7 @@ def _lines(one: Evidence, left: np.ndarray, policy: Policy) -> list[Line]:
             peak = int(np.argmax(strength))
             p_value = float(min(1.0, 2.0 * count * np.exp(-strength[peak])))
             if p_value < policy.comparison.level:
-                amplitude, size = _size(one, left, clock, float(frequency[peak]), channel)
+                amplitude, size = _size(asked, over, float(frequency[peak]), channel)
                 found.append(Line(over, float(frequency[peak]), _CHANNELS[channel], amplitude, size, p_value))
     return found
 
@@ -128,26 +159,41 @@ def _fast_enough(one: Evidence, over: str, frequency: np.ndarray, rules: Unnamed
     return (frequency > 1.0 / (rules.longest * wheelbase)) & (frequency < 1.0 / shortest)
 
 
-def _size(
-    one: Evidence, left: np.ndarray, clock: np.ndarray, frequency: float, channel: int
-) -> tuple[float, float]:
+def _size(asked: _Left, over: str, frequency: float, channel: int) -> tuple[float, float]:
     """Return the amplitude of a line's rate and its effect-to-noise ratio, by whitened least squares."""
+    columns, offered, left = _swing(asked, over, frequency, channel)
+    weights = np.linalg.lstsq(offered.reshape(-1, 2), left.reshape(-1), rcond=None)[0]
+    return float(np.hypot(*weights)), effect_to_noise(asked.one.series, columns @ weights)
+
+
+def _swing(asked: _Left, over: str, frequency: float, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what sine and cosine of a rate do, (N - 1, 3, 2); the same whitened, and what is left there."""
+    clock, one = _clock(asked.one, over), asked.one
     angle = 2.0 * np.pi * frequency * np.append(clock, clock[-1])
     rates = np.zeros((len(angle), 3, 2))
     rates[:, channel, 0], rates[:, channel, 1] = np.sin(angle), np.cos(angle)
-    columns = integrated(one.series, rates)
-    whiten = one.whitener.of_every_sample()
-    offered = whiten(columns).reshape(-1, 2)
-    weights = np.linalg.lstsq(offered, whiten(left).reshape(-1), rcond=None)[0]
-    return float(np.hypot(*weights)), effect_to_noise(one.series, columns @ weights)
+    columns, whiten = integrated(one.series, rates), one.whitener.of_every_sample()
+    return columns, whiten(columns)[asked.used], whiten(asked.left)[asked.used]
 
 
-def _shows(objective: MarginalLikelihood, one: Evidence, line: Line) -> bool:
-    """Return whether a simulation shows a line there too."""
-    left, clock = _left(objective, one, ()), _clock(one, line.over)
-    channel = _CHANNELS.index(line.channel)
-    nearby = line.frequency * np.linspace(0.98, 1.02, 9)
-    return (
-        max(_size(one, left, clock, f, channel)[0] for f in nearby)
-        > line.amplitude / objective.policy.self_test.unnamed_margin
-    )
+def _by_blocks(line: Line, asked: _Left) -> float:
+    """Return the amplitude that a line's rate has in most blocks of time, with a phase of its own in each.
+
+    Notes
+    -----
+    The median square of amplitudes near the frequency, less what frequencies around it have by noise.
+    """
+    seconds = asked.policy.comparison.least_rows * ROW_SECONDS
+    block = np.unique((asked.one.series.t[:-1][asked.used] / seconds).astype(int), return_inverse=True)[1]
+    count = int(block.max()) + 1
+
+    def square(share: float) -> float:
+        _, offered, left = _swing(asked, line.over, share * line.frequency, _CHANNELS.index(line.channel))
+        known, told = np.zeros((count, 2, 2)), np.zeros((count, 2))
+        np.add.at(known, block, np.einsum("nci,ncj->nij", offered, offered))
+        np.add.at(told, block, np.einsum("nci,nc->ni", offered, left))
+        weights = np.einsum("bij,bj->bi", np.linalg.pinv(known), told)
+        return float(np.median(np.sum(weights**2, axis=1)))
+
+    around = np.median([square(share) for share in (0.86, 0.89, 0.92, 0.95, 1.05, 1.08, 1.11, 1.14)])
+    return float(np.sqrt(max(max(map(square, np.linspace(0.98, 1.02, 9))) - around, 0.0)))
