@@ -8,7 +8,7 @@ import pytest
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
@@ -111,3 +111,17 @@ def test_a_relative_starts_where_it_is_as_large(objective):
     for tau in (1e-4, 0.006, 0.05, 0.4, 0.0):
         begun = nearest_start(delay, Part(lag, {"tau": tau}))["delay"]
         assert abs(np.log(begun / max(tau, 1e-9))) == min(abs(np.log(value / max(tau, 1e-9))) for value in starts)
+
+
+def test_a_forgotten_sensitivity_is_worked_out_anew(objective, explore, current):
+    """Held or forgotten, explorations are the same; what is worked out anew is what straight lines were."""
+    held = explore(current)
+    lean = Explorer(objective, tuple(candidates_of(objective, *NAMES)), VARIANCE_INFLATION, held=0)
+    fits = lean(replace(current))
+    assert not any(fit.sensitivity.size for fit in fits)
+    assert [fit.cost for fit in fits] == [fit.cost for fit in held]
+    there, here = sensitivity_of(objective, fits[0]), held[0].sensitivity
+    assert np.linalg.norm(there - here) < 0.02 * np.linalg.norm(here)
+    assert fits[0].sensitivity is there
+    further = [one(fit)[0] for one, fit in ((explore, held[0]), (lean, fits[0]))]
+    assert further[0].cost == pytest.approx(further[1].cost, abs=0.02)

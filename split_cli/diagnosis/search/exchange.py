@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fits_without, tangent
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fits_without, sensitivity_of, tangent
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
 from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
 from split_cli.diagnosis.search.joint import promised_without
@@ -61,6 +61,7 @@ def _promising_mergers(
     if len(parts) < 2 or not siblings:
         return []
     here = objective.left_by(chosen.terms)
+    sensitivity = sensitivity_of(objective, chosen)
     owner = np.repeat(np.arange(len(parts)), [len(part.values) for part in parts])
     free = free_to_form_error(objective, chosen)
     seen = free.T @ chosen.residuals
@@ -78,7 +79,7 @@ def _promising_mergers(
         for k, moved in gone.items():
             if k != j:
                 kept = tuple(part for i, part in enumerate(parts) if i not in (j, k))
-                rest = Fit(kept, 0.0, chosen.residuals + moved, chosen.sensitivity[:, (owner != j) & (owner != k)])
+                rest = Fit(kept, 0.0, chosen.residuals + moved, sensitivity[:, (owner != j) & (owner != k)])
                 fewer = chosen.complexity - rest.complexity - sibling.complexity
                 worse = line.cost(rest, free) - own - explore.variance_inflation * explore.rules.price * fewer
                 out.append((worse, (*kept, line.part), parts[k]))

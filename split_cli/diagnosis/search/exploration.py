@@ -19,6 +19,7 @@ from split_cli.diagnosis.search.fitting import (
     fit_parts,
     refitted,
     scan_places,
+    sensitivity_of,
     tangent,
 )
 from split_cli.diagnosis.search.form_error import free_to_form_error, saved_beside_form_error
@@ -35,6 +36,9 @@ class Explorer:
     objective: MarginalLikelihood
     candidates: tuple[Candidate, ...]
     variance_inflation: float
+    # Sensitivities that are held at once [bytes], the newest. An older one is worked out anew where it is asked
+    # for, so this decides memory and time; of a result, what forward differences leave open.
+    held: int = 2**28
     _explored: list[tuple[Fit, float, list[Fit]]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
@@ -59,7 +63,22 @@ class Explorer:
                 return fits
         fits = self._followed(self._fits(current, self._starts(current, worth=worth)))
         self._explored.append((current, worth, fits))
+        self._forget_oldest()
         return fits
+
+    def close(self) -> None:
+        """Let go of all explanations, where no further one is asked for; straight lines stay."""
+        self._explored.clear()
+
+    def _forget_oldest(self) -> None:
+        held, seen = 0, set()
+        for current, _, fits in reversed(self._explored):
+            for fit in (current, *fits):
+                if id(fit) not in seen:
+                    seen.add(id(fit))
+                    held += fit.sensitivity.nbytes
+                    if held > self.held:
+                        fit.forget()
 
     def beyond_form_error(self, current: Fit) -> list[Fit]:
         """Return the candidates that promise most beyond an explanation's model-form error, those first.
@@ -102,6 +121,7 @@ class Explorer:
 
     def _promises(self, current: Fit, free: np.ndarray | None) -> list[tuple[float, Tangent]]:
         """Return what each start of each candidate promises to cost, price included, best first."""
+        sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
         lines = [one for one in self._tangents if one.part.candidate.term not in taken]
         for candidate, effect in self._effects:
@@ -116,6 +136,7 @@ class Explorer:
 
     def first_lines(self, current: Fit) -> list[Tangent]:
         """Return the most promising start and variant of every other term without a place, as straight lines."""
+        sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
         best: dict[str, tuple[float, Tangent]] = {}
         for promised, line in together(lambda one: (one.cost(current), one), self._tangents):

@@ -16,7 +16,7 @@ from split_cli.vehicle.effects import Term
 
 __all__ = [
     "SEARCHED_PLACES", "Fit", "Part", "Prior", "Tangent", "effect_everywhere", "fit_parts", "fit_with_prior",
-    "fits_without", "raw_slopes", "refitted", "scan_places", "tangent",
+    "fits_without", "raw_slopes", "refitted", "scan_places", "sensitivity_of", "tangent",
 ]  # fmt: skip
 
 _ITERATIONS = 12
@@ -60,7 +60,8 @@ class Fit:
     parts: tuple[Part, ...]
     cost: float  # in units of chi squared
     residuals: np.ndarray  # (R,): whitened residuals it leaves, the shared discrepancy taken out
-    # (R, P): derivative of the residuals by each parameter, over the parts in order; empty until asked for.
+    # (R, P): derivative of the residuals by each parameter, over the parts in order; without columns where it was
+    # forgotten: see `sensitivity_of`.
     sensitivity: np.ndarray
 
     @property
@@ -77,6 +78,18 @@ class Fit:
     def complexity(self) -> float:
         """Parameters effectively searched for."""
         return sum(part.candidate.complexity for part in self.parts)
+
+    def forget(self) -> None:
+        """Let go of the sensitivity, the greater part of what a fit holds; `sensitivity_of` works it out anew."""
+        self.__dict__["sensitivity"] = np.empty((len(self.residuals), 0))
+
+
+def sensitivity_of(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+    """Return a fit's sensitivity, shape (R, P), worked out anew by forward differences where it was forgotten."""
+    if not fit.sensitivity.shape[1] and any(part.values for part in fit.parts):
+        steps = [part.candidate.ranges[name].step for part in fit.parts for name in part.values]
+        fit.__dict__["sensitivity"] = objective.whiten(raw_slopes(objective, fit.parts)) / np.array(steps)
+    return fit.sensitivity
 
 
 def fit_parts(
@@ -260,7 +273,7 @@ def _shared_slopes(
     """Return derivatives by steps that are known of parts, by the parameters' numbers, shape (R,) each."""
     of_lines = {id(line.part): line.slopes for line in lines}
     of_fit = {}
-    for part in known.parts if known is not None else ():
+    for part in known.parts if known is not None and known.sensitivity.shape[1] else ():
         first = sum(slopes.shape[1] for slopes in of_fit.values())
         of_fit[id(part)] = known.sensitivity[:, first : first + len(part.values)]
     columns, number = {}, 0

@@ -17,7 +17,7 @@ from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.baseline.discrepancy import scaled_features
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
-from split_cli.diagnosis.search.fitting import Fit
+from split_cli.diagnosis.search.fitting import Fit, sensitivity_of
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -78,7 +78,7 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarr
     straight line at the values found, and V grows with the term: a law by which it does (1 + c) times as much
     leaves 1/(1 + c) of its size, where the line says 1 - c. See `divided_out`.
     """
-    laws, slopes = _other_load_laws(objective, fit), fit.sensitivity
+    laws, slopes = _other_load_laws(objective, fit), sensitivity_of(objective, fit)
     if not laws.shape[1]:
         return np.zeros(slopes.shape[1])
     effect = np.linalg.norm(slopes, axis=0)

@@ -15,7 +15,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior, fits_without
+from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior, fits_without, sensitivity_of
 from split_cli.diagnosis.together import apart_with
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -35,7 +35,7 @@ def promised_by_all(explore: Explorer, current: Fit) -> float:
     projection onto [D S], e the residuals left. Of pure noise it saves one for every column.
     """
     lines = [one.slopes for one in explore.first_lines(current)]
-    columns = np.hstack([*lines, current.sensitivity])
+    columns = np.hstack([*lines, sensitivity_of(explore.objective, current)])
     columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
     score = columns.T @ current.residuals
     normal = columns.T @ columns + 1e-6 * np.eye(len(score))
@@ -94,7 +94,7 @@ def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:
 def promised_without(explore: Explorer, fit: Fit) -> np.ndarray:
     """Return what leaving each part of a fit costs beyond its price by straight lines, (parts,) [chi squared]."""
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
-    slopes = fit.sensitivity * steps
+    slopes = sensitivity_of(explore.objective, fit) * steps
     worth = _worth(explore, _blocks(fit.parts), slopes.T @ slopes, np.zeros(len(steps)))
     return np.array([one for one, _ in worth])
 

@@ -158,6 +158,7 @@ def select_terms(
         history.append(said_of(selection.chosen, single))
         selection = _examined(explore, base, single)
     partly = cache(lambda: strongest_part(objective, explore.lines(), base.residuals, variance_inflation))
+    explore.close()
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
 
 

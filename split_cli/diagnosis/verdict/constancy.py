@@ -20,7 +20,7 @@ from split_cli.diagnosis.baseline.discrepancy import features, scaled_features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.remainder.structure import minimum_effect_p
-from split_cli.diagnosis.search.fitting import Fit, Part, raw_slopes
+from split_cli.diagnosis.search.fitting import Fit, Part, raw_slopes, sensitivity_of
 from split_cli.diagnosis.search.form_error import form_error_columns
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import first_order_response
@@ -154,7 +154,7 @@ def beyond_form_error(
     if not any(named):
         return {}
     noise = max(variance_inflation, objective.form_error_inflation)
-    form_error, own = form_error_columns(objective, fit) / np.sqrt(noise), _orthonormal(fit.sensitivity)
+    form_error, own = form_error_columns(objective, fit) / np.sqrt(noise), _orthonormal(sensitivity_of(objective, fit))
     form_error = form_error - own @ (own.T @ form_error)
     products = form_error.T @ form_error
     normal = np.eye(len(products)) + products

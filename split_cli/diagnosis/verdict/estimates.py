@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.search.fitting import Fit, Part
+from split_cli.diagnosis.search.fitting import Fit, Part, sensitivity_of
 from split_cli.diagnosis.search.form_error import moved_between_load_laws
 from split_cli.diagnosis.search.term_tests import systematic_error, witnesses_disagree
 from split_cli.diagnosis.statement.result import ParameterEstimate
@@ -67,7 +67,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
     """
     from scipy.stats import t as student
 
-    J = fit.sensitivity
+    J = sensitivity_of(objective, fit)
     form_error = objective.policy.selection.form_error_share
     if not J.shape[1]:
         return ()
@@ -139,7 +139,7 @@ def _between_recordings(objective: MarginalLikelihood, fit: Fit, k: int) -> floa
     first = sum(len(one.values) for one in fit.parts[:k])
     names, neutral = part.term.parameter_units(part.candidate.variant), part.term.neutral
     away = np.array([part.term.parameters[name] - neutral.get(name, part.term.parameters[name]) for name in names])
-    moved = fit.sensitivity[:, first : first + len(away)] @ away
+    moved = sensitivity_of(objective, fit)[:, first : first + len(away)] @ away
     return float(
         np.sqrt(objective.own_savings.get(part.candidate.effect, 0.0) / max(float(moved @ moved), 1e-300))
     )
