@@ -330,7 +330,7 @@ class _Cells:
         """Offer what `sample` and `label` hold to the cell `number`; return what became of it, as `_offer`."""
         position = self.position.get(number)
         if position is None:
-            position = int(self._cells_of([number])[0])
+            position = self._new_cell(number)
         slots = self.slots
         became, slot, repairs = self.update_cell(
             position, 0, begin + t, self.sample, self.inverse_scales, self.set.threshold,
@@ -359,17 +359,27 @@ class _Cells:
         """Return the row of each cell number, int64; cells not seen before get the next rows."""
         for number in numbers:
             if number not in self.position:
-                self.position[number] = len(self.numbers)
-                self.numbers.append(number)
-        room = len(self.count)
-        if len(self.numbers) > room:
+                self._new_cell(number)
+        return np.array([self.position[number] for number in numbers], dtype=np.int64)
+
+    def _new_cell(self, number: int) -> int:
+        """Return the row of a cell not seen before: the next one."""
+        position = len(self.numbers)
+        if position == len(self.count):
             # Doubling, so that learning sample by sample does not copy everything at each new cell.
-            more = max(len(self.numbers), 2 * room) - room
+            self.reserve(max(1, 2 * position))
+        self.position[number] = position
+        self.numbers.append(number)
+        return position
+
+    def reserve(self, cells: int) -> None:
+        """Make room for as many cells; a sample's time then does not depend on what came before it."""
+        more = cells - len(self.count)
+        if more > 0:
             self.count = np.concatenate([self.count, np.zeros(more, dtype=np.int64)])
             self.origin = np.concatenate([self.origin, np.full((more, self.set.capacity), -1, dtype=np.int64)])
             for name, values in self.slots.items():
                 self.slots[name] = np.concatenate([values, self._blank(name, more)])
-        return np.array([self.position[number] for number in numbers], dtype=np.int64)
 
     def freeze(self, sources: tuple[SetSource, ...]) -> TrainingSet:
         """Return the state as a trained set, cells ascending, points in slot order."""

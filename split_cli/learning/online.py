@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.errors import SetError
 from split_cli.learning.cells import _Cells, _check_belongs
 from split_cli.learning.labels import Labels, Reason
+from split_cli.learning.region import valid_cell_count
 from split_cli.learning.training_set import SetSource, TrainingSet
 
 __all__ = ["CellChange", "OnlineSet"]
@@ -52,6 +53,9 @@ class OnlineSet:
         self._known: Labels | None = None
         self._digest = training_set.vehicle.digest()
         self._cells = _Cells(training_set)
+        if training_set.features.is_z2:
+            # A controller's interval must not wait until arrays have grown.
+            self._cells.reserve(valid_cell_count(training_set.vehicle, training_set.region, training_set.grid))
         self._z = self._cells.sample[0]
         self._sources = list(training_set.sources)
         self._open: _Tally | None = None
