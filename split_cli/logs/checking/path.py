@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks, Unjudged
-from split_cli.logs.checking.kinematics import around_mean, block_interval, fit_slope
+from split_cli.logs.checking.kinematics import Kinematics, around_mean, block_interval, fit_slope
 from split_cli.logs.checking.relations import ConsistencyFinding
 
 __all__ = ["direction_of_travel", "velocity_across", "velocity_along", "yaw_is_course"]
 
 _LEAST_DIRECTION = 0.05
 """Smaller errors of a direction are those of an ordinary pose [rad]; judgement."""
+_SURELY, _LEAST_ZERO = 3.0, 0.005
+"""Standard errors, and angle [rad], within which a zero is a multiple of 90 degrees: what makers choose; judgement."""
 _NO_UNIT = 5.0
 """Times a speed that no unit makes of it: km/h makes 3.6 [1]."""
 _LEAST_REAR_SLIP = 1e-3
@@ -24,13 +26,17 @@ def direction_of_travel(checks: Checks, with_velocity: bool = True) -> list[Cons
     if not checks.usable("X", "Y", "yaw") or not checks.known("vx"):
         return []
     k = checks.k
-    # Without v_y: the sideslip of left and right bends has no mean.
-    sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if with_velocity and checks.usable("vy") else 0.0
+    measured = with_velocity and checks.usable("vy")
+    sideslip = np.arctan2(k.signal("vy"), k.signal("vx")) if measured else 0.0
     centre, off = around_mean(k.travel_from_yaw() - sideslip)
-    off = off[np.isfinite(off)]
-    if len(off) < 50:
+    if np.count_nonzero(np.isfinite(off)) < 50:
         return []
-    spread = 1.4826 * float(np.median(np.abs(off)))
+    zero, error = _without_turning(k, off, not measured)
+    centre, off = centre + zero, off[np.isfinite(off)] - zero
+    quarter = 0.5 * np.pi * round(centre / (0.5 * np.pi))
+    if abs(centre - quarter) < max(_SURELY * error, _LEAST_ZERO):
+        centre = quarter
+    spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
     if abs(centre) < _LEAST_DIRECTION or abs(centre) < 2.0 * spread:
         if spread > 0.3:
             checks.unjudged.append(
@@ -42,6 +48,22 @@ def direction_of_travel(checks: Checks, with_velocity: bool = True) -> list[Cons
         f"another zero than the map's X axis. Use `offset: {centre:.4f}` rad for yaw, or set `world:`."
     )
     return [ConsistencyFinding("direction", "yaw", text, centre, spread)]
+
+
+def _without_turning(k: Kinematics, off: np.ndarray, slips: bool) -> tuple[float, float]:
+    """Return the direction of travel off yaw where the car goes straight [rad], and its standard error.
+
+    off = zero + p r/v_x - q v_x r, the steady sideslip at the place of X, Y, if `slips`; else its mean. A lap has more
+    turns to one side: the mean of its sideslip is no zero, and made a v_y of 0.2 m/s.
+    """
+    v, r = k.ground_speed(), k.rate("yaw")
+    use = np.isfinite(off * v * r) & (v > 0.0)
+    parts = [np.ones(np.count_nonzero(use))]
+    if slips and np.any(r[use] != 0.0):
+        parts += [r[use] / v[use], v[use] * r[use]]
+    design, y = np.stack(parts, axis=1), off[use]
+    fitted, errors = block_interval(lambda rows: np.linalg.lstsq(design[rows], y[rows], rcond=None)[0], len(y))
+    return float(fitted[0]), float(errors[0])
 
 
 def velocity_across(checks: Checks) -> list[ConsistencyFinding]:
