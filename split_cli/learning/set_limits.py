@@ -15,6 +15,8 @@ MOST_CELLS_OF_A_GRID = 10_000_000
 """Cells between a grid's bounds [1]; theory: enumerated, they take 8 bytes each; by default 8,100."""
 LONGEST_HORIZON = 10.0
 """Label interval [s]; judgement: the paper's is 0.05 s, and over seconds a label is no rate."""
+LONGEST_TEXT = 4096
+"""A name or digest in a header [characters]; that of the longest path of Linux."""
 _COUNTS = ("samples", "accepted", "insertions", "replacements", "points", "cells")
 
 
@@ -44,14 +46,14 @@ def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_
         _within(f"region.{name}", value, 0.0, 1e3)
     _check_grid(described["grid"], len(features))
     for name, length in (("length_scales", len(features)), ("signal_variance", 3), ("noise_variance", 3)):
-        values = described["kernel"][name]
-        if len(values) != length:
-            raise ValueError(f"kernel.{name} has {len(values)} values, {length} were expected")
+        _numbers(f"kernel.{name}", described["kernel"][name], length)
+    _text("kernel.origin", described["kernel"].get("origin", ""))
+    _check_trust(described.get("trust", {}))
+    _boolean("plain", described["plain"])
     for name in ("points", "cells"):
         _whole(f"counts.{name}", described["counts"][name], 0, np.inf)
-    for source in described["sources"]:
-        for name in _COUNTS:
-            _whole(f"{name} of source {source['name']!r}", source[name], 0, np.inf)
+    for number, source in enumerate(described["sources"]):
+        _check_source(f"of source {number}", source)
     _whole("found_effects", described.get("found_effects", 0), 0, len(described["vehicle"].get("effects") or ()))
     if described["vehicle_digest"] != vehicle_digest:
         raise ValueError("the digest of its vehicle is not that of the vehicle in it")
@@ -73,10 +75,30 @@ def check_labels_header(described: Mapping[str, Any]) -> None:
         if not np.isfinite(_number(name, described[name])):
             raise ValueError(f"{name} is no time")
     for name in ("drive", "sha256", "vehicle_digest"):
-        if not isinstance(described[name], str):
-            raise ValueError(f"{name} is no text")
-    if not isinstance(described["plain"], bool):
-        raise ValueError("plain is neither true nor false")
+        _text(name, described[name])
+    _boolean("plain", described["plain"])
+
+
+def _check_trust(trust: Mapping[str, Any]) -> None:
+    for name in ("share", "doubt"):
+        if trust.get(name) is not None:
+            _numbers(f"trust.{name}", trust[name], 3)
+    _whole("trust.blocks", trust.get("blocks", 0), 0, np.inf)
+
+
+def _check_source(of: str, source: Mapping[str, Any]) -> None:
+    for name in ("name", "sha256"):
+        _text(f"{name} {of}", source[name])
+    for name in _COUNTS:
+        _whole(f"{name} {of}", source[name], 0, np.inf)
+    for reason, count in source["rejected"].items():
+        _whole(f"rejected.{_text('a reason', reason)} {of}", count, 0, np.inf)
+    if not source["insertions"] + source["replacements"] <= source["accepted"] <= source["samples"]:
+        raise ValueError(f"the counts {of} contradict each other: more updates than labels, or labels than samples")
+    for name, longest in (("horizon", LONGEST_HORIZON), ("duration", np.inf)):
+        if not 0.0 <= _number(f"{name} {of}", source.get(name, 0.0)) < longest:
+            raise ValueError(f"{name} {of} is {source[name]!r}, it must lie between 0 and {longest:g}")
+    _number(f"start_time {of}", source.get("start_time", 0.0))
 
 
 def _check_grid(grid: Mapping[str, Any], dimensions: int) -> None:
@@ -140,6 +162,24 @@ def _number(name: str, value: Any) -> float:
 def _within(name: str, value: Any, above: float, below: float) -> None:
     if not above < _number(name, value) < below:
         raise ValueError(f"{name} is {value!r}, it must lie between {above:g} and {below:g}")
+
+
+def _numbers(name: str, values: Any, length: int) -> None:
+    if not isinstance(values, list) or len(values) != length:
+        raise ValueError(f"{name} is no list of {length} numbers")
+    for value in values:
+        _number(name, value)
+
+
+def _boolean(name: str, value: Any) -> None:
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} is neither true nor false")
+
+
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT:
+        raise ValueError(f"{name} is no text of at most {LONGEST_TEXT:,} characters")
+    return value
 
 
 def _whole(name: str, value: Any, least: int, most: float) -> None:

@@ -67,9 +67,10 @@ def _trained_set(path: Path) -> FileDescription:
         ("features", ", ".join(trained.features.names)),
         ("points", f"{trained.size} in {trained.cell_count} cells, at most {trained.capacity} a cell"),
     ]
-    if trained.features.is_z2:
+    share = trained.valid_share()
+    if share is not None:
         valid = valid_cell_count(trained.vehicle, trained.region, trained.grid)
-        facts.append(("valid region", f"{valid} cells, {100.0 * trained.cell_count / valid:.1f} % non-empty"))
+        facts.append(("valid region", f"{valid} cells, {100.0 * share:.1f} % non-empty"))
     facts += [
         ("cell edges", _named(trained.features.names, trained.grid.edges)),
         ("label interval", f"{trained.horizon:g} s"),

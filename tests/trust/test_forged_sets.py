@@ -46,6 +46,20 @@ FORGED = {
     "no drives": at("sources", value=[]),
     "mass of no car": at("vehicle", "mass", value=1e308),
     "region of no size": at("region", "alpha_max", value=-0.1),
+    "kernel of another shape": at("kernel", "noise_variance", value=[[1.0], [1.0], [1.0]]),
+    "kernel in one word": at("kernel", "length_scales", value="0.5"),
+    "length scale in words": at("kernel", "length_scales", value=["0.5", 1.0, 1.0]),
+    "trust in words": at("trust", "share", value=["0.5", 1.0, 1.0]),
+    "blocks below zero": at("trust", "blocks", value=-5),
+    "plain in words": at("plain", value="no"),
+    "drive of no name": at("sources", 0, "name", value=5),
+    "drive of an endless name": at("sources", 0, "name", value="x" * 100_000),
+    "digest that is none": at("sources", 0, "sha256", value=None),
+    "reasons below zero": at("sources", 0, "rejected", value={"speed": -5}),
+    "reasons that are none": at("sources", 0, "rejected", value="many"),
+    "more updates than labels": at("sources", 0, "insertions", value=10**30),
+    "endless label interval": at("sources", 0, "horizon", value=1e300),
+    "time in words": at("sources", 0, "start_time", value="noon"),
 }
 
 
