@@ -114,7 +114,9 @@ class _Processes:
         self, pool: ProcessPoolExecutor, function: Callable[[Any], Any], items: Sequence[Any]
     ) -> Iterator[Any]:
         try:
-            yield from pool.map(function, items)
+            with _interrupts_wait():
+                results = pool.map(function, items)
+            yield from results
         except BrokenProcessPool as error:
             raise SplitError(
                 "a worker process was ended from outside, or for lack of memory",
@@ -127,10 +129,25 @@ class _Processes:
         self._alive.close()
 
     def close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-        self._alive.close()
-        self._told.close()
+        try:
+            if self._pool is not None:
+                self._pool.shutdown(cancel_futures=True)
+        finally:
+            self._alive.close()
+            self._told.close()
+
+
+@contextlib.contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    """Hold Ctrl-C back while workers are started, which then never see it: one that loads would print where."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 _stopped = threading.Event()  # of a worker: it begins nothing more

@@ -257,6 +257,10 @@ def _process(item: int) -> int:
     return os.getpid()
 
 
+def _holds_interrupts_back(item: int) -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
 def _end(item: int) -> None:
     os._exit(1)
 
@@ -328,6 +332,8 @@ def test_unasked_a_folder_uses_every_core_up_to_four_and_a_killed_process_is_tol
     with open_engine(jobs=None) as engine:
         assert list(engine.map(_process, [1])) == [os.getpid()]  # no process for a single log
         assert len({*engine.map(_process, range(6))} - {os.getpid()}) == 2
+        # From their start: a worker that still loads would print a traceback.
+        assert all(engine.map(_holds_interrupts_back, range(4))) and not _holds_interrupts_back(0)
         with pytest.raises(SplitError, match="a worker process was ended from outside"):
             list(engine.map(_end, range(2)))
     monkeypatch.setattr("split_cli.workflows.engine.cores", lambda: 64)
