@@ -41,7 +41,7 @@ _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
 @output_option("Folder to write into.", names=("--out",), folder=True)
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if simulation and reality differ.")
 @held_option
-@engine_options(None)
+@engine_options(None, "threads")
 @json_option
 def command(
     real, simulated, holdout, vehicle_path, output, exit_code, held, engine, scheduler, jobs, as_json
@@ -51,8 +51,8 @@ def command(
     Without --sim the nominal model serves as the simulation. Without --holdout the last quarter of the real drives
     is held out, and the improvement is measured there.
 
-    One diagnosis works in threads, --jobs of them. A Dask cluster does its self-tests and the sizes of what it did
-    not find.
+    The work is done in --jobs threads. A Dask cluster can take over the self-tests and the smallest detectable
+    effects.
 
     \b
     Example:

@@ -67,7 +67,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     metavar="LIST",
     help="Set sizes at which feature sets are compared [default: 50,100,200,500,1000,all].",
 )
-@click.option("--blocks", type=click.IntRange(2), default=10, help="Number of time blocks per drive.")
+@click.option("--blocks", type=click.IntRange(2), default=10, metavar="N", help="Number of time blocks per drive.")
 @click.option("--holdout", type=float, default=0.3, metavar="SHARE", help="Share of the time that is held out.")
 @click.option(
     "--guard", type=float, default=1.0, metavar="S", help="Unused time on either side of a held-out block."

@@ -25,7 +25,10 @@ __all__ = ["command"]
 @vehicle_option()
 @output_option("Label file to write (Parquet), or a folder if there are several drives.")
 @click.option(
-    "--features", default="z2", help="Inputs of the correction: z2, z1, or a comma-separated list of signals."
+    "--features",
+    default="z2",
+    metavar="LIST",
+    help="Inputs of the correction: z2, z1, or a comma-separated list of signals.",
 )
 @click.option("--horizon", type=float, default=0.05, metavar="S", help="Label interval h.")
 @label_options

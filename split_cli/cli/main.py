@@ -115,7 +115,7 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "s
 )
 @click.pass_context
 def group(context, quiet, verbose, legend, config) -> None:
-    """Turn driving logs into vehicle models that a controller can trust.
+    """Turn driving logs into vehicle models that a controller can trust, and explain what a simulation lacks.
 
     \b
     Example, from a log to C code:
@@ -124,6 +124,10 @@ def group(context, quiet, verbose, legend, config) -> None:
       split train lap.parquet --vehicle car/vehicle.yaml -o car.split
       split evaluate lap2.parquet --vehicle car/vehicle.yaml --set car.split
       split export car.split --target c -o controller/
+
+    \b
+    Example, from a simulation and a real drive to the effect that the simulation lacks:
+      split diagnose --real lap.parquet --sim twin.parquet --vehicle car.yaml --out diagnosis
 
     Results go to stdout, progress and notes to stderr. Exit codes: 0 success, 1 faulty input, 2 wrong usage,
     3 a check failed (--exit-code, --most). --quiet, --verbose and --legend may stand anywhere on the line.

@@ -31,10 +31,15 @@ __all__ = ["command"]
     help="Trained set to drive with, or a folder of `split export --target casadi`, whose function the "
     "controller evaluates; without one, the nominal model.",
 )
-@click.option("--predictor", default="auto", show_default=True, help="Predictor that evaluates the set: auto is "
+@click.option("--predictor", default="auto", show_default=True, metavar="NAME",
+              help="Predictor that evaluates the set: auto is "
               "bcm for three features and projected for more.")  # fmt: skip
 @click.option(
-    "--car", default="road_car", show_default=True, help="Simulated car: road_car, f1tenth_car or formula_car."
+    "--car",
+    default="road_car",
+    show_default=True,
+    metavar="NAME",
+    help="Simulated car: road_car, f1tenth_car or formula_car.",
 )
 @click.option(
     "--speed",
@@ -45,12 +50,18 @@ __all__ = ["command"]
     help="Entry speed; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid].",
 )
 @click.option(
-    "--grip", type=float, default=1.0, show_default=True, help="Friction scale of the road: 1 dry, 0.5 wet."
+    "--grip",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="SCALE",
+    help="Friction scale of the road: 1 dry, 0.5 wet.",
 )
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force that the "
               f"controller may use  [default: {SHARE_LEARNED} with a set, or if the vehicle file knows the "
               f"tyres' peaks from data; else {SHARE_NOMINAL}].")  # fmt: skip
-@click.option("--p-long", type=float, default=P_LONG, show_default=True, help="Weight of the longitudinal "
+@click.option("--p-long", type=float, default=P_LONG, show_default=True, metavar="WEIGHT",
+              help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
 @click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
               "load transfer, a torque limit and, with a set, the tyre peaks that its labels show.")  # fmt: skip
@@ -58,7 +69,9 @@ __all__ = ["command"]
 @click.option(
     "--width", type=float, metavar="M", help="Width of the car's body  [default: 1.15 times its track width]."
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Random seed of the sensor noise.")
+@click.option(
+    "--seed", type=int, default=0, show_default=True, metavar="N", help="Random seed of the sensor noise."
+)
 @click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise.")
 @click.option("--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later.")
 @click.option(
@@ -68,8 +81,8 @@ __all__ = ["command"]
     metavar="FILE",
     help="Train a new set on the first run, and write it.",
 )
-@click.option("--features", default="z2", show_default=True, help="Inputs of the correction that --set trains: "
-              "as of `split race`.")  # fmt: skip
+@click.option("--features", default="z2", show_default=True, metavar="LIST",
+              help="Inputs of the correction that --set trains; see `split race`.")  # fmt: skip
 @output_option("Drive of the first run to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **options) -> None:

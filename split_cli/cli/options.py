@@ -82,17 +82,17 @@ def json_option(function: Callable) -> Callable:
     return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")(function)
 
 
-def engine_options(processes: int | None) -> Callable:
+def engine_options(processes: int | None, workers: str = "processes") -> Callable:
     """``--engine``, ``--scheduler``, ``--jobs``: where the work is done; results do not depend on it.
 
-    Without ``--jobs`` there are so many `processes`; None stands for one a core.
+    Without ``--jobs`` there are so many `processes`; None stands for one a core. `workers` says what they are.
     """
     usual = "one a core, at most 4" if processes is None else str(processes)
 
     def decorate(function: Callable) -> Callable:
         for option in (
             click.option("--jobs", type=click.IntRange(1), default=processes, show_default=False, metavar="N",
-                         help=f"Number of processes; default: {usual}."),
+                         help=f"Number of {workers}; default: {usual}."),
             click.option("--scheduler", metavar="ADDRESS",
                          help="Address of a running Dask scheduler, tcp://HOST:PORT."),
             click.option("--engine", type=click.Choice(["process", "dask"]), default="process",

@@ -27,17 +27,23 @@ __all__ = ["command"]
     "--track",
     default="small",
     show_default=True,
+    metavar="NAME",
     help="Track: handling (2.3 km), small (580 m), oval, f1tenth, or a centre-line CSV with the columns "
     "x_m,y_m,w_tr_right_m,w_tr_left_m.",
 )
 @click.option(
-    "--car", default="road_car", show_default=True, help="Simulated car: road_car, f1tenth_car or formula_car."
+    "--car",
+    default="road_car",
+    show_default=True,
+    metavar="NAME",
+    help="Simulated car: road_car, f1tenth_car or formula_car.",
 )
 @click.option(
     "--laps",
     type=int,
     default=3,
     show_default=True,
+    metavar="N",
     help="Number of laps after lap 0, which is driven with the nominal model.",
 )
 @click.option(
@@ -45,6 +51,7 @@ __all__ = ["command"]
     "learners",
     multiple=True,
     default=("split",),
+    metavar="NAME",
     help="none; iol (one dictionary, Kabzan et al. 2019); or split (this project's: a small set in each cell). "
     "Repeat the option to compare several learners in one report.",
 )
@@ -59,13 +66,19 @@ __all__ = ["command"]
     "--predictor",
     default="auto",
     show_default=True,
+    metavar="NAME",
     help="Predictor that evaluates the set. bcm and projected follow every update, others are rebuilt after "
     "each lap. With auto it is bcm for three features, projected for more.",
 )
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
 @click.option(
-    "--grip", type=float, default=1.0, show_default=True, help="Friction scale of the road: 1 dry, 0.5 wet."
+    "--grip",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="SCALE",
+    help="Friction scale of the road: 1 dry, 0.5 wet.",
 )
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
@@ -78,13 +91,15 @@ __all__ = ["command"]
               "It rises to --p-ellipse with the information that the data hold  [default: "
               "--p-ellipse].")  # fmt: skip
 @click.option("--assumed-friction", "--told-grip", "assumed_friction", type=float, default=1.0, show_default=True,
+              metavar="SCALE",
               help="Friction scale that the controller assumes before it has learned.")  # fmt: skip
 @click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="After each lap, move "
               "the slip limits to the tyres' peaks that the labels show.")  # fmt: skip
 @click.option("--margin", type=float, metavar="M", help="Distance to keep between the car's side and the track "
               f"border, besides what earlier laps needed  [default: {MARGIN} for a wheelbase of {SIZE} m, in "
               "proportion for others].")  # fmt: skip
-@click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, help="Weight of the longitudinal "
+@click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, metavar="WEIGHT",
+              help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
 @click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
               "load transfer, a torque limit, and learned tyre peaks as the correction's prior mean.")  # fmt: skip
@@ -92,6 +107,7 @@ __all__ = ["command"]
     "--features",
     default="auto",
     show_default=True,
+    metavar="LIST",
     help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states. "
     "The choice auto takes z2, or z2,feature_lag where that predicts held-out tenths of the laps so far better.",
 )
@@ -99,6 +115,7 @@ __all__ = ["command"]
     "--hyperparameters",
     default="fit",
     show_default=True,
+    metavar="KIND",
     help="Kernel: fit (to lap 0), "
     "fit-lasting (to lap 0, with errors that last over several labels), default, or a YAML file.",
 )
@@ -115,7 +132,9 @@ __all__ = ["command"]
 @click.option(
     "--width", type=float, metavar="M", help="Width of the car's body  [default: 1.15 times its track width]."
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Random seed of the sensor noise.")
+@click.option(
+    "--seed", type=int, default=0, show_default=True, metavar="N", help="Random seed of the sensor noise."
+)
 @click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise.")
 @click.option("--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later.")
 @click.option("--set", "set_output", type=click.Path(path_type=Path), metavar="FILE",

@@ -12,15 +12,17 @@ __all__ = ["command"]
 
 
 @click.command("simulate")
-@click.option("--car", default="road_car", help="Simulated car: road_car, f1tenth_car or formula_car.")
-@click.option("--track", help="Track for laps: handling (2.3 km), small (580 m), oval or f1tenth.")
-@click.option("--maneuver", help="Standard test instead of laps. A wrong name lists all names.")
+@click.option(
+    "--car", default="road_car", metavar="NAME", help="Simulated car: road_car, f1tenth_car or formula_car."
+)
+@click.option("--track", metavar="NAME", help="Track for laps: handling (2.3 km), small (580 m), oval or f1tenth.")
+@click.option("--maneuver", metavar="NAME", help="Standard test instead of laps. A wrong name lists all names.")
 @click.option(
     "--calibration-tests",
     is_flag=True,
     help="Instead of either, drive the gentle calibration tests as one drive (Parquet).",
 )
-@click.option("--laps", type=float, default=1.0, help="Number of laps; fractions are allowed.")
+@click.option("--laps", type=float, default=1.0, metavar="N", help="Number of laps; fractions are allowed.")
 @click.option("--duration", type=float, metavar="S", help="Duration of the drive, instead of a number of laps.")
 @click.option(
     "--lead-in",
@@ -29,18 +31,21 @@ __all__ = ["command"]
     metavar="S",
     help="Time between the start and the first recorded sample, so that tyres and actuators settle.",
 )
-@click.option("--driver", default="brisk", help="Driver: smooth, brisk, racer or novice.")
+@click.option("--driver", default="brisk", metavar="NAME", help="Driver: smooth, brisk, racer or novice.")
 @click.option(
     "--aggressiveness",
     type=float,
     metavar="SHARE",
     help="Share of the car's grip that the driver uses  [default: 0.6 for laps, 0.35 for tests].",
 )
-@click.option("--seed", type=int, default=0, help="Random seed of driver and sensors.")
-@click.option("--format", help="Log format: mcap, csv or parquet  [default: from the name of the output].")
+@click.option("--seed", type=int, default=0, metavar="N", help="Random seed of driver and sensors.")
+@click.option(
+    "--format", metavar="NAME", help="Log format: mcap, csv or parquet  [default: from the name of the output]."
+)
 @click.option(
     "--instruments",
     default="full",
+    metavar="NAME",
     help="Sensors: full; lean (state, inertial at 50 Hz, commands); or perfect (no noise, no delay).",
 )
 @click.option(

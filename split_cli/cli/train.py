@@ -30,6 +30,7 @@ __all__ = ["command"]
 @click.option("--append", is_flag=True, help="Add drives to the existing set that -o names; its settings stay.")
 @click.option(
     "--features",
+    metavar="LIST",
     help="Inputs of the correction: z2 (default), z1, or a comma-separated list of these, signals and terms with "
     "states, as z2,feature_lag.",
 )
@@ -54,6 +55,7 @@ __all__ = ["command"]
 @click.option(
     "--threshold",
     type=float,
+    metavar="GAIN",
     help="Smallest information gain of a point that a cell accepts while it has room; default 1e-3.",
 )
 @click.option(
