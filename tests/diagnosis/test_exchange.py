@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.search import form_error
-from split_cli.diagnosis.search.exchange import alone, joined, merged, relieved, said_of, split
+from split_cli.diagnosis.search.exchange import alone, joined, merged, relieved, said_of, split, turned_over
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, first_order, late, noisy_objective
+from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
 
 VARIANCE_INFLATION = 1.5
 ACTUATORS = ("drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
@@ -111,6 +111,22 @@ def test_tyres_that_differ_beside_a_mass_stay():
     objective = noisy_objective(driven(31, [CATALOGUE["mass"]({"scale": 1.2}, "degressive"), tyres]), 2)
     explore = explorer(objective, "mass", "tire_stiffness")
     assert merged(explore, nothing(objective), repaired(explore), (True, True)) is None
+
+
+def test_the_rest_of_a_lap_gives_way_to_the_stretch_and_a_stretch_beside_a_true_force_stays():
+    """Uphill on the rest of the lap beside a force m g sin(angle) along the car is downhill on the stretch."""
+    slope = {"angle": -0.01, "s_start": 120.0, "s_end": 240.0}
+    grade, force = CATALOGUE["road_grade"](slope, "stretch"), CATALOGUE["rolling_resistance"]({"force": 60.0})
+    starts = {"angle": 0.01, "s_start": 240.0, "s_end": 120.0}
+    explore = explorer(noisy_objective(driven(35, [grade]), 6), "road_grade", "rolling_resistance")
+    both = fitted(explore, road_grade__stretch=starts, rolling_resistance={"force": -120.0})
+    mass = explore.objective.evidence[0].vehicle.mass
+    assert both.parts[1].values["force"] == pytest.approx(-mass * 9.81 * 0.01, rel=0.1)
+    (part,) = turned_over(explore, both).parts
+    assert part.values["angle"] == pytest.approx(-0.01, abs=0.001)
+    assert part.values["s_start"] == pytest.approx(120.0, abs=0.02 * LAP)
+    explore = explorer(noisy_objective(driven(35, [grade, force]), 6), "road_grade", "rolling_resistance")
+    assert turned_over(explore, fitted(explore, road_grade__stretch=slope, rolling_resistance={"force": 50.0})) is None
 
 
 def test_steering_and_torque_late_by_the_same_join_into_late_sensors_and_by_unlike_do_not():

@@ -12,12 +12,12 @@ from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fits_without, sensitivity_of, tangent
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
 from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
-from split_cli.diagnosis.search.joint import promised_without
+from split_cli.diagnosis.search.joint import promised_without, without_needless
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["alone", "is_better_beside_form_error", "joined", "merged", "relieved", "said_of", "split"]
+__all__ = ["alone", "is_better_beside_form_error", "joined", "merged", "relieved", "said_of", "split", "turned_over"]
 
 
 def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
@@ -172,6 +172,26 @@ def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
         here, there = costs_beside_form_error(explore.objective, [chosen, fit])
         if there <= here and there - here < least:
             best, least = fit, there - here
+    return best
+
+
+def turned_over(explore: Explorer, chosen: Fit) -> Fit | None:
+    """Return the best explanation with a stretch in the place of the rest of the lap, where that costs less.
+
+    A slope on a stretch is the opposite slope on the rest of the lap, beside a force along the car and a bias of
+    the accelerometer. While drag is not found yet, the rest of the lap may do its part as well, and be found
+    first. It then keeps force and bias in their places, since no change of one term alone costs less.
+    """
+    best, least = None, explore.price(chosen) - explore.rules.tie
+    closed = explore.objective.evidence[0].series.lap_length is not None
+    for k, part in enumerate(chosen.parts if closed and len(chosen.parts) > 1 else ()):
+        if "s_start" in part.values:
+            there = part.candidate.moved(part.values, -1.0)
+            rest = Part(part.candidate, {**there, "s_start": there["s_end"], "s_end": there["s_start"]})
+            others = chosen.parts[:k] + chosen.parts[k + 1 :]
+            fit = without_needless(explore, fit_parts(explore.objective, (*others, rest), known=chosen))
+            if explore.price(fit) < least and not any(map(explore.is_everywhere, fit.parts)):
+                best, least = fit, explore.price(fit)
     return best
 
 

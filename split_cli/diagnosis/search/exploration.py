@@ -161,7 +161,7 @@ class Explorer:
         """Return fits of promises, with the second start of a variant where it promises more."""
         found = apart_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
         fits = [fit for several in found for fit in several]
-        return sorted((fit for fit in fits if not self._is_everywhere(fit.parts[-1])), key=self.price)
+        return sorted((fit for fit in fits if not self.is_everywhere(fit.parts[-1])), key=self.price)
 
     def _followed(self, fits: Sequence[Fit]) -> list[Fit]:
         """Return the best fit of each variant; in the first few the shared discrepancy follows what they alter."""
@@ -198,7 +198,7 @@ class Explorer:
         parts = [part for part in parts if alters_inputs(part.term)]
         return apart_with(self.objective, refitted, [((*others, part), found[0]) for part in parts])
 
-    def _is_everywhere(self, part: Part) -> bool:
+    def is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none, or a term is another one."""
         if part.candidate.is_another(part.values):
             return True

@@ -18,6 +18,7 @@ from split_cli.diagnosis.search.exchange import (
     relieved,
     said_of,
     split,
+    turned_over,
 )
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts, fits_without
@@ -140,7 +141,7 @@ def select_terms(
             history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
         else:
             chosen = found.chosen
-    selection = _examined(explore, base, chosen)
+    selection = _examined(explore, base, _turned_over(explore, chosen, history))
     for _ in range(rules.rounds):
         selection, exchanged = _exchanged(explore, selection, history)
         selection, moved = _exchanged_beside_form_error(explore, selection, history)
@@ -151,7 +152,7 @@ def select_terms(
         if len(grown.chosen.parts) == len(selection.chosen.parts):
             break
         history += grown.history
-        selection = _examined(explore, base, grown.chosen)
+        selection = _examined(explore, base, _turned_over(explore, grown.chosen, history))
     # Last: whatever were added to it again, or took its place, would be part of the explanation that it replaced.
     single = alone(explore, base, selection.chosen, selection.named)
     if single is not None:
@@ -183,6 +184,16 @@ def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
     """Return whether one part of a fit would be refused as the last to come to the others."""
     last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
     return bool(refusal(explore, rest, sizes_with_form_error(explore.objective, rest.terms), last))
+
+
+def _turned_over(explore: Explorer, chosen: Fit, history: list[str]) -> Fit:
+    """Return an explanation with a stretch in the place of the rest of the lap, if that costs less, and say so."""
+    other = turned_over(explore, chosen)
+    if other is None:
+        return chosen
+    gone = sorted(set(chosen.names) - set(other.names))
+    history.append(f"a stretch in place of the rest of the lap{' and ' * bool(gone)}{' and '.join(gone)}")
+    return other
 
 
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
