@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 import warnings
+import weakref
 
 import click
 
@@ -170,6 +171,8 @@ def main(arguments: list[str] | None = None) -> None:
         result = group.main(args=arguments, prog_name="split", standalone_mode=False)
         sys.stdout.flush()
     except SplitError as error:
+        if stopped:  # what the interrupt broke was taken for a fault of the input
+            _leave_stopped(stopped)
         _fail(str(error), 1)
     except click.exceptions.Abort:
         _leave_stopped(stopped)
@@ -199,30 +202,44 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(result if isinstance(result, int) else 0)
 
 
+class _Interrupt(KeyboardInterrupt):
+    """Raised by a signal; unlike the exception of Python it can be watched."""
+
+
 def _stop_cleanly() -> list[int]:
-    """Let Ctrl-C and `kill` unwind, so that unfinished files are removed; the list holds what signal came."""
+    """Let Ctrl-C and `kill` unwind, so that unfinished files are removed; the list holds what signal came.
+
+    An interrupt may come where it is swallowed: in a library that catches everything while it loads or compiles,
+    or where an object is taken down. Nobody holds the exception then any longer, and the signal comes once more.
+    """
     came: list[int] = []
+    held: list[weakref.ref[_Interrupt]] = []
     here = os.getpid()
+
+    def again(_: object) -> None:
+        threading.Timer(0.01, os.kill, (here, came[-1])).start()
 
     def stop(number: int, frame: object) -> None:
         if os.getpid() != here:  # a worker process has nothing to tidy: its parent does
             os._exit(128 + number)
         came.append(number)
-        raise KeyboardInterrupt
+        interrupt = _Interrupt()
+        held[:] = [weakref.ref(interrupt, again)]
+        try:
+            raise interrupt
+        finally:
+            del interrupt  # this frame belongs to the traceback: the exception would hold itself
 
     usual = sys.unraisablehook
 
-    def again(unraisable: sys.UnraisableHookArgs) -> None:
-        if came and isinstance(unraisable.exc_value, KeyboardInterrupt):
-            # It came while an object was taken down, where nothing can be raised: once more in a moment.
-            threading.Timer(0.01, os.kill, (here, came[-1])).start()
-        else:
+    def silent(unraisable: sys.UnraisableHookArgs) -> None:
+        if not isinstance(unraisable.exc_value, _Interrupt):
             usual(unraisable)
 
-    sys.unraisablehook = again
+    sys.unraisablehook = silent
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, stop)
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where a shell ignores it
+        if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as of what a shell runs in the background
             signal.signal(signal.SIGINT, stop)
     return came
 
