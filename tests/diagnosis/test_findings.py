@@ -35,6 +35,21 @@ def test_a_term_that_is_not_singled_out_stays_in_the_fit_without_a_name():
     assert found.named == (True, False, False) and found.chosen is chosen
 
 
+def test_what_ends_at_what_a_car_can_have_is_nameless_by_its_share():
+    """Of 100 explained, 40 only by tyres without a name, 8 by a steering that may be theirs: no names."""
+    parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one)) for one in ("steer_gain", "tire_stiffness"))
+
+    def fit(cost: float) -> Fit:
+        return Fit(parts, cost, np.zeros(3), np.zeros((3, 2)))
+
+    selection = Selection(fit(110.0), fit(10.0), (fit(18.0), fit(50.0)), (), (), (True, False))
+    nameless = findings._nameless_shares(selection)
+    assert nameless == {"tire_stiffness": 0.4}
+    told, left = [SimpleNamespace(term="steer_gain", gap_explained=0.08)], SimpleNamespace(share=0.0)
+    assert findings._imitating(told, left, (), RULES) == set()
+    assert findings._imitating(told, left, (), RULES, nameless) == {"steer_gain", "tire_stiffness"}
+
+
 def finding(term: str, **intervals: tuple[float, float]) -> Finding:
     parameters = {
         name: ParameterEstimate(0.5 * sum(interval), 0.25 * (interval[1] - interval[0]), "1", interval)

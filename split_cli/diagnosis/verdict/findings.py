@@ -72,7 +72,8 @@ def describe(
     if contradicted:
         unexplained, kept = True, {one.term for one in findings if not one.exported}
     elif unexplained:
-        kept -= _imitating(findings, remainder, bent, rules) - _told_by_witnesses(objective, selection)
+        imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection))
+        kept -= imitating - _told_by_witnesses(objective, selection)
     vague = _vague(objective, selection, told) & kept
     kept -= vague
     while len(kept) < len(findings):
@@ -83,14 +84,12 @@ def describe(
         selection = _only(objective, selection, kept | vague)
         left = residuals_beside_form_error(objective, selection.chosen)
         remainder = _remainder(structure, selection, variance_inflation, left)
-        nameless = _shares(selection, vague)
         selection = _nameless(selection, vague)
         bent = _sure_bends(objective, selection, variance_inflation)
         told = _findings(objective, selection, remainder.share, beside)
         findings = _only_findings(told)
-        imitating = _imitating(findings, remainder, bent, rules, nameless) - _told_by_witnesses(
-            objective, selection
-        )
+        imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection))
+        imitating -= _told_by_witnesses(objective, selection)
         doubted = _vague(objective, selection, told) - imitating
         kept = {one.term for one in findings} - doubted - imitating
         vague |= doubted
@@ -137,9 +136,10 @@ def _imitating(
     and not in gentle ones is a tyre that is weaker to one side.
 
     What a term took that is not believed for this has no name either, nor has what those of `nameless` took, as
-    shares of the gap. It may as well be of the terms that are declared to look like it, of which each has to
-    explain more than both: a centre of gravity that pulls against a stiffness, say, where the balance of the axles
-    is all that is left.
+    shares of the gap: those that the data do not single out, and those that end at what a car can have. It may as
+    well be of the terms that are declared to look like it, of which each has to explain more than both: a centre
+    of gravity that pulls against a stiffness, say, where the balance of the axles is all that is left; or a
+    steering gain beside tyres that the data want softer than any are.
     """
     explained = {**{one.term: one.gap_explained for one in findings}, **nameless}
     shares = {term: share * (1.0 - remainder.share) for term, share in explained.items()}
@@ -296,6 +296,18 @@ def _shares(selection: Selection, terms: Set[str]) -> dict[str, float]:
         for part, without in zip(chosen.parts, selection.without, strict=True)
         if part.candidate.term in terms
     }
+
+
+def _nameless_shares(selection: Selection) -> dict[str, float]:
+    """Return the shares of what the explanation has, and does not name."""
+    return _shares(
+        selection,
+        {
+            part.candidate.term
+            for part, named in zip(selection.chosen.parts, selection.named, strict=True)
+            if not named
+        },
+    )
 
 
 def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) -> Selection:
