@@ -77,6 +77,8 @@ def command(set_path, targets, output, predictor, name, real, queries, step, ins
     )
     for doubt in result.doubts:
         click.echo(f"WARNING: {doubt}", err=True)
+    for text in result.reservations:
+        click.echo(f"note: {text}", err=True)
     if as_json:
         print_json(result)
         return

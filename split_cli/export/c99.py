@@ -7,6 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from textwrap import wrap
 from typing import Any
 
 import casadi
@@ -132,6 +133,7 @@ def c_source(
         "TABLES_SHA256": tables.digest(),
         "VERSION": provenance.version,
         "TRUST": ", ".join(f"{value:g}" for value in tables.trust.tolist()),
+        "RESERVATIONS": _reservations(provenance.reservations),
         "LOW_SPEED": f"{graph.low_speed:g}",
         "KEPT": ", ".join(f"{value:g}" for value in _kept(tables).tolist()),
         "DOUBT": ", ".join(f"{value:g}" for value in tables.doubt.tolist()),
@@ -414,6 +416,12 @@ def _macros(real: str) -> str:
 def _array(declaration: str, literals: list[str]) -> str:
     rows = [", ".join(literals[k : k + 6]) for k in range(0, len(literals), 6)]
     return declaration + " = {\n    " + ",\n    ".join(rows) + "\n};\n"
+
+
+def _reservations(told: tuple[str, ...]) -> str:
+    """Return lines of the header's comment, none where there is nothing to say."""
+    lines = [line for text in told for line in wrap(_comment(f"Note: {text}."), 115)]
+    return "".join(f"\n * {line}" for line in lines)
 
 
 def _comment(text: str) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from split_cli import __version__
 from split_cli.learning.training_set import TrainingSet
+from split_cli.scoring.reservations import reservations
 from split_cli.vehicle.parameters import vehicle_to_mapping
 
 __all__ = ["CONVENTIONS", "Provenance", "content_digest", "provenance_of"]
@@ -43,6 +44,7 @@ class Provenance:
     horizon: float  # label interval h [s]
     predictor: str
     version: str = __version__  # of split
+    reservations: tuple[str, ...] = ()  # where the correction may do harm, `scoring.reservations`
     memory: dict[str, Any] | None = None  # states of the step beyond the first eight, as `Memory.told` has it
 
     @property
@@ -65,6 +67,7 @@ def provenance_of(
         features=training_set.features.names,
         horizon=float(training_set.horizon),
         predictor=predictor,
+        reservations=reservations(training_set),
     )
 
 

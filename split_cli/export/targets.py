@@ -379,6 +379,7 @@ def _manifest(
         "conventions": provenance.conventions,
         **({"memory": provenance.memory} if provenance.memory is not None else {}),
         "trust": list(training_set.trust.share),
+        "reservations": list(provenance.reservations),
         "supported_variance": supported_variance(tables.trust, tables.doubt, tables.signal_variance).tolist(),
         "tables_sha256": tables.digest(),
         "predictor_error": oracle.predictor_error,

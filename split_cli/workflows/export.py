@@ -28,6 +28,7 @@ class ExportResult:
     cells: int
     targets: tuple[TargetResult, ...]
     doubts: tuple[str, ...] = ()  # why the set should not drive a car yet, exported because the user insisted
+    reservations: tuple[str, ...] = ()  # where its correction may do harm
 
 
 def export_doubts(training_set: TrainingSet) -> tuple[str, ...]:
@@ -103,4 +104,5 @@ def export_set(
     with atomic_directory(output) as folder:
         results = write_export(training_set, plan, provenance, folder, say)
     size, cells = training_set.size, training_set.cell_count
-    return ExportResult(str(output), plan.name, digest, size, cells, results, doubts)
+    said = (doubts, provenance.reservations)
+    return ExportResult(str(output), plan.name, digest, size, cells, results, *said)

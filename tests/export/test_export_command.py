@@ -16,6 +16,7 @@ from split_cli.export.verify import verify_folder
 from split_cli.files import sha256_of_file
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.prediction import make_predictor
+from split_cli.scoring.reservations import reservations
 from split_cli.workflows.export import export_set
 from split_cli.workflows.verifying.verify import verify, verify_set
 
@@ -52,7 +53,10 @@ def test_every_target_from_the_command_line(set_file, tmp_path, compiler):
     assert all(entry["check"]["mean_error"] <= 1e-12 for entry in report["targets"])
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["set"] == {"name": "my car.split", "sha256": sha256_of_file(set_file)}
-    macro = (folder / "my_car.h").read_text().split("MY_CAR_SUPPORTED_VARIANCE {")[1].split("}")[0]
+    header = (folder / "my_car.h").read_text()
+    assert report["reservations"] == manifest["reservations"] == list(reservations(read_set(set_file)))
+    assert all(text in " ".join(header.replace("\n *", " ").split()) for text in report["reservations"])
+    macro = header.split("MY_CAR_SUPPORTED_VARIANCE {")[1].split("}")[0]
     assert [float(value) for value in macro.split(",")] == manifest["supported_variance"]
     trained = read_set(set_file)
     told = trained.trust.array > 0.0  # of an output without trust the variance is the same everywhere

@@ -10,11 +10,13 @@ from split_cli.errors import SetError
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import read_set, write_set
+from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, DriveMetadata, write_drive
 from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence
 from split_cli.scoring.report import EvaluationSettings
-from split_cli.scoring.torque_lag import fit_torque_lag
+from split_cli.scoring.reservations import reservations
+from split_cli.scoring.torque_lag import fit_torque_lag, lag_note
 from split_cli.scoring.trust import best_trust
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.workflows.evaluate import evaluate
@@ -108,6 +110,11 @@ def test_training_puts_the_lag_into_the_set_and_says_so(trained):
     assert made.trust.share[0] <= 0.1
     facts = dict(describe_file(folder / "car.split").facts)
     assert facts["intervals"].startswith("hold for other stretches of the same driving")
+    assert [lag_note(made)] == list(reservations(replace(made, trust=Trust((0.0, 0.0, 0.0), "held-out", 9))))
+    for trust, words in ((Trust((1.0, 0.5, 0.0), "held-out", 9), "same driving"), (Trust.full(), "not judged")):
+        assert words in reservations(replace(made, trust=trust))[0]
+    often = replace(made, trust=Trust((1.0, 0.5, 0.0), "held-out", 9), sources=3 * made.sources)
+    assert reservations(often) == (lag_note(made),)
     plain = train_set(
         [folder / "late.parquet"], folder / "car.yaml", folder / "plain.split", TrainSettings(lag="none")
     )

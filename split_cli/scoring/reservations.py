@@ -1,0 +1,24 @@
+"""Where the correction of a set may do harm: what every export of it says."""
+
+from __future__ import annotations
+
+from split_cli.learning.training_set import TrainingSet
+from split_cli.scoring.evidence import WHOLE_DRIVES
+from split_cli.scoring.torque_lag import found_lag, lag_note
+
+__all__ = ["reservations"]
+
+
+def reservations(training_set: TrainingSet) -> tuple[str, ...]:
+    """Return where nothing that training saw speaks for a set's correction, a sentence or two each."""
+    told, trust = [], training_set.trust
+    if trust.origin in ("full", "given"):
+        told.append("the correction was not judged on held-out driving, and may do harm")
+    elif trust.array.any() and len(training_set.sources) < WHOLE_DRIVES:
+        told.append(
+            "trust and intervals hold for other stretches of the same driving only. On another surface, at other "
+            "speeds or with other tyres the correction may do harm, which a running trust takes back"
+        )
+    if found_lag(training_set) is not None:
+        told.append(lag_note(training_set))
+    return tuple(told)
