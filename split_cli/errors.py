@@ -70,6 +70,10 @@ class NoTableError(LogError):
     """A text holds no rows of numbers."""
 
 
+class NoRecordingError(LogError):
+    """A folder holds no recording that is read as a whole."""
+
+
 class ClockError(LogError):
     """The time of a recording is in another unit than it is taken in."""
 

@@ -176,7 +176,28 @@ def find_unit(symbol: str) -> Unit | None:
     spelled = _spelling(symbol)
     if spelled in _AMBIGUOUS:
         return None
+    return _known_unit(spelled) or (_known_unit(in_words) if (in_words := _from_words(spelled)) else None)
+
+
+def _known_unit(spelled: str) -> Unit | None:
     return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower()) or _quotient(spelled)
+
+
+_WORDS_OF_UNITS = {
+    "percent": "%", "kilo": "k", "milli": "m", "centi": "c", "metre": "m", "meter": "m",
+    "degreeofarc": "deg", "degreofarc": "deg",
+    "radian": "rad", "radia": "rad", "second": "s", "secon": "s", "hour": "h", "minute": "min", "minut": "min",
+    "squared": "^2", "square": "^2", "squar": "^2", "newton": "N", "newto": "N", "bar": "bar", "per": "/",
+    "forceofgravi": "g",
+}  # fmt: skip
+_PARTS_OF_UNITS = re.compile("|".join(sorted(_WORDS_OF_UNITS, key=len, reverse=True)))
+
+
+def _from_words(spelled: str) -> str:
+    """Return the symbol of a unit in words, as in bus databases (``Unit_KiloMeterPerHour``), or nothing."""
+    bare = re.sub("^unit_?", "", spelled.lower())
+    parts = _PARTS_OF_UNITS.findall(bare)
+    return "".join(_WORDS_OF_UNITS[part] for part in parts) if len("".join(parts)) == len(bare) else ""
 
 
 _SPANS = {

@@ -245,7 +245,8 @@ def _is_bag(path: Path) -> bool:
     """Tell a rosbag2 folder: it has metadata, or its recordings are the numbered parts of one database."""
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return path.is_dir()
-    logs = [entry for entry in path.iterdir() if not entry.name.startswith(".") and _is_one_of(entry, LOG_SUFFIXES)]
+    shown = (entry for entry in path.iterdir() if not entry.name.startswith("."))
+    logs = [entry for entry in shown if _is_one_of(entry, LOG_SUFFIXES)]
     parts = {re.sub(r"(_\d+)?\.db3(\.zstd)?$", "", log.name.lower()) for log in logs}
     return len(parts) == 1 and all(log.name.lower().endswith((".db3", ".db3.zstd")) for log in logs)
 

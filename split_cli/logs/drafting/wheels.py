@@ -76,7 +76,7 @@ def told_of_an_engine(sources: Sequence[str], names: Sequence[str]) -> str:
         wheel = concepts_of(list(words))[0] & {"wheel", *_AXLE_OF}
         if words & {"gear", "rpm"} and not wheel:
             return (
-                f"beside {name!r} it may be the engine's, which is no torque at the wheels: then `scale:` with gear "
-                "ratio times efficiency makes it T, where one gear is driven"
+                f"beside {name!r} it may be the engine's, which is no torque at the wheels: then `scale:` with "
+                "gear ratio times efficiency makes it T, where one gear is driven"
             )
     return ""

@@ -1,7 +1,8 @@
-"""JSON with an object for each channel: its numbers in a list, its unit, and its own times or rate."""
+"""JSON with an object for each channel: numbers, or pairs of time and number, in a list; unit, times, rate."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,7 +23,7 @@ from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_document import parsed, plain_number
 from split_cli.signals import find_unit
 
-__all__ = ["open_json_channels"]
+__all__ = ["is_series", "open_json_channels"]
 
 _VALUES = ("data", "values", "samples", "value", "y")
 _NAMES = ("name", "channel", "signal", "id", "label", "title")
@@ -30,6 +31,8 @@ _TIMES = ("time", "times", "timestamp", "timestamps", "t", "x")
 _RATES = ("frequency", "rate", "sample_rate", "samplerate", "sampling_rate", "freq", "hz", "fs")
 _PERIODS = ("period", "dt", "interval", "sample_time")
 _DEEPEST = 3
+_SHORTEST_SERIES = 8
+"""Pairs of time and value that make a series [1]: positions and sizes come in twos as well."""
 _LARGEST = 32 << 20
 """Of a document that is held as a whole [bytes]: objects take ten times as much memory."""
 _BEGINNING = 1 << 16
@@ -39,7 +42,7 @@ def open_json_channels(path: Path) -> RawRecording | None:
     """Open a document of this form; None if it has another, or is too large to be held as a whole."""
     with path.open("rb") as stream:
         begins = stream.read(_BEGINNING)
-        if not re.search(rb'"(data|values|samples|value|y)"\s*:\s*\[', begins, re.IGNORECASE):
+        if not re.search(rb'"(data|values|samples|value|y)"\s*:\s*\[|:\s*\[\s*\[', begins, re.IGNORECASE):
             return None
         if path.stat().st_size > _LARGEST:
             return None
@@ -50,14 +53,12 @@ def open_json_channels(path: Path) -> RawRecording | None:
     refuse_many_columns(len(channels), path.name)
     unique, signals = UniqueNames(), {}
     for title, channel in channels.items():
-        values = _numbers(channel[_key(channel, _VALUES)])
+        time, values = _samples(channel)
         name, unit = column_name_and_unit(title)
         name = unique.of(name or title)
         stated = next((str(channel[key]) for key in channel if key.lower() in ("unit", "units")), unit or "")
         known = find_unit(stated) if stated else None
-        signals[name] = RawSignal(
-            name, _clock(channel, len(values)), values, known.symbol if known else stated or None
-        )
+        signals[name] = RawSignal(name, time, values, known.symbol if known else stated or None)
     return TableRecording(path.name, path, signals)
 
 
@@ -68,7 +69,8 @@ def _groups(node: Any, depth: int) -> Iterator[dict[str, Mapping[str, Any]]]:
     if isinstance(node, list):
         named = [(str(one.get(_key(one, _NAMES) or "", "")), one) for one in node if isinstance(one, dict)]
     elif isinstance(node, dict):
-        named = [(str(key), one) for key, one in node.items() if isinstance(one, dict)]
+        channels = {key: {"values": one} if is_series(one) else one for key, one in node.items()}
+        named = [(str(key), one) for key, one in channels.items() if isinstance(one, dict)]
     else:
         return
     found = {name: one for name, one in named if name and _holds_numbers(one)}
@@ -90,7 +92,30 @@ def _key(channel: Mapping[str, Any], names: tuple[str, ...]) -> str | None:
 def _holds_numbers(channel: Mapping[str, Any]) -> bool:
     key = _key(channel, _VALUES)
     values = channel[key] if key is not None else None
+    if is_series(values):
+        return True
     return isinstance(values, list) and len(values) > 1 and bool(np.any(np.isfinite(_numbers(values[:64]))))
+
+
+def is_series(values: Any) -> bool:
+    """Tell a list of pairs of numbers, time and value: its first numbers never fall."""
+    if not isinstance(values, list) or len(values) < _SHORTEST_SERIES:
+        return False
+    pairs = values[:_SHORTEST_SERIES]
+    if not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+        return False
+    first = _numbers([pair[0] for pair in pairs])
+    return bool(np.all(np.isfinite(first)) and np.all(np.diff(first) >= 0.0) and first[-1] > first[0])
+
+
+def _samples(channel: Mapping[str, Any]) -> tuple[np.ndarray | None, np.ndarray]:
+    """Return times [s], None where the channel has none, and values of a channel, shapes (N,)."""
+    values = channel[_key(channel, _VALUES)]
+    if not is_series(values):
+        return _clock(channel, len(values)), _numbers(values)
+    pairs = [pair if isinstance(pair, list) and len(pair) == 2 else (math.nan, math.nan) for pair in values]
+    time, values = (_numbers([pair[place] for pair in pairs]) for place in (0, 1))
+    return time * find_unit(unit_of_time(time)).factor, values
 
 
 def _numbers(values: list[Any]) -> np.ndarray:

@@ -25,7 +25,7 @@ from split_cli.logs.raw import (
     note_once,
 )
 from split_cli.logs.readers.delimited import seconds_of
-from split_cli.logs.readers.json_channels import open_json_channels
+from split_cli.logs.readers.json_channels import is_series, open_json_channels
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
@@ -274,7 +274,8 @@ def _holds_objects(document: dict[str, Any]) -> bool:
     """Whether an object holds objects with lists, directly or one below another: channels, not a row."""
     inside = [one for value in document.values() for one in (value if isinstance(value, list) else [value])]
     return any(
-        isinstance(one, dict) and any(_is_column(v) for v in one.values()) for one in inside[:_LISTED_ELEMENTS]
+        is_series(one) or (isinstance(one, dict) and any(_is_column(v) or is_series(v) for v in one.values()))
+        for one in inside[:_LISTED_ELEMENTS]
     )
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
-from split_cli.errors import LogError, NoTableError
+from split_cli.errors import LogError, NoRecordingError, NoTableError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
@@ -20,6 +21,8 @@ from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
 __all__ = ["is_prose", "open_recording"]
 
 _HEAD_BYTES = 4096
+_MOST_LISTED = 2000
+"""Files of a folder that are looked at to say what it holds [1]."""
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _FOREIGN_MAGIC = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
@@ -206,7 +209,39 @@ def _is_hdf5(head: bytes) -> bool:
 def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     from split_cli.logs.readers.rosbag2 import open_rosbag2_folder
 
-    return _messages(path, open_rosbag2_folder(path), message_paths)
+    try:
+        return _messages(path, open_rosbag2_folder(path), message_paths)
+    except NoRecordingError as error:
+        told = _told_of_pieces(path)
+        raise (
+            LogError("is a folder of pieces, not one recording", where=str(path), advice=told) if told else error
+        ) from error
+
+
+def _told_of_pieces(folder: Path) -> str:
+    """Say how the pieces of a data set in a folder become one table; empty where it holds none."""
+    files = [file for file in itertools.islice(folder.rglob("*"), _MOST_LISTED) if file.is_file()]
+    texts = [file for file in files if file.suffix == ".txt" and file.stem.isdigit()]
+    if len(texts) > 1:
+        return (
+            f"It holds {len(texts)} or more numbered texts such as {texts[0].name}. Join them in their order into "
+            "one table: a first line of titles with units, a column of time, and a line for each text."
+        )
+    arrays = [file for file in files if _head(file).startswith(b"\x93NUMPY")]
+    if arrays:
+        return (
+            f"It holds NumPy arrays such as {arrays[0].relative_to(folder)}. Save them as tables, one CSV or "
+            "Parquet for each clock with its times as a column, and join the tables with --together."
+        )
+    return ""
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(8)
+    except OSError:
+        return b""
 
 
 def _messages(path: Path, container: Container, message_paths: Sequence[str | Path]) -> RawRecording:

@@ -14,7 +14,7 @@ from urllib.parse import quote
 import yaml
 import zstandard
 
-from split_cli.errors import LogError, SplitError
+from split_cli.errors import LogError, NoRecordingError, SplitError
 from split_cli.files import ScratchFolder, read_text, refuse_no_regular_file
 from split_cli.logs.budget import most_bytes_out
 from split_cli.logs.raw import ReadNote, note_once
@@ -22,7 +22,13 @@ from split_cli.logs.readers.mcap import McapContainer
 from split_cli.logs.readers.messages import Container, MessageBatch, Stream
 from split_cli.yaml_file import parse_yaml
 
-__all__ = ["PACKED_SUFFIXES", "ConcatenatedContainer", "SqliteContainer", "open_packed_file", "open_rosbag2_folder"]
+__all__ = [
+    "PACKED_SUFFIXES",
+    "ConcatenatedContainer",
+    "SqliteContainer",
+    "open_packed_file",
+    "open_rosbag2_folder",
+]
 
 _ROWS_AT_ONCE = 2048
 _LARGEST_METADATA = 16 << 20
@@ -247,7 +253,7 @@ def _opened(path: Path, files: Sequence[Path], packed: bool, notes: list[ReadNot
             note_once(notes, ReadNote(f"file left out: {error}", path.name))
     if not parts:
         advice = "Give the folder that holds metadata.yaml and the .db3 or .mcap, or name the file."
-        raise problem or LogError("is a folder without a recording in it", where=str(path), advice=advice)
+        raise problem or NoRecordingError("is a folder without a recording in it", where=str(path), advice=advice)
     return ConcatenatedContainer(parts, notes, packed, temporary)
 
 
