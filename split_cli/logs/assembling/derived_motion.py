@@ -10,7 +10,7 @@ from split_cli.logs.assembling.derivation import Derivation, DerivationInputs, D
 from split_cli.logs.assembling.smoothing import derivative, smooth
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
-from split_cli.logs.drive_metadata import MEASURED_SIDESLIP
+from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE
 
 __all__ = ["MOTIONS", "velocity_from_pose"]
 
@@ -55,7 +55,7 @@ def _run_velocity_from_pose(situation: DerivationInputs) -> Derived:
             raise MapError(f"velocity_from_pose.channels names {name!r}", advice=nearest_names(str(name), made))
     return Derived(
         {name: made[name] for name in only},
-        "from X, Y, yaw smoothed by their noise",
+        f"{OF_POSE} smoothed by their noise",
         f"{', '.join(only)} derived from pose: their noise is not white and not known",
     )
 

@@ -21,7 +21,7 @@ from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.checking.wheels import AXLES, without_turning
 from split_cli.logs.drive import Drive
-from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, is_derived
+from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
@@ -74,6 +74,7 @@ class Checks:
         # A side-slip angle is measured, and may be so at another place or with another sign than v_y is taken for.
         derived = {channel for channel, kind in kinds.items() if is_derived(kind)}
         self.of_sideslip = "vy" in derived and MEASURED_SIDESLIP in kinds["vy"]
+        self.of_pose = "vy" in derived and OF_POSE in kinds["vy"]
         self.derived = derived - ({"vy"} if self.of_sideslip else set())
         self.absent = {channel for channel in self.derived if kinds[channel] == NOT_RECORDED}
         self.pose_fits = True

@@ -16,6 +16,7 @@ from split_cli.logs.checking.directions import (
 )
 from split_cli.logs.checking.explanations import explain
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
+from split_cli.logs.checking.place import behind_the_accelerometer
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
@@ -103,6 +104,8 @@ def check_consistency(
             # Whether v_y has the unit of v_x is open: a place that only one of the two gives is none.
             as_it_is = {**finer.k.columns, "vy": drive.columns["vy"]}
             placed = Checks(as_it_is, drive, vehicle, kinds, certain).sideslip_place() and placed
+        if not placed and not {"ay", "vy"} & wrong:
+            placed = behind_the_accelerometer(finer)
         # Of a v_y that is off by what nothing tells, neither bias nor grip can be told.
         findings += [f for f in finer.straight_line() if f.channel != "vy" or "vy" not in wrong]
         findings += [*placed, *(finer.grip() if "vy" not in wrong else ())]

@@ -13,7 +13,7 @@ __all__ = ["direction_of_travel", "velocity_across", "velocity_along", "yaw_is_c
 _LEAST_DIRECTION = 0.05
 """Smaller errors of a direction are those of an ordinary pose [rad]; judgement."""
 _SURELY, _LEAST_ZERO = 3.0, 0.005
-"""Standard errors, and angle [rad], within which a zero is a multiple of 90 degrees: what makers choose; judgement."""
+"""Standard errors, and angle [rad], within which a zero is a multiple of 90 degrees, as makers choose."""
 _NO_UNIT = 5.0
 """Times a speed that no unit makes of it: km/h makes 3.6 [1]."""
 _LEAST_REAR_SLIP = 1e-3
@@ -38,6 +38,12 @@ def direction_of_travel(checks: Checks, with_velocity: bool = True) -> list[Cons
         centre = quarter
     spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
     if abs(centre) < _LEAST_DIRECTION or abs(centre) < 2.0 * spread:
+        if spread > 0.3 and checks.of_pose:
+            text = (
+                f"yaw and the travel of X, Y differ by {spread:.2f} rad at random: they are not of one pose. "
+                "The v_y that is derived from them means nothing: map X, Y and yaw of one estimator."
+            )
+            return [ConsistencyFinding("contradiction", "vy", text, spread, None)]
         if spread > 0.3:
             checks.unjudged.append(
                 Unjudged("yaw against the travel of X, Y", f"they differ by {spread:.2f} rad at random")
@@ -53,8 +59,8 @@ def direction_of_travel(checks: Checks, with_velocity: bool = True) -> list[Cons
 def _without_turning(k: Kinematics, off: np.ndarray, slips: bool) -> tuple[float, float]:
     """Return the direction of travel off yaw where the car goes straight [rad], and its standard error.
 
-    off = zero + p r/v_x - q v_x r, the steady sideslip at the place of X, Y, if `slips`; else its mean. A lap has more
-    turns to one side: the mean of its sideslip is no zero, and made a v_y of 0.2 m/s.
+    off = zero + p r/v_x - q v_x r, the steady sideslip at the place of X, Y, if `slips`; else its mean. A lap has
+    more turns to one side: the mean of its sideslip is no zero, and made a v_y of 0.2 m/s.
     """
     v, r = k.ground_speed(), k.rate("yaw")
     use = np.isfinite(off * v * r) & (v > 0.0)

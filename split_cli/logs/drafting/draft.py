@@ -98,6 +98,7 @@ def render_draft(draft: Draft, name: str) -> str:
 
 _NOTES = {
     "torque-from-acceleration": " (it says nothing of the drive train), or from pedals",
+    "velocity-from-pose": " (at the point of X, Y: add `position: rear_axle` to both if that is there)",
     "lateral-velocity-from-accelerations": " (a_y - v_x r, held where driving is gentle)",
 }
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from split_cli.logs.raw import RawChannelInfo
 
-__all__ = ["field_candidates", "is_of_a_command"]
+__all__ = ["asks_by_type", "field_candidates", "is_of_a_command"]
 
 _FIELDS: tuple[tuple[str, str, str], ...] = (
     ("X", r"(.*\.)?(position|translation)\.x", ""),
@@ -26,6 +26,9 @@ _FIELDS: tuple[tuple[str, str, str], ...] = (
 )
 _COMMANDS = re.compile(r"(^|[/_])(cmd|command|commands|ref|reference|target|desired|goal|setpoint)", re.IGNORECASE)
 _OF_A_COMMAND = ("delta",)
+_ASKING_TYPE = re.compile(r"ackermann_msgs/(msg/)?AckermannDrive(Stamped)?")
+"""Messages that by their definition ask a car for something, whatever the topic is called."""
+_ANSWERS = re.compile(r"state|status|feedback|measured|actual|odom|current", re.IGNORECASE)
 
 
 def field_candidates(infos: Sequence[RawChannelInfo]) -> list[tuple[str, tuple[str, ...], str]]:
@@ -54,6 +57,12 @@ def field_candidates(infos: Sequence[RawChannelInfo]) -> list[tuple[str, tuple[s
 def is_of_a_command(topic: str) -> bool:
     """Tell whether a topic's name says that its messages are commands: what they hold was asked for."""
     return _COMMANDS.search(topic) is not None
+
+
+def asks_by_type(info: RawChannelInfo) -> bool:
+    """Tell a field of a message that asks by its type, on a topic that does not say that it answers."""
+    topic = info.name.rpartition("/")[0]
+    return bool(_ASKING_TYPE.fullmatch(info.type_name)) and not _ANSWERS.search(topic)
 
 
 def _topic_and_field(info: RawChannelInfo) -> tuple[str, str] | None:

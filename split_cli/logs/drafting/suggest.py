@@ -26,7 +26,7 @@ from split_cli.logs.drafting.axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
-from split_cli.logs.drafting.fields import field_candidates, is_of_a_command
+from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_of_a_command
 from split_cli.logs.drafting.form import hints_on_the_form
 from split_cli.logs.drafting.hand import what_tells_left, without_a_side
 from split_cli.logs.drafting.multiples import with_units_of_multiples
@@ -130,7 +130,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
         else s
         for s in suggestions
     ]
-    suggestions = without_the_tilted(suggestions)
+    suggestions = _in_pairs(without_the_tilted(suggestions))
     suggestions = [
         read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions
     ]
@@ -154,9 +154,7 @@ def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehic
     return render_draft(draft_map(recording, row_rate=row_rate, vehicle=vehicle), recording.name)
 
 
-def _as_course(
-    s: Suggestion, verdict: Consistency, trial: Trial, chosen: Mapping[str, Suggestion]
-) -> Suggestion:
+def _as_course(s: Suggestion, verdict: Consistency, trial: Trial, chosen: Mapping[str, Suggestion]) -> Suggestion:
     """Leave a yaw open that is called a course over ground, or that only a satellite receiver can have told.
 
     Unless the sideslip between the two is seen.
@@ -170,13 +168,19 @@ def _as_course(
             return replace(s, status="open", reason=why)
         if "r" not in chosen and chosen.get("X", s).convert == "local_x":
             why = (
-                "a bearing beside a satellite fix, without a yaw rate: the direction of travel if of the receiver. "
+                "a bearing beside a satellite fix, without yaw rate: the direction of travel if of the receiver. "
                 "A v_y derived from it would be zero"
             )
             return replace(s, status="open", reason=why)
     if "course" not in {m.channel for m in named}:
         return s
     return replace(s, status="open", reason="by its name the direction of travel: yaw plus sideslip, not yaw")
+
+
+def _in_pairs(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
+    """Leave X and Y open together: one of them alone is no position."""
+    why = next((s.reason for s in suggestions if s.channel in ("X", "Y") and s.status == "open"), None)
+    return [replace(s, status="open", reason=why) if why and s.channel in ("X", "Y") else s for s in suggestions]
 
 
 def _changes_with_the_fix(s: Suggestion, trial: Trial) -> bool:
@@ -216,7 +220,8 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
         fixed = bool(convert) or channel in ("latitude", "longitude")
         by_convention = told is None and not fixed and info is not None and info.type_name != "column"
         unit = unit if fixed or by_convention else None
-        found.append(TrialCandidate(channel, sources, 3, told or unit, convert, by_convention))
+        asked = info is not None and asks_by_type(info)
+        found.append(TrialCandidate(channel, sources, 3, told or unit, convert, by_convention, asked=asked))
     by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
     axes = named_by_axis(infos)
     for info in infos:
@@ -341,7 +346,7 @@ def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
                       scale=-1.0 if to_the_right else 1.0,
                       reason=candidate.note or ("to the right by its name" if to_the_right else ""),
                       status="stated" if candidate.unit else "assumed",
-                      command=all(is_command(name) for name in candidate.sources),
+                      command=candidate.asked or all(is_command(name) for name in candidate.sources),
                       by_convention=candidate.by_convention, foreign_unit=candidate.foreign_unit)  # fmt: skip
 
 
@@ -435,4 +440,19 @@ def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[st
             score = verdict.cost - len(mine) - sum(abs(r.slope.correlation) for r in mine)
             scored.append((score + 2.0 * (options[0].weight - candidate.weight), place, attempt))
         chosen = min(scored, key=lambda entry: entry[:2])[2]
-    return chosen
+    return chosen | _yaw_of_the_pose(chosen, ranked.get("yaw", []), trial)
+
+
+def _yaw_of_the_pose(
+    chosen: Mapping[str, Suggestion], options: Sequence[TrialCandidate], trial: Trial
+) -> dict[str, Suggestion]:
+    """Return the yaw of the message that X is taken from, if it has one: two estimators have two axes X."""
+
+    def message(sources: Sequence[str]) -> str:
+        return sources[0].rpartition("/")[0]
+
+    place = message(chosen["X"].sources) if "X" in chosen else ""
+    same = next((c for c in options if place and message(c.sources) == place), None)
+    if same is None or message(chosen["yaw"].sources) == place:
+        return {}
+    return {"yaw": _first_guess(same, trial)}

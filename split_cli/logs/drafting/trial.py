@@ -40,6 +40,7 @@ class TrialCandidate:
     by_convention: bool = False
     foreign_unit: str = ""  # what the file states where a unit stands, and is none that is known
     note: str = ""  # why it is taken in spite of its name
+    asked: bool = False  # of a message that by its type asks for something
 
 
 def names_of(candidate: TrialCandidate) -> tuple[str, ...]:
