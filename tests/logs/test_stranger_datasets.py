@@ -1,12 +1,24 @@
-"""Faults first seen in logs in the forms of public data sets and games, written from a simulated drive; planted."""
+"""Faults first seen in logs in the forms of public data sets, written from a simulated drive; planted."""
+
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from split_cli.errors import LogError
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.raw import RawChannelInfo, RawSignal, TableRecording
 from split_cli.logs.readers.opening import open_recording
+from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
 DEG = 180.0 / np.pi
+
+
+@pytest.fixture(scope="module")
+def planted() -> PlantedDrive:
+    return PlantedDrive(seconds=60.0, yaw=0.4)
 
 
 def _write(path, columns: dict[str, np.ndarray]) -> None:
@@ -28,3 +40,127 @@ def test_the_zero_of_yaw_is_where_the_car_goes_straight_and_not_the_mean_of_its_
     found = draft_map(open_recording(tmp_path / "log.csv")).of("yaw")
     # A multiple of 90 degrees is exact; any other zero is known as well as the smoothing leaves it.
     assert found.offset * DEG == pytest.approx(-zero, abs=1e-3 if zero == 90.0 else 0.05)
+
+
+def _at_the_rear_axle(planted: PlantedDrive, **over) -> TableRecording:
+    t = np.arange(0.0, planted.seconds, 0.01)
+    c = {name: planted.at(name, t) for name in ("X", "Y", "yaw", "vx", "r", "ay", "delta", "T")}
+    c["X"] = c["X"] - planted.vehicle.cg_to_rear_axle * np.cos(c["yaw"])
+    c["Y"] = c["Y"] - planted.vehicle.cg_to_rear_axle * np.sin(c["yaw"])
+    c |= {name: values(t) for name, values in over.items()}
+    signals = {name: RawSignal(name, t, values, UNITS[name]) for name, values in c.items()}
+    return TableRecording("planted", Path("planted"), signals)
+
+
+def _found(planted: PlantedDrive, recording: TableRecording, **over) -> list[str]:
+    settings = IngestSettings(derive=("velocity-from-pose",))
+    entries = planted_map(tuple(info.name for info in recording.channels()), **over)
+    made = assemble_drive(recording, entries, planted.vehicle, settings)
+    return [f.text for f in made.quality.consistency.findings if f.channel == "vy"]
+
+
+def test_a_pose_at_the_rear_axle_is_told_by_the_accelerometer_beside_it(planted):
+    """Autoware's base_link: v_y derived from it lacked l_r r, and all channels were said to fit together."""
+    recording = _at_the_rear_axle(planted)
+    told = _found(planted, recording)
+    assert len(told) == 1 and "behind the accelerometer" in told[0] and "rear_axle" in told[0]
+    right = {"X": {"position": "rear_axle"}, "Y": {"position": "rear_axle"}}
+    assert _found(planted, recording, **right) == []
+
+
+def test_a_yaw_of_another_estimator_than_the_path_makes_no_v_y_in_silence(planted):
+    """The yaw of wheel odometry beside X, Y of a localization: they drift apart, and made a v_y of 2 m/s."""
+    recording = _at_the_rear_axle(planted, yaw=lambda t: planted.at("yaw", t) + 0.02 * t)
+    told = _found(planted, recording)
+    assert len(told) == 1 and "not of one pose" in told[0]
+
+
+def test_yaw_is_taken_from_the_message_of_x_and_y_and_an_asking_message_is_a_command(planted):
+    t = np.arange(0.0, 40.0, 0.02)
+    c = {name: planted.at(name, t) for name in ("X", "Y", "yaw", "vx", "r", "delta")}
+    drifting = c["yaw"] * 1.03
+    odometry, drive = "nav_msgs/msg/Odometry", "ackermann_msgs/msg/AckermannDriveStamped"
+    signals, types = {}, {}
+    for topic, (x, yaw) in {"/odom": (0.0 * c["X"], drifting), "/pf/pose": (c["X"], c["yaw"])}.items():
+        fields = {"position.x": x, "position.y": c["Y"] if topic == "/pf/pose" else x}
+        fields |= {"orientation.x": 0.0 * t, "orientation.y": 0.0 * t}
+        fields |= {"orientation.z": np.sin(yaw / 2), "orientation.w": np.cos(yaw / 2)}
+        signals |= {f"{topic}/pose.pose.{field}": values for field, values in fields.items()}
+    signals |= {"/odom/twist.twist.linear.x": c["vx"], "/imu/angular_velocity.z": c["r"]}
+    types = dict.fromkeys(signals, odometry) | {"/drive/drive.steering_angle": drive}
+    signals["/drive/drive.steering_angle"] = c["delta"]
+    raw = {name: RawSignal(name, t, values, None) for name, values in signals.items()}
+    recording = TableRecording("bag", Path("bag"), raw)
+    recording.channels = lambda: [RawChannelInfo(name, types[name], len(t)) for name in raw]
+    draft = draft_map(recording)
+    assert draft.of("yaw").sources == ("/pf/pose/pose.pose.orientation",)
+    assert draft.of("delta").command
+
+
+def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_in_words(planted, tmp_path):
+    """A2D2's bus signals: each number of each pair became a channel of one row."""
+    epoch, t = 1_554_122_338_000_000, np.arange(0.0, 60.0, 0.02)
+    angle = planted.at("delta", t) * 16.0 * DEG
+    columns = {
+        "vehicle_speed": (planted.at("vx", t) * 3.6, "Unit_KiloMeterPerHour"),
+        "angular_velocity_omega_z": (planted.at("r", t) * DEG, "Unit_DegreOfArcPerSecon"),
+        "acceleration_y": (planted.at("ay", t), "Unit_MeterPerSeconSquar"),
+        "steering_angle_calculated": (np.abs(angle), "Unit_DegreOfArc"),
+        "steering_angle_calculated_sign": ((angle < 0.0) * 1.0, None),
+    }
+    document = {
+        name: {"unit": unit, "values": [[int(epoch + 1e6 * s), float(v)] for s, v in zip(t, values, strict=True)]}
+        for name, (values, unit) in columns.items()
+    }
+    (tmp_path / "bus_signals.json").write_text(json.dumps(document))
+    recording = open_recording(tmp_path / "bus_signals.json")
+    read = recording.read(["vehicle_speed"])["vehicle_speed"]
+    assert read.unit == "km/h" and np.ptp(read.time) == pytest.approx(t[-1], abs=1e-6)
+    np.testing.assert_array_equal(read.values, columns["vehicle_speed"][0])
+    draft = draft_map(recording)
+    assert {c: draft.of(c).status for c in ("vx", "r", "ay")} == {"vx": "judged", "r": "unsided", "ay": "unsided"}
+    wheel = draft.of("delta")
+    assert wheel.sources == ("steering_angle_calculated", "steering_angle_calculated_sign")
+    assert "unit: deg, scale: 1/RATIO" in wheel.reason
+
+
+def test_the_torque_of_a_steering_column_is_no_t_and_an_angle_that_follows_the_path_is_of_the_steering(
+    planted, tmp_path
+):
+    """Udacity's table: `torque` was mapped to T, and `angle` beside it was not used."""
+    t = np.arange(0.0, 60.0, 0.05)
+    c = {name: planted.at(name, t) for name in ("vx", "r", "delta")}
+    _write(tmp_path / "log.csv", {
+        "timestamp": 1479425440.0 + t, "angle": c["delta"] * 14.8, "torque": c["delta"] * 13.0, "speed": c["vx"],
+        "yaw_rate": c["r"],
+    })  # fmt: skip
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert draft.of("T").status == "open" and "drives nothing" in draft.of("T").reason
+    assert draft.of("delta").sources == ("angle",) and "scale: 1/RATIO" in draft.of("delta").reason
+
+
+def test_a_column_called_time_that_rises_by_one_a_row_counts_rows_where_the_motion_says_so(planted, tmp_path):
+    """inD's trackLifetime: taken for seconds, a_x and a_y were 25 times what v_x and yaw say."""
+    t = np.arange(0.0, 60.0, 0.04)
+    c = {name: planted.at(name, t) for name in ("X", "Y", "vx", "vy", "ax", "yaw")}
+    columns = {"trackLifetime": np.arange(len(t)), "xCenter": c["X"], "yCenter": c["Y"], "lonVelocity": c["vx"]}
+    columns |= {"latVelocity": c["vy"], "lonAcceleration": c["ax"], "heading": np.mod(c["yaw"] * DEG, 360.0)}
+    _write(tmp_path / "log.csv", columns)
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert draft.time.startswith("time: {period: 0.04}   # CHECK: trackLifetime counts rows")
+    assert draft.of("ax").status == "judged" and draft.of("vx").status == "judged"
+    _write(tmp_path / "bare.csv", {name: columns[name] for name in ("trackLifetime", "lonVelocity")})
+    assert "seconds, or rows?" in draft_map(open_recording(tmp_path / "bare.csv")).time
+
+
+@pytest.mark.parametrize(("name", "content", "told"), [
+    ("data/0000000001.txt", b"49.1 8.4 0.2 13.1 0.1", "numbered texts"),
+    ("CAN/speed/value", b"\x93NUMPY\x01\x00", "NumPy arrays"),
+])  # fmt: skip
+def test_a_folder_of_pieces_is_told_how_they_become_one_table(tmp_path, name, content, told):
+    """KITTI writes a text for each time stamp, comma2k19 an array for each signal."""
+    for place in (name, name.replace("1.txt", "2.txt").replace("value", "t")):
+        (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / place).write_bytes(content)
+    with pytest.raises(LogError, match=told):
+        open_recording(tmp_path)

@@ -368,6 +368,18 @@ def row_rate_from_path(X: np.ndarray, Y: np.ndarray, vx: np.ndarray) -> float | 
     return _row_rate(np.concatenate([[0.0], np.cumsum(steps)]), np.abs(vx[good]))
 
 
+def row_rate_from_speed(vx: np.ndarray, ax: np.ndarray) -> float | None:
+    """Return the rows a second at which dv_x/dt = a_x [Hz], v_y r left out; None where the two do not go together.
+
+    Parameters
+    ----------
+    vx, ax : ndarray, shape (N,)
+        [m/s], [m/s^2], one value a row.
+    """
+    good = np.isfinite(vx) & np.isfinite(ax)
+    return _row_rate(vx[good], ax[good])
+
+
 def _row_rate(grown: np.ndarray, rate: np.ndarray) -> float | None:
     """Return the rows a second at which `grown` grows by `rate` a second [Hz]; None where it does not."""
     if len(rate) < 200:

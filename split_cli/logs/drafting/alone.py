@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION
-from split_cli.logs.checking.kinematics import Kinematics, Slope, fit_slope
+from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval, fit_slope
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.wheels import told_of_a_part
@@ -28,6 +28,8 @@ _REST_SECONDS = 3.0
 """Of standing in all that tell what an accelerometer reads at rest [s]."""
 _TILTED = 2.5
 """At rest on level ground a sensor along the car reads 0, on a slope of 1 in 4 a quarter of gravity [m/s^2]."""
+_BY_CHANCE = 3.0
+"""Standard errors of a correlation that is none [1]."""
 _RADII = 0.02, 0.9
 """Of wheels, from models to lorries [m]."""
 _LEAST_OF_A_CAR_WHEEL = 0.15
@@ -52,6 +54,13 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
     if slope is None or abs(slope.correlation) < LEAST_CORRELATION:
         how = "cannot be judged" if slope is None else f"correlate by {slope.correlation:.2f} only"
         told = f"T and dv_x/dt {how}: is it the torque at the wheels?"
+        if (
+            slope is not None
+            and s.status != "stated"
+            and _go_apart(k.signal("T"), k.rate("vx") - carried, k.moving)
+        ):
+            told = f"T and dv_x/dt {how}: it drives nothing, as the torque in a steering column does"
+            return replace(s, status="open", reason=told)
         return replace(s, status="assumed", reason="; ".join(filter(None, (of_part, told))))
     size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, which should be mass times wheel radius"
     if slope.slope < 0.0:
@@ -70,6 +79,14 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
     if s.foreign_unit:
         told = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
     return replace(s, status=status, unit=unit, reason="; ".join(filter(None, (of_part, told, size))))
+
+
+def _go_apart(y: np.ndarray, x: np.ndarray, mask: np.ndarray) -> bool:
+    """Tell two signals whose correlation is no more than its own standard error makes it."""
+    use = mask & np.isfinite(x * y)
+    both = np.stack([x[use], y[use]])
+    value, error = block_interval(lambda rows: np.corrcoef(both[:, rows])[:1, 1], both.shape[1])
+    return bool(abs(value[0]) < _BY_CHANCE * error[0])
 
 
 def read_pedal(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:

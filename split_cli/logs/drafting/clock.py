@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from split_cli.logs.assembling.clean import newest_first
-from split_cli.logs.assembling.gather import row_rate_from_path, row_rate_from_yaw
+from split_cli.logs.assembling.gather import row_rate_from_path, row_rate_from_speed, row_rate_from_yaw
 from split_cli.logs.drafting.draft import quoted
 from split_cli.logs.drafting.naming import spelled_without_unit, stated_unit, words_of
 from split_cli.logs.drafting.trial import TrialCandidate
@@ -83,6 +83,15 @@ def clock_of_rows(
             told = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
             line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {told}"
             return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
+        if unit == "s" and stated_unit(info) is None and bool(np.all(np.diff(values) == 1.0)):
+            told_rate = _rate_told_by_motion(candidates, signals)[0]
+            if told_rate is not None and abs(told_rate - 1.0) > _LOST_ROW:
+                told = f"{info.name} counts rows, by how v_x or yaw change"
+                line = f"time: {{period: {1.0 / told_rate:.4g}}}   # CHECK: {told}"
+                return np.arange(len(values)) / told_rate, line, True
+            told = "rises by 1 from row to row: seconds, or rows?"
+            line = f"time: {{source: {quoted(info.name)}, unit: s}}   # CHECK: {told}"
+            return values - np.nanmin(values), line, True
         others = [i.name for i in rising[1:]]
         also = f"   # also rises: {', '.join(others)}" if others else ""
         line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
@@ -92,14 +101,10 @@ def clock_of_rows(
         steps = _from_steps(infos, recording)
         if steps is not None:
             return steps
-        row_rate = _rate_told_by_yaw(candidates, signals)
-        why = "no column of time; yaw turns as yaw rate says so"
-        if row_rate is None:
-            row_rate = _rate_told_by_path(candidates, signals)
-            why = "no column of time; the path grows as v_x says so, a few per cent are open"
+        row_rate, why = _rate_told_by_motion(candidates, signals)
         if row_rate is None:
             return np.arange(count) * 0.01, needed, False
-        line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: {why}"
+        line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: no column of time; {why}"
         return np.arange(count) / row_rate, line, True
     return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
 
@@ -183,6 +188,33 @@ def _counts_since_1970(values: np.ndarray) -> bool:
         return False
     first = float(values[np.isfinite(values)][0])
     return any(1e9 <= first * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
+
+
+def _rate_told_by_motion(
+    candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]
+) -> tuple[float | None, str]:
+    """Return the rows a second that the motion tells [Hz], and how; None where nothing does."""
+    for told, how in (
+        (_rate_told_by_yaw, "yaw turns as yaw rate says so"),
+        (_rate_told_by_path, "the path grows as v_x says so, a few per cent are open"),
+        (_rate_told_by_speed, "v_x changes as a_x says so, a few per cent are open"),
+    ):
+        rate = told(candidates, signals)
+        if rate is not None:
+            return rate, how
+    return None, ""
+
+
+def _rate_told_by_speed(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
+    """Return the rate at which v_x changes as a_x says, both in the units of their names or in SI."""
+    found = []
+    for channel in ("vx", "ax"):
+        plain = [c for c in candidates if c.channel == channel and not c.convert and c.sources[0] in signals]
+        if not plain:
+            return None
+        first = max(plain, key=lambda c: c.weight)
+        found.append(signals[first.sources[0]].values * (find_unit(first.unit).factor if first.unit else 1.0))
+    return row_rate_from_speed(*found)
 
 
 def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:

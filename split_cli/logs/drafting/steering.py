@@ -20,6 +20,8 @@ _LONGEST_WHEELBASE = 6.5
 """Of a lorry with understeer [m]; what steers more a turn than that is no road wheel."""
 _SHORTEST_CAR = 1.8
 """Wheelbase of a full-size car, the smallest [m]."""
+_SHORTEST_RACER = 1.5
+"""Wheelbase of the smallest car that is as fast as a full-size one [m]: formula cars of students have 1.525."""
 _OUTLIERS = 6.0
 """Robust deviations beyond which a sample is no part of the steady relation [1]."""
 _LARGEST_ERROR = 0.15
@@ -265,6 +267,14 @@ def _without_unit(
                 told = f"rad, or a command in -1..1? {size:.3g} m of it over curvature may be a wheelbase{hand}"
                 return replace(s, unit=unit, status="assumed", reason=told, **turned)
             return replace(s, unit=unit, status="judged", reason=reason, **turned)
+        if unit == "rad" and size >= _SHORTEST_RACER * 180.0 / np.pi:
+            sign = "-" if turned else ""
+            why = (
+                f"unit not stated: degrees of the road wheels of a car of {np.radians(size):.3g} m wheelbase "
+                f"(`unit: deg, scale: {sign}1`), or radians of the steering wheel, with {size:.3g} m over the "
+                f"wheelbase as ratio (`unit: rad, scale: {sign}1/RATIO`)"
+            )
+            return replace(s, status="open", reason=why)
         if unit:
             reach = (-size if turned else size) * find_unit(unit).factor
             return replace(s, unit=unit, status="open", reason=_ratio(reach, unit, None))

@@ -29,7 +29,9 @@ _WORDS: dict[str, str] = {
     "rotation": "rotation rotacion rotazione",
     "yaw": "yaw psi heading hdg gier lacet guinada imbardata 横摆 航向",
     "angle": "angle angles ang winkel angulo angolo 角 角度 转角",
-    "position": "pose pos posn position loc location coordinate coord displacement displacements 位置 坐标",
+    "position": (
+        "pose pos posn position center centre loc location coordinate coord displacement displacements 位置 坐标"
+    ),
     "long": "x long longi longitudinal longitudinale lng lngt lgt fwd forward forwards inline lineal laengs 纵向",
     "lat": "y lat lateral laterale side sideways quer transverse transversal transversale trasversale 侧向 横向",
     "up": "z vert vertical up hoch",
@@ -300,8 +302,8 @@ def _input(c: set[str]) -> tuple[str, int] | None:
             return None
         clear = "road" in c or corner is not None or "front" in c
         return "delta", 3 if clear else 1
-    if c == {"user", "angle"}:
-        return "delta", 1  # the angle that somebody asks of a car is that of its steering
+    if "angle" in c and c <= {"user", "angle"}:
+        return "delta", 1  # an angle of no more words is that of the steering, where it follows the path
     if "throttle" in c or {"long", "pedal"} <= c or {"acceleration", "pedal"} <= c:
         return "throttle", 3
     if "brake" in c:
