@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from split_cli.learning.features import Z2
+
 __all__ = ["check_header", "check_labels_header", "check_points"]
 
 LARGEST_CAPACITY = 1000
@@ -44,7 +46,7 @@ def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_
         _within("forgetting [s]", described["forgetting"], 0.0, np.inf)
     for name, value in described["region"].items():
         _within(f"region.{name}", value, 0.0, 1e3)
-    _check_grid(described["grid"], len(features))
+    _check_grid(described["grid"], features)
     for name, length in (("length_scales", len(features)), ("signal_variance", 3), ("noise_variance", 3)):
         _numbers(f"kernel.{name}", described["kernel"][name], length)
     _text("kernel.origin", described["kernel"].get("origin", ""))
@@ -101,13 +103,15 @@ def _check_source(of: str, source: Mapping[str, Any]) -> None:
     _number(f"start_time {of}", source.get("start_time", 0.0))
 
 
-def _check_grid(grid: Mapping[str, Any], dimensions: int) -> None:
+def _check_grid(grid: Mapping[str, Any], features: Sequence[str]) -> None:
     cells = 1.0
     for name in ("edges", "lower", "upper"):
-        if len(grid[name]) != dimensions:
-            raise ValueError(f"grid.{name} has {len(grid[name])} values for {dimensions} features")
+        if len(grid[name]) != len(features):
+            raise ValueError(f"grid.{name} has {len(grid[name])} values for {len(features)} features")
     for edge, lower, upper in zip(grid["edges"], grid["lower"], grid["upper"], strict=True):
         _within("an edge of the grid", edge, 0.0, np.inf)
+        if tuple(features) == Z2.names and None in (lower, upper):
+            raise ValueError(f"the grid of z2 is not bounded")
         if lower is not None and upper is not None:
             if not _number("grid.lower", lower) < _number("grid.upper", upper):
                 raise ValueError(f"the grid's lower bound {lower!r} is not below its upper {upper!r}")

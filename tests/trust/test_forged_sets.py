@@ -38,6 +38,7 @@ FORGED = {
     "edges of next to nothing": at("grid", "edges", value=[1e-9, 1e-9, 1e-9]),
     "too few edges": at("grid", "edges", value=[0.02]),
     "bounds the wrong way": at("grid", "lower", value=[1.0, 1.0, 2.0]),
+    "no bounds": at("grid", "lower", value=[None, None, None]),
     "kernel of another length": at("kernel", "length_scales", value=[0.04]),
     "counts below zero": at("counts", "points", value=-5),
     "counts of another set": at("counts", "cells", value=1),
