@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from split_cli.control.learner import FOLLOWING
+from split_cli.control.policy import SHARE_NOMINAL
 from split_cli.errors import SplitError
 from split_cli.learning.cells import DEFAULT_CAPACITY, DEFAULT_THRESHOLD
 from split_cli.logs.drive import Drive
@@ -121,8 +122,9 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
             f"{told} Leave out --features and --predictor: the race then chooses both on held-out parts of lap 0."
         )
     return (
-        f"{told} Drive with --learner none, or keep the lap (-o lap0.parquet --laps 0 --learner none) and let "
-        "`split diagnose --real lap0.parquet` name what the vehicle file lacks."
+        f"{told} Drive with --learner none, or keep a lap at more of the peak (-o lap0.parquet --laps 0 "
+        f"--learner none --p-ellipse-lap0 {SHARE_NOMINAL}) and let `split diagnose --real lap0.parquet` name what "
+        "the vehicle file lacks."
     )
 
 
