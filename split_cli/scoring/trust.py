@@ -12,14 +12,14 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust, kept_share
 from split_cli.scoring.evidence import FEWEST_BLOCKS, TrainingDrive, TrustEvidence, held_out_evidence
 
-__all__ = ["best_trust", "doubt_from", "judge_correction", "own_shares"]
+__all__ = ["NEGLIGIBLE", "best_trust", "doubt_from", "judge_correction", "own_shares"]
 
 #: One-sided level of 95 %: a gain within chance is not believed. Of Student's t with many blocks; with few blocks
 #: the quantile of their own degrees of freedom is taken.
 _LEVEL = 0.95
 #: Increase of a mean squared error that counts as none: 1 % of its root over all driving, 5 % in a third of it.
 #: docs/decisions/0032 shows how little hangs on them.
-_NEGLIGIBLE = 0.02
+NEGLIGIBLE = 0.02
 _NEGLIGIBLE_IN_A_THIRD = 0.10
 #: Errors below this share of how far the state moves count as none: 1 cm/s where the speed changes by 1 m/s.
 _NEGLIGIBLE_MOVEMENT = 0.01
@@ -100,7 +100,7 @@ def best_trust(
         if base + unnoticed > 0.0:
             worse, error = _increase(part, everything, shares)
             gain -= (worse + _quantile(len(np.unique(part.block))) * error) / (base + unnoticed)
-            gain[worse > _NEGLIGIBLE * base + unnoticed] = -np.inf
+            gain[worse > NEGLIGIBLE * base + unnoticed] = -np.inf
     # The file as it is gains nothing and is always allowed; what gains less need not be looked at.
     kept = np.flatnonzero(gain >= 0.0)
     shares, gain = shares[kept], gain[kept]

@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, HeldOutSamples
 from split_cli.scoring.persistence import velocity_persistence_errors
+from split_cli.scoring.trust import NEGLIGIBLE
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
@@ -143,7 +144,12 @@ def _ratio(
 
 
 def verdict(comparisons: Sequence[Comparison]) -> str:
-    """Return in one sentence what the correction is worth, state by state, beyond chance."""
+    """Return in one sentence what the correction is worth, state by state, beyond chance.
+
+    Notes
+    -----
+    An increase that counts as none when the trust is found is no harm here; it is told all the same.
+    """
     judged = [c for c in comparisons if c.to_nominal[1] == c.to_nominal[1]]
     if not judged:
         return "verdict: too few blocks of time to tell whether the correction helps"
@@ -154,8 +160,10 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
         better = [c for c in own if c.to_nominal[2] < 1.0]
         ratios = [c.to_nominal[0] for c in (worse or better)]
         span = _span(ratios)
-        if worse:
+        if worse and np.square(max(ratios)) > 1.0 + NEGLIGIBLE:
             told.append(f"{state} WORSE ({span} times the nominal error {_where(worse, own)})")
+        elif worse:
+            told.append(f"{state} hardly worse ({span} times the nominal error {_where(worse, own)})")
         elif better:
             told.append(f"{state} better ({span} times the nominal error {_where(better, own)})")
         else:
@@ -167,6 +175,8 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
         if harm
         else "the correction helps"
         if gain
+        else "the correction changes hardly anything"
+        if any("hardly" in part for part in told)
         else "the correction changes nothing"
     )
     return f"verdict: {head}: " + "; ".join(told)

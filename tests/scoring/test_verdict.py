@@ -1,5 +1,7 @@
 """The verdict: ratios of errors with intervals that cover, and words that follow them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from split_cli.scoring.verdict import BlockErrors, compare, number_blocks, verdict, warnings_of
@@ -44,6 +46,16 @@ def test_the_words_name_what_helps_what_harms_and_what_changes_nothing():
     assert "the nominal model" in told[0] and "holding the velocities" in told[1]
     assert warnings_of([*found, *found])[0].count("after 0.5 s") == 1  # two predictors, one horizon
     assert verdict(compare("bcm", "z2", [errors((0.5, 0.5, 0.5), 4)])).startswith("verdict: the correction helps")
+
+
+def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
+    worse, *others = compare("bcm", "z2", [errors((2.0, 0.5, 1.0), 3)])
+    for ratio, words, head in ((1.009, "v_x hardly worse (1.01 times", "helps"), (1.011, "v_x WORSE", "does harm")):
+        one = replace(worse, to_nominal=(ratio, ratio - 1e-3, ratio + 1e-3))
+        said = verdict([one, *others])
+        assert words in said and said.startswith(f"verdict: the correction {head}")
+        assert "v_x of the corrected model is worse" in warnings_of([one])[0]
+    assert "hardly anything" in verdict([replace(worse, to_nominal=(1.001, 1.0005, 1.002))])
 
 
 def test_with_too_few_blocks_nothing_is_claimed():
