@@ -28,6 +28,8 @@ def command(path, as_json) -> None:
     - diagnosis folder: the digest of every file, its JSON document, the report and the vehicle file against it
     - folder of an evaluation or a comparison: the digest of every file, its page, the table against the page
     - folder of drives: each drive, and all of them against the manifest
+    - any other folder: everything of the above in it, a line each; exports are only named, since their C would
+      be compiled and run
 
     The exit code is 1 if a check fails.
 

@@ -111,7 +111,7 @@ def _check_grid(grid: Mapping[str, Any], features: Sequence[str]) -> None:
     for edge, lower, upper in zip(grid["edges"], grid["lower"], grid["upper"], strict=True):
         _within("an edge of the grid", edge, 0.0, np.inf)
         if tuple(features) == Z2.names and None in (lower, upper):
-            raise ValueError(f"the grid of z2 is not bounded")
+            raise ValueError("the grid of z2 is not bounded")
         if lower is not None and upper is not None:
             if not _number("grid.lower", lower) < _number("grid.upper", upper):
                 raise ValueError(f"the grid's lower bound {lower!r} is not below its upper {upper!r}")

@@ -191,13 +191,12 @@ def _load_json(path: Path) -> dict:
 def _json(path: Path) -> FileDescription:
     content = _load_json(path)
     if content.get("schema") == "split-diagnosis/1":
-        found = ", ".join(entry["term"] for entry in content["findings"]) or "none"
-        facts = (
-            ("verdict", content["verdict"]),
-            ("findings", found),
-            ("unexplained", str(content["unexplained"])),
-        )
-        return FileDescription(str(path), "diagnosis", facts)
+        try:
+            found = ", ".join(str(entry["term"]) for entry in content["findings"]) or "none"
+            facts = [("findings", found), *((name, str(content[name])) for name in ("verdict", "unexplained"))]
+        except (LookupError, TypeError) as error:
+            raise SplitError("is a diagnosis that was damaged or forged", where=str(path)) from error
+        return FileDescription(str(path), "diagnosis", tuple(facts))
     if (path.parent / "manifest.json").is_file():
         return _export(path.parent)
     raise SplitError("is JSON that this program did not write", where=str(path), advice=_READS)

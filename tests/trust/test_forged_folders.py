@@ -17,6 +17,7 @@ from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import Source, read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import write_diagnosis
+from split_cli.workflows.info import describe_file
 from split_cli.workflows.verifying.verify import verify
 from split_cli.workflows.verifying.verify_files import compare_sources
 from tests.diagnosis.test_report import mismatch
@@ -101,13 +102,29 @@ def test_a_set_or_a_drive_of_another_run(folder):
     assert failed(folder / "export") == {"trained set"}
 
 
-def test_the_gap_of_a_diagnosis_is_checked_alone_and_among_drives(folder):
+def test_the_gap_of_a_diagnosis_is_checked_alone(folder):
     assert verify(folder / "diagnosis" / "gap.parquet").kind == "gap of a diagnosis"
-    assert failed(folder) == set() and "diagnosis/gap.parquet" in checked(folder)
-    gap = bytearray((folder / "diagnosis" / "gap.parquet").read_bytes())
-    gap[len(gap) // 3] ^= 0xFF
-    (folder / "diagnosis" / "gap.parquet").write_bytes(gap)
-    assert failed(folder) == {"diagnosis/gap.parquet"}
+
+
+@pytest.mark.parametrize("forged", [{"findings": 5}, {"findings": [1]}, {"verdict": None, "findings": [{}]}, {}])
+def test_a_forged_diagnosis_is_described_or_refused_in_one_line(tmp_path, forged):
+    (tmp_path / "diagnosis.json").write_text(json.dumps({"schema": "split-diagnosis/1", **forged}))
+    with pytest.raises(SplitError, match="damaged or forged"):
+        describe_file(tmp_path / "diagnosis.json")
+
+
+def test_a_folder_of_several_outputs_is_checked_whole_but_the_c_in_it_is_not_run(folder):
+    """Only drives were looked at: a forged set or a mixed diagnosis beside them passed."""
+    document = json.loads((folder / "diagnosis" / "diagnosis.json").read_text())
+    (folder / "diagnosis" / "diagnosis.json").write_text(json.dumps({**document, "inputs": []}))
+    write_digests(folder / "diagnosis")
+    found = {i.check: i for i in verify(folder).items}
+    assert found["a.split"].passed and found["compared"].passed and found["d0.parquet"].passed
+    assert found["export"].passed is None and "split verify" in found["export"].detail
+    assert failed(folder) == {"diagnosis"}
+    assert "report against document: the page shows the numbers of another" in found["diagnosis"].detail
+    (folder / "a.split").write_bytes((folder / "a.split").read_bytes()[:-500])
+    assert failed(folder) == {"diagnosis", "a.split"}
 
 
 def test_a_recording_and_its_simulation_may_have_one_name(folder):

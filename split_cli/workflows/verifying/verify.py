@@ -16,6 +16,7 @@ from split_cli.workflows.verifying.verification import Verification, VerifiedIte
 from split_cli.workflows.verifying.verification import item as _item
 from split_cli.workflows.verifying.verify_files import verify_page, verify_parquet, verify_yaml
 from split_cli.workflows.verifying.verify_folders import (
+    in_one_line,
     is_diagnosis,
     verify_diagnosis,
     verify_drives_folder,
@@ -68,18 +69,41 @@ def verify(path: str | Path) -> Verification:
 
 
 def _folder(path: Path) -> Verification:
+    if not _is_one_output(path):
+        return _several(path)
     if is_diagnosis(path):
         return Verification(str(path), "diagnosis", verify_diagnosis(path))
     if not (path / "manifest.json").is_file():
-        if (path / "report.html").is_file():
-            return Verification(str(path), *verify_pages_folder(path))
-        return Verification(str(path), "drives", verify_drives_folder(path))
+        return Verification(str(path), *verify_pages_folder(path))
     # An export's checks need CasADi, which takes a second to import and is not needed for sets.
     from split_cli.export.verify import verify_folder
 
     items = verify_folder(path)
     whole = all(one.passed is not False for one in items)
     return Verification(str(path), "export", (*items, *_set_of_export(path, whole)))
+
+
+def _is_one_output(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in ("diagnosis.json", "manifest.json", "report.html"))
+
+
+def _several(folder: Path) -> Verification:
+    """Check a folder of drives, and what else of ours lies in or below it."""
+    below = [p for p in sorted(folder.rglob("*")) if p.is_dir() and _is_one_output(p)]
+    inner = [p for p in below if not any(other in p.parents for other in below)]
+    items = []
+    for path in inner:
+        name = str(path.relative_to(folder))
+        if (path / "manifest.json").is_file():
+            told = f"an export, whose C would be compiled and run: `split verify {path}`"
+            items.append(VerifiedItem(name, None, told))
+        else:
+            items.append(in_one_line(name, lambda path=path: _folder(path)))
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in (".split", ".html") and path.is_file() and not any(p in path.parents for p in inner):
+            items.append(in_one_line(str(path.relative_to(folder)), lambda path=path: verify(path)))
+    drives = verify_drives_folder(folder, inner, alone=not items)
+    return Verification(str(folder), "several outputs" if items else "drives", (*drives, *items))
 
 
 def _set_of_export(folder: Path, whole: bool) -> tuple[VerifiedItem, ...]:

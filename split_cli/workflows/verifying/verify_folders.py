@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,10 @@ from split_cli.logs.drive import metadata_of_drive
 from split_cli.vehicle.parameters import physics_as_written, read_vehicle
 from split_cli.workflows.ingesting.ingest_manifest import IngestManifest
 from split_cli.workflows.report.payload import shown_digest
-from split_cli.workflows.verifying.verification import VerifiedItem, item
+from split_cli.workflows.verifying.verification import Verification, VerifiedItem, item
 from split_cli.workflows.verifying.verify_files import compare_sources, read_gap, verify_page, verify_parquet
 
-__all__ = ["is_diagnosis", "verify_diagnosis", "verify_drives_folder", "verify_pages_folder"]
+__all__ = ["in_one_line", "is_diagnosis", "verify_diagnosis", "verify_drives_folder", "verify_pages_folder"]
 
 _VERDICTS = ("match", "mismatch", "undecided")
 _TABLE = "compare.csv"
@@ -167,8 +167,31 @@ def _compared(folder: Path) -> str:
     return f"{len(rows)} errors, each within its interval; the page shows them"
 
 
-def verify_drives_folder(folder: Path) -> tuple[VerifiedItem, ...]:
-    """Check a folder of drives: each against its manifest, where there is one, and against itself."""
+def in_one_line(name: str, check: Callable[[], Verification]) -> VerifiedItem:
+    """Return the checks of one file or folder among several as a single one."""
+    try:
+        found = check()
+    except SplitError as error:
+        return VerifiedItem(name, False, str(error))
+    failed = [f"{i.check}: {i.detail}" for i in found.items if i.passed is False]
+    return item(name, not failed, f"{found.kind}, as `split verify` of it alone", "; ".join(failed))
+
+
+def verify_drives_folder(folder: Path, inner: Sequence[Path] = (), *, alone: bool = True) -> list[VerifiedItem]:
+    """Check a folder of drives: each against its manifest, where there is one, and against itself.
+
+    Parameters
+    ----------
+    inner : sequence of Path
+        Folders in it that are checked as a whole.
+    alone : bool
+        Whether nothing else was found in the folder.
+
+    Raises
+    ------
+    SplitError
+        If the folder holds nothing of ours.
+    """
     items = []
     manifest = IngestManifest.of(folder)
     for place, entry in sorted(manifest.entries.items()):
@@ -179,25 +202,17 @@ def verify_drives_folder(folder: Path) -> tuple[VerifiedItem, ...]:
         elif sha256_of_file(drive) == entry["sha256"]:
             bad = "" if _is_made_of(drive, entry["source"]) else "was made of another source than is entered"
         items.append(item(f"{entry['drive']} of {place}", not bad, "as written", bad))
-    drives = sorted(p for p in folder.rglob("*.parquet") if p.is_file())
-    if not drives and not items:
+    drives = [p for p in sorted(folder.rglob("*.parquet")) if p.is_file() and not {*inner} & {*p.parents}]
+    if alone and not drives and not items:
         raise SplitError(
             "holds neither an export, nor a diagnosis, nor drives",
             where=str(folder),
             advice="Name a file, or the folder that `split export`, `diagnose` or `ingest` wrote.",
         )
-    for drive in drives:
-        name = str(drive.relative_to(folder))
-        try:
-            kind, checks = verify_parquet(drive)
-            failed = [i for i in checks if i.passed is False]
-        except SplitError as error:
-            items.append(VerifiedItem(name, False, str(error)))
-            continue
-        bad = "; ".join(f"{i.check}: {i.detail}" for i in failed)
-        good = "pages, ranges, clock and physics" if kind == "drive" else f"{kind}, as `split verify` of it alone"
-        items.append(item(name, not failed, good, bad))
-    return tuple(items)
+    for path in drives:
+        name = str(path.relative_to(folder))
+        items.append(in_one_line(name, lambda path=path: Verification(str(path), *verify_parquet(path))))
+    return items
 
 
 def _is_made_of(drive: Path, source: str) -> bool:
