@@ -55,6 +55,13 @@ def ending_of(x, driven, error, stop):
     return GOING_ON
 
 
+@inner
+def copy(values, into):
+    """Copy element by element: with a slice numba compiles the texts of its error, a fifth of the time."""
+    for i in range(values.shape[0]):
+        into[i] = values[i]
+
+
 def _loops(called):
     """Return `run` and `follow`, compiled anew whenever the digest `called` is another one."""
 
@@ -72,8 +79,7 @@ def _loops(called):
         steers = np.empty(steps)
         x = x0.copy()
         work = np.empty((5, STATE_SIZE))
-        out = np.empty(OUT_SIZE)
-        out[:] = 0.0
+        out = np.zeros(OUT_SIZE)
         env = np.zeros(ENV_SIZE)
         memory = np.zeros(MEM_SIZE)
         on_track = path.length > 0.0
@@ -107,8 +113,8 @@ def _loops(called):
                 if j % keep == 0:
                     derivative(x, torque_in, steer_in, env, car, work[0], out)
                     times[row] = t
-                    states[row] = x
-                    outs[row] = out
+                    copy(x, states[row])
+                    copy(out, outs[row])
                     places[row] = s
                     row += 1
                 rk4_step(x, torque_in, steer_in, env, car, step, work, out)
@@ -133,19 +139,19 @@ def _loops(called):
                 x[i] = motion[row, i]
             if row % window == 0:
                 if row > 0:
-                    predicted[row // window - 1] = free[VX : R + 1]
-                free[:] = x
+                    copy(free[VX : R + 1], predicted[row // window - 1])
+                copy(x, free)
             for j in range(keep):
                 t = (row * keep + j) * step
                 torque, played = arriving(t, torques, steers, played, x0, car, control, step)
                 surroundings(places[row], t, road, car, env)
                 rk4_step(x, torque, played, env, car, step, work, out)
                 rk4_step(free, torque, played, env, car, step, work, out)
-        predicted[count - 1] = free[VX : R + 1]
+        copy(free[VX : R + 1], predicted[count - 1])
         return predicted
 
     return run, follow
 
 
 _CALLED = b"".join(Path(module.__file__).read_bytes() for module in (_compiled, _driver_numba, _faults_numba))
-run, follow = _loops(hashlib.sha256(_CALLED).hexdigest())
+run, follow = _loops(int.from_bytes(hashlib.sha256(_CALLED).digest()[:7], "big"))
