@@ -127,8 +127,8 @@ def _show_foreign(written, output, as_json) -> None:
 def _show_calibration(calibration, used, output, as_json) -> None:
     if as_json:
         names = ("samples", "blocks", "curves", "resistance", "estimates", "remarks")
-        told = {name: getattr(calibration, name) for name in names}
-        print_json({"vehicle": output, "drives": used, **told})
+        values = {name: getattr(calibration, name) for name in names}
+        print_json({"vehicle": output, "drives": used, **values})
         return
     if calibration.curves:
         header = ("axle", "B", "C", "D [N]", "determined", "stiffness [N/rad]", "+-", "covered to [rad]",

@@ -108,9 +108,9 @@ def _tell(compared) -> None:
         row = [score.name, f"{score.horizon:g}"]
         for one in score.states:
             low, high = one.interval
-            told = f"{one.rmse:.3g}{'*' if one.is_best else ''}"
-            told = told if low != low else f"{told} ({low:.3g} to {high:.3g})"
-            row += [told, f"{one.fit:.1f}", f"{one.skill:.3f}"]
+            shown = f"{one.rmse:.3g}{'*' if one.is_best else ''}"
+            shown = shown if low != low else f"{shown} ({low:.3g} to {high:.3g})"
+            row += [shown, f"{one.fit:.1f}", f"{one.skill:.3f}"]
         rows.append([*row, f"{score.total:.3f}{'*' if score.is_best else ''}"])
     heads = ["model", "after s"]
     for state in ("v_x", "v_y", "r"):

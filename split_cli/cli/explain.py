@@ -30,27 +30,27 @@ def command(words, man, as_json) -> None:
         click.echo(manual_page(), nl=False)
         return
     tables = [name for name in COLUMNS if name != "any"]
-    told = _told(words or tables)
+    meanings = _meanings(words or tables)
     if as_json:
-        print_json([{"table": table, "column": column, "meaning": text} for table, column, text in told])
+        print_json([{"table": table, "column": column, "meaning": text} for table, column, text in meanings])
         return
     last = ""
-    for table, column, text in told:
+    for table, column, text in meanings:
         if table != last:
             click.echo(f"{'' if not last else chr(10)}{'every table' if table == 'any' else f'split {table}'}")
             last = table
         click.echo(f"  {column:<18}  {text}")
 
 
-def _told(words) -> list[tuple[str, str, str]]:
+def _meanings(words) -> list[tuple[str, str, str]]:
     """Return (table, column, meaning) for commands and columns."""
     from split_cli.cli.columns import COLUMNS
     from split_cli.errors import nearest_names
 
-    told = []
+    meanings = []
     for word in words:
         if word in COLUMNS:
-            told += [(word, column, text) for column, text in COLUMNS[word].items()]
+            meanings += [(word, column, text) for column, text in COLUMNS[word].items()]
             continue
         names = (word, f"rejected: {word}")  # a reason by itself, as files and JSON have it
         found = [(t, name, columns[name]) for t, columns in COLUMNS.items() for name in names if name in columns]
@@ -58,5 +58,5 @@ def _told(words) -> list[tuple[str, str, str]]:
             known = [*COLUMNS, *(column for columns in COLUMNS.values() for column in columns)]
             advice = f"{nearest_names(word, known)} docs/glossary.md explains words of the reports."
             raise click.UsageError(f"no table and no column {word!r}. {advice}")
-        told += found
-    return told
+        meanings += found
+    return meanings

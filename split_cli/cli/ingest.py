@@ -175,8 +175,8 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
     drives = [result.drive_path for result in run.results]
     faulty = [str(result.drive_path) for result in run.results if result.faults]
     if faulty:
-        told = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
-        tell_next(before=f"correct the map as `does not fit together` says of {told}, and ingest again")
+        names = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
+        tell_next(before=f"correct the map as `does not fit together` says of {names}, and ingest again")
     elif drives:
         vehicle = vehicle_path or "VEHICLE.yaml"
         doubtful = any(result.quality.consistency.findings for result in run.results)

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from split_cli.cli.digits import Told, plausible
+from split_cli.cli.digits import Printed, plausible
 
 __all__ = [
     "TimeSpan", "engine_options", "existing_file", "held_option", "json_option", "label_options", "list_of",
@@ -222,8 +222,8 @@ def _print_legend(names: Sequence[str]) -> None:
         return
     from split_cli.cli.columns import meaning
 
-    told = {name: meaning(context.info_name or "", name) for name in names}
-    for name, text in told.items():
+    meanings = {name: meaning(context.info_name or "", name) for name in names}
+    for name, text in meanings.items():
         if text:
             click.echo(f"  {name}: {text}")
 
@@ -231,7 +231,7 @@ def _print_legend(names: Sequence[str]) -> None:
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
-    if isinstance(value, Told):
+    if isinstance(value, Printed):
         return value.text
     if isinstance(value, float):
         return plausible(value)

@@ -220,9 +220,9 @@ def _progress(what: str):
     bar = StepBar()
     bar.text = what
 
-    def told(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         bar.count(done, total)
         if done == total:
             bar.close()
 
-    return told
+    return report

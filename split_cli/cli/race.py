@@ -214,9 +214,9 @@ def _tell(result) -> None:
     rows = []
     for lap in result.laps:
         share = [a / b if b else None for a, b in zip(lap.error_after, lap.error_before, strict=True)]
-        told = "/".join("-" if s is None else f"{s:.2f}" for s in share)
+        trust = "/".join("-" if s is None else f"{s:.2f}" for s in share)
         rows.append([lap.number, lap.time, *map(three_digits, (lap.mean_speed, lap.max_lateral)), lap.updates,
-                     lap.size, lap.cells, *map(three_digits, lap.error_after), told, lap.outside,
+                     lap.size, lap.cells, *map(three_digits, lap.error_after), trust, lap.outside,
                      lap.failures])  # fmt: skip
     print_table(header, rows)
     print_table(

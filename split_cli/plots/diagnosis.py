@@ -195,12 +195,12 @@ def _draw_rivals(axis: Axes, finding: Finding) -> None:
     axis.set_xlim(left=min(-1.0, 1.3 * min(sizes)))
     axis.axvline(0.0, color="0.4", linewidth=0.8)
     axis.set_xlabel("cost above the chosen term [χ²], with 95 % interval over blocks of time")
-    told = ", ".join(_told(name, estimate) for name, estimate in finding.parameters.items())
-    axis.set_title(f"{term_name(finding.term)}: {told}", fontsize="medium", loc="left")
+    values = ", ".join(_value_text(name, estimate) for name, estimate in finding.parameters.items())
+    axis.set_title(f"{term_name(finding.term)}: {values}", fontsize="medium", loc="left")
     quiet(axis)
 
 
-def _told(name: str, estimate: ParameterEstimate) -> str:
+def _value_text(name: str, estimate: ParameterEstimate) -> str:
     """Return a parameter with its 95 % interval."""
     return f"{name} {amount(estimate)}"
 

@@ -40,9 +40,9 @@ def draw_reliability(run: EvaluationRun) -> Figure:
 def _mark_95(axis: Axes, inside: float) -> None:
     """Show in the panel itself how far the 95 % interval is from what it promises."""
     axis.plot([95, 95], [inside, 95], color=PALETTE[1], linewidth=3.0, solid_capstyle="butt")
-    told = f"95 % promised,\n{inside:.0f} % inside"
+    label = f"95 % promised,\n{inside:.0f} % inside"
     place = {"xytext": (97, 8), "ha": "right", "fontsize": "small", "color": PALETTE[1]}
-    axis.annotate(told, (95, inside), arrowprops={"arrowstyle": "-", "color": PALETTE[1], "lw": 0.8}, **place)
+    axis.annotate(label, (95, inside), arrowprops={"arrowstyle": "-", "color": PALETTE[1], "lw": 0.8}, **place)
 
 
 def _verdict(run: EvaluationRun, key: tuple[str, str]) -> str:

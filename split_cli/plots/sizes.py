@@ -63,7 +63,7 @@ def _finding(by_features: dict[str, list[SizeScore]]) -> str:
             for features, entries in by_features.items()
         }
         best = min(errors, key=errors.get)
-        told = ", ".join(f"{features} {error:.3g}" for features, error in errors.items())
+        listed = ", ".join(f"{features} {error:.3g}" for features, error in errors.items())
         ahead = f"{best} ahead" if len(errors) > 1 else "one set"
-        parts.append(f"{'all' if size == 0 else size} samples: {ahead} ({told})")
+        parts.append(f"{'all' if size == 0 else size} samples: {ahead} ({listed})")
     return "; ".join(parts)

@@ -272,8 +272,8 @@ def _step(
     def slope(at: int, d: np.ndarray) -> np.ndarray:
         vx, vy, r = velocity[at]
         T, delta = inputs[at]
-        told = other.velocity_derivative(vx, vy + d[0], r + d[1], T + more_torque, delta)
-        return np.array(told[1:]) - known[at]
+        rates = other.velocity_derivative(vx, vy + d[0], r + d[1], T + more_torque, delta)
+        return np.array(rates[1:]) - known[at]
 
     d = begin
     for part in range(parts):

@@ -189,13 +189,13 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
     if setting.simulation == "plant":
         lap = drive(without, trips[1], sample_period=1e-2)
         sim = record(lap, source.alignment, "sim", None, without.sensor)
-    told, heldout, removed = _told(effects, world, without, trips, source, plan)
+    concealed, heldout, removed = _concealed(effects, world, without, trips, source, plan)
     if plan.kind in ("single", "pair", "hard-pair"):
         _require_named(heldout, removed, source)
     answer = Answer(
-        number=plan.number, kind=plan.kind, tier=plan.tier, effects=told, car=source.car.name, base=setting.base,
-        simulation=setting.simulation, base_severity=setting.base_severity, total_severity=total, removed=removed,
-        **_places(run),
+        number=plan.number, kind=plan.kind, tier=plan.tier, effects=concealed, car=source.car.name,
+        base=setting.base, simulation=setting.simulation, base_severity=setting.base_severity,
+        total_severity=total, removed=removed, **_places(run),
     )  # fmt: skip
     return Case(real, sim, source.vehicle, answer, heldout, source.noise)
 
@@ -260,10 +260,10 @@ def _exact(world: ProofWorld, without: ProofWorld, trip: Trip, source: CarOfProo
     return exact_drive(run, source.alignment, world.sensor, effect_error(run, world, without))
 
 
-def _told(
+def _concealed(
     effects, world, without, trips, source, plan
 ) -> tuple[tuple[ConcealedEffect, ...], ExactDrive | None, float]:
-    """Return the effects as told in the answer, the held-out drive and what the true terms remove of its gap."""
+    """Return the effects for the answer, the held-out drive and what the true terms remove of its gap."""
     if not effects:
         return (), None, 0.0
     # Held out is another driver again, so that nothing fitted to the real drive is at home there.
@@ -276,16 +276,16 @@ def _told(
         ((effect, (size, found)),) = effects
         total = severity(heldout.error, source.noise)
         return (ConcealedEffect(effect.term, size, total, beyond=beyond, absorbed_by=names),), heldout, 0.0
-    told, terms = [], []
+    concealed, terms = [], []
     for effect, (size, found) in effects:
         alone = heldout
         if len(effects) > 1:
             alone = _exact(effect.apply(without, size), without, replace(trips[2], duration=60.0), source)
         parameters, variant, removed = _parameters(effect, without, size, alone, source)
         scored = tuple(name for name in parameters if name not in effect.shape)
-        told.append(ConcealedEffect(effect.term, size, found, parameters, scored, variant, removed))
+        concealed.append(ConcealedEffect(effect.term, size, found, parameters, scored, variant, removed))
         terms.append(CATALOGUE[effect.term](parameters, variant))
-    return tuple(told), heldout, removed_share(heldout, source.vehicle, terms, source.noise)
+    return tuple(concealed), heldout, removed_share(heldout, source.vehicle, terms, source.noise)
 
 
 def _parameters(

@@ -237,7 +237,8 @@ def _recorded(columns: Mapping[str, np.ndarray], name: str, noise: np.ndarray, r
         noisy[channel] = noisy[channel] + sigma * rng.standard_normal(len(segment))
     ends = np.flatnonzero(np.diff(segment, append=segment[-1] + 1)) + 1
     runs = [*zip([0, *ends[:-1]], ends, strict=True)]
-    told = tuple(estimate_noise(one, noisy[one], [(int(a), int(b)) for a, b in runs]) for one in ("vx", "vy", "r"))
+    spans = [(int(a), int(b)) for a, b in runs]
+    estimates = tuple(estimate_noise(one, noisy[one], spans) for one in ("vx", "vy", "r"))
     kinds = {"T": "command", "delta": "command", **dict.fromkeys(("X", "Y", "yaw", "vx", "vy", "r"), "measured")}
     between = {"T": "held", "delta": "held"}
-    return Drive(name, noisy, segment, 1.0 / RATE, DriveMetadata(kinds=kinds, noise=told, between=between))
+    return Drive(name, noisy, segment, 1.0 / RATE, DriveMetadata(kinds=kinds, noise=estimates, between=between))

@@ -116,9 +116,9 @@ def check_seal(root: Path) -> Seal:
         raise SplitError(
             "has no seal", where=str(root), advice="`split prove generate` was not finished: run it again."
         )
-    told = json.loads(path.read_text())
-    listed = told.pop("files")
-    seal = Seal(**told)
+    content = json.loads(path.read_text())
+    listed = content.pop("files")
+    seal = Seal(**content)
     if _digest(listed) != seal.sha256:
         raise SplitError("the list of sealed files does not fit its hash", where=str(path))
     present = {p.name for p in (root / "sealed").glob("*") if p.suffix in (".json", ".npz")}
@@ -139,12 +139,12 @@ def _digest(listed: dict[str, str]) -> str:
 
 def read_answer(root: Path, name: str) -> Answer:
     """Return the answer of a case."""
-    told = json.loads((root / "sealed" / f"{name}.json").read_text())
+    content = json.loads((root / "sealed" / f"{name}.json").read_text())
     effects = tuple(
         ConcealedEffect(**{**e, "scored": tuple(e["scored"]), "absorbed_by": tuple(e["absorbed_by"])})
-        for e in told.pop("effects")
+        for e in content.pop("effects")
     )
-    return Answer(effects=effects, **told)
+    return Answer(effects=effects, **content)
 
 
 def read_heldout(root: Path, name: str) -> tuple[ExactDrive | None, np.ndarray]:

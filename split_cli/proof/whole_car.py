@@ -35,7 +35,7 @@ class Piece:
     # fields, tire_fields: parameters of the car and of its tyres that a bare car has otherwise.
     fields: tuple[str, ...] = ()
     tire_fields: tuple[str, ...] = ()
-    # car -> physical values of the term's parameters; those that are effective are not told.
+    # car -> physical values of the term's parameters; those that are effective are not given.
     known: Callable[[CarParameters], Mapping[str, float]] = lambda car: {}
     # Whether the term has to be named where the piece is large; else it is right, but not asked for.
     asked: bool = True

@@ -95,7 +95,7 @@ def rank(runs: Sequence[RunErrors]) -> tuple[ModelScore, ...]:
 
 def worse_than(scores: Sequence[ModelScore], runs: Sequence[RunErrors], name: str) -> tuple[str, ...]:
     """Return in words where model `name` is worse than another one beyond chance."""
-    told = []
+    sentences = []
     for one in runs:
         draws = _draws(one)
         for other in one.errors:
@@ -103,12 +103,12 @@ def worse_than(scores: Sequence[ModelScore], runs: Sequence[RunErrors], name: st
                 continue
             low = _ratio(draws, name, other)[1]
             when = f"after {one.horizon:g} s"
-            told += [
+            sentences += [
                 f"{name} is worse than {other}: {state} {when}, at least {ratio:.2f} times its error"
                 for state, ratio in zip(STATES, low, strict=True)
                 if ratio > 1.0
             ]
-    return tuple(told)
+    return tuple(sentences)
 
 
 def _draws(one: RunErrors) -> dict[str, np.ndarray]:
@@ -160,14 +160,14 @@ def _rank_at(one: RunErrors) -> list[ModelScore]:
         states = []
         for k in range(3):
             ratio = _ratio(draws, name, best[k])
-            told = float(ratio[0][k]), float(ratio[1][k]), float(ratio[2][k])
+            to_best = float(ratio[0][k]), float(ratio[1][k]), float(ratio[2][k])
             own = float(rmse[name][0, k])
             states.append(
                 StateScore(
                     STATES[k], UNITS[k], own, (float(ends[0, k]), float(ends[1, k])),
                     float(1.0 - draws[name][0, k] / max(draws[""][0, k], 1e-300)),
                     float(100.0 * (1.0 - own / max(spread[k], 1e-300))),
-                    told, name == best[k], name == best[k] or told[1] <= 1.0,
+                    to_best, name == best[k], name == best[k] or to_best[1] <= 1.0,
                 )
             )  # fmt: skip
         low, high = _ends(total[name][1:])

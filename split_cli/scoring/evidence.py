@@ -227,7 +227,7 @@ def _one_step(held: _HeldOut) -> list[TrustEvidence]:
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     if not len(labels):
         return []
-    told = predict_rows(held.learned, drive, held.z, labels.row)
+    predicted = predict_rows(held.learned, drive, held.z, labels.row)
     movement = velocity_persistence_errors(held.model, drive, labels)
     situation, rivals = _means(held.at, labels.row, labels.window), _rivals(drive, labels)
     nominal = None
@@ -236,10 +236,10 @@ def _one_step(held: _HeldOut) -> list[TrustEvidence]:
     found = []
     for state in range(3):
         change = np.zeros((len(labels), 3))
-        change[:, state] = told.mean[:, state]
+        change[:, state] = predicted.mean[:, state]
         error, moved = labels.y[:, state], movement[:, state]
         block, by_file = held.block[labels.row], None if nominal is None else nominal[:, state]
-        variance = told.variance[:, state]
+        variance = predicted.variance[:, state]
         found.append(TrustEvidence(state, 0.0, error, change, moved, block, situation, variance, rivals, by_file))
     return found
 

@@ -116,27 +116,27 @@ def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] 
         name: _narrow_states([trace for trace in traces if trace.name == name])
         for name in dict.fromkeys(trace.name for trace in traces)
     }
-    told = []
+    warnings = []
     for number, state in enumerate(STATES):
         found = {name: states[state] for name, states in narrow.items() if state in states}
         if not found:
             continue
         held = " and ".join(f"{100.0 * share:.0f} % ({name})" for name, (share, _) in found.items())
         factor = max(factor for _, factor in found.values())
-        told.append(
+        warnings.append(
             f"WARNING: intervals of {state} are too narrow here: the 95 % intervals hold only {held} of the "
             f"labels. They would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide. This "
             "driving differs from that of the training; add drives like this one to it"
             f"{_by_distance([s for s in shares if s.name == list(found)[-1]], number)}"
         )
-    return told
+    return warnings
 
 
 def _by_distance(shares: Sequence[IntervalShares], state: int) -> str:
     """Return what 95 % intervals of one predictor hold near the points and beyond, empty without either."""
     where = {True: "within a length scale of the set's points", False: "beyond"}
-    told = [f"{100.0 * s.coverage_95[state]:.0f} % {where[s.near]}" for s in shares]
-    return f". They hold {' and '.join(told)} ({shares[0].name})" if len(told) > 1 else ""
+    parts = [f"{100.0 * s.coverage_95[state]:.0f} % {where[s.near]}" for s in shares]
+    return f". They hold {' and '.join(parts)} ({shares[0].name})" if len(parts) > 1 else ""
 
 
 def _narrow_states(traces: Sequence[Trace]) -> dict[str, tuple[float, float]]:

@@ -47,20 +47,20 @@ def late_inputs(
     look alike to first order, and so does a late time stamp: the diagnosis tells them apart.
     """
     used = labels if labels.accepted.all() else labels.take(labels.accepted)
-    told = []
+    notes = []
     for name, output, label, rate, what, term in _INPUTS:
         if any(effect.term == term for effect in found):
             continue
         late = _late(_missing(drive, used, vehicle, name, output), used.y[:, output])
         if late is not None:
             delay, error, correlation = late
-            told.append(
+            notes.append(
                 f"{drive.name}: labels of {label} follow {rate} (correlation {-correlation:.2f}): the {what} "
                 f"seems to arrive {delay:.3f} s late (+- {error:.1g}). Features of one moment show no delay. "
                 f"Run `split diagnose --real {drive.name} --vehicle VEHICLE --out DIR`; its name for the delay is "
                 f"{term}"
             )
-    return tuple(told)
+    return tuple(notes)
 
 
 def torque_delay(drives: Sequence[Drive], labels: Sequence[Labels], vehicle: Vehicle) -> float | None:

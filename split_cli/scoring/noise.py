@@ -30,7 +30,7 @@ _LARGE_SHARE = 0.25
 class NoiseFloor:
     """Label rms from sensor noise."""
 
-    rms: np.ndarray | None  # (3,): [m/s^2], [m/s^2], [rad/s^2]; None where it cannot be told
+    rms: np.ndarray | None  # (3,): [m/s^2], [m/s^2], [rad/s^2]; None where it is unknown
     reason: str = ""  # why it is None, or what it leaves out; empty otherwise
 
     @property

@@ -153,7 +153,7 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
     judged = [c for c in comparisons if c.to_nominal[1] == c.to_nominal[1]]
     if not judged:
         return "verdict: too few blocks of time to tell whether the correction helps"
-    told = []
+    parts = []
     for state in STATES:
         own = [c for c in judged if c.state == state]
         worse = [c for c in own if c.to_nominal[1] > 1.0]
@@ -161,25 +161,25 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
         ratios = [c.to_nominal[0] for c in (worse or better)]
         span = _span(ratios)
         if worse and np.square(max(ratios)) > 1.0 + NEGLIGIBLE:
-            told.append(f"{state} WORSE ({span} times the nominal error {_where(worse, own)})")
+            parts.append(f"{state} WORSE ({span} times the nominal error {_where(worse, own)})")
         elif worse:
-            told.append(f"{state} hardly worse ({span} times the nominal error {_where(worse, own)})")
+            parts.append(f"{state} hardly worse ({span} times the nominal error {_where(worse, own)})")
         elif better:
-            told.append(f"{state} better ({span} times the nominal error {_where(better, own)})")
+            parts.append(f"{state} better ({span} times the nominal error {_where(better, own)})")
         else:
-            told.append(f"{state} as the nominal model")
-    harm = any("WORSE" in part for part in told)
-    gain = any("better" in part for part in told)
+            parts.append(f"{state} as the nominal model")
+    harm = any("WORSE" in part for part in parts)
+    gain = any("better" in part for part in parts)
     head = (
         "the correction does harm"
         if harm
         else "the correction helps"
         if gain
         else "the correction changes hardly anything"
-        if any("hardly" in part for part in told)
+        if any("hardly" in part for part in parts)
         else "the correction changes nothing"
     )
-    return f"verdict: {head}: " + "; ".join(told)
+    return f"verdict: {head}: " + "; ".join(parts)
 
 
 def _span(ratios: Sequence[float]) -> str:
@@ -205,7 +205,7 @@ def _where(comparisons: Sequence[Comparison], judged: Sequence[Comparison] = ())
 
 def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     """Return a warning for every state that is worse than the nominal model or than persistence beyond chance."""
-    told = []
+    warnings = []
     for state in STATES:
         for other, attribute in (
             ("the nominal model", "to_nominal"),
@@ -215,11 +215,11 @@ def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
             if worse:
                 c = max(worse, key=lambda c: getattr(c, attribute)[0])
                 ratio, low, high = getattr(c, attribute)
-                told.append(
+                warnings.append(
                     f"WARNING: {state} of the corrected model is worse than {other} {_where(worse)}: at most "
                     f"{ratio:.2f} times its error (95 % interval {low:.2f} to {high:.2f}, {c.blocks} blocks)"
                 )
-    return tuple(told)
+    return tuple(warnings)
 
 
 def one_step_errors(

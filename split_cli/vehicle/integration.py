@@ -27,7 +27,7 @@ speed, is to blame for steps that are too long."""
 
 @dataclass(frozen=True)
 class Situation:
-    """What a model is told beside velocities and inputs: when and where, its yaw, and what its terms remember."""
+    """What a model needs beside velocities and inputs: when and where, its yaw, and what its terms remember."""
 
     # t, s, yaw: (N,): time [s], track position [m], yaw angle [rad]; 0 where nothing is known.
     t: Any = 0.0
@@ -53,7 +53,7 @@ class Situation:
         states = [part.states for part in parts if part.states is not None]
         return cls(t, s, yaw, np.concatenate(states) if states else None)
 
-    def told(self, model: SingleTrack) -> dict[str, Any]:
+    def arguments(self, model: SingleTrack) -> dict[str, Any]:
         """Return it as `SingleTrack.flow` takes it, states by name."""
         names = model.state_names
         states = None if self.states is None else dict(zip(names, self.states.T, strict=True)) or None

@@ -188,7 +188,7 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
     for key in content:
         if key not in _KEYS:
             raise VehicleError(f"unknown key {key!r}", where=where, advice=nearest_names(str(key), _KEYS))
-    told = _Told(where)
+    values = _Values(where)
     lacking = [key for key in _NUMBERS if content.get(key) is None and key not in _OPTIONAL]
     lacking += [key for key in ("front_tire", "rear_tire") if content.get(key) is None]
     lacking += [
@@ -201,7 +201,7 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
     if lacking:
         advice = "See the vehicle file in docs/formats.md; `split init` writes one with every key explained."
         raise VehicleError(f"lacks {', '.join(lacking)}", where=where, advice=advice)
-    numbers = {key: told.number(key, content[key]) for key in _NUMBERS if content.get(key) is not None}
+    numbers = {key: values.number(key, content[key]) for key in _NUMBERS if content.get(key) is not None}
     for key in _POSITIVE:
         if key in numbers and not numbers[key] > 0:
             raise VehicleError(f"{key} is {numbers[key]:g}, it must be positive", where=where)
@@ -214,14 +214,14 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
     _refuse_no_car(_VALUES_OF_CARS, numbers, where)
     numbers.setdefault("brake_split_front", numbers["drive_split_front"])
     numbers.setdefault("max_brake_torque", numbers["max_torque"])
-    tires = [_tire(key, content.get(key), told) for key in ("front_tire", "rear_tire")]
+    tires = [_tire(key, content.get(key), values) for key in ("front_tire", "rear_tire")]
     effects = _effects(content.get("effects") or [], where)
     name = str(content.get("name") or Path(where).stem)
     known: dict[str, Any] = {"front_tire": tires[0], "rear_tire": tires[1], **numbers}
-    return Vehicle(name=name, **known, effects=effects, origins=told.origins, notes=told.notes)
+    return Vehicle(name=name, **known, effects=effects, origins=values.origins, notes=values.notes)
 
 
-class _Told:
+class _Values:
     """Reads values, and keeps what a file says about them: origin and note."""
 
     def __init__(self, where: str) -> None:
@@ -265,8 +265,8 @@ def _finite_number(key: str, value: Any, where: str) -> float:
     return float(value)
 
 
-def _tire(key: str, content: Any, told: _Told) -> MagicFormula:
-    where = told.where
+def _tire(key: str, content: Any, source: _Values) -> MagicFormula:
+    where = source.where
     if not isinstance(content, Mapping):
         raise VehicleError(f"lacks {key}", where=where, advice="It needs B, C and D.")
     for name in content:
@@ -277,7 +277,7 @@ def _tire(key: str, content: Any, told: _Told) -> MagicFormula:
     for name in ("B", "C", "D"):
         if name not in content:
             raise VehicleError(f"{key} lacks {name}", where=where)
-        values[name] = told.number(f"{key}.{name}", content[name])
+        values[name] = source.number(f"{key}.{name}", content[name])
         if not values[name] > 0:
             raise VehicleError(f"{key}.{name} is {values[name]:g}, it must be positive", where=where)
     if values["C"] >= 2.0:
@@ -336,8 +336,8 @@ def vehicle_to_mapping(vehicle: Vehicle) -> dict[str, Any]:
     def entry(key: str, value: float) -> Any:
         if key not in vehicle.origins and key not in vehicle.notes:
             return value
-        told = {"source": vehicle.origins.get(key), "note": vehicle.notes.get(key)}
-        return {"value": value, **{name: text for name, text in told.items() if text is not None}}
+        notes = {"source": vehicle.origins.get(key), "note": vehicle.notes.get(key)}
+        return {"value": value, **{name: text for name, text in notes.items() if text is not None}}
 
     mapping: dict[str, Any] = {"name": vehicle.name}
     for key in _NUMBERS:
@@ -373,7 +373,7 @@ def write_vehicle(vehicle: Vehicle, path: str | Path, *, comment: str = "") -> N
 
     A comment tells what made the file; the digest of its physics follows it, which tells later changes by hand.
     """
-    told = f"{comment.rstrip()}\n{_PHYSICS} {vehicle.digest()}" if comment else ""
-    head = "".join(f"# {line}\n" for line in told.splitlines())
+    text = f"{comment.rstrip()}\n{_PHYSICS} {vehicle.digest()}" if comment else ""
+    head = "".join(f"# {line}\n" for line in text.splitlines())
     body = yaml.safe_dump(vehicle_to_mapping(vehicle), sort_keys=False, default_flow_style=None, width=100)
     atomic_write_text(path, head + body)

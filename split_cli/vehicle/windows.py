@@ -51,7 +51,7 @@ class Windows:
         vx, vy, r = state[:, -3:].T
         situation = self.situation if state.shape[1] == 3 else replace(self.situation, yaw=state[:, 2])
         torque, steer = self.torque[:, 0], self.steer_angle[:, 0]
-        return model.velocity_jacobian(vx, vy, r, torque, steer, **situation.told(model))
+        return model.velocity_jacobian(vx, vy, r, torque, steer, **situation.arguments(model))
 
     def predict(
         self, model: SingleTrack, state: np.ndarray, jacobian: np.ndarray, most: int = _MOST_SUBSTEPS

@@ -29,14 +29,14 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
         (one, one.lateral_motion and steering_response(one.lateral_motion, vehicle.minimum_speed))
         for one in subjects
     ]
-    told = [(one, response) for one, response in responses if response]
-    if told:
+    coherent = [(one, response) for one, response in responses if response]
+    if coherent:
         gain = tuple(
             ChartLine(one.name, r.frequency, r.gain, one.role, low=r.gain_low, high=r.gain_high, shown=one.shown)
-            for one, r in told
+            for one, r in coherent
         )
-        phase = tuple(ChartLine(one.name, r.frequency, r.phase, one.role, shown=one.shown) for one, r in told)
-        count = told[0][1].windows
+        phase = tuple(ChartLine(one.name, r.frequency, r.phase, one.role, shown=one.shown) for one, r in coherent)
+        count = coherent[0][1].windows
         note = f"{count} stretches of 8 s; only where steering and yaw rate are coherent; bands are 95 %."
         charts.append(Chart("response-gain", "Steering response: gain", "frequency [Hz]", "r/delta [1/s]", gain,
                             note, group="response"))  # fmt: skip

@@ -74,13 +74,13 @@ def steering_response(drive: Drive, minimum_speed: float = 0.0) -> SteeringRespo
     frequency = np.fft.rfftfreq(length, drive.period)
     response = cross / np.maximum(power_in, 1e-300)
     coherence = np.abs(cross) ** 2 / np.maximum(power_in * power_out, 1e-300)
-    told = (frequency >= 1.5 / WINDOW) & (frequency <= min(_HIGHEST, 0.4 / drive.period))
-    told &= (coherence >= _LEAST_COHERENCE) & (power_in > _LEAST_INPUT * power_in.max())
-    if not told.any():
+    clear = (frequency >= 1.5 / WINDOW) & (frequency <= min(_HIGHEST, 0.4 / drive.period))
+    clear &= (coherence >= _LEAST_COHERENCE) & (power_in > _LEAST_INPUT * power_in.max())
+    if not clear.any():
         return None
-    gain, coherent = np.abs(response[told]), coherence[told]
+    gain, coherent = np.abs(response[clear]), coherence[clear]
     half = _HALF * np.sqrt(np.maximum(1.0 - coherent, 0.0) / (2.0 * count * coherent))
-    phase = np.degrees(np.unwrap(np.angle(response[told])))
+    phase = np.degrees(np.unwrap(np.angle(response[clear])))
     return SteeringResponse(
-        frequency[told], gain, gain * np.maximum(1.0 - half, 0.0), gain * (1.0 + half), phase, coherent, count
+        frequency[clear], gain, gain * np.maximum(1.0 - half, 0.0), gain * (1.0 + half), phase, coherent, count
     )

@@ -64,20 +64,20 @@ class DriveGain(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        told = {
+        gains = {
             kind: (p[name], scaled(p[name], "too strong", "too weak"))
             for kind, name in (("driving", "drive_gain"), ("braking", "brake_gain"))
         }
-        right = [kind for kind, (one, _) in told.items() if one.interval_95[0] <= 1.0 <= one.interval_95[1]]
+        right = [kind for kind, (one, _) in gains.items() if one.interval_95[0] <= 1.0 <= one.interval_95[1]]
         if len(right) != 1:
-            return f"driving torque arrives {told['driving'][1]} and braking torque {told['braking'][1]}"
+            return f"driving torque arrives {gains['driving'][1]} and braking torque {gains['braking'][1]}"
         # What differs comes first; of the other half the data only say how little it can differ.
-        (wrong,) = set(told) - set(right)
-        most = 100.0 * max(abs(limit - 1.0) for limit in told[right[0]][0].interval_95)
+        (wrong,) = set(gains) - set(right)
+        most = 100.0 * max(abs(limit - 1.0) for limit in gains[right[0]][0].interval_95)
         if most >= _UNTOLD:
-            return f"{wrong} torque arrives {told[wrong][1]}; of {right[0]} torque the drive tells nothing"
+            return f"{wrong} torque arrives {gains[wrong][1]}; of {right[0]} torque the drive tells nothing"
         return (
-            f"{wrong} torque arrives {told[wrong][1]}, while {right[0]} torque is as it should be, "
+            f"{wrong} torque arrives {gains[wrong][1]}, while {right[0]} torque is as it should be, "
             f"within {most:.2g} %"
         )
 

@@ -77,7 +77,7 @@ def amount(
     one_sided : bool
         Whether there is nothing below `neutral`, whatever the interval says.
     unsigned : bool
-        Whether only the size is told, without its sign.
+        Whether only the size is stated, without its sign.
 
     Returns
     -------
@@ -94,20 +94,20 @@ def amount(
     places = _shared_decimals(value, low, high)
     unit = f" {unit}" if unit not in ("", "1") else ""
 
-    def told(x: float, sign: bool = False) -> str:
+    def rounded(x: float, sign: bool = False) -> str:
         size = x if sign else abs(x)
         return f"{size:,.{places}f}" if round(size, places) else "0"
 
     if not more:
-        interval = f"{told(low, True)} to {told(high, True)}{unit}"
-        text = f"{told(value, True)}{unit}"
+        interval = f"{rounded(low, True)} to {rounded(high, True)}{unit}"
+        text = f"{rounded(value, True)}{unit}"
     else:
-        text = f"{told(value)}{unit} {more if value >= 0.0 else less}"
+        text = f"{rounded(value)}{unit} {more if value >= 0.0 else less}"
         if low < 0.0 < high and less:
-            interval = f"{told(low)}{unit} {less} to {told(high)}{unit} {more}"
+            interval = f"{rounded(low)}{unit} {less} to {rounded(high)}{unit} {more}"
         else:
             first, last = sorted((abs(low), abs(high)))
-            interval = f"{told(first)} to {told(last)}{unit}"
+            interval = f"{rounded(first)} to {rounded(last)}{unit}"
     return f"{text} (95 %: {interval})" if math.isfinite(low + high) else text
 
 
