@@ -138,12 +138,6 @@ def test_bad_input_is_one_line_and_leaves_the_old_file(sample_logs, tmp_path, ca
         assert old.read_text() == "old"
 
 
-def test_no_vehicle_is_a_usage_error(sample_logs, tmp_path, capsys):
-    code, said = failing(capsys, sample_logs / "f1tenth_car_tests.parquet", "-o", tmp_path / "car.yaml")
-    assert code == 2
-    assert "--vehicle" in said
-
-
 def test_only_a_torque_that_was_derived_from_the_motion_cannot_give_resistances(sample_logs, tmp_path, capsys):
     drive = read_drive(sample_logs / "f1tenth_car_tests.parquet")
     drive = drive.stretch(0, len(drive) // 2)
@@ -182,7 +176,3 @@ def test_convert_writes_a_vehicle_and_tells_the_deviation(tmp_path):
     assert report["kind"] == "ForzaETH"
     assert 0.0 < report["tires"][0]["largest_deviation"] < 1.0
     assert read_vehicle(tmp_path / "car.yaml").mass == 3.54
-
-
-def test_help_has_an_example():
-    assert "split calibrate" in run("--help").stdout

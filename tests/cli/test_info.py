@@ -1,12 +1,8 @@
 """`split info` names every kind of file and tells what is in it."""
 
-import json
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from split_cli.cli.main import group
 from split_cli.errors import SplitError
 from split_cli.learning.training_set import write_set
 from split_cli.logs.drive import Drive, write_drive
@@ -58,8 +54,3 @@ def test_a_damaged_file_is_a_clear_error(tmp_path, name, content):
     path.write_bytes(content)
     with pytest.raises(SplitError, match=name):
         describe_file(path)
-
-
-def test_json_output_is_json(sample_logs):
-    result = CliRunner().invoke(group, ["info", str(sample_logs / "road_car.yaml"), "--json"])
-    assert json.loads(result.stdout)[0]["kind"] == "vehicle"

@@ -18,7 +18,7 @@ from split_cli.learning.training_set import read_set, write_set
 from split_cli.prediction import make_predictor
 from split_cli.scoring.reservations import reservations
 from split_cli.workflows.export import export_set
-from split_cli.workflows.verifying.verify import verify, verify_set
+from split_cli.workflows.verifying.verify import verify_set
 
 
 @pytest.fixture(scope="session")
@@ -156,18 +156,6 @@ def test_a_manifest_may_not_point_outside_its_folder(exported):
     (exported / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(ExportError, match="elsewhere"):
         verify_folder(exported)
-
-
-def test_a_folder_without_export_and_a_path_without_file_say_so(tmp_path):
-    with pytest.raises(SplitError, match="neither an export"):
-        verify(tmp_path)
-    with pytest.raises(SplitError, match="no such"):
-        verify(tmp_path / "absent.split")
-
-
-def test_a_good_set_passes(set_file):
-    result = verify(set_file)
-    assert result.passed and all(item.passed for item in result.items)
 
 
 @pytest.mark.parametrize(

@@ -51,14 +51,21 @@ def test_predictions_at_any_input_touch_nothing_they_should_not(sanitized, small
     # Mean and variance, Jacobian, validity.
     for what, answered in ((0, 6), (5, 3 * width), (11, 1)):
         assert np.isfinite(driver.answers(what, finite, answered)).all()
-        driver.answers(what, spoiled, answered)
+        answers = driver.answers(what, spoiled, answered)
+        if what == 0:
+            assert np.isnan(answers[np.isnan(spoiled).any(axis=1)]).all()
 
 
 def test_the_step_at_any_input(sanitized):
     driver, real = sanitized
     asked = fuzz(500, 13, real, seed=3)
+    # A car as it drives; then velocities, yaw rate, torque or steer angle lost: that is seen in the answer.
+    driving = np.array([0, 0, 0.1, 20.0, 0.1, 0.2, 300.0, 0.02, 100.0, 0.1, 0.05, 0.0, 0.0])
+    lost = np.where(np.eye(10, 13, dtype=bool), np.nan, driving)
     for what, width in ((1, 8), (2, 8)):
         driver.answers(what, hostile(asked, real), width)
+        assert np.isfinite(driver.answers(what, driving[None], width)).all()
+        assert np.isnan(driver.answers(what, lost[3:8], width)).any(axis=1).all()
 
 
 def test_the_sanitizer_sees_a_fault(small_set, compiler, tmp_path):

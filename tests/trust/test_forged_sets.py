@@ -87,12 +87,6 @@ def test_a_cell_with_more_points_than_it_may_keep_is_refused(sound, tmp_path):
         read_set(tmp_path / "a.split")
 
 
-def test_a_sound_set_comes_back(sound, tmp_path):
-    write_set(sound, tmp_path / "a.split")
-    found = read_set(tmp_path / "a.split")
-    assert np.array_equal(found.z, sound.z) and pa.ipc.open_file(str(tmp_path / "a.split")).num_record_batches
-
-
 def test_metadata_nested_without_end_are_refused(sound, tmp_path):
     from split_cli.errors import DriveError
     from split_cli.logs.drive import read_drive, write_drive

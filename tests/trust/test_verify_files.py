@@ -116,6 +116,8 @@ def test_a_folder_of_drives_against_its_manifest(folder):
     (folder / "nothing").mkdir()
     with pytest.raises(SplitError, match="neither an export"):
         verify(folder / "nothing")
+    with pytest.raises(SplitError, match="no such"):
+        verify(folder / "absent.split")
 
 
 def test_a_file_of_a_folder_is_checked_with_it(folder):
