@@ -17,7 +17,9 @@ from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["alone", "is_better_beside_form_error", "joined", "merged", "relieved", "said_of", "split", "turned_over"]
+__all__ = [
+    "alone", "is_better_beside_form_error", "joined", "merged", "relieved", "said_of", "split", "turned_over",
+]  # fmt: skip
 
 
 def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:

@@ -39,7 +39,8 @@ class Explorer:
     # Sensitivities that are held at once [bytes], the newest. An older one is worked out anew where it is asked
     # for, so this decides memory and time; of a result, what forward differences leave open.
     held: int = 2**28
-    _explored: list[tuple[Fit, float, list[Fit]]] = field(
+    # Explanations, the costs that were asked for, and fits beside each: to compare, and before they were followed.
+    _explored: list[tuple[Fit, float, list[Fit], list[Fit]]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
 
@@ -57,12 +58,18 @@ class Explorer:
 
         Beside the few that promise most, only those are fitted that promise a cost below `worth`.
         """
-        for known, as_much, fits in self._explored:
+        begun: dict[str, Fit] = {}
+        for known, as_much, fits, first in self._explored:
             close = abs(known.cost - current.cost) < self.rules.tie * self.variance_inflation
-            if close and as_much >= worth and _labels(known) == _labels(current):
-                return fits
-        fits = self._followed(self._fits(current, self._starts(current, worth=worth)))
-        self._explored.append((current, worth, fits))
+            if close and _labels(known) == _labels(current):
+                if as_much >= worth:
+                    return fits
+                begun |= {fit.parts[-1].candidate.label: fit for fit in reversed(first)}
+        starts = self._starts(current, worth=worth)
+        found = self._fits(current, {label: several for label, several in starts.items() if label not in begun})
+        first = sorted([*begun.values(), *found], key=self.price)
+        fits = self._followed(first)
+        self._explored.append((current, worth, fits, first))
         self._forget_oldest()
         return fits
 
@@ -72,8 +79,8 @@ class Explorer:
 
     def _forget_oldest(self) -> None:
         held, seen = 0, set()
-        for current, _, fits in reversed(self._explored):
-            for fit in (current, *fits):
+        for current, _, fits, first in reversed(self._explored):
+            for fit in (current, *fits, *first):
                 if id(fit) not in seen:
                     seen.add(id(fit))
                     held += fit.sensitivity.nbytes
@@ -171,7 +178,8 @@ class Explorer:
 
         # Only what may win is worth following with the shared discrepancy.
         first, rest = list(best.values())[: self.rules.followed], list(best.values())[self.rules.followed :]
-        altering = [k for k, fit in enumerate(first) if any(alters_inputs(term) for term in fit.terms)]
+        follows = self.objective.posterior is not None
+        altering = [k for k, fit in enumerate(first) if follows and any(map(alters_inputs, fit.terms))]
         moved = apart_with(self.objective, refitted, [(first[k].parts, first[k]) for k in altering])
         for k, fit in zip(altering, moved, strict=True):
             first[k] = fit

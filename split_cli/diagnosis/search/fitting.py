@@ -115,7 +115,8 @@ def fit_parts(
     parts = tuple(parts)
     # What a place does has corners at its ends: no step there tells what the next one will do.
     lines = () if any(part.candidate.located for part in parts) else lines
-    if objective.fixed_baseline or not refreshes or not any(alters_inputs(part.term) for part in parts):
+    follows = objective.posterior is not None and not objective.fixed_baseline
+    if not (follows and refreshes and any(alters_inputs(part.term) for part in parts)):
         return _fit(objective, parts, np.zeros(len(objective.weight)), _ITERATIONS, known=known, lines=lines)
     fit = _fit(
         objective, parts, objective.shift([part.term for part in parts]), _ITERATIONS, known=known, lines=lines

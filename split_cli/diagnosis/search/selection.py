@@ -198,26 +198,34 @@ def _turned_over(explore: Explorer, chosen: Fit, history: list[str]) -> Fit:
 
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
     """Let other terms take places while that saves, and say so; return whether any did."""
-    rules, base, exchanged = explore.rules, selection.base, False
+    rules, base, before = explore.rules, selection.base, selection.chosen
     rivals = [rival.fit for several in (*selection.rivals, *selection.siblings) for rival in several]
     fewer = relieved(explore, selection.chosen, rivals)
     if fewer is not None:
         history.append(said_of(selection.chosen, fewer))
-        selection, exchanged = _examined(explore, base, fewer), True
+        selection = _examined(explore, base, fewer)
+    all_known = True
     for _ in range(rules.swaps * max(len(selection.chosen.parts), 1)):
         # A variant was chosen before what was found later; it may be another now.
         rivals = [several[0] for several in (*selection.rivals, *selection.siblings) if several]
         better = min(rivals, key=lambda one: one.excess, default=None)
         if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.tie:
-            break
+            if all_known:
+                break
+            selection, all_known = _with_rivals(explore, selection), True
+            continue
         history.append(f"{better.fit.parts[-1].candidate.label} replaces a term, saves {-better.excess:.0f}")
-        selection, exchanged = _examined(explore, base, better.fit), True
+        # Until none is better, only those are of use that are.
+        selection = _with_rivals(explore, _compared(explore, base, better.fit), better=True)
+        all_known = False
     for move in (merged, joined, split):
         other = move(explore, selection.base, selection.chosen, selection.named)
         if other is not None:
             history.append(said_of(selection.chosen, other))
-            selection, exchanged = _examined(explore, base, other), True
-    return selection, exchanged
+            selection, all_known = _compared(explore, base, other), False
+    if not all_known:
+        selection = _with_rivals(explore, selection)
+    return selection, selection.chosen is not before
 
 
 def _exchanged_beside_form_error(
@@ -227,18 +235,23 @@ def _exchanged_beside_form_error(
     exchanged = False
     for _ in range(explore.rules.swaps):
         better, saved = _better_beside_form_error(explore, selection)
-        trial = _examined(explore, selection.base, better) if better is not None else selection
+        trial = _compared(explore, selection.base, better) if better is not None else selection
         if better is None or sum(trial.named) < sum(selection.named):
             break
         history.append(
             f"{better.parts[-1].candidate.label} replaces a term, saves {saved:.1f} beside model-form error"
         )
-        selection, exchanged = trial, True
+        selection, exchanged = _with_rivals(explore, trial), True
     return selection, exchanged
 
 
 def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
     """Compare an explanation with what is left without each part, and with what might be there instead."""
+    return _with_rivals(explore, _compared(explore, base, chosen))
+
+
+def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
+    """Compare an explanation with what is left without each part; its rivals are not asked for yet."""
     objective, rules = explore.objective, explore.rules
     without = without_parts(objective, base, chosen)
     level = rules.level / len(explore.candidates)
@@ -256,9 +269,17 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
         for k, one in enumerate(without)
     ]
     named = _believed_together(explore, chosen, without, sure)
-    rivals = tuple(rivals_of(explore, chosen, k, rest) if named[k] else ((), ()) for k, rest in enumerate(without))
+    return Selection(base, chosen, without, ((),) * len(without), ((),) * len(without), named)
+
+
+def _with_rivals(explore: Explorer, selection: Selection, *, better: bool = False) -> Selection:
+    """Return a selection with the rivals of each named part; `better` to fit few but those that promise more."""
+    rivals = [
+        rivals_of(explore, selection.chosen, k, rest, better=better) if selection.named[k] else ((), ())
+        for k, rest in enumerate(selection.without)
+    ]
     others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
-    return Selection(base, chosen, without, others, siblings, named)
+    return replace(selection, rivals=others, siblings=siblings)
 
 
 def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selection:
@@ -343,14 +364,20 @@ def explaining_as_well(
     ]
 
 
-def rivals_of(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
-    """Return a part replaced by other terms, and by other variants of its own, best first."""
+def rivals_of(
+    explore: Explorer, chosen: Fit, k: int, rest: Fit, *, better: bool = False
+) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
+    """Return a part replaced by other terms, and by other variants of its own, best first.
+
+    Beside the few that promise most, those are fitted that may explain as well; with `better` only those that
+    promise to explain more.
+    """
     objective = explore.objective
     variance_inflation = max(explore.variance_inflation, objective.form_error_inflation)
     own = chosen.parts[k].candidate
     reference = objective.block_sums(chosen.residuals**2)
     rivals = []
-    for fit in explore(rest, _worth_a_fit(explore, chosen, k, rest)):
+    for fit in explore(rest, chosen.cost if better else _worth_a_fit(explore, chosen, k, rest)):
         if fit.parts[-1].candidate.label == own.label:
             continue
         difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
