@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 __all__ = ["RunningWidth"]
 
@@ -38,7 +38,7 @@ class RunningWidth:
 
     def __init__(self, levels: Sequence[float] = (0.5, 0.9, 0.95)) -> None:
         self._outside = 1.0 - np.array(levels, dtype=float)[:, None]
-        self.widths = np.tile(norm.ppf(1.0 - 0.5 * self._outside), (1, 3))
+        self.widths = np.tile(ndtri(1.0 - 0.5 * self._outside), (1, 3))
 
     def observe(self, ratio: np.ndarray) -> np.ndarray:
         """Take in a label's error over its predicted deviation, shape (3,); return whether it was inside (L, 3).

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from split_cli.learning.running_width import RunningWidth
 from split_cli.learning.training_set import TrainingSet
@@ -60,7 +60,7 @@ def interval_shares(
 def _inside(ratio: np.ndarray, follows: bool) -> np.ndarray:
     """Return whether each label was inside its intervals, shape (N, 3 levels, 3); `follows` as they then were."""
     if not follows:
-        inside: np.ndarray = ratio[:, None, :] <= norm.ppf(0.5 + 0.5 * np.array(_LEVELS))[:, None]
+        inside: np.ndarray = ratio[:, None, :] <= ndtri(0.5 + 0.5 * np.array(_LEVELS))[:, None]
         return inside
     width = RunningWidth(_LEVELS)
     return np.array([width.observe(one) for one in ratio]).reshape(-1, len(_LEVELS), 3)
@@ -89,7 +89,7 @@ def too_narrow(error: np.ndarray, deviation: np.ndarray, block: np.ndarray) -> t
         None also with fewer than four blocks, or where the share may be within three points by chance (95 %,
         one-sided).
     """
-    ratio = np.abs(error) / (norm.ppf(0.5 + 0.5 * _LEVEL) * deviation)
+    ratio = np.abs(error) / (ndtri(0.5 + 0.5 * _LEVEL) * deviation)
     numbers, member = np.unique(block, return_inverse=True)
     count = len(numbers)
     if count < _FEWEST_BLOCKS:
@@ -97,7 +97,7 @@ def too_narrow(error: np.ndarray, deviation: np.ndarray, block: np.ndarray) -> t
     share = float(np.mean(ratio <= 1.0))
     beyond = np.bincount(member, (ratio <= 1.0) - share)
     scatter = float(np.sqrt(count / (count - 1) * np.square(beyond).sum()) / len(ratio))
-    if share + float(t.ppf(_LEVEL, count - 1)) * scatter >= _LEVEL - _ALLOWED:
+    if share + float(stdtrit(count - 1, _LEVEL)) * scatter >= _LEVEL - _ALLOWED:
         return None
     return share, float(np.quantile(ratio, _LEVEL))
 

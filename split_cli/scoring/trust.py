@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
@@ -172,7 +172,7 @@ def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, kernel: Ker
         for number, (doubted, kept) in enumerate(zip(tried, kept_share(tau, tried, signal), strict=True)):
             ratio = squared / (kept * part.variance + doubted + noise)
             for level in _LEVELS_OF_INTERVALS:
-                missed[number] += np.square(np.mean(ratio <= norm.ppf(0.5 + 0.5 * level) ** 2) - level)
+                missed[number] += np.square(np.mean(ratio <= ndtri(0.5 + 0.5 * level) ** 2) - level)
         doubt[part.state] = tried[int(np.argmin(missed))]
     return doubt
 
@@ -199,7 +199,7 @@ def _increase(part: TrustEvidence, inside: np.ndarray, shares: np.ndarray) -> tu
 
 
 def _quantile(blocks: int) -> float:
-    return float(t.ppf(_LEVEL, max(blocks - 1, 1)))
+    return float(stdtrit(max(blocks - 1, 1), _LEVEL))
 
 
 def _thirds(conditions: np.ndarray) -> list[np.ndarray]:

@@ -329,6 +329,9 @@ def _score_predictors(
     traces, predictors = [], {}
     for features, held, training_set in contestants:
         tested = [h.labels.take(h.tested) for h in held]
+        longest = max(held, key=lambda h: len(h.tested))
+        rows = longest.labels.row[longest.tested]
+        spent: dict[str, float] = {}  # of one query [s]: how far its answer is believed costs nothing
         for name, way in _named(settings, training_set):
             believed = replace(training_set, trust=Trust.full()) if way == PLAIN else training_set
             say(f"{features}: {name}{way} on {training_set.size} points")
@@ -340,11 +343,10 @@ def _score_predictors(
             label = f"{name}{way}"
             known = {"features": features, "points": training_set.size}
             known["uses_recorded_future"] = predictor.needs_context
-            longest = max(held, key=lambda h: len(h.tested))
-            rows = longest.labels.row[longest.tested]
             tally = tallies[label, features] = _sum([part for part, _ in parts])
-            seconds = time_per_query(predictor, longest.drive, longest.z, rows)
-            scores.append(score(label, tally, pooled, time_per_query=seconds, **known))
+            if name not in spent:
+                spent[name] = time_per_query(predictor, longest.drive, longest.z, rows)
+            scores.append(score(label, tally, pooled, time_per_query=spent[name], **known))
             predictors[label, features] = (held, asked)
             for h, known_of, own, (part, prediction) in zip(held, tested, baselines, parts, strict=True):
                 by_drive.append(score(label, part, own, drive=h.drive.name, **known))
