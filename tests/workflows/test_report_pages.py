@@ -46,6 +46,11 @@ def test_a_recording_is_headed_by_what_is_wrong_with_it(drive, car):
     assert "7 not finite" in page and page.count("<script") == 2
     sound = recording_page(drive, {}, ())
     assert "The channels fit together." in sound
+    # A finding without a short clause heads no page, and what it quotes is set as code.
+    told = f"v_y {'and more of it ' * 9}is 1.58 +- 0.01 m off: set `position: rear_axle`"
+    long = recording_page(drive, {"consistency": {"findings": [{"text": told.replace(": ", " ", 1)}]}}, ())
+    assert '<h1 id="verdict">The channels do not fit together.</h1>' in long
+    assert "1.58 ± 0.01 m" in long and "<code>position: rear_axle</code>" in long
 
 
 def test_a_recording_is_drawn_as_it_was_measured(drive, car):

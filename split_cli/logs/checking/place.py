@@ -51,12 +51,10 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     axle, reach = ("rear", car.cg_to_rear_axle) if x > 0.0 else ("front", car.cg_to_front_axle)
     if abs(x) < _SURE * error or abs(abs(x) - reach) > _NEAR * reach:
         return []
-    whose, entries = (
-        ("X, Y, and v_y that is derived from them, are", "X and Y") if checks.of_pose else ("v_y is", "vx and vy")
-    )
+    whose, entries = ("X, Y and v_y of them are", "X and Y") if checks.of_pose else ("v_y is", "vx and vy")
     text = (
         f"{whose} of a point {abs(x):.2f} +- {max(error, 0.01):.2f} m {'behind' if x > 0.0 else 'ahead of'} the "
-        f"accelerometer, by a_y - v_x r - dv_y/dt against dr/dt. If that is at the CG, it is the {axle} axle: "
+        f"accelerometer: by a_y - v_x r - dv_y/dt against dr/dt. If that is at the CG, it is the {axle} axle: "
         f"set `position: {axle}_axle` for {entries}. If not, give `position:` of ax and ay."
     )
     return [ConsistencyFinding("place", "vy", text, float(x), float(error))]

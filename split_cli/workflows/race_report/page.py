@@ -15,7 +15,7 @@ from split_cli.plots.palette import ROLES
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.report.markup import charts_block, plain_table
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape, heading
+from split_cli.workflows.report.words import escape, heading, prose
 
 __all__ = ["race_charts", "race_page"]
 
@@ -141,7 +141,7 @@ def _headline(races: Sequence[RaceResult]) -> str:
 def _caution(races: Sequence[RaceResult]) -> str:
     """Return whether learning helped, and a warning where learners stand beside each other after one lap each."""
     learning = [race for race in races if race.learner != "none"]
-    told = "".join(f"<p>{escape(_called(race))}: {escape(race.verdict)}</p>" for race in races if race.verdict)
+    told = "".join(f"<p>{escape(_called(race))}: {prose(race.verdict)}</p>" for race in races if race.verdict)
     if len(learning) < 2 or max(lap.number for race in learning for lap in race.laps) > 1:
         return told
     return told + (

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 from split_cli.plots.chart import Chart
-from split_cli.workflows.report.words import escape, heading
+from split_cli.workflows.report.words import escape, heading, prose
 
 __all__ = [
     "bar", "bar_row", "charts_block", "facts_list", "figure", "items", "notes_section", "plain_table", "section",
@@ -39,7 +40,7 @@ def facts_list(facts: Iterable[tuple[str, str, str]]) -> str:
 
 def items(texts: Iterable[str]) -> str:
     """Return texts as items of a list, escaped here; empty where there is none."""
-    return "".join(f"<li>{escape(text)}</li>" for text in texts)
+    return "".join(f"<li>{prose(text)}</li>" for text in texts)
 
 
 def notes_section(notes: Sequence[str], title: str) -> str:
@@ -74,7 +75,7 @@ def table(heads: Sequence[str], rows: Iterable[str], kind: str = "") -> str:
 
 
 def plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]], name: str = "", best: Sequence = ()) -> str:
-    """Return a table of texts, escaped here; the first column names, the others are numbers.
+    """Return a table of texts, escaped here; the first column names, the others are numbers, or texts to the left.
 
     Parameters
     ----------
@@ -85,16 +86,19 @@ def plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]], name: str =
         Row and column of cells to mark.
     """
     marked = set(best)
+    kinds = [
+        "number" if any(re.match(r"[-+−(]?\d", row[c]) for row in rows) else "words" for c in range(len(heads))
+    ]
     lines = []
     for k, row in enumerate(rows):
         cells = [f"<th scope=row>{escape(row[0])}</th>"] if row else []
         cells += [
-            f'<td class="number{" win" if (k, c) in marked else ""}">{escape(text)}</td>'
+            f'<td class="{kinds[c]}{" win" if (k, c) in marked else ""}">{escape(text)}</td>'
             for c, text in enumerate(row[1:], 1)
         ]
         lines.append(f"<tr>{''.join(cells)}</tr>")
     columns = "".join(
-        f'<th scope=col class="{"number" if c else ""}">{escape(head)}</th>' for c, head in enumerate(heads)
+        f'<th scope=col class="{kinds[c] if c else ""}">{escape(head)}</th>' for c, head in enumerate(heads)
     )
     label = f' id="{name}"' if name else ""
     return (

@@ -10,7 +10,7 @@ from split_cli.plots.chart import Chart
 from split_cli.workflows.report.markup import facts_list, items, plain_table, section, verdict
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
-from split_cli.workflows.report.words import escape, number
+from split_cli.workflows.report.words import number, prose
 
 __all__ = ["recording_page"]
 
@@ -26,7 +26,7 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
     words = _findings(found)
     headline = words[0] if words else "The channels fit together."
     kind = "mismatch" if words else "match"
-    more = "".join(f"<p>{escape(text)}</p>" for text in words[1:])
+    more = "".join(f"<p>{prose(text)}</p>" for text in words[1:])
     seconds = len(drive) * drive.period
     facts = [
         ("Length", f"{number(seconds)} s", f"{len(drive):,} rows at {drive.rate:g} Hz"),
@@ -54,11 +54,11 @@ def _short(text: str) -> str:
     heads = [head for head in heads if 12 <= len(head) <= 110]
     if heads:
         return f"{min(heads, key=len)}."
-    return text if len(text) <= 110 else f"{text[:107].rsplit(' ', 1)[0]} …"
+    return text if len(text) <= 110 else "The channels do not fit together."
 
 
 def _rest(text: str) -> str:
-    return "" if _short(text).rstrip(".") == text.rstrip(".") else f'<p class="lead">{escape(text)}</p>'
+    return "" if _short(text).rstrip(".") == text.rstrip(".") else f'<p class="lead">{prose(text)}</p>'
 
 
 def _channels(found: Mapping[str, Any]) -> str:

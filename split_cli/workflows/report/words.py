@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from split_cli.diagnosis.statement.wording import variable_name
 
 __all__ = [
-    "CHANNELS", "FORCES", "FORCE_IDS", "chance", "escape", "heading", "number", "parameter", "percent", "quantity",
-    "readable", "span", "term_title", "typeset", "variable",
+    "CHANNELS", "FORCES", "FORCE_IDS", "chance", "escape", "heading", "number", "parameter", "percent", "prose",
+    "quantity", "readable", "span", "term_title", "typeset", "variable",
 ]  # fmt: skip
 
 FORCE_IDS = ("longitudinal", "front_lateral", "rear_lateral")
@@ -38,9 +38,14 @@ def escape(text: object) -> str:
     return html.escape(readable(str(text)), quote=True)
 
 
+def prose(text: object) -> str:
+    """Return a sentence of a command for HTML: what it quotes as code, and its +- as one sign."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text).replace("+-", "±"))
+
+
 def heading(text: object) -> str:
     """Return text for HTML in which no line ends before a per cent sign."""
-    return escape(text).replace(" %", "\u00a0%")
+    return escape(text).replace("+-", "±").replace(" %", "\u00a0%")
 
 
 def term_title(term: str, variant: str = "") -> str:
