@@ -124,17 +124,36 @@ def wheel_loads(x, head_pressure, env, car, out):
 
 
 @compiled
+def air_forces(x, env, car):
+    """Return the air's force along and across the car [N], and the pressure that makes downforce [Pa]."""
+    cos_yaw, sin_yaw = math.cos(x[YAW]), math.sin(x[YAW])
+    air_x = x[VX] - (cos_yaw * env[ENV_WIND_X] + sin_yaw * env[ENV_WIND_Y])
+    air_y = x[VY] - (-sin_yaw * env[ENV_WIND_X] + cos_yaw * env[ENV_WIND_Y])
+    pressure = 0.5 * car.air_density * math.sqrt(air_x * air_x + air_y * air_y)
+    head_pressure = 0.5 * car.air_density * air_x * air_x
+    return -pressure * car.drag_area * air_x, -pressure * car.side_area * air_y, head_pressure
+
+
+@compiled
+def slow_rates(x, torque_command, steer_command, ax, ay, car, dx):
+    """Write the rates of the actuators, and of the specific forces as the suspension passes them on."""
+    demand = torque_command * (car.drive_gain if torque_command >= 0.0 else car.brake_gain)
+    dx[TORQUE] = smooth_limit((demand - x[TORQUE]) / car.drive_lag, car.torque_rate)
+    dx[STEER] = smooth_limit((steer_command - x[STEER]) / car.steer_lag, car.steer_rate)
+    w, zeta = car.load_transfer_frequency, car.load_transfer_damping
+    dx[AX_LOAD] = x[AX_RATE]
+    dx[AX_RATE] = w * w * (ax - x[AX_LOAD]) - 2.0 * zeta * w * x[AX_RATE]
+    dx[AY_LOAD] = x[AY_RATE]
+    dx[AY_RATE] = w * w * (ay - x[AY_LOAD]) - 2.0 * zeta * w * x[AY_RATE]
+
+
+@compiled
 def derivative(x, torque_command, steer_command, env, car, dx, out):
     """Write the state's rate to `dx` and what follows from state and input to `out`."""
     vx, vy, r = x[VX], x[VY], x[R]
     cos_yaw, sin_yaw = math.cos(x[YAW]), math.sin(x[YAW])
 
-    air_x = vx - (cos_yaw * env[ENV_WIND_X] + sin_yaw * env[ENV_WIND_Y])
-    air_y = vy - (-sin_yaw * env[ENV_WIND_X] + cos_yaw * env[ENV_WIND_Y])
-    pressure = 0.5 * car.air_density * math.sqrt(air_x * air_x + air_y * air_y)
-    air_fx = -pressure * car.drag_area * air_x
-    air_fy = -pressure * car.side_area * air_y
-    head_pressure = 0.5 * car.air_density * air_x * air_x
+    air_fx, air_fy, head_pressure = air_forces(x, env, car)
     wheel_loads(x, head_pressure, env, car, out)
 
     torque = x[TORQUE]
@@ -215,15 +234,7 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
     dx[VY] = ay - vx * r + gravity_y
     dx[R] = (front_moment + rear_moment + env[ENV_MOMENT]) / car.yaw_inertia
 
-    demand = torque_command * (car.drive_gain if torque_command >= 0.0 else car.brake_gain)
-    dx[TORQUE] = smooth_limit((demand - torque) / car.drive_lag, car.torque_rate)
-    dx[STEER] = smooth_limit((steer_command - x[STEER]) / car.steer_lag, car.steer_rate)
-    w, zeta = car.load_transfer_frequency, car.load_transfer_damping
-    dx[AX_LOAD] = x[AX_RATE]
-    dx[AX_RATE] = w * w * (ax - x[AX_LOAD]) - 2.0 * zeta * w * x[AX_RATE]
-    dx[AY_LOAD] = x[AY_RATE]
-    dx[AY_RATE] = w * w * (ay - x[AY_LOAD]) - 2.0 * zeta * w * x[AY_RATE]
-
+    slow_rates(x, torque_command, steer_command, ax, ay, car, dx)
     out[OUT_AX], out[OUT_AY] = ax, ay
     out[OUT_POWER_IN] = power_in
     out[OUT_POWER_TIRE] = power_tire

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -189,20 +189,12 @@ def drive_laps(
         steps = int(round(duration / CONTROL_PERIOD))
     free = np.full(steps, np.nan)
     return _simulate(
-        car,
-        initial_state(car, float(profile.speed[0]), track),
-        Script(free, free, free),
-        track,
-        profile,
-        person,
-        seed,
-        road or Road(),
-        distance,
-        sample_period,
-        faults=faults,
-        believed=believed,
-        may_time_out=duration is not None,
-    )
+        _Course(
+            car, initial_state(car, float(profile.speed[0]), track), Script(free, free, free), person, seed,
+            track=track, profile=profile, road=road or Road(), faults=faults, believed=believed, distance=distance,
+            sample_period=sample_period, may_time_out=duration is not None,
+        )
+    )  # fmt: skip
 
 
 def drive_script(
@@ -229,58 +221,68 @@ def drive_script(
         profile = SpeedProfile(np.full(len(track.x), speed), np.zeros(len(track.x)))
     calm = DriverStyle(style.name, preview_time=style.preview_time, line_wander=0, pace_wander=0)
     return _simulate(
-        car, initial_state(car, speed, track), script, track, profile, calm, seed, road or Road(), np.inf,
-        sample_period, faults=faults,
+        _Course(
+            car, initial_state(car, speed, track), script, calm, seed, track=track, profile=profile,
+            road=road or Road(), faults=faults, sample_period=sample_period,
+        )
     )  # fmt: skip
 
 
-def _simulate(
-    car,
-    start,
-    script,
-    track,
-    profile,
-    style,
-    seed,
-    road,
-    distance,
-    sample_period,
-    *,
-    faults=SOUND,
-    believed=None,
-    may_time_out=False,
-) -> Trajectory:
-    keep = int(round(sample_period / STEP))
+@dataclass(frozen=True)
+class _Course:
+    """What is driven: a car from a start, by a script where it says so and else by a driver."""
+
+    car: CarParameters
+    start: np.ndarray  # state, shape (STATE_SIZE,)
+    script: Script
+    style: DriverStyle
+    seed: int
+    track: Track | None = None
+    profile: SpeedProfile | None = None  # along the track
+    road: Road = field(default_factory=Road)
+    faults: Faults = SOUND
+    believed: CarParameters | None = None  # the car that the driver thinks to sit in; the car itself by default
+    distance: float = np.inf  # after which the drive ends [m]
+    sample_period: float = 2e-3  # [s]
+    may_time_out: bool = False
+
+    def tables(self) -> _PathTables:
+        """Return the line and the speeds along it, as compiled code takes them."""
+        if self.track is None or self.profile is None:
+            return _PathTables(1.0, 0.0, 0.0, *([np.zeros(1)] * 6))
+        line = self.track
+        return _PathTables(
+            line.spacing, line.length, line.turn, line.x, line.y, line.direction, line.curvature,
+            self.profile.speed, self.profile.acceleration,
+        )  # fmt: skip
+
+    def stop(self) -> _StopTables:
+        """Return what ends the drive. On a test circle the steer may be held on purpose; only laps have edges."""
+        edge = 2.0 * self.track.half_width if self.track and np.isfinite(self.distance) else np.inf
+        return _StopTables(float(min(self.distance, 1e300)), self.car.crawl_speed, float(min(edge, 1e300)))
+
+
+def _simulate(course: _Course) -> Trajectory:
+    car, script, track = course.car, course.script, course.track
+    keep = int(round(course.sample_period / STEP))
     substeps = int(round(CONTROL_PERIOD / STEP))
     if keep < 1 or substeps % keep:
-        raise SplitError(f"sample period {sample_period:g} s does not divide {CONTROL_PERIOD:g} s")
+        raise SplitError(f"sample period {course.sample_period:g} s does not divide {CONTROL_PERIOD:g} s")
     steps = len(script.torque)
-    if track is None:
-        nothing = np.zeros(1)
-        path = _PathTables(1.0, 0.0, 0.0, *([nothing] * 6))
-        off_track = np.inf
-    else:
-        path = _PathTables(
-            track.spacing, track.length, track.turn, track.x, track.y, track.direction, track.curvature,
-            profile.speed, profile.acceleration,
-        )  # fmt: skip
-        # On a test circle the steer may be held on purpose; only laps have edges.
-        off_track = 2.0 * track.half_width if np.isfinite(distance) else np.inf
-    believed = believed or car
-    grip = grip_of(believed)
-    reach = distance if np.isfinite(distance) else steps * CONTROL_PERIOD * 2.0 * float(start[_compiled.VX])
-    plan = driver_plan(
-        car, style, track.half_width if track else 0.0, reach, steps, CONTROL_PERIOD, seed
-    )  # fmt: skip
+    believed = course.believed or car
+    reach = course.distance
+    if not np.isfinite(reach):
+        reach = steps * CONTROL_PERIOD * 2.0 * float(course.start[_compiled.VX])
+    half_width = track.half_width if track else 0.0
+    plan = driver_plan(car, course.style, half_width, reach, steps, CONTROL_PERIOD, course.seed)
     slope = np.gradient(script.speed, CONTROL_PERIOD) if steps > 1 else np.zeros(steps)
     tables = _ScriptTables(script.torque, script.steer, script.speed, np.where(np.isnan(slope), 0.0, slope))
-    stop = _StopTables(float(min(distance, 1e300)), car.crawl_speed, float(min(off_track, 1e300)))
     times, states, outputs, places, torques, steers, reason = _loops_numba.run(
-        start, 0.0, as_numbers(car), as_numbers(faults), road.tables(), path, plan, tables,
-        driver_tables(believed, style, grip),
-        CONTROL_PERIOD, STEP, substeps, keep, stop,
+        course.start, 0.0, as_numbers(car), as_numbers(course.faults), course.road.tables(), course.tables(), plan,
+        tables, driver_tables(believed, course.style, grip_of(believed)), CONTROL_PERIOD, STEP, substeps, keep,
+        course.stop(),
     )  # fmt: skip
-    if reason in _ENDINGS and not (may_time_out and reason == _loops_numba.OUT_OF_TIME):
+    if reason in _ENDINGS and not (course.may_time_out and reason == _loops_numba.OUT_OF_TIME):
         at = f"at {times[-1]:.1f} s, s = {places[-1]:.0f} m" if len(times) else "at once"
         raise SplitError(f"{_ENDINGS[reason]} {at}", where=car.name, advice="Use less aggressiveness.")
     return Trajectory(

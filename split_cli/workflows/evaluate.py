@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -175,12 +175,7 @@ def evaluate(
         notes=(
             *doubts,
             *notes_of(facts, contestants[0][1], settings, rollout_scores),
-            *(
-                own_sets([(name, own) for name, _, own in contestants])
-                if trained is None and _finds_trust(settings)
-                else ()
-            ),
-            *left_out(contestants[0][1], trained is None and _finds_trust(settings)),
+            *_notes_of_sets(contestants, settings, trained is None),
             *correct.notes,
             *(lag_note(own) for *_, own in contestants if found_lag(own) is not None),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
@@ -190,6 +185,14 @@ def evaluate(
     sets = tuple(own for *_, own in contestants)
     drawn_from = tuple(tuple(held) for _, held, _ in contestants)
     return EvaluationRun(report, sets, drawn_from, tuple(traces), tallies, rollouts)
+
+
+def _notes_of_sets(contestants: Sequence[tuple], settings: EvaluationSettings, are_own: bool) -> Iterator[str]:
+    """Yield that the sets are the evaluation's own, where they are, and of which part of long drives it is."""
+    finds_trust = are_own and _finds_trust(settings)
+    if finds_trust:
+        yield from own_sets([(name, own) for name, _, own in contestants])
+    yield from left_out(contestants[0][1], finds_trust)
 
 
 def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: EvaluationSettings) -> TrainingSet:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -102,53 +103,20 @@ def simulate_log(
             raise SplitError("is the log itself", where="--truth", advice="Name another file.")
         refuse_what_cannot_be_written(truth)
     refuse_what_cannot_be_written(output)
-    car = find_car(settings.car)
-    sensors = sensors_of(car.name)
-    if settings.instruments != "full":
-        sensors = lean(sensors) if settings.instruments == "lean" else perfect(sensors)
     effects = tuple(map(parse_effect, settings.effects))
-    lap = find_track(settings.track).length if settings.track else 0.0
-    setting = apply_effects(Setting(car, Road(), SOUND, sensors, lap), effects)
-    sensors, told = setting.sensors, tuple(effect.text for effect in effects)
+    texts = tuple(effect.text for effect in effects)
+    car = find_car(settings.car)
+    setting = apply_effects(_setting(settings, car), effects)
     runs, what = _drive(settings, car, setting)
-    lead_in = settings.lead_in
-    if lead_in >= min(run.t[-1] for run in runs) - 1.0:
+    if settings.lead_in >= min(run.t[-1] for run in runs) - 1.0:
         raise SplitError(
-            f"{lead_in:g} s of lead-in leave nothing of the drive to record",
+            f"{settings.lead_in:g} s of lead-in leave nothing of the drive to record",
             where="--lead-in",
             advice="Lower --lead-in, or drive longer.",
         )
-
-    if settings.calibration_tests:
-        tables = [
-            _recorded(run, sensors, settings.seed + i, lead_in, one_clock=TABLE_RATE) for i, run in enumerate(runs)
-        ]
-        write_drive(_drive_of_tests(tables, sensors, output.name), output)
-        rates = tuple((name, TABLE_RATE) for name in ("state", "inertial", "command"))
-    elif format_name == "mcap":
-        readings = _recorded(runs[0], sensors, settings.seed, lead_in)
-        write_mcap(readings, output)
-        rates = tuple((reading.sensor.name, reading.sensor.rate) for reading in readings)
-    else:
-        readings = _recorded(runs[0], sensors, settings.seed, lead_in, one_clock=TABLE_RATE)
-        if format_name == "csv":
-            write_csv(readings, output, workshop_units=settings.workshop_units)
-        else:
-            write_parquet(readings, output)
-        rates = (("table", TABLE_RATE),)
+    rates = _write(settings, format_name, runs, setting.sensors, output)
     if truth is not None:
-        write_drive(truth_drive(runs, Path(truth).name, told, lead_in), truth)
-
-    notes = tuple(
-        f"{what_ran} ended early, since the car had slowed to its lowest speed"
-        for run, what_ran in zip(runs, CALIBRATION_TESTS if settings.calibration_tests else [what], strict=False)
-        if run.ended_early
-    )
-    if format_name != "mcap" and not settings.calibration_tests:
-        notes += (
-            "the table does not say that T and delta are commands, held between samples: --held T,delta does, or "
-            "`kind: command` in the map",
-        )
+        write_drive(truth_drive(runs, Path(truth).name, texts, settings.lead_in), truth)
     channel = {name: np.concatenate([run.channel(name) for run in runs]) for name in ("vx", "ax", "ay")}
     return SimulatedLog(
         output=output,
@@ -162,9 +130,54 @@ def simulate_log(
         driving_peak=float(max(channel["ax"].max(), 0.0)),
         braking_peak=float(max(-channel["ax"].min(), 0.0)),
         rates=rates,
-        effects=told,
-        notes=notes,
+        effects=texts,
+        notes=_notes(settings, format_name, runs, what),
     )
+
+
+def _setting(settings: SimulateSettings, car: CarParameters) -> Setting:
+    """Return the sound car on a dry road, with the sensors that are asked for."""
+    sensors = sensors_of(car.name)
+    if settings.instruments != "full":
+        sensors = lean(sensors) if settings.instruments == "lean" else perfect(sensors)
+    return Setting(car, Road(), SOUND, sensors, find_track(settings.track).length if settings.track else 0.0)
+
+
+def _write(
+    settings: SimulateSettings, format_name: str, runs: Sequence[Trajectory], sensors: tuple[SensorSpec, ...],
+    output: Path,
+) -> tuple[tuple[str, float], ...]:  # fmt: skip
+    """Write what the sensors record; return each device with its reports per second [Hz]."""
+    seed, lead_in = settings.seed, settings.lead_in
+    if settings.calibration_tests:
+        tables = [_recorded(run, sensors, seed + i, lead_in, one_clock=TABLE_RATE) for i, run in enumerate(runs)]
+        write_drive(_drive_of_tests(tables, sensors, output.name), output)
+        return tuple((name, TABLE_RATE) for name in ("state", "inertial", "command"))
+    if format_name == "mcap":
+        readings = _recorded(runs[0], sensors, seed, lead_in)
+        write_mcap(readings, output)
+        return tuple((reading.sensor.name, reading.sensor.rate) for reading in readings)
+    readings = _recorded(runs[0], sensors, seed, lead_in, one_clock=TABLE_RATE)
+    if format_name == "csv":
+        write_csv(readings, output, workshop_units=settings.workshop_units)
+    else:
+        write_parquet(readings, output)
+    return (("table", TABLE_RATE),)
+
+
+def _notes(settings: SimulateSettings, format_name: str, runs: Sequence[Trajectory], what: str) -> tuple[str, ...]:
+    names = CALIBRATION_TESTS if settings.calibration_tests else [what]
+    notes = tuple(
+        f"{name} ended early, since the car had slowed to its lowest speed"
+        for run, name in zip(runs, names, strict=False)
+        if run.ended_early
+    )
+    if format_name != "mcap" and not settings.calibration_tests:
+        notes += (
+            "the table does not say that T and delta are commands, held between samples: --held T,delta does, or "
+            "`kind: command` in the map",
+        )
+    return notes
 
 
 def _recorded(

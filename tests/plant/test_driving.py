@@ -14,7 +14,7 @@ from split_cli.plant.road import Road
 from split_cli.plant.simulation import CONTROL_PERIOD, STEP, Script, drive_laps, drive_script, initial_state
 from split_cli.plant.tracks import find_track
 
-HOME = {"road_car": "handling", "f1tenth_car": "f1tenth", "formula_car": "small"}
+HOME = {"road_car": "small", "f1tenth_car": "f1tenth", "formula_car": "small"}
 
 
 @pytest.mark.parametrize("style", DRIVER_STYLES)

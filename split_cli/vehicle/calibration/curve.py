@@ -195,20 +195,9 @@ def fit_force_curve(
     would be the formula's word, not the tyre's. If not, D is given; C is settled when its standard error at
     that D is below 0.1, otherwise given too where that fits; the slope B C D is always fitted.
     """
-    blocks = len(np.unique(block))
-    if len(slip_angle) < _MINIMUM_SAMPLES or blocks < _MINIMUM_BLOCKS:
-        raise VehicleError(
-            f"{len(slip_angle)} usable samples in {blocks} blocks of time are too few for the {axle} tyres",
-            advice=f"At least {_MINIMUM_SAMPLES} samples in {_MINIMUM_BLOCKS} blocks are needed.",
-        )
-    largest = max(largest_force, 0.9 * float(np.quantile(np.abs(force), 0.995)), 1e-9)
-    lower = np.array([np.log(0.02 * static_load), np.log(largest), _C_BOUNDS[0], -0.1])
-    upper = np.array([np.log(400.0 * static_load), np.log(4.0 * static_load + largest), _C_BOUNDS[1], 0.1])
-    free = np.array([0, 1, 2, 3] if fit_offset else [0, 1, 2])
-    exact = np.zeros_like(slip_angle)
-    problem = _Problem(slip_angle, force, block, exact, lower, upper, free)
+    problem = _problem_of(axle, slip_angle, force, block, static_load, largest_force, fit_offset)
     best = _best_fit(problem, start, given_peak)
-    problem = replace(problem, noise_ratio=_noise_ratio(problem, best, exact + slip_noise))
+    problem = replace(problem, noise_ratio=_noise_ratio(problem, best, problem.noise_ratio + slip_noise))
     best = problem.fit(best.parameters)
     profile = _profile(problem, best)
     chosen, determined, remarks = _settle(problem, best, profile, start, given_peak, axle)
@@ -219,32 +208,38 @@ def fit_force_curve(
     slope_error = 1.96 * float(np.sqrt(chosen.covariance(problem.block)[0, 0]))
     alike = np.array([_curve(p, grid) for p in profile.alike])
     width = alike.max(axis=0) - alike.min(axis=0)
-    inside = grid <= covered
     tire = _tire(chosen.parameters)
     if "D" not in determined and profile.holds(given_peak):
         # What is given stays as it was, to the last digit.
         tire = MagicFormula(tire.cornering_stiffness / (tire.C * given_peak), tire.C, given_peak)
+    stiffness = tire.cornering_stiffness * np.exp([0.0, -slope_error, slope_error])
     return ForceCurve(
-        axle=axle,
-        tire=tire,
-        determined=determined,
-        slip_offset=offset,
-        covered=covered,
-        cornering_stiffness=tuple((tire.cornering_stiffness * np.exp([0.0, -slope_error, slope_error])).tolist()),
-        peak=profile.interval,
-        slip_angle=grid,
-        force=_curve(chosen.parameters, grid),
-        lower=low,
-        upper=high,
-        alike_lower=alike.min(axis=0),
-        alike_upper=alike.max(axis=0),
-        deviation_covered=float(width[inside].max()),
-        deviation_everywhere=float(width.max()),
-        held_out=_held_out(problem, chosen, start),
-        samples=len(slip_angle),
-        blocks=blocks,
+        axle=axle, tire=tire, determined=determined, slip_offset=offset, covered=covered,
+        cornering_stiffness=tuple(stiffness.tolist()), peak=profile.interval,
+        slip_angle=grid, force=_curve(chosen.parameters, grid), lower=low, upper=high,
+        alike_lower=alike.min(axis=0), alike_upper=alike.max(axis=0),
+        deviation_covered=float(width[grid <= covered].max()), deviation_everywhere=float(width.max()),
+        held_out=_held_out(problem, chosen, start), samples=len(slip_angle), blocks=len(np.unique(block)),
         remarks=(*remarks, *_offset_remark(problem, chosen, axle, fit_offset)),
-    )
+    )  # fmt: skip
+
+
+def _problem_of(
+    axle: str, slip_angle: np.ndarray, force: np.ndarray, block: np.ndarray, static_load: float,
+    largest_force: float, fit_offset: bool,
+) -> _Problem:  # fmt: skip
+    """Return the fit's samples and bounds, without noise in the slip angle."""
+    blocks = len(np.unique(block))
+    if len(slip_angle) < _MINIMUM_SAMPLES or blocks < _MINIMUM_BLOCKS:
+        raise VehicleError(
+            f"{len(slip_angle)} usable samples in {blocks} blocks of time are too few for the {axle} tyres",
+            advice=f"At least {_MINIMUM_SAMPLES} samples in {_MINIMUM_BLOCKS} blocks are needed.",
+        )
+    largest = max(largest_force, 0.9 * float(np.quantile(np.abs(force), 0.995)), 1e-9)
+    lower = np.array([np.log(0.02 * static_load), np.log(largest), _C_BOUNDS[0], -0.1])
+    upper = np.array([np.log(400.0 * static_load), np.log(4.0 * static_load + largest), _C_BOUNDS[1], 0.1])
+    free = np.array([0, 1, 2, 3] if fit_offset else [0, 1, 2])
+    return _Problem(slip_angle, force, block, np.zeros_like(slip_angle), lower, upper, free)
 
 
 def _curve(p: np.ndarray, grid: np.ndarray) -> np.ndarray:

@@ -101,15 +101,7 @@ def fit_resistance(
     final = _fit(design, against, start, wanted) if wanted else both
     rolling, drag = (final.parameters if wanted else start).tolist()
     gain, gain_error = _torque_gain(design, against, drive, samples.block, both.parameters)
-    if abs(gain - 1.0) > max(gain_error, 0.02):
-        remarks.append(
-            f"the force is {gain:.3f} +- {gain_error:.3f} times T/r_e: check the wheel radius, the torque map, "
-            "and the inertia of turning wheels, which the nominal model leaves out"
-        )
-    if 0 in wanted and rolling <= 0.0:
-        remarks.append(
-            "the fitted rolling resistance is 0, its lower bound: check for a grade, the mass and the torque map"
-        )
+    remarks += _doubts(gain, gain_error, rolling if 0 in wanted else None)
     speed = np.linspace(samples.vx.min(), samples.vx.max(), 101)
     rows = np.column_stack([np.ones_like(speed), speed**2])
     return Resistance(
@@ -165,3 +157,18 @@ def _held_out(
         start=float(np.sqrt(np.mean((design @ start - target) ** 2))),
         signal=float(np.sqrt(np.mean(target**2))),
     )
+
+
+def _doubts(gain: float, gain_error: float, rolling: float | None) -> list[str]:
+    """Return what speaks against the torque, and against a rolling resistance [N] that was fitted."""
+    found = []
+    if abs(gain - 1.0) > max(gain_error, 0.02):
+        found.append(
+            f"the force is {gain:.3f} +- {gain_error:.3f} times T/r_e: check the wheel radius, the torque map, "
+            "and the inertia of turning wheels, which the nominal model leaves out"
+        )
+    if rolling is not None and rolling <= 0.0:
+        found.append(
+            "the fitted rolling resistance is 0, its lower bound: check for a grade, the mass and the torque map"
+        )
+    return found
