@@ -72,12 +72,12 @@ COLUMNS: dict[str, dict[str, str]] = {
         "std error": "standard error of the estimate, in its unit; includes the uncertainty from effects "
         "that look alike",
         "term": "physical effect or sensor fault, by its name in the catalogue",
-        "before": "the simulation as it is",
-        "physics": "the simulation with the identified effects",
-        "split_only": "the simulation with the correction that SPLIT learns, without physical effects",
-        "after": "the simulation with the identified effects, and SPLIT on the residual",
+        "simulation as it is": "the nominal model, with what was learned from simulated drives, if any",
+        "with the identified effects": "the simulation with the identified effects",
+        "with SPLIT only": "the simulation with the correction that SPLIT learns, without physical effects",
+        "with effects and SPLIT": "the simulation with the identified effects, and SPLIT on the residual",
         "persistence": "prediction that the velocities stay as they are",
-        "noise_floor": "error that sensor noise alone causes",
+        "noise floor": "error that sensor noise alone causes",
     },
     "calibrate": {
         "B": "stiffness factor of the Magic Formula [1/rad]",

@@ -26,6 +26,11 @@ _BEGINS = {
 }  # fmt: skip
 """Share of the whole time at which each step begins [1]."""
 _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
+#: Stages of the improvement, in the words of the report.
+_STAGES = {
+    "before": "simulation as it is", "physics": "with the identified effects", "split_only": "with SPLIT only",
+    "after": "with effects and SPLIT", "persistence": "persistence", "noise_floor": "noise floor",
+}  # fmt: skip
 
 
 @click.command("diagnose")
@@ -109,9 +114,8 @@ def _tell(result) -> None:
         click.echo(
             f"held out: {where}; rms error there after {last.horizon:g} s of open-loop simulation, 95 % intervals"
         )
-        helped = ("physics", "split_only", "after") if result.findings else ("split_only",)
-        stages = ("before", *helped, "persistence", "noise_floor")
-        print_table(["", *_CHANNELS], [[stage, *_with_intervals(last, stage)] for stage in stages])
+        stages = [stage for stage in _STAGES if result.findings or stage not in ("physics", "after")]
+        print_table(["", *_CHANNELS], [[_STAGES[stage], *_with_intervals(last, stage)] for stage in stages])
 
 
 def _chance(p_value: float) -> str:
