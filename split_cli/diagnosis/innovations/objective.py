@@ -138,11 +138,13 @@ class MarginalLikelihood:
 
     def stack(self, rows: Sequence[np.ndarray]) -> np.ndarray:
         """Return the kept, weighted elements of rows (G, 3, ...) of all recordings, shape (R, ...)."""
-        kept = [np.compress(keep, part, axis=0) for part, keep in zip(rows, self.keep, strict=True)]
-        flat = np.concatenate([part.reshape(-1, *part.shape[2:]) for part in kept])
-        extra = sum(len(one.begin) for one in self.kinematics)
-        flat = np.concatenate([flat, np.zeros((extra, *flat.shape[1:]))])
-        return flat * (self.weight if flat.ndim == 1 else self.weight[:, None])
+        out, end = np.zeros((len(self.weight), *rows[0].shape[2:])), 0
+        for part, keep in zip(rows, self.keep, strict=True):
+            kept = np.compress(keep, part, axis=0).reshape(-1, *part.shape[2:])
+            begin, end = end, end + len(kept)
+            weight = self.weight[begin:end]
+            np.multiply(kept, weight if kept.ndim == 1 else weight[:, None], out=out[begin:end])
+        return out
 
     def with_fixed_baseline(self) -> MarginalLikelihood:
         """Return the objective with a fixed baseline: the shared discrepancy is what the simulation taught.

@@ -53,18 +53,19 @@ def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy, *, uncompared: 
         "place": lambda: _place(series, vehicle),
     }
 
-    def rows(name: str) -> FlexibleRows:
+    def pieces(name: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
         defects = (integrated(series, block) for block in groups[name]())
         pairs = [(one.whitener(some), windowed(series, some, one.at)) for some in defects]
-        whitened, windows = (np.concatenate(several, axis=2) for several in zip(*pairs, strict=True))
-        return FlexibleRows(whitened, windows, (name,) * whitened.shape[2])
+        return [whitened for whitened, _ in pairs], [windows for _, windows in pairs]
 
-    parts = together(rows, groups)
-    return FlexibleRows(
-        np.concatenate([part.whitened for part in parts], axis=2),
-        np.concatenate([part.windows for part in parts], axis=2),
-        tuple(name for part in parts for name in part.groups),
-    )
+    found = together(pieces, groups)
+    names = [(name,) * sum(some.shape[2] for some in own[0]) for name, own in zip(groups, found, strict=True)]
+    # The pieces of either kind go as soon as they are joined.
+    whitened = np.concatenate([some for own in found for some in own[0]], axis=2)
+    for own in found:
+        own[0].clear()
+    windows = np.concatenate([some for own in found for some in own[1]], axis=2)
+    return FlexibleRows(whitened, windows, tuple(name for several in names for name in several))
 
 
 def left_out(series: Series) -> np.ndarray:

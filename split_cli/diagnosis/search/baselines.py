@@ -232,8 +232,9 @@ def _search(
 ) -> SearchOutcome:
     objective = known.allow(objective)
     alone = objective.posterior is None
-    rows = [flexible_rows(one, objective.discrepancy, uncompared=alone) for one in objective.evidence]
-    structure = build_structure(objective, rows)
+    structure = build_structure(
+        objective, [flexible_rows(one, objective.discrepancy, uncompared=alone) for one in objective.evidence]
+    )
     base = nothing(objective)
     variance_inflation = max(
         objective.policy.comparison.variance_inflation, residual_autocorrelation(structure, base.residuals).ratio
