@@ -45,22 +45,22 @@ def test_every_cell_runs_and_stores_no_output():
 
 def test_the_concealed_brakes_are_found(ran):
     names, _ = ran
-    row = names["told"].findings.set_index("parameter").loc["brake_gain"]
+    row = names["result"].findings.set_index("parameter").loc["brake_gain"]
     # 15 % were concealed (sample_logs/README.md).
     assert row.low_95 - 0.01 < 0.85 < row.high_95 + 0.01
     # The double track turns some of it into wheel slip and spin; driving torque was left alone.
     assert row.value == pytest.approx(0.85, abs=0.025)
-    findings = names["told"].findings.set_index("parameter")
+    findings = names["result"].findings.set_index("parameter")
     assert findings.loc["drive_gain", "value"] == pytest.approx(1.0, abs=0.015) and len(findings) == 2
-    assert isinstance(names["told"].corrected_vehicle, Vehicle)
-    assert "Brakes" in names["told"].page()
+    assert isinstance(names["result"].corrected_vehicle, Vehicle)
+    assert "Brakes" in names["result"].page()
 
 
 def test_the_readme_quotes_the_summary_of_the_pair(ran):
     """Its figures are the program's: every part of the quotation, between the omissions, is in what it prints."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     quoted = " ".join(line[2:] for line in readme.splitlines() if line.startswith("> "))
-    said = ran[0]["told"].summary
+    said = ran[0]["result"].summary
     parts = [part.strip() for part in quoted.split("[...]")]
     # The words are the same; a number may move by 5 %, as the last digit of an interval does with the libraries.
     number = re.compile(r"\d+(?:\.\d+)?")
