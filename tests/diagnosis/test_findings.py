@@ -36,15 +36,23 @@ def test_a_term_that_is_not_singled_out_stays_in_the_fit_without_a_name():
 
 
 def test_what_ends_at_what_a_car_can_have_is_nameless_by_its_share():
-    """Of 100 explained, 40 only by tyres without a name, 8 by a steering that may be theirs: no names."""
-    parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one)) for one in ("steer_gain", "tire_stiffness"))
+    """Of 100 explained, 40 only by tyres without a name, 8 by a steering that may be theirs: no names.
+
+    A bank that is merely too small to name takes none.
+    """
+    ends = {"steer_gain": False, "tire_stiffness": True, "road_bank": False}
+    parts = tuple(
+        SimpleNamespace(candidate=SimpleNamespace(term=term, at_limit=lambda end: end), values=end)
+        for term, end in ends.items()
+    )
 
     def fit(cost: float) -> Fit:
-        return Fit(parts, cost, np.zeros(3), np.zeros((3, 2)))
+        return Fit(parts, cost, np.zeros(3), np.zeros((3, 3)))
 
-    selection = Selection(fit(110.0), fit(10.0), (fit(18.0), fit(50.0)), (), (), (True, False))
+    selection = Selection(fit(110.0), fit(10.0), (fit(18.0), fit(50.0), fit(30.0)), (), (), (True, False, False))
     nameless = findings._nameless_shares(selection)
     assert nameless == {"tire_stiffness": 0.4}
+    assert findings._nameless_shares(selection, {"road_bank"}) == {"tire_stiffness": 0.4, "road_bank": 0.2}
     told, left = [SimpleNamespace(term="steer_gain", gap_explained=0.08)], SimpleNamespace(share=0.0)
     assert findings._imitating(told, left, (), RULES) == set()
     assert findings._imitating(told, left, (), RULES, nameless) == {"steer_gain", "tire_stiffness"}

@@ -88,7 +88,7 @@ def describe(
         bent = _sure_bends(objective, selection, variance_inflation)
         told = _findings(objective, selection, remainder.share, beside)
         findings = _only_findings(told)
-        imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection))
+        imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection, vague))
         imitating -= _told_by_witnesses(objective, selection)
         doubted = _vague(objective, selection, told) - imitating
         kept = {one.term for one in findings} - doubted - imitating
@@ -298,16 +298,11 @@ def _shares(selection: Selection, terms: Set[str]) -> dict[str, float]:
     }
 
 
-def _nameless_shares(selection: Selection) -> dict[str, float]:
-    """Return the shares of what the explanation has, and does not name."""
-    return _shares(
-        selection,
-        {
-            part.candidate.term
-            for part, named in zip(selection.chosen.parts, selection.named, strict=True)
-            if not named
-        },
-    )
+def _nameless_shares(selection: Selection, vague: Set[str] = frozenset()) -> dict[str, float]:
+    """Return the shares of what the explanation does not name: what is vague, or ends at what a car has."""
+    unnamed = zip(selection.chosen.parts, selection.named, strict=True)
+    ends = {part.candidate.term for part, named in unnamed if not named and part.candidate.at_limit(part.values)}
+    return _shares(selection, vague | ends)
 
 
 def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) -> Selection:
