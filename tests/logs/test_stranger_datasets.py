@@ -1,6 +1,7 @@
 """Faults first seen in logs in the forms of public data sets, written from a simulated drive; planted."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -164,3 +165,29 @@ def test_a_folder_of_pieces_is_told_how_they_become_one_table(tmp_path, name, co
         (tmp_path / place).write_bytes(content)
     with pytest.raises(LogError, match=told):
         open_recording(tmp_path)
+
+
+@pytest.mark.parametrize(("late", "inertia", "told"), [(0.0, 1.4, False), (0.15, 1.0, True)])
+def test_a_late_steering_is_told_beside_what_the_car_lags_itself(planted, late, inertia, told):
+    """Without v_y the least delay was told: 0.15 s less the 0.1 s by which this car lags its steering."""
+    car = replace(planted.vehicle, yaw_inertia=inertia * planted.vehicle.yaw_inertia)
+    channels = ("vx", "r", "ay", "delta", "T")
+    recording = planted.recording(channels, delays={"delta": late}, noise={"r": 0.002})
+    settings = IngestSettings(derive=("lateral-velocity-from-accelerations",))
+    made = assemble_drive(recording, planted_map(channels), car, settings)
+    found = [f for f in made.quality.consistency.findings if f.check == "delay"]
+    assert [f.channel for f in found] == ["delta"] * told  # an inertia of the file that is 40 % off is no delay
+    assert not told or found[0].measured == pytest.approx(late, abs=0.03)
+
+
+def test_wheels_of_which_one_axle_just_keeps_within_the_tolerance_are_off_as_one(planted):
+    """v_x 6 % too large in a 1:10 car: the front wheels read 0.951 of it, and the rear ones alone were blamed."""
+    factors = {"wheel_speed_fl": 0.951, "wheel_speed_fr": 0.951, "wheel_speed_rl": 0.944, "wheel_speed_rr": 0.944}
+    t = np.arange(0.0, planted.seconds, 0.01)
+    c = {name: planted.at(name, t) for name in ("vx", "vy", "r", "ax", "ay", "delta", "T")}
+    signals = {name: RawSignal(name, t, values, UNITS[name]) for name, values in c.items()}
+    signals |= {name: RawSignal(name, t, factor * c["vx"], "m/s") for name, factor in factors.items()}
+    recording = TableRecording("planted", Path("planted"), signals)
+    made = assemble_drive(recording, planted_map(tuple(signals)), planted.vehicle, IngestSettings())
+    (found,) = made.quality.consistency.findings
+    assert (found.channel, found.check) == ("vx", "radius") and "every wheel speed" in found.text

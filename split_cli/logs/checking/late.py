@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency, corrected_columns
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
+from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.lag import fit_lag
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
@@ -26,6 +27,14 @@ _STEP = 0.04
 """Between the rows that are looked at [s]: half of the shortest delay that is told."""
 _ROWS = 1500
 """Looked at, from the middle of the drive: a minute [1]."""
+_STEERED_ROWS = 6000
+"""Of these, where only the steer angle is looked at: four minutes [1]."""
+_GENTLE = 0.4
+"""Share of the vehicle file's grip up to which tyres are taken as linear [1]."""
+_KNOWN_TO = 0.5
+"""Of the car's own lag: as well as yaw inertia and cornering stiffness of a file are known [1]."""
+_BY_CHANCE = 3.0
+"""Standard errors of a delay beside what the file may be wrong by [1]."""
 _MOVING = 0.3
 """Of the drive's highest speed, above which steering shows in the yaw rate [1]."""
 _MOST = 3
@@ -58,10 +67,29 @@ def late_channels(
         wrong.add("vy")  # nothing judged it: an identity that needs it may be off by v_y as well as by a clock
     if {"vx", "r", "time"} & wrong or any(f.check == "place" for f in known.findings):
         return []
+    columns, period, segments, holds = _looked_at(drive, kinds, known, wrong, _ROWS)
+    if "vx" not in columns:
+        return []
+    found: list[ConsistencyFinding] = []
+    for _ in range(_MOST):
+        late = _latest(columns, period, segments, vehicle, kinds, holds)
+        if late is None:
+            break
+        found.append(_finding(late))
+        # What is late makes others seem early: with it put right they are looked at again.
+        t = period * np.arange(len(columns["vx"]))
+        columns[late.channel] = np.interp(t + late.delay, t, columns[late.channel])
+    steered = None if found else _steered_late(*_looked_at(drive, kinds, known, wrong, _STEERED_ROWS), vehicle)
+    return [*found, *([steered] if steered else [])]
+
+
+def _looked_at(
+    drive: Drive, kinds: Mapping[str, str], known: Consistency, wrong: Collection[str], count: int
+) -> tuple[dict[str, np.ndarray], float, list[slice], dict[str, float]]:
+    """Return `count` rows amid a drive: columns, period [s], segments, and how long values are held."""
     stride = max(1, round(_STEP / drive.period))
-    rows = _ROWS * stride
-    first = max(0, (len(drive) - rows) // 2)
-    part = drive.stretch(first, min(first + rows, len(drive)))
+    first = max(0, (len(drive) - count * stride) // 2)
+    part = drive.stretch(first, min(first + count * stride, len(drive)))
     vy_judged = any(relation.name == ACROSS for relation in known.relations)
     whole = corrected_columns(part.columns, known.factors, vy_judged)
     segments = [slice(-(-s.start // stride), -(-s.stop // stride)) for s in part.segments()]
@@ -74,20 +102,7 @@ def late_channels(
         # Steps shorter than those between the rows that are looked at do not show.
         and (channel in _COMPARED or holds[channel] <= _STEP)
     }
-    if "vx" not in columns:
-        return []
-    found: list[ConsistencyFinding] = []
-    period = drive.period * stride
-    for _ in range(_MOST):
-        late = _latest(columns, period, segments, vehicle, kinds, holds)
-        if late is None:
-            break
-        found.append(_finding(late))
-        # What is late makes others seem early: with it put right they are looked at again.
-        t = period * np.arange(len(columns["vx"]))
-        columns[late.channel] = np.interp(t + late.delay, t, columns[late.channel])
-    steered = _steered_late(columns, period, segments, holds, found)
-    return [*found, *([steered] if steered else [])]
+    return columns, drive.period * stride, segments, holds
 
 
 def _steered_late(
@@ -95,21 +110,30 @@ def _steered_late(
     period: float,
     segments: list[slice],
     holds: Mapping[str, float],
-    found: Sequence[ConsistencyFinding],
+    vehicle: Vehicle | None,
 ) -> ConsistencyFinding | None:
-    """Return a finding where the steer angle follows the yaw rate: no car turns before it is steered.
+    """Return a finding where the steer angle follows what the yaw rate takes: no car turns before it is steered.
 
-    It takes no v_y, other than the identity of the front axle; what the car itself lags makes the delay look
-    smaller, so that it is a least one.
+    Both axles' forces give delta = L r/v_x + (I_z/L) (1/C_f + 1/C_r) dr/dt + K v_x r, without v_y, unlike the
+    identity of the front axle. Tyres and actuators lag besides, and without a vehicle file dr/dt is left out: the
+    delay is a least one.
     """
-    if not {"delta", "r"} <= set(columns) or found:
+    if not {"delta", "r"} <= set(columns):
         return None
     vx, r = columns["vx"], columns["r"]
-    moving = vx > _MOVING * np.nanquantile(np.abs(vx), 0.95)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fit = fit_lag(columns["delta"], [np.where(moving, r / vx, np.nan), vx * r], moving, period, segments)
+    used, needed, own = vx > _MOVING * np.nanquantile(np.abs(vx), 0.95), r, 0.0
+    speed = np.where(used, vx, np.nan)
+    if vehicle is not None:
+        front, rear = vehicle.front_tire, vehicle.rear_tire
+        softness = 1.0 / front.cornering_stiffness + 1.0 / rear.cornering_stiffness
+        reach = vehicle.yaw_inertia * softness / vehicle.wheelbase**2  # [s/m], of the lag at a speed
+        needed = r + reach * vx * Kinematics(columns, period, segments, width=period).rate("r")
+        used = used & (np.abs(vx * r) < _GENTLE * (front.D + rear.D) / vehicle.mass)
+        own = _KNOWN_TO * reach * float(np.nanmedian(speed))
+    fit = fit_lag(columns["delta"], [needed / speed, vx * r], used, period, segments)
     lag = fit.lag - 0.5 * holds.get("delta", 0.0)
-    if fit.refusal or lag < max(_LATE, _SURE * fit.error):
+    unsure = own + _BY_CHANCE * fit.error if vehicle is not None else _SURE * fit.error
+    if fit.refusal or lag < max(_LATE, unsure):
         return None
     text = (
         f"delta follows r by {lag:.3f} +- {fit.error:.3f} s, and no car turns before it is steered: delta is late "
@@ -137,9 +161,14 @@ def _finding(late: DelayEstimate) -> ConsistencyFinding:
 
 
 def _hold(values: np.ndarray, period: float) -> float:
-    """Return how long a channel in steps keeps its value on average [s], 0 for one that is not in steps."""
-    kept = float(np.mean(np.diff(values) == 0.0)) if len(values) > 1 else 1.0
-    return period / max(1.0 - kept, 1e-9) if kept > _HELD else 0.0
+    """Return how long a channel in steps usually keeps its value [s], 0 for one that is not in steps.
+
+    Between most changes, not on average: coarse steps stand still where nothing happens, and are not late there.
+    """
+    changes = np.flatnonzero(np.diff(values) != 0.0)
+    if len(changes) > (1.0 - _HELD) * len(values):
+        return 0.0
+    return period * float(np.median(np.diff(changes))) if len(changes) > 1 else period * len(values)
 
 
 def _latest(

@@ -67,11 +67,15 @@ def tell(
 
 
 def _wheels_alike(story: Story) -> list[Leaf]:
-    """Return the wheel speeds that are all off by one factor that no unit explains; none where they differ."""
+    """Return the wheel speeds that are all off by one factor that no unit explains; none where they differ.
+
+    An axle that just keeps within the tolerance is off as the other one is, where both have the same factor.
+    """
     wheels = [leaf for leaf in story.leaves if leaf.relation.leaf.startswith("wheel_speed")]
     slopes = [leaf.relation.slope.slope for leaf in wheels]
-    rolling = all(leaf.mistake is not None and leaf.mistake.what == OTHER_RADIUS for leaf in wheels)
-    return wheels if len(wheels) > 1 and rolling and max(slopes) < _ALIKE * min(slopes) else []
+    off = [leaf for leaf in wheels if leaf.mistake is not None and leaf.mistake.what == OTHER_RADIUS]
+    rolling = all(leaf in off or (leaf.mistake is None and not leaf.unknown) for leaf in wheels)
+    return wheels if len(off) > 1 and rolling and max(slopes) < _ALIKE * min(slopes) else []
 
 
 def _of_all_wheels(wheels: Sequence[Leaf], alternative: str) -> ConsistencyFinding:
