@@ -3,10 +3,13 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from split_cli.plots.pictures import handling, handling_charts
+from split_cli.scoring.handling.understeer import Understeer
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.evaluate import evaluate
@@ -118,3 +121,19 @@ def test_in_a_browser_no_name_runs_or_hides(run, drive, car, browser, tmp_path):
         assert browser.execute_script("return window.taken === undefined && document.images.length === 0")
         assert HOSTILE in browser.find_element("css selector", "body").text
         assert not [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def test_an_understeer_gradient_of_the_model_alone_is_not_drawn(monkeypatch, car):
+    """A short test stretch gave a line of the model and none of the car, beside which it says nothing."""
+    lateral = np.linspace(-3.0, 3.0, 9)
+    gradient = Understeer(
+        gradient=0.002, interval=(0.001, 0.003), offset=0.0, ratio=1.0, ratio_interval=(0.9, 1.1), lateral=lateral,
+        slip_difference=0.002 * lateral, limit=3.9,
+    )  # fmt: skip
+    one = SimpleNamespace(
+        name="measured", role="measured", shown=True, lateral_motion=None, vehicle=None, drive="real"
+    )
+    real, model = one, SimpleNamespace(**vars(one) | {"vehicle": car, "motion": "model"})
+    for known, drawn in ((("model",), []), (("real", "model"), ["understeer"])):
+        monkeypatch.setattr(handling, "understeer_of", lambda motion, _, known=known: motion in known and gradient)
+        assert [chart.name for chart in handling_charts([real, model], car)] == drawn

@@ -18,19 +18,19 @@ _MOST_DOTS = 700
 
 
 def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Chart, ...]:
-    """Return the understeer chart and gain and phase of the steering response; none where nothing shows them."""
+    """Return understeer and gain and phase of the steering response; none where no recording shows them."""
     charts = []
     moving = [(one, one.drive if one.vehicle is None else one.motion) for one in subjects]
     found = [(one, motion and understeer_of(motion, vehicle)) for one, motion in moving]
     shown = [(one, gradient) for one, gradient in found if gradient]
-    if shown:
+    if any(one.vehicle is None for one, _ in shown):
         charts.append(_understeer(shown))
     responses = [
         (one, one.lateral_motion and steering_response(one.lateral_motion, vehicle.minimum_speed))
         for one in subjects
     ]
     coherent = [(one, response) for one, response in responses if response]
-    if coherent:
+    if any(one.vehicle is None for one, _ in coherent):
         gain = tuple(
             ChartLine(one.name, r.frequency, r.gain, one.role, low=r.gain_low, high=r.gain_high, shown=one.shown)
             for one, r in coherent
