@@ -124,4 +124,5 @@ def test_a_forgotten_sensitivity_is_worked_out_anew(objective, explore, current)
     assert np.linalg.norm(there - here) < 0.02 * np.linalg.norm(here)
     assert fits[0].sensitivity is there
     further = [one(fit)[0] for one, fit in ((explore, held[0]), (lean, fits[0]))]
+    assert lean(current) is not fits and [fit.cost for fit in lean(current)] == [fit.cost for fit in held]
     assert further[0].cost == pytest.approx(further[1].cost, abs=0.02)

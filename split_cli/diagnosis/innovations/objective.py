@@ -140,7 +140,7 @@ class MarginalLikelihood:
         """Return the kept, weighted elements of rows (G, 3, ...) of all recordings, shape (R, ...)."""
         out, end = np.zeros((len(self.weight), *rows[0].shape[2:])), 0
         for part, keep in zip(rows, self.keep, strict=True):
-            kept = np.compress(keep, part, axis=0).reshape(-1, *part.shape[2:])
+            kept = (part if keep.all() else np.compress(keep, part, axis=0)).reshape(-1, *part.shape[2:])
             begin, end = end, end + len(kept)
             weight = self.weight[begin:end]
             np.multiply(kept, weight if kept.ndim == 1 else weight[:, None], out=out[begin:end])

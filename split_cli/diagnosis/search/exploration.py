@@ -36,8 +36,8 @@ class Explorer:
     objective: MarginalLikelihood
     candidates: tuple[Candidate, ...]
     variance_inflation: float
-    # Sensitivities that are held at once [bytes], the newest. An older one is worked out anew where it is asked
-    # for, so this decides memory and time; of a result, what forward differences leave open.
+    # Residuals and sensitivities that are held at once [bytes], the newest. Older ones are worked out anew where
+    # they are asked for, so this decides memory and time; of a result, what forward differences leave open.
     held: int = 2**28
     # Explanations, the costs that were asked for, and fits beside each: to compare, and before they were followed.
     _explored: list[tuple[Fit, float, list[Fit], list[Fit]]] = field(
@@ -78,14 +78,17 @@ class Explorer:
         self._explored.clear()
 
     def _forget_oldest(self) -> None:
-        held, seen = 0, set()
-        for current, _, fits, first in reversed(self._explored):
+        """Let go of explanations beyond what is held; what is still in use elsewhere, of its sensitivity."""
+        held, seen, kept = 0, set(), 1
+        for number, (current, _, fits, first) in enumerate(reversed(self._explored), start=1):
             for fit in (current, *fits, *first):
                 if id(fit) not in seen:
                     seen.add(id(fit))
-                    held += fit.sensitivity.nbytes
+                    held += fit.residuals.nbytes + fit.sensitivity.nbytes
                     if held > self.held:
                         fit.forget()
+            kept = number if held <= self.held else kept
+        del self._explored[:-kept]
 
     def beyond_form_error(self, current: Fit) -> list[Fit]:
         """Return the candidates that promise most beyond an explanation's model-form error, those first.
