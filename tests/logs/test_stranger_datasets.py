@@ -191,3 +191,21 @@ def test_wheels_of_which_one_axle_just_keeps_within_the_tolerance_are_off_as_one
     made = assemble_drive(recording, planted_map(tuple(signals)), planted.vehicle, IngestSettings())
     (found,) = made.quality.consistency.findings
     assert (found.channel, found.check) == ("vx", "radius") and "every wheel speed" in found.text
+
+
+def test_a_share_of_the_lock_that_makes_a_lorrys_wheelbase_is_no_judged_angle(planted, tmp_path):
+    """Assetto Corsa: 6.2 m over curvature was called a wheelbase, and the angle 2.2 times too large."""
+    t = np.arange(0.0, 60.0, 0.02)
+    c = {name: planted.at(name, t) for name in ("vx", "vy", "r", "ay", "delta")}
+    for share, status in ((2.0, "assumed"), (1.0, "unsided")):
+        table = {
+            "t": t,
+            "vx": c["vx"],
+            "vy": c["vy"],
+            "yaw_rate": c["r"],
+            "ay": c["ay"],
+            "steerAngle": share * c["delta"],
+        }
+        _write(tmp_path / "log.csv", table)
+        found = draft_map(open_recording(tmp_path / "log.csv")).of("delta")
+        assert found.status == status and ("share of the lock" in found.reason) == (share == 2.0)

@@ -20,6 +20,8 @@ _LONGEST_WHEELBASE = 6.5
 """Of a lorry with understeer [m]; what steers more a turn than that is no road wheel."""
 _SHORTEST_CAR = 1.8
 """Wheelbase of a full-size car, the smallest [m]."""
+_LONGEST_CAR = 4.0
+"""Wheelbase of the longest car, 3.9 m, with margin [m]."""
 _SHORTEST_RACER = 1.5
 """Wheelbase of the smallest car that is as fast as a full-size one [m]: formula cars of students have 1.525."""
 _OUTLIERS = 6.0
@@ -265,6 +267,10 @@ def _without_unit(
             if unit == "rad" and not concepts_of(tokens_of(s.sources[0]))[0] & {"angle", "road", "wheel"}:
                 # A command in -1..1 of a simulator, with its lock near a radian, looks alike.
                 told = f"rad, or a command in -1..1? {size:.3g} m of it over curvature may be a wheelbase{hand}"
+                return replace(s, unit=unit, status="assumed", reason=told, **turned)
+            if size * factor > _LONGEST_CAR:
+                told = f"{size * factor:.3g} m of angle over curvature is a lorry's wheelbase; of a car's steering"
+                told = f"{told} it makes a share of the lock: `scale: {'-' if turned else ''}WHEELBASE/{size:.3g}`"
                 return replace(s, unit=unit, status="assumed", reason=told, **turned)
             return replace(s, unit=unit, status="judged", reason=reason, **turned)
         if unit == "rad" and size >= _SHORTEST_RACER * 180.0 / np.pi:

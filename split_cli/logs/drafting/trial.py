@@ -126,7 +126,8 @@ class Trial:
             values = self.signals[name].values
             largest = float(np.quantile(np.abs(values[np.isfinite(values)]), 0.99))
             if largest > limit:
-                return f"{name} reaches {largest:.4g}, no angle on the globe exceeds {limit:g} deg: arc minutes?"
+                what = "arc minutes?" if largest < 1e6 else "degrees times 1e7? Write the columns in degrees"
+                return f"{name} reaches {largest:.4g}, no angle on the globe exceeds {limit:g} deg: {what}"
         return ""
 
     def column(self, s: Suggestion) -> np.ndarray | None:
