@@ -11,6 +11,7 @@ from split_cli.errors import LogError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawChannelInfo, RawSignal, TableRecording
+from split_cli.logs.readers import json_channels, json_rows
 from split_cli.logs.readers.opening import open_recording
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
@@ -98,7 +99,9 @@ def test_yaw_is_taken_from_the_message_of_x_and_y_and_an_asking_message_is_a_com
     assert draft.of("delta").command
 
 
-def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_in_words(planted, tmp_path):
+def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_in_words(
+    planted, tmp_path, monkeypatch
+):
     """A2D2's bus signals: each number of each pair became a channel of one row."""
     epoch, t = 1_554_122_338_000_000, np.arange(0.0, 60.0, 0.02)
     angle = planted.at("delta", t) * 16.0 * DEG
@@ -123,6 +126,11 @@ def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_i
     wheel = draft.of("delta")
     assert wheel.sources == ("steering_angle_calculated", "steering_angle_calculated_sign")
     assert "unit: deg, scale: 1/RATIO" in wheel.reason
+    # Of a document that is too large for its objects to be held it was said that no numbers stand in it.
+    for module in (json_channels, json_rows):
+        monkeypatch.setattr(module, "LARGEST_DOCUMENT", 100_000)
+    with pytest.raises(LogError, match="up to that size"):
+        open_recording(tmp_path / "bus_signals.json")
 
 
 def test_the_torque_of_a_steering_column_is_no_t_and_an_angle_that_follows_the_path_is_of_the_steering(

@@ -23,7 +23,7 @@ from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_document import parsed, plain_number
 from split_cli.signals import find_unit
 
-__all__ = ["is_series", "open_json_channels"]
+__all__ = ["LARGEST_DOCUMENT", "is_series", "open_json_channels"]
 
 _VALUES = ("data", "values", "samples", "value", "y")
 _NAMES = ("name", "channel", "signal", "id", "label", "title")
@@ -33,7 +33,7 @@ _PERIODS = ("period", "dt", "interval", "sample_time")
 _DEEPEST = 3
 _SHORTEST_SERIES = 8
 """Pairs of time and value that make a series [1]: positions and sizes come in twos as well."""
-_LARGEST = 32 << 20
+LARGEST_DOCUMENT = 32 << 20
 """Of a document that is held as a whole [bytes]: objects take ten times as much memory."""
 _BEGINNING = 1 << 16
 
@@ -44,7 +44,7 @@ def open_json_channels(path: Path) -> RawRecording | None:
         begins = stream.read(_BEGINNING)
         if not re.search(rb'"(data|values|samples|value|y)"\s*:\s*\[|:\s*\[\s*\[', begins, re.IGNORECASE):
             return None
-        if path.stat().st_size > _LARGEST:
+        if path.stat().st_size > LARGEST_DOCUMENT:
             return None
         document = parsed(begins + stream.read())
     channels = next(_groups(document, 0), None)

@@ -25,7 +25,7 @@ from split_cli.logs.raw import (
     note_once,
 )
 from split_cli.logs.readers.delimited import seconds_of
-from split_cli.logs.readers.json_channels import is_series, open_json_channels
+from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, is_series, open_json_channels
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
@@ -285,5 +285,9 @@ def _are_columns(lengths: Sequence[int]) -> bool:
 
 
 def _no_rows(path: Path) -> LogError:
+    if path.stat().st_size > LARGEST_DOCUMENT:
+        what = f"is one JSON document of more than {LARGEST_DOCUMENT >> 20} MB without a list of rows of numbers"
+        advice = "An object for each channel is read up to that size: write a shorter stretch, or CSV or Parquet."
+        return LogError(what, where=path.name, advice=advice)
     advice = "Write one object a line, each with its time, or CSV or Parquet."
     return LogError("is JSON without rows of numbers", where=path.name, advice=advice)
