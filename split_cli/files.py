@@ -403,9 +403,11 @@ def refuse_place_without_access(target: str | os.PathLike[str]) -> None:
 def _real_target(target: str | os.PathLike[str]) -> Path:
     real = Path(os.path.realpath(target))
     if not real.parent.is_dir():
-        raise SplitError(
-            "the folder to write into does not exist", where=str(target), advice=f"Create {Path(target).parent}."
-        )
+        above = Path(target).parent
+        what, advice = "does not exist", f"Create {above}."
+        if real.parent.exists():
+            what, advice = "is a file", f"Name a folder in place of {above}."
+        raise SplitError(f"the folder to write into {what}", where=str(target), advice=advice)
     return real
 
 

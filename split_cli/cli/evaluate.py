@@ -128,12 +128,19 @@ def command(drives, vehicle_path, set_path, output, as_json, select, engine, sch
       split evaluate lap2.parquet --set car.split --predictor bcm,full
       split evaluate lap.parquet --vehicle car.yaml --select -o figures
     """
+    from split_cli.workflows.sources import local_drives
+
     tried = {name: settings.pop(name) for name in ("capacities", "thresholds", "cell_edges")}
-    if select:
-        if engine != "process" or jobs > 1:
-            raise click.UsageError("--select works in this process: leave out --engine and --jobs")
-        _select(drives, vehicle_path, set_path, output, as_json, tried, settings)
-        return
+    if select and (engine != "process" or jobs > 1):
+        raise click.UsageError("--select works in this process: leave out --engine and --jobs")
+    with local_drives(drives) as paths:
+        if select:
+            _select(paths, vehicle_path, set_path, output, as_json, tried, settings)
+        else:
+            _evaluate(paths, vehicle_path, set_path, output, as_json, (engine, scheduler, jobs), settings)
+
+
+def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> None:
     from split_cli.scoring.report import EvaluationSettings
     from split_cli.workflows.engine import open_engine
     from split_cli.workflows.evaluate import evaluate_files
@@ -141,6 +148,7 @@ def command(drives, vehicle_path, set_path, output, as_json, select, engine, sch
     asked = EvaluationSettings(**settings)
     # Labels, each predictor trusted and believed in full, rollouts and noise: no more steps than this.
     progress = StepBar(len(asked.features) * (1 + 2 * len(asked.predictors)) + 2)
+    engine, scheduler, jobs = worked
     with open_engine(engine, jobs=jobs, scheduler=scheduler) as where:
         run = evaluate_files(drives, vehicle_path, asked, set_path, say=progress, engine=where)
     progress.close()

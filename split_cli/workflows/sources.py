@@ -17,7 +17,15 @@ from split_cli.errors import SplitError
 from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.logs.readers.opening import is_prose
 
-__all__ = ["DRIVE_SUFFIXES", "LOG_SUFFIXES", "SourceFile", "find_sources", "is_remote", "left_alone"]
+__all__ = [
+    "DRIVE_SUFFIXES",
+    "LOG_SUFFIXES",
+    "SourceFile",
+    "find_sources",
+    "is_remote",
+    "left_alone",
+    "local_drives",
+]
 
 LOG_SUFFIXES = (
     ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".mdf", ".blf",
@@ -145,6 +153,20 @@ def find_sources(
                 continue
             found.setdefault(source.address, source)
     return list(found.values())
+
+
+@contextlib.contextmanager
+def local_drives(addresses: Sequence[str | Path]) -> Iterator[list[Path]]:
+    """Give paths to the drives that addresses stand for; remote ones are copied for as long as the body runs.
+
+    Raises
+    ------
+    SplitError
+        If an address stands for no drive.
+    """
+    with contextlib.ExitStack() as stack:
+        sources = find_sources(addresses, DRIVE_SUFFIXES, what="drive")
+        yield [stack.enter_context(source.local()) for source in sources]
 
 
 def _is_below(address: str, folder: str | Path) -> bool:

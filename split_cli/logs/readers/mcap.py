@@ -47,7 +47,7 @@ class _DamageError(Exception):
     """A record that cannot be what its header says."""
 
 
-@dataclass
+@dataclass(slots=True)
 class _Segment:
     """A stretch of the file that holds messages: one chunk record, or records outside of chunks."""
 
@@ -224,8 +224,9 @@ class McapContainer:
         if unknown:
             self._note("records of an unknown kind, skipped", unknown)
         contents.segments.append(outside)
-        contents.segments = [self._surveyed(segment, contents) for segment in contents.segments]
-        contents.segments = [segment for segment in contents.segments if segment.channels]
+        found = (segment for segment in contents.segments if segment.stop > segment.start)
+        surveyed = (self._surveyed(segment, contents) for segment in found)
+        contents.segments = [segment for segment in surveyed if segment.channels]
         homeless = sum(count for key, count in contents.counts.items() if key not in contents.channels)
         if homeless:
             self._note("messages of a channel that is not defined, left out", homeless)
