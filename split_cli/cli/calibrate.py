@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from split_cli.cli.digits import pair_known, three_digits
-from split_cli.cli.options import existing_file, json_option, list_of, output_option, print_json, print_table
+from split_cli.cli.options import (
+    OutputPath,
+    existing_file,
+    json_option,
+    list_of,
+    output_option,
+    print_json,
+    print_table,
+)
 
 __all__ = ["command"]
 
@@ -56,7 +62,7 @@ positive = click.FloatRange(0.0, min_open=True)
     metavar="SECONDS",
     help="Width of the smoothing kernel; by default from the wheelbase.",
 )
-@click.option("--figure", type=click.Path(path_type=Path), metavar="FILE", help="Draw the curves (png, svg, pdf).")
+@click.option("--figure", type=OutputPath("file"), metavar="FILE", help="Draw the curves (png, svg, pdf).")
 @click.option("--convert", is_flag=True, help="Convert a CommonRoad, F1TENTH or ForzaETH parameter file instead.")
 @click.option(
     "--to",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file
+from split_cli.cli.options import OutputPath, existing_file
 
 __all__ = ["command"]
 
@@ -17,7 +17,7 @@ __all__ = ["command"]
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=OutputPath("folder"),
     default=Path("demo-output"),
     metavar="FOLDER",
     help="Folder for the results.",

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from split_cli.cli.options import (
+    OutputPath,
     TimeSpan,
     engine_options,
     existing_file,
@@ -112,7 +113,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
 )
 @click.option("--keep-going", is_flag=True, help="Continue with the other logs when one fails.")
 @click.option(
-    "--report", type=click.Path(path_type=Path), metavar="FILE", help="Write an HTML report; for one drive only."
+    "--report", type=OutputPath("file"), metavar="FILE", help="Write an HTML report; for one drive only."
 )
 @click.option("--list", "list_only", is_flag=True, help="List the channels of the logs and exit.")
 @click.option("--list-maps", is_flag=True, help="List the preset signal maps and exit.")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
+    OutputPath,
     existing_file,
     json_option,
     output_option,
@@ -77,7 +76,7 @@ __all__ = ["command"]
 @click.option(
     "--set",
     "set_output",
-    type=click.Path(path_type=Path),
+    type=OutputPath("file"),
     metavar="FILE",
     help="Train a new set on the first run, and write it.",
 )

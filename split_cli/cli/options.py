@@ -14,12 +14,39 @@ import click
 from split_cli.cli.digits import Printed, plausible
 
 __all__ = [
+    "OutputPath",
     "TimeSpan", "engine_options", "existing_file", "held_option", "json_option", "label_options", "list_of",
     "log_options", "output_option", "print_json", "print_table", "tell_next", "vehicle_option",
 ]  # fmt: skip
 
 # Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
 existing_file = click.Path(path_type=Path, readable=False)
+
+
+class OutputPath(click.Path):
+    """A place to write to, which must be open to writing before the command begins its work.
+
+    Parameters
+    ----------
+    kind : {"file", "folder", "either"}
+    """
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(path_type=Path, readable=False)
+        self.kind = kind
+
+    def convert(self, value, param, ctx) -> Path:
+        """Return the path; refuse it where nothing can be written there."""
+        from split_cli import files
+
+        path = super().convert(value, param, ctx)
+        refuse = {
+            "file": files.refuse_what_cannot_be_written,
+            "folder": files.refuse_what_cannot_be_a_folder,
+            "either": files.refuse_place_without_access,
+        }
+        refuse[self.kind](path)
+        return path
 
 
 class TimeSpan(click.ParamType):
@@ -151,28 +178,11 @@ def output_option(
     return click.option(
         *names,
         "output",
-        type=click.Path(path_type=Path),
+        type=OutputPath("folder" if folder else "either"),
         required=required,
         metavar="PATH",
-        callback=_writable_folder if folder else _writable,
         help=meaning,
     )
-
-
-def _writable(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
-    if path is not None:
-        from split_cli.files import refuse_place_without_access
-
-        refuse_place_without_access(path)
-    return path
-
-
-def _writable_folder(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
-    if path is not None:
-        from split_cli.files import refuse_what_cannot_be_a_folder
-
-        refuse_what_cannot_be_a_folder(path)
-    return path
 
 
 def print_json(result: Any) -> None:

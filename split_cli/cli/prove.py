@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from split_cli.cli.options import (
+    OutputPath,
     engine_options,
     existing_file,
     json_option,
@@ -86,7 +87,7 @@ def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
 @command.command("score")
 @click.argument("folder", type=_folder)
 @click.option("--baselines/--no-baselines", default=True, help="Score STLSQ and BIC too.")
-@click.option("--markdown", type=click.Path(path_type=Path), help="Write all tables to this file as well.")
+@click.option("--markdown", type=OutputPath("file"), help="Write all tables to this file as well.")
 @json_option
 def score(folder, baselines, markdown, as_json) -> None:
     """Read the answers, check their seal, and score the diagnoses."""

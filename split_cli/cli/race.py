@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
+    OutputPath,
     existing_file,
     json_option,
     output_option,
@@ -137,11 +136,9 @@ __all__ = ["command"]
 )
 @click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise.")
 @click.option("--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later.")
-@click.option("--set", "set_output", type=click.Path(path_type=Path), metavar="FILE",
+@click.option("--set", "set_output", type=OutputPath("file"), metavar="FILE",
               help="Save the set after each lap.")  # fmt: skip
-@click.option(
-    "--report", type=click.Path(path_type=Path), metavar="FILE", help="Write an HTML report of the laps."
-)
+@click.option("--report", type=OutputPath("file"), metavar="FILE", help="Write an HTML report of the laps.")
 @output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @json_option
 def command(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from split_cli.cli.options import json_option, output_option, print_json, print_table
+from split_cli.cli.options import OutputPath, json_option, output_option, print_json, print_table
 
 __all__ = ["command"]
 
@@ -61,7 +59,7 @@ __all__ = ["command"]
 )
 @click.option(
     "--truth",
-    type=click.Path(path_type=Path),
+    type=OutputPath("file"),
     metavar="FILE",
     help="Also write the noise-free states and the effects, as a drive.",
 )

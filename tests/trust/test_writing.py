@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group as main_group
+from split_cli.cli.options import OutputPath
 from split_cli.errors import LogError, SplitError, VehicleError
 from split_cli.files import ScratchFolder, atomic_directory, atomic_path, exclusive_access
 from split_cli.logs.readers import open_recording
@@ -157,11 +158,15 @@ def test_a_place_that_cannot_be_written_is_said_before_any_work(tmp_path, monkey
     refused = []
     for command in every_command(main_group):
         for option in command.params:
-            if option.name == "output":
+            if isinstance(option.type, OutputPath):
                 done = CliRunner().invoke(command, [option.opts[0], str(tmp_path / "out")])
                 assert isinstance(done.exception, SplitError), (command.name, done.output)
                 assert "no permission" in str(done.exception) and "Nothing was computed" in str(done.exception)
                 refused.append(command.name)
+                if option.type.kind == "file":
+                    done = CliRunner().invoke(command, [option.opts[0], str(tmp_path)])
+                    assert "is a folder, a file was to be written" in str(done.exception), command.name
+    assert {"race", "simulate", "maneuver"} <= {name for name in refused if refused.count(name) > 1}
     assert {"ingest", "train", "diagnose", "race", "simulate", "evaluate", "export"} <= set(refused)
 
 
