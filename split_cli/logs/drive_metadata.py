@@ -158,7 +158,7 @@ def metadata_of_drive(path: Path) -> DriveMetadata | None:
         return None
     try:
         raw = pa.parquet.read_schema(path).metadata or {}
-    except (pa.ArrowException, OSError):
+    except (pa.ArrowException, OSError, ValueError):
         return None
     return metadata_from_schema(raw, path)[0] if b"split" in raw else None
 

@@ -101,18 +101,20 @@ def _parquet(path: Path) -> FileDescription:
 
     try:
         names = pa.parquet.read_schema(path).names
-    except (pa.ArrowException, OSError) as error:
+        reasons = None
+        if {"y_vx", "y_vy", "y_r", "reason"} <= set(names):
+            reasons = pa.parquet.read_table(path, columns=["reason"])["reason"]
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise SplitError(
             f"is not a whole Parquet file ({str(error).splitlines()[0]})",
             where=str(path),
             advice="Copy the file again, or make it anew.",
         ) from error
-    if {"y_vx", "y_vy", "y_r", "reason"} <= set(names):
-        table = pa.parquet.read_table(path, columns=["reason"])
-        counts = table.column("reason").value_counts().to_pylist()
-        reasons = ", ".join(f"{entry['counts']} {entry['values'] or 'accepted'}" for entry in counts)
+    if reasons is not None:
+        counts = reasons.value_counts().to_pylist()
+        told = ", ".join(f"{entry['counts']} {entry['values'] or 'accepted'}" for entry in counts)
         features = [n for n in names if n not in ("t", "row", "segment", "y_vx", "y_vy", "y_r", "reason")]
-        facts = (("labels", str(table.num_rows)), ("features", ", ".join(features)), ("by reason", reasons))
+        facts = (("labels", str(len(reasons))), ("features", ", ".join(features)), ("by reason", told))
         return FileDescription(str(path), "labels", facts)
     if {"vx", "vy", "r"} <= {name.split("(")[0].strip() for name in names}:
         return _drive(path)

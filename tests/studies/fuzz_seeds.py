@@ -22,7 +22,7 @@ from split_cli.logs.presets import preset_path
 from split_cli.logs.readers import can as can_reader
 from split_cli.logs.readers import open_recording
 from split_cli.logs.signal_map import read_map
-from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from split_cli.vehicle.parameters import EffectSpec, read_vehicle, write_vehicle
 from tests.factories import make_drive, make_training_set, road_car
 from tests.logs import readers_support as support
 from tests.logs.test_readers_stranger import DBC, VBO
@@ -221,6 +221,9 @@ def _ours(folder: Path, planted: support.Planted) -> Iterator[Kind]:
     yield "labels", Path(shutil.copy(GOLDEN / "labels-1.parquet", folder)), _silently(read_labels)
     write_set(make_training_set(points=60), folder / "a.split")
     yield "trained set", folder / "a.split", _silently(read_set)
+    past = road_car().with_effects(EffectSpec("feature_lag", {"tau": 0.08}))
+    write_set(make_training_set(points=60, features="z2,feature_lag", vehicle=past), folder / "past.split")
+    yield "set of the past", folder / "past.split", _silently(read_set)
     angle = np.arange(0.0, 2.0 * np.pi, 0.2)
     rows = "".join(f"{40 * np.cos(a):.3f},{40 * np.sin(a):.3f},4.0,4.0\n" for a in angle)
     (folder / "track.csv").write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + rows)

@@ -31,7 +31,8 @@ NEWER = (
     "csv spreadsheet", "together", "mat carmaker", "mat motec 7.3", "can savvycan", "can cabana",
     "mcap ros2 in pieces", "mcap json in pieces", "bag in pieces", "db3 in pieces", "mat 5 in pieces",
     "mat 7.3 in pieces", "csv in pieces", "can asc in pieces", "json rows in pieces", "verify drive",
-    "verify labels", "verify set", "verify vehicle", "verify map", "verify diagnosis",
+    "verify labels", "verify set", "verify vehicle", "verify map", "verify diagnosis", "json channels",
+    "named csv", "named json", "set of the past",
 )  # fmt: skip
 """The kinds of this module."""
 
@@ -66,6 +67,19 @@ def rows(folder: Path, planted: support.Planted) -> Iterator[Kind]:
     times = [f"2026-05-02T10:00:{0.3 * k:09.6f}Z" for k in range(2 * count)]
     columns.write_text(json.dumps({"time": times, "vx [km/h]": [*planted.vx, *planted.vy]}))
     yield "json columns", columns, read_recording
+    channels = folder / "channels.json"
+    told = [{"name": name, "unit": unit, "frequency": 50, "data": [*values]} for name, unit, values in (
+        ("vx", "km/h", planted.vx), ("r", "deg/s", planted.r),
+    )]  # fmt: skip
+    channels.write_text(json.dumps({"session": "FP1", "channels": told}))
+    yield "json channels", channels, read_recording
+    named = [(0.01 * k, name, v) for k in range(count) for name, v in (("vx", planted.vx[k]), ("r", planted.r[k]))]
+    table = folder / "named.csv"
+    table.write_text("timestamp,signal,value\n" + "".join(f"{t:.2f},{name},{v}\n" for t, name, v in named))
+    yield "named csv", table, read_recording
+    traced = folder / "named.json"
+    traced.write_text("".join(json.dumps({"name": n, "value": v, "timestamp": t}) + "\n" for t, n, v in named))
+    yield "named json", traced, read_recording
     head = "PiToolboxVersionedASCIIDataSet\nVersion\t2\n\n{OutingInformation}\nCarName\tCar 7\n\n"
     blocks = {
         title: "{ChannelBlock}\n"

@@ -13,6 +13,7 @@ from split_cli.cli.verify import command
 from split_cli.errors import SplitError
 from split_cli.files import sha256_of_file
 from split_cli.logs.drive import Source, read_drive, write_drive
+from split_cli.workflows.info import describe_file
 from split_cli.workflows.verifying.verify import verify
 from tests.trust.test_forged_folders import failed
 
@@ -68,6 +69,15 @@ def test_a_flipped_bit_is_seen_wherever_it_is(folder, name):
             continue
     # What Arrow's and Parquet's own footers repeat, and padding, changes no number that is read.
     assert len(unseen) <= 12, unseen
+
+
+@pytest.mark.parametrize("read", [verify, describe_file])
+def test_a_column_whose_name_is_no_text_is_refused_in_one_line(folder, read):
+    """The name that pyarrow cannot decode was an error of the program."""
+    content = (folder / "labels-1.parquet").read_bytes()
+    (folder / "labels-1.parquet").write_bytes(content.replace(b"alpha_r", b"\xfflpha_r"))
+    with pytest.raises(SplitError, match="is not a whole Parquet file"):
+        read(folder / "labels-1.parquet")
 
 
 def test_yaml(folder):

@@ -40,7 +40,7 @@ def open_parquet(path: Path) -> RawRecording:
 
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True, pre_buffer=False)
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise _damaged(path, "Parquet", error) from error
 
     # A column that never changes may stand for any number of rows.
@@ -77,7 +77,7 @@ def open_arrow(path: Path) -> RawRecording:
     probe(path, read_arrow)
     try:
         table = read_arrow(path)
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise _damaged(path, "Arrow", error) from error
     return _recording(path, "Arrow", table.schema, table.num_rows, table.column)
 
@@ -119,7 +119,7 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             # One by one, so that a long recording is not held twice.
             try:
                 column = read(top)
-            except (pa.ArrowException, OSError) as error:
+            except (pa.ArrowException, OSError, ValueError) as error:
                 raise _damaged(path, kind, error) from error
             for name in below:
                 values[name] = set_aside(

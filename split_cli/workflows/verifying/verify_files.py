@@ -39,7 +39,7 @@ def verify_parquet(path: Path) -> tuple[str, tuple[VerifiedItem, ...]]:
 
     try:
         names = set(pa.parquet.read_schema(path).names)
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise SplitError(f"is not a whole Parquet file ({str(error).splitlines()[0]})", where=str(path)) from error
     if {"drive", "y_vx", "y_vy", "y_r"} <= names:
         text, _ = read_gap(path)
@@ -63,7 +63,7 @@ def read_gap(path: Path) -> tuple[str, set[str]]:
     try:
         table = pa.parquet.read_table(path, page_checksum_verification=True)
         drives = set(table["drive"].unique().to_pylist())
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise SplitError(str(error).splitlines()[0], where=str(path)) from error
     return f"{table.num_rows} rows, every page with a checksum has it right", drives
 
