@@ -158,6 +158,21 @@ def test_a_quote_that_is_never_closed_takes_no_rows_behind_it(tmp_path, row, exp
     assert sum(note.count for note in recording.notes) == np.isnan(expected)
 
 
+def test_a_quote_that_is_never_closed_costs_one_named_value(tmp_path):
+    """9,320 of 10,000 rows were lost, and one was counted: that of the titles, which is none."""
+    rows = [f"{0.01 * k:.2f},{name},{k}\n" for k in range(5000) for name in ("vx", "r")]
+    table = tmp_path / "named.csv"
+    table.write_text("timestamp,signal,value\n" + "".join(rows))
+    recording = open_recording(table)
+    assert [len(signal.values) for signal in recording.read(["vx", "r"]).values()] == [5000, 5000]
+    assert not recording.notes
+    rows[50] = '0.25,"vx,25\n'
+    table.write_text("timestamp,signal,value\n" + "".join(rows))
+    recording = open_recording(table)
+    assert [len(signal.values) for signal in recording.read(["vx", "r"]).values()] == [4999, 5000]
+    assert [note.count for note in recording.notes] == [1]
+
+
 def test_damaged_rows_of_pi_toolbox_are_counted_and_cost_no_others(tmp_path):
     head, block = "PiToolbox\r\n", "{ChannelBlock}\r\nTime\tv[m/s]\r\n"
     sound = "0\t1,5\t\r\n1\t2,5\t\r\n"  # a tabulator ends each row

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +60,7 @@ class Places:
     # separator, decimal: of a table.
     separator: str = ","
     decimal: str = "."
+    titles: tuple[str, ...] = ()  # which a table may repeat
 
 
 def places_in(titles: Sequence[str]) -> Places | None:
@@ -116,24 +117,24 @@ def table_of_named_values(head: bytes) -> Places | None:
             decimal = "," if separator != "," and any("," in cell for cell in values) else "."
             numbers = sum(np.isfinite(number_of(cell, decimal)) for cell in values)
             if 2 * numbers > len(values) and _are_named([r[at.name] for r in below]):
-                return Places(at.time, at.name, at.value, at.unit, at.group, at.unit_of_time, separator, decimal)
+                return replace(at, separator=separator, decimal=decimal, titles=tuple(row))
     return None
 
 
 def open_named_table(path: Path, at: Places) -> RawRecording:
     """Open a table with one value a row; see `open_named_rows`."""
-    rows = csv.reader((line for line in _lines(path) if not line.startswith("#")), delimiter=at.separator)
-    return _gathered(path, at, _whole(rows))
+    lines = (line for line in _lines(path) if not line.startswith("#"))
+    return _gathered(path, at, (_cells(line, at.separator) for line in lines))
 
 
-def _whole(rows: Any) -> Iterator[list[str]]:
-    while True:
-        try:
-            yield next(rows)
-        except StopIteration:
-            return
-        except csv.Error:  # a cell of over 128 kB
-            yield []
+def _cells(line: str, separator: str) -> list[str]:
+    """Return the cells of one line: a quote that is never closed takes no rows behind it."""
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator))
+    except (csv.Error, StopIteration):  # a cell of over 128 kB
+        return [line]
 
 
 def _are_named(names: Sequence[str]) -> bool:
@@ -158,7 +159,7 @@ def _gathered(path: Path, at: Places, rows: Iterable[Sequence[Any]]) -> RawRecor
         name = row[at.name] if len(row) > width else None
         time = _number(row[at.time], at.decimal) if name else np.nan
         if not np.isfinite(time):
-            bad += bool(row)
+            bad += bool(row) and tuple(row) != at.titles
             continue
         group = str(row[at.group] or "") if at.group is not None else ""
         signal = found.get((group, name))
