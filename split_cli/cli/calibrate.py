@@ -14,6 +14,7 @@ from split_cli.cli.options import (
     print_json,
     print_table,
 )
+from split_cli.cli.voice import print_notes
 
 __all__ = ["command"]
 
@@ -167,8 +168,7 @@ def _show_calibration(calibration, used, output, as_json) -> None:
         click.echo()
         rows = [(e.name, *pair_known(e.value, e.error), _yes(e.settled)) for e in calibration.estimates]
         print_table(("from turning", "value", "+-", "determined"), rows)
-    for remark in calibration.remarks:
-        click.echo(f"note: {remark}", err=True)
+    print_notes(calibration.remarks)
     click.echo(
         f"wrote {output} from {calibration.samples} samples in {calibration.blocks} blocks of time", err=True
     )

@@ -16,7 +16,7 @@ from split_cli.cli.options import (
     print_json,
     print_table,
 )
-from split_cli.cli.voice import StepBar
+from split_cli.cli.voice import StepBar, print_notes
 
 __all__ = ["command"]
 
@@ -71,8 +71,7 @@ def command(models, drives, horizons, exit_code, limits, output, held, as_json) 
     if output is not None:
         write_comparison(compared, read, recordings, output)
         click.echo(f"split: report in {Path(output) / 'report.html'}", err=True)
-    for note in compared.notes:
-        click.echo(f"split: note: {note}", err=True)
+    print_notes(compared.notes)
     if as_json:
         print_json(compared)
     else:

@@ -16,7 +16,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar
+from split_cli.cli.voice import StepBar, print_notes
 
 __all__ = ["command"]
 
@@ -160,8 +160,7 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
         click.echo(f"split: figures in {output}: {', '.join(drawn.written)}", err=True)
         for reason in drawn.left_out:
             click.echo(f"split: not drawn: {reason}", err=True)
-    for note in run.report.notes:
-        click.echo(f"split: note: {note}", err=True)
+    print_notes(run.report.notes)
     if as_json:
         print_json(run.report)
     else:

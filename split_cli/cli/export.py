@@ -6,6 +6,7 @@ import click
 
 from split_cli.cli.digits import three_digits, two_digits
 from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
+from split_cli.cli.voice import print_notes
 
 __all__ = ["command"]
 
@@ -75,10 +76,8 @@ def command(set_path, targets, output, predictor, name, real, queries, step, ins
         insist=insist,
         say=lambda line: click.echo(f"{line} ...", err=True),
     )
-    for doubt in result.doubts:
-        click.echo(f"WARNING: {doubt}", err=True)
-    for text in result.reservations:
-        click.echo(f"note: {text}", err=True)
+    print_notes(f"WARNING: {doubt}" for doubt in result.doubts)
+    print_notes(result.reservations)
     if as_json:
         print_json(result)
         return

@@ -15,7 +15,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar
+from split_cli.cli.voice import StepBar, print_notes
 
 __all__ = ["command"]
 
@@ -58,8 +58,7 @@ def command(
             results = label_drives(drives, vehicle_path, output, engine=where, progress=bar, **settings)
     else:
         results = (label_drive(drives[0], vehicle_path, output, **settings),)
-    for note in dict.fromkeys(note for result in results for note in result.notes):
-        click.echo(f"note: {note}", err=True)
+    print_notes(dict.fromkeys(note for result in results for note in result.notes))
     if as_json:
         print_json(list(results) if several else results[0])
         return

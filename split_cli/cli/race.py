@@ -14,7 +14,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar
+from split_cli.cli.voice import StepBar, print_notes
 from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SHARE_STEP, SIZE
 
 __all__ = ["command"]
@@ -192,8 +192,7 @@ def command(
     if as_json:
         print_json(results[0].summary() if len(results) == 1 else [result.summary() for result in results])
     for result in results:
-        for note in result.notes:
-            click.echo(f"note: {note}", err=True)
+        print_notes(result.notes)
         if not as_json:
             _tell(result)
     written = [str(path) for path in (results[0].output, results[0].set_path, report) if path]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from split_cli.cli.options import OutputPath, json_option, output_option, print_json, print_table
+from split_cli.cli.voice import print_notes
 
 __all__ = ["command"]
 
@@ -83,8 +84,7 @@ def command(output, truth, as_json, **settings) -> None:
     from split_cli.workflows.simulate import SimulateSettings, simulate_log
 
     result = simulate_log(SimulateSettings(**settings), output, truth=truth)
-    for note in result.notes:
-        click.echo(f"note: {note}", err=True)
+    print_notes(result.notes)
     if as_json:
         print_json(result)
         return

@@ -18,7 +18,7 @@ from split_cli.cli.options import (
     tell_next,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar
+from split_cli.cli.voice import StepBar, print_notes
 
 __all__ = ["command"]
 
@@ -123,8 +123,7 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
             engine=where,
             progress=progress,
         )
-    for note in result.notes:
-        click.echo(f"note: {note}", err=True)
+    print_notes(result.notes)
     if as_json:
         print_json(result)
         return

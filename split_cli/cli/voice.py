@@ -7,14 +7,14 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import BinaryIO, TextIO
 
 import click
 
 from split_cli.errors import printable
 
-__all__ = ["Loud", "Quiet", "StepBar", "show_only"]
+__all__ = ["Loud", "Quiet", "StepBar", "print_notes", "show_only"]
 
 _WIDTH = 20
 _COUNT = re.compile(r"\[(\d+)/(\d+)\] *")
@@ -107,6 +107,17 @@ class Loud(io.TextIOBase):
         return True
 
 
+def print_notes(notes: Iterable[str]) -> None:
+    """Print a line on stderr for each note. Of a warning it is a line that --quiet lets through."""
+    for text in notes:
+        click.echo(note_line(text), err=True)
+
+
+def note_line(text: str) -> str:
+    """Return the line of a note, or of a warning, whose text begins with that word."""
+    return f"split: {text}" if text.startswith("WARNING") else f"note: {text}"
+
+
 def is_watched() -> bool:
     """Return whether someone watches stderr; progress is for them alone."""
     return sys.stderr.isatty()
@@ -166,7 +177,7 @@ class StepBar:
 
     def note(self, text: str) -> None:
         """Print a note that stays, above the bar."""
-        self.say(f"note: {text}")
+        self.say(note_line(text))
 
     def say(self, text: str) -> None:
         """Print a line that stays, above the bar."""

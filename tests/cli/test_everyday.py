@@ -18,7 +18,7 @@ from split_cli.cli.digits import known_to, pair_known, plausible, three_digits
 from split_cli.cli.main import COMMANDS, group
 from split_cli.cli.manual import manual_page
 from split_cli.cli.settings import default_options
-from split_cli.cli.voice import Quiet, StepBar
+from split_cli.cli.voice import Quiet, StepBar, print_notes
 from split_cli.errors import SplitError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -129,6 +129,12 @@ class TestVoice:
         for text in (*news[:3], "\n", "split: gate: shut", "\n", *news[4:]):
             quiet.write(text)
         assert stream.getvalue() == "split: gate: shut\n" and not quiet.isatty()
+
+    def test_a_warning_among_notes_is_heard_though_the_rest_is_quiet(self, monkeypatch):
+        stream = io.StringIO()
+        monkeypatch.setattr(sys, "stderr", Quiet(stream))
+        print_notes(["trained on one drive", "WARNING: v_y is worse", "lag found"])
+        assert stream.getvalue() == "split: WARNING: v_y is worse\n"
 
     def test_they_stand_anywhere_and_exclude_each_other(self):
         assert run("explain", "skill", "--quiet").exit_code == 0
