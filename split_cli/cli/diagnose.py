@@ -56,8 +56,8 @@ def command(
     Without --sim the nominal model serves as the simulation. Without --holdout the last quarter of the real drives
     is held out, and the improvement is measured there.
 
-    The work is done in --jobs threads. A Dask cluster can take over the self-tests and the smallest detectable
-    effects.
+    The work is done in --jobs threads. A Dask cluster can take over fits of the search, self-tests and the
+    smallest detectable effects.
 
     \b
     Example:
