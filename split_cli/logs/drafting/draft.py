@@ -66,7 +66,8 @@ class Draft:
 def render_draft(draft: Draft, name: str) -> str:
     """Return a drafted map as YAML text."""
     lines = [
-        f"# A draft for {name}. `judged` fits the other channels; `CHECK` was not judged: look at it.",
+        f"# A draft for {name}. `judged`: the channel fits the others. `CHECK`: nothing judged it, look at it.",
+        "# A number behind a relation is the measured slope; it is 1 where both sides agree.",
         "name: draft",
         draft.time,
         "frame: flu   # or frd: y right, z down",

@@ -100,11 +100,11 @@ class InitResult:
         counts = {status: [s.channel for s in self.draft.suggestions if s.status == status]
                   for status in ("judged", "unsided", "stated", "assumed", "open")}  # fmt: skip
         words = {
-            "judged": "fit the other channels",
-            "unsided": "fit the other channels in size, CHECK left and right",
-            "stated": "unit as the file says, not judged",
-            "assumed": "unit assumed: CHECK",
-            "open": "left open, with the reason",
+            "judged": "channels that fit each other",
+            "unsided": "channels that fit in size, CHECK left and right",
+            "stated": "channels in the unit that the file states, not judged",
+            "assumed": "channels whose unit is assumed: CHECK",
+            "open": "channels left open, with the reason in the map",
         }
         lines = [f"wrote {self.map_path} and {self.vehicle_path}"]
         lines += [
