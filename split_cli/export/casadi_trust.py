@@ -30,7 +30,9 @@ def observation() -> casadi.Function:
     products = []
     for state in range(3):
         row = driven[state, :].T
-        products.append(casadi.exp(-h / MEMORY) * trust[15 + 16 * state : 31 + 16 * state] + casadi.vec(row @ row.T))
+        products.append(
+            casadi.exp(-h / MEMORY) * trust[15 + 16 * state : 31 + 16 * state] + casadi.vec(row @ row.T)
+        )
     normal = casadi.SX.zeros(4, 4)
     for own in products:
         weight = casadi.if_else(own[15] > 0.0, 1.0 / own[15], 0.0)

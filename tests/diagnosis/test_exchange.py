@@ -126,7 +126,10 @@ def test_the_rest_of_a_lap_gives_way_to_the_stretch_and_a_stretch_beside_a_true_
     assert part.values["angle"] == pytest.approx(-0.01, abs=0.001)
     assert part.values["s_start"] == pytest.approx(120.0, abs=0.02 * LAP)
     explore = explorer(noisy_objective(driven(35, [grade, force]), 6), "road_grade", "rolling_resistance")
-    assert turned_over(explore, fitted(explore, road_grade__stretch=slope, rolling_resistance={"force": 50.0})) is None
+    assert (
+        turned_over(explore, fitted(explore, road_grade__stretch=slope, rolling_resistance={"force": 50.0}))
+        is None
+    )
 
 
 def test_steering_and_torque_late_by_the_same_join_into_late_sensors_and_by_unlike_do_not():

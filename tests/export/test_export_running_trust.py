@@ -1,4 +1,4 @@
-"""The running trust in C and CasADi: the same as Python's, and it finds a planted share, with memory or without."""
+"""The running trust in C and CasADi: the same as Python's; it finds a planted share, with memory or without."""
 
 from __future__ import annotations
 

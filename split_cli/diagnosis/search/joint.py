@@ -15,7 +15,15 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior, fits_without, sensitivity_of
+from split_cli.diagnosis.search.fitting import (
+    Fit,
+    Part,
+    Prior,
+    fit_parts,
+    fit_with_prior,
+    fits_without,
+    sensitivity_of,
+)
 from split_cli.diagnosis.together import apart_with
 from split_cli.vehicle.effects import CATALOGUE
 

@@ -154,7 +154,10 @@ def beyond_form_error(
     if not any(named):
         return {}
     noise = max(variance_inflation, objective.form_error_inflation)
-    form_error, own = form_error_columns(objective, fit) / np.sqrt(noise), _orthonormal(sensitivity_of(objective, fit))
+    form_error, own = (
+        form_error_columns(objective, fit) / np.sqrt(noise),
+        _orthonormal(sensitivity_of(objective, fit)),
+    )
     form_error = form_error - own @ (own.T @ form_error)
     products = form_error.T @ form_error
     normal = np.eye(len(products)) + products
