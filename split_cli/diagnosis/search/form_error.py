@@ -26,7 +26,6 @@ __all__ = [
     "moved_between_load_laws", "residuals_beside_form_error", "saved_beside_form_error",
 ]  # fmt: skip
 
-_FUNCTIONS = 18  # of a part: three pieces times six functions of the operating point
 _DISCREPANCY = "varied discrepancy"  # what is remembered of the shared discrepancy's columns, before whitening
 
 
@@ -188,9 +187,8 @@ def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
 def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:
     """Return M, shape (R, 18 a part), of parts given as terms and the number of one of them."""
     share = objective.policy.selection.form_error_share
-    out = np.empty((len(objective.weight), _FUNCTIONS * len(parts)))
-    for i, (terms, k) in enumerate(parts):
-        own = out[:, _FUNCTIONS * i : _FUNCTIONS * (i + 1)]
+    out = np.empty((len(objective.weight), 18 * len(parts)))
+    for own, (terms, k) in zip(np.split(out, max(len(parts), 1), axis=1), parts, strict=False):
         np.multiply(share, objective.whiten(_varied(objective, terms, k)), out=own)
     return out
 
