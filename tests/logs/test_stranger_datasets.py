@@ -68,6 +68,9 @@ def test_a_pose_at_the_rear_axle_is_told_by_the_accelerometer_beside_it(planted)
     assert len(told) == 1 and "behind the accelerometer" in told[0] and "rear_axle" in told[0]
     right = {"X": {"position": "rear_axle"}, "Y": {"position": "rear_axle"}}
     assert _found(planted, recording, **right) == []
+    entries = planted_map(("X", "Y", "yaw", "vx", "r", "delta", "T"))
+    made = assemble_drive(recording, entries, planted.vehicle, IngestSettings(derive=("velocity-from-pose",)))
+    assert "place of X, Y" in {one.check for one in made.quality.consistency.unjudged}
 
 
 def test_a_yaw_of_another_estimator_than_the_path_makes_no_v_y_in_silence(planted):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from split_cli.logs.checking.checks import Checks
+from split_cli.logs.checking.checks import Checks, Unjudged
 from split_cli.logs.checking.kinematics import block_interval
 from split_cli.logs.checking.relations import ConsistencyFinding
 
@@ -26,6 +26,13 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     message of odometry is often of the middle of the rear axle.
     """
     k, car = checks.k, checks.vehicle
+    if checks.of_pose and not checks.usable("ay"):
+        away = (
+            "a v_y derived from a pose off the CG is wrong by its distance times r, and no a_y tells the distance"
+        )
+        checks.unjudged.append(
+            Unjudged("place of X, Y", f"{away}: set `position:` for X and Y if they are not of the CG")
+        )
     if car is None or not checks.usable("r", "ay") or not checks.known("vx"):
         return []
     if not (checks.of_pose or checks.usable("vy")):
