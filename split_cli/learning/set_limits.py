@@ -78,6 +78,10 @@ def check_labels_header(described: Mapping[str, Any]) -> None:
             raise ValueError(f"{name} is no time")
     for name in ("drive", "sha256", "vehicle_digest"):
         _text(name, described[name])
+    if not isinstance(described["features"], list) or not described["features"]:
+        raise ValueError("features is no list of names")
+    for name in described["features"]:
+        _text("a feature", name)
     _boolean("plain", described["plain"])
 
 

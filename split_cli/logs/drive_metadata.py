@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet
@@ -129,6 +130,7 @@ def metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[DriveM
                 where=str(path),
                 advice="Ingest the recording again.",
             )
+        _check_kinds_of_values(stored)
         noise = tuple(
             NoiseEstimate(**{**entry, "autocorrelation": tuple(entry["autocorrelation"])})
             for entry in stored["noise"]
@@ -147,7 +149,7 @@ def metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[DriveM
         if not 0.0 < period < float("inf"):
             raise ValueError(f"a period of {period:g} s")
         return metadata, period
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         advice = "Ingest the recording again."
         raise DriveError(f"its metadata is damaged ({error})", where=str(path), advice=advice) from error
 
@@ -161,6 +163,30 @@ def metadata_of_drive(path: Path) -> DriveMetadata | None:
     except (pa.ArrowException, OSError, ValueError):
         return None
     return metadata_from_schema(raw, path)[0] if b"split" in raw else None
+
+
+def _check_kinds_of_values(stored: Mapping[str, Any]) -> None:
+    """Refuse a forged file whose values are of another kind than those that `schema_of` writes."""
+    kinds = {
+        "sources": list, "vehicle": str, "kinds": dict, "signal_map": dict, "conversions": list, "noise": list,
+        "quality": dict,
+    }  # fmt: skip
+    wrong = [name for name, kind in kinds.items() if not isinstance(stored[name], kind)]
+    between = stored.get("between", {})
+    texts = {
+        "sources": [value for entry in stored["sources"] for value in dict(entry).values()],
+        "kinds": stored["kinds"].values() if isinstance(stored["kinds"], dict) else (),
+        "conversions": stored["conversions"],
+        "between": between.values() if isinstance(between, dict) else (None,),
+        "noise": [dict(entry)["channel"] for entry in stored["noise"]],
+    }
+    wrong += [name for name, values in texts.items() if not all(isinstance(value, str) for value in values)]
+    for entry in stored["noise"]:
+        numbers = (entry["sigma"], entry["sigma_raw"], *entry["autocorrelation"])
+        if not all(value is None or type(value) in (int, float) and abs(value) < 1e300 for value in numbers):
+            wrong.append("noise")
+    if wrong:
+        raise ValueError(f"{wrong[0]} is of another kind than what a drive holds")
 
 
 def _between(stored: Mapping[str, str]) -> dict[str, str]:

@@ -328,7 +328,7 @@ def test_a_key_of_another_kind_is_a_failed_check_or_one_line(folder, value):
     [
         {"window": 0}, {"window": "x"}, {"horizon": -1.0}, {"horizon": 1e308}, {"vehicle_digest": 5},
         {"drive": None}, {"region": {"alpha_max": None}}, {"region": []}, {"features": {}},
-        {"duration": float("inf")}, {"plain": 1},
+        {"duration": float("inf")}, {"plain": 1}, {"features": [1]},
     ],
     ids=str,
 )  # fmt: skip

@@ -1,5 +1,6 @@
 """A trained set that was forged, with a digest that fits, is refused before anything is computed with it."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -104,3 +105,28 @@ def test_metadata_nested_without_end_are_refused(sound, tmp_path):
     pa.parquet.write_table(table, tmp_path / "deep.parquet")
     with pytest.raises(DriveError, match="nested too deeply"):
         read_drive(tmp_path / "deep.parquet")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"between": None}, {"between": ["held"]}, {"kinds": {"T": 5}}, {"kinds": []}, {"sources": [1]},
+        {"sources": [{"name": "a", "sha256": None}]}, {"vehicle": 5}, {"conversions": [{}]}, {"quality": []},
+        {"noise": [{"channel": "vx", "sigma": "x", "sigma_raw": None, "autocorrelation": [1.0]}]},
+        {"noise": [{"channel": "vx", "sigma": 1.0, "sigma_raw": None, "autocorrelation": 1.0}]},
+        {"period": 10**400},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_metadata_that_no_drive_has_are_refused(tmp_path, change):
+    from split_cli.errors import DriveError
+    from split_cli.logs.drive import read_drive, write_drive
+    from tests.factories import make_drive
+
+    write_drive(make_drive(0, segments=1, seconds=1.0), tmp_path / "a.parquet")
+    table = pa.parquet.read_table(tmp_path / "a.parquet")
+    told = {**json.loads(table.schema.metadata[b"split"]), **change}
+    forged = table.replace_schema_metadata({b"split": json.dumps(told).encode()})
+    pa.parquet.write_table(forged, tmp_path / "forged.parquet")
+    with pytest.raises(DriveError, match="its metadata is damaged"):
+        read_drive(tmp_path / "forged.parquet")
