@@ -148,7 +148,8 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
 
     Notes
     -----
-    An increase that counts as none when the trust is found is no harm here; it is told all the same.
+    An increase that counts as none when the trust is found is no harm here. It is told all the same, beside what
+    the state gains at other horizons or with other predictors.
     """
     judged = [c for c in comparisons if c.to_nominal[1] == c.to_nominal[1]]
     if not judged:
@@ -158,16 +159,16 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
         own = [c for c in judged if c.state == state]
         worse = [c for c in own if c.to_nominal[1] > 1.0]
         better = [c for c in own if c.to_nominal[2] < 1.0]
-        ratios = [c.to_nominal[0] for c in (worse or better)]
-        span = _span(ratios)
-        if worse and np.square(max(ratios)) > 1.0 + NEGLIGIBLE:
-            parts.append(f"{state} WORSE ({span} times the nominal error {_where(worse, own)})")
-        elif worse:
-            parts.append(f"{state} hardly worse ({span} times the nominal error {_where(worse, own)})")
-        elif better:
-            parts.append(f"{state} better ({span} times the nominal error {_where(better, own)})")
+        if any(np.square(c.to_nominal[0]) > 1.0 + NEGLIGIBLE for c in worse):
+            found = {"WORSE": worse}
         else:
-            parts.append(f"{state} as the nominal model")
+            found = {"better": better, "hardly worse": worse}
+        words = [
+            f"{word} ({_span([c.to_nominal[0] for c in several])} times the nominal error {_where(several, own)})"
+            for word, several in found.items()
+            if several
+        ]
+        parts.append(f"{state} {', '.join(words) or 'as the nominal model'}")
     harm = any("WORSE" in part for part in parts)
     gain = any("better" in part for part in parts)
     head = (

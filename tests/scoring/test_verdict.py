@@ -58,7 +58,11 @@ def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
         said = verdict([one, *others])
         assert words in said and said.startswith(f"verdict: the correction {head}")
         assert "v_x of the corrected model is worse" in warnings_of([one])[0]
-    assert "hardly anything" in verdict([replace(worse, to_nominal=(1.001, 1.0005, 1.002))])
+    hardly = replace(worse, to_nominal=(1.001, 1.0005, 1.002))
+    assert "hardly anything" in verdict([hardly])
+    # What a state loses at one horizon hides no gain at another.
+    said = verdict([hardly, replace(others[0], state=worse.state, horizon=2.0)])
+    assert said.startswith("verdict: the correction helps: v_x better (0.5") and "hardly worse (1.001 times" in said
 
 
 def test_with_too_few_blocks_nothing_is_claimed():
