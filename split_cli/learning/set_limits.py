@@ -100,7 +100,7 @@ def _check_source(of: str, source: Mapping[str, Any]) -> None:
     for reason, count in source["rejected"].items():
         _whole(f"rejected.{_text('a reason', reason)} {of}", count, 0, np.inf)
     if not source["insertions"] + source["replacements"] <= source["accepted"] <= source["samples"]:
-        raise ValueError(f"the counts {of} are not samples, fewer labels in the region, fewer updates")
+        raise ValueError(f"updates outnumber accepted labels, or these the samples, in the counts {of}")
     for name, longest in (("horizon", LONGEST_HORIZON), ("duration", np.inf)):
         if not 0.0 <= _number(f"{name} {of}", source.get(name, 0.0)) < longest:
             raise ValueError(f"{name} {of} is {source[name]!r}, it must lie between 0 and {longest:g}")

@@ -11,14 +11,14 @@ __all__ = ["reservations"]
 
 def reservations(training_set: TrainingSet) -> tuple[str, ...]:
     """Return where nothing that training saw speaks for a set's correction, a sentence or two each."""
-    told, trust = [], training_set.trust
+    notes, trust = [], training_set.trust
     if trust.origin in ("full", "given"):
-        told.append("the correction was not judged on held-out driving, and may do harm")
+        notes.append("the correction was not judged on held-out driving, and may do harm")
     elif trust.array.any() and len(training_set.sources) < WHOLE_DRIVES:
-        told.append(
+        notes.append(
             "trust and intervals hold for other stretches of the same driving only. On another surface, at other "
             "speeds or with other tyres the correction may do harm, which a running trust takes back"
         )
     if found_lag(training_set) is not None:
-        told.append(lag_note(training_set))
-    return tuple(told)
+        notes.append(lag_note(training_set))
+    return tuple(notes)
