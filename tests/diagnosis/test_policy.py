@@ -84,7 +84,7 @@ BESIDE_THEIR_ALGORITHM = {
     "remainder/flexible.py": {"_BESIDE_SECONDS", "_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},
     "remainder/location.py": {"_AVERAGE_SECONDS", "_ALIKE", "_FOLDS"},
-    "remainder/spectrum.py": {"_BACKGROUND"},
+    "remainder/spectrum.py": {"_BACKGROUND", "_LARGEST"},
     "remainder/structure.py": {"_RIDGE_SHARE"},
     "remainder/autocorrelation.py": {"_NEAR_ROWS"},
     "search/calibration.py": {"_BINS", "_WAVES"},

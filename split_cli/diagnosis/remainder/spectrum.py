@@ -22,6 +22,13 @@ __all__ = ["Line", "strongest_line"]
 
 _BACKGROUND = 201  # bins
 _CHANNELS = ("v_x", "v_y", "r")
+#: Whitened samples count up to so many standard deviations [1]: a jump of a sensor is no line. Judgement.
+_LARGEST = 6.0
+#: Shares of a line's frequency at which a simulation's line is the same one [1]: as well as a speed is known.
+#: Judgement.
+_SAME = np.linspace(0.98, 1.02, 9)
+#: Shares of it that tell the noise around: near, and clear of those of the line itself [1]. Judgement.
+_AROUND = (0.86, 0.89, 0.92, 0.95, 1.05, 1.08, 1.11, 1.14)
 
 
 @dataclass(frozen=True)
@@ -58,19 +65,18 @@ def strongest_line(
     -----
     Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in
     noise of any smooth spectrum (Brockwell and Davis, 1991, section 10.2). Only compared samples count that a
-    simulation was as fast as: what shakes grows with speed, and a slower drive need not show it. A line that one
-    half of the recording lacks as well tells nothing of reality against simulation.
+    simulation was as fast as: what shakes grows with speed, and a slower drive need not show it.
     """
     policy = objective.policy
     fastest = max((float(one.series.smooth[:, 0].max()) for one in simulated), default=np.inf)
     real = [
-        _Left(one, _left(objective, one, terms), _compared(one, rows, fastest), policy)
+        _Remainder(one, _left(objective, one, terms), _compared(one, rows, fastest), policy)
         for one, rows in zip(objective.evidence, objective.keep, strict=True)
     ]
     lines = sorted((line for one in real for line in _lines(one)), key=lambda line: line.p_value)
     # A simulation that has lines of its own is a recording: another line of their size is no difference.
     others = [
-        _Left(one, _left(objective, one, ()), np.ones(len(one.series) - 1, dtype=bool), policy)
+        _Remainder(one, _left(objective, one, ()), np.ones(len(one.series) - 1, dtype=bool), policy)
         for one in (simulated if lines else ())
     ]
     own = [line for other in others for line in _lines(other)]
@@ -83,8 +89,8 @@ def strongest_line(
 
 
 @dataclass(frozen=True)
-class _Left:
-    """What is left of one recording, and where it is asked for lines."""
+class _Remainder:
+    """What terms leave of one recording, and where it is asked for lines."""
 
     one: Evidence
     left: np.ndarray  # (N - 1, 3): defects
@@ -108,19 +114,13 @@ def _compared(one: Evidence, rows: np.ndarray, fastest: float) -> np.ndarray:
     return (group >= 0) & rows[group] & (one.series.smooth[:-1, 0] <= fastest)
 
 
-def _halves(used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first and the second half of the used transitions, bool (N - 1,) each."""
-    first = np.cumsum(used) <= 0.5 * used.sum()
-    return used & first, used & ~first
-
-
-def _lines(asked: _Left) -> list[Line]:
+def _lines(asked: _Remainder) -> list[Line]:
     """Return the strongest line of each channel, over time and over distance, in the used transitions."""
     one, policy = asked.one, asked.policy
     if asked.used.sum() < policy.unnamed.fewest:
         return []
     white = one.whitener.of_every_sample()(asked.left)
-    white = np.clip(white, -6.0, 6.0) * asked.used[:, None]
+    white = np.clip(white, -_LARGEST, _LARGEST) * asked.used[:, None]
     found = []
     for over in ("time", "distance"):
         clock = _clock(one, over)
@@ -159,14 +159,16 @@ def _fast_enough(one: Evidence, over: str, frequency: np.ndarray, rules: Unnamed
     return (frequency > 1.0 / (rules.longest * wheelbase)) & (frequency < 1.0 / shortest)
 
 
-def _size(asked: _Left, over: str, frequency: float, channel: int) -> tuple[float, float]:
+def _size(asked: _Remainder, over: str, frequency: float, channel: int) -> tuple[float, float]:
     """Return the amplitude of a line's rate and its effect-to-noise ratio, by whitened least squares."""
     columns, offered, left = _swing(asked, over, frequency, channel)
     weights = np.linalg.lstsq(offered.reshape(-1, 2), left.reshape(-1), rcond=None)[0]
     return float(np.hypot(*weights)), effect_to_noise(asked.one.series, columns @ weights)
 
 
-def _swing(asked: _Left, over: str, frequency: float, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _swing(
+    asked: _Remainder, over: str, frequency: float, channel: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what sine and cosine of a rate do, (N - 1, 3, 2); the same whitened, and what is left there."""
     clock, one = _clock(asked.one, over), asked.one
     angle = 2.0 * np.pi * frequency * np.append(clock, clock[-1])
@@ -176,7 +178,7 @@ def _swing(asked: _Left, over: str, frequency: float, channel: int) -> tuple[np.
     return columns, whiten(columns)[asked.used], whiten(asked.left)[asked.used]
 
 
-def _by_blocks(line: Line, asked: _Left) -> float:
+def _by_blocks(line: Line, asked: _Remainder) -> float:
     """Return the amplitude that a line's rate has in most blocks of time, with a phase of its own in each.
 
     Notes
@@ -189,11 +191,11 @@ def _by_blocks(line: Line, asked: _Left) -> float:
 
     def square(share: float) -> float:
         _, offered, left = _swing(asked, line.over, share * line.frequency, _CHANNELS.index(line.channel))
-        known, told = np.zeros((count, 2, 2)), np.zeros((count, 2))
-        np.add.at(known, block, np.einsum("nci,ncj->nij", offered, offered))
-        np.add.at(told, block, np.einsum("nci,nc->ni", offered, left))
-        weights = np.einsum("bij,bj->bi", np.linalg.pinv(known), told)
+        normal, right = np.zeros((count, 2, 2)), np.zeros((count, 2))
+        np.add.at(normal, block, np.einsum("nci,ncj->nij", offered, offered))
+        np.add.at(right, block, np.einsum("nci,nc->ni", offered, left))
+        weights = np.einsum("bij,bj->bi", np.linalg.pinv(normal), right)
         return float(np.median(np.sum(weights**2, axis=1)))
 
-    around = np.median([square(share) for share in (0.86, 0.89, 0.92, 0.95, 1.05, 1.08, 1.11, 1.14)])
-    return float(np.sqrt(max(max(map(square, np.linspace(0.98, 1.02, 9))) - around, 0.0)))
+    around = np.median([square(share) for share in _AROUND])
+    return float(np.sqrt(max(max(map(square, _SAME)) - around, 0.0)))
