@@ -55,7 +55,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Fit:
-    """An explanation fitted on an objective's rows."""
+    """An explanation fitted on an objective's rows; frozen but for its sensitivity, which may be forgotten."""
 
     parts: tuple[Part, ...]
     cost: float  # in units of chi squared
@@ -81,14 +81,17 @@ class Fit:
 
     def forget(self) -> None:
         """Let go of the sensitivity, the greater part of what a fit holds; `sensitivity_of` works it out anew."""
-        self.__dict__["sensitivity"] = np.empty((len(self.residuals), 0))
+        self._hold(np.empty((len(self.residuals), 0)))
+
+    def _hold(self, sensitivity: np.ndarray) -> None:
+        object.__setattr__(self, "sensitivity", sensitivity)
 
 
 def sensitivity_of(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     """Return a fit's sensitivity, shape (R, P), worked out anew by forward differences where it was forgotten."""
     if not fit.sensitivity.shape[1] and any(part.values for part in fit.parts):
         steps = [part.candidate.ranges[name].step for part in fit.parts for name in part.values]
-        fit.__dict__["sensitivity"] = objective.whiten(raw_slopes(objective, fit.parts)) / np.array(steps)
+        fit._hold(objective.whiten(raw_slopes(objective, fit.parts)) / np.array(steps))
     return fit.sensitivity
 
 
