@@ -152,6 +152,6 @@ def lag_note(training_set: TrainingSet) -> str:
     tau = found_lag(training_set)
     return (
         f"torque follows its command {tau:.3f} s late. The set models this lag (drive_lag), since held-out blocks "
-        "improve by it; the vehicle file does not change. Where the set corrects v_x by nothing else, errors of v_y "
-        "after 0.5 s may be a few per cent larger. `split train --lag none` leaves the lag out"
+        "improve by it; the vehicle file does not change. Where the set corrects v_x by nothing else, errors of "
+        "v_y after 0.5 s may be a few per cent larger. `split train --lag none` leaves the lag out"
     )

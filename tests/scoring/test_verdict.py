@@ -62,7 +62,9 @@ def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
     assert "hardly anything" in verdict([hardly])
     # What a state loses at one horizon hides no gain at another.
     said = verdict([hardly, replace(others[0], state=worse.state, horizon=2.0)])
-    assert said.startswith("verdict: the correction helps: v_x better (0.5") and "hardly worse (1.001 times" in said
+    assert (
+        said.startswith("verdict: the correction helps: v_x better (0.5") and "hardly worse (1.001 times" in said
+    )
 
 
 def test_with_too_few_blocks_nothing_is_claimed():
