@@ -47,7 +47,7 @@ class FeatureSet:
         Raises
         ------
         DriveError
-            If a feature is neither computed nor a channel of the drive.
+            If a feature is neither computed nor a channel of the drive, or of a term that the vehicle lacks.
         """
         flow = flow_along(model, drive, recording)
         drive = _on_the_sensors_clock(model, drive, flow)
@@ -63,10 +63,22 @@ class FeatureSet:
         columns = []
         for name in self.names:
             if name not in computed and name not in drive:
-                known = [*computed, "steer_rate", *drive.columns]
-                raise DriveError(f"no feature {name!r}", where=drive.name, advice=nearest_names(name, known))
+                raise _no_feature(name, [*computed, "steer_rate", *drive.columns], drive, model)
             columns.append(computed[name] if name in computed else drive[name])
         return np.ascontiguousarray(np.stack(columns, axis=1))
+
+
+def _no_feature(name: str, known: Sequence[str], drive: Drive, model: SingleTrack) -> DriveError:
+    term, _, state = name.partition(".")
+    if term not in CATALOGUE or state not in CATALOGUE[term].states:
+        return DriveError(f"no feature {name!r}", where=drive.name, advice=nearest_names(name, known))
+    units = CATALOGUE[term].units.items()
+    values = ", ".join(f"{parameter}: VALUE" + (f" [{unit}]" if unit != "1" else "") for parameter, unit in units)
+    return DriveError(
+        f"the feature {name!r} is a state of the term {term}, which the vehicle {model.vehicle.name} lacks",
+        advice=f"Add the term under `effects:` of the vehicle file: `- term: {term}`, `parameters` with {values}. "
+        "docs/formats.md, Vehicle, shows an example.",
+    )
 
 
 def flow_along(model: SingleTrack, drive: Drive, recording: Recording | None = None) -> Flow:

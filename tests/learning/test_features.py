@@ -4,6 +4,9 @@ import pytest
 
 from split_cli.errors import DriveError
 from split_cli.learning.features import Z1, Z2, parse_features
+from split_cli.vehicle.parameters import EffectSpec
+from split_cli.vehicle.single_track import SingleTrack
+from tests.factories import make_drive, road_car
 
 
 @pytest.mark.parametrize(
@@ -25,3 +28,11 @@ def test_lists_may_name_sets_and_terms(text, names):
 def test_a_feature_counts_once():
     with pytest.raises(DriveError, match="distinct"):
         parse_features("z2,alpha_f")
+
+
+def test_a_state_of_a_term_that_the_vehicle_lacks_is_told_so():
+    features, drive = parse_features("z2,feature_lag"), make_drive()
+    with pytest.raises(DriveError, match=r"the term feature_lag, which .* lacks.*`- term: feature_lag`.*tau: VALUE \[s\]"):
+        features.compute(SingleTrack(road_car()), drive)
+    lagged = SingleTrack(road_car().with_effects(EffectSpec("feature_lag", {"tau": 0.08})))
+    assert features.compute(lagged, drive).shape == (len(drive), 6)
