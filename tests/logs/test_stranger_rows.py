@@ -55,8 +55,16 @@ def test_json_in_one_piece_holds_the_same_numbers(driven, tmp_path, form):
     np.testing.assert_allclose(np.diff(read["time"].values), 0.03, atol=1e-6)
 
 
+def test_json_lines_may_hold_vectors_inside_objects(tmp_path):
+    rows = [json.dumps({"t": 0.1 * k, "imu": {"gyro": [k, 2 * k], "a": [0.0, 1.0]}}) for k in range(5)]
+    (tmp_path / "log.jsonl").write_text("\n".join(rows))
+    read = open_recording(tmp_path / "log.jsonl").read(["t", "imu.gyro[1]"])
+    np.testing.assert_array_equal(read["imu.gyro[1]"].values, 2.0 * np.arange(5))
+
+
 def test_json_without_rows_of_numbers_is_told_so(tmp_path):
-    for text in ('{"name": "car"}', '[{"name": "car"}]', '{"a": {"b": "c"}}\n{"a": 1', "{" + '"a":[' * 5000):
+    row = json.dumps({"channels": {"vx": list(range(40)), "r": list(range(30))}})  # a document, no row of 70
+    for text in (row, '{"name": "car"}', '[{"name": "car"}]', '{"a": {"b": "c"}}\n{"a": 1', "{" + '"a":[' * 5000):
         (tmp_path / "log.json").write_text(text)
         with pytest.raises(LogError, match="JSON without rows of numbers"):
             open_recording(tmp_path / "log.json")

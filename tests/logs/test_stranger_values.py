@@ -117,7 +117,7 @@ def test_a_side_slip_angle_of_the_rear_axle_is_judged_and_moved(tmp_path):
     assert np.allclose(made.drive["vy"], planted.at("vy", made.drive["t"]), atol=5e-3)
 
 
-@pytest.mark.parametrize("form", ["list", "dict"])
+@pytest.mark.parametrize("form", ["list", "inside", "dict"])
 def test_json_with_an_object_for_each_channel_is_read_with_its_clocks(form, rows, tmp_path):
     """As racing teams keep laps: each channel with its unit and rate, or its own times."""
     signals = {}
@@ -125,11 +125,12 @@ def test_json_with_an_object_for_each_channel_is_read_with_its_clocks(form, rows
         own = signals.setdefault(name, {"unit": unit, "time": [], "values": []})
         own["time"].append(1e3 * t)
         own["values"].append(v)
-    if form == "list":
+    if form != "dict":
         rates = {name: 1e3 / (one["time"][1] - one["time"][0]) for name, one in signals.items()}
         channels = [{"name": name, "unit": one["unit"], "frequency": rates[name], "data": one["values"]}
                     for name, one in signals.items()]  # fmt: skip
         document = {"session": "FP1", "channels": channels}
+        document = {"session": {"channels": channels}} if form == "inside" else document
     else:
         document = signals
     (tmp_path / "lap.json").write_text(json.dumps(document))

@@ -25,7 +25,7 @@ from split_cli.logs.raw import (
     note_once,
 )
 from split_cli.logs.readers.delimited import seconds_of
-from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, is_series, open_json_channels
+from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, open_json_channels
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
@@ -64,7 +64,9 @@ def open_json(path: Path) -> RawRecording:
     """
     with path.open("rb") as stream:
         first = parsed(stream.readline(LONGEST_ELEMENT))
-    if not isinstance(first, dict) or _has_columns(first) or _holds_objects(first):
+        more = any(not line.isspace() for line in iter(lambda: stream.readline(LONGEST_ELEMENT), b""))
+    # A file with one object is a document: as a row it would have one time only.
+    if not (isinstance(first, dict) and more):
         return open_json_channels(path) or _whole(path)
     notes: list[ReadNote] = []
     beginning = list(itertools.islice(_rows(path, []), _LISTED_ROWS))
@@ -261,24 +263,6 @@ def _number(value: Any) -> float:
     return seconds_of(value) if isinstance(value, str) and len(value) < 64 else math.nan
 
 
-def _is_column(value: Any) -> bool:
-    return isinstance(value, list) and len(value) > 1 and not isinstance(value[0], dict | list)
-
-
-def _has_columns(document: dict[str, Any]) -> bool:
-    """Whether an object holds a list for each column; see `_are_columns`."""
-    return _are_columns([len(value) for value in document.values() if _is_column(value)])
-
-
-def _holds_objects(document: dict[str, Any]) -> bool:
-    """Whether an object holds objects with lists, directly or one below another: channels, not a row."""
-    inside = [one for value in document.values() for one in (value if isinstance(value, list) else [value])]
-    return any(
-        is_series(one) or (isinstance(one, dict) and any(_is_column(v) or is_series(v) for v in one.values()))
-        for one in inside[:_LISTED_ELEMENTS]
-    )
-
-
 def _are_columns(lengths: Sequence[int]) -> bool:
     """Whether lists are columns: two or more, of one length, and more rows than a row has elements."""
     return len(lengths) > 1 and lengths.count(max(lengths)) > 1 and max(lengths) > _LISTED_ELEMENTS
@@ -289,5 +273,8 @@ def _no_rows(path: Path) -> LogError:
         what = f"is one JSON document of more than {LARGEST_DOCUMENT >> 20} MB without a list of rows of numbers"
         advice = "An object for each channel is read up to that size: write a shorter stretch, or CSV or Parquet."
         return LogError(what, where=path.name, advice=advice)
-    advice = "Write one object a line, each with its time, or CSV or Parquet."
+    advice = (
+        "Write one object a line, each with its time; or an object for each channel, with its name and the list "
+        "`values`; or CSV or Parquet."
+    )
     return LogError("is JSON without rows of numbers", where=path.name, advice=advice)
