@@ -53,7 +53,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     "maps",
     multiple=True,
     metavar="MAP",
-    help="Signal map: a YAML file or the name of a preset; repeatable.",
+    help="Signal map: a YAML file or the name of a preset; repeatable. Logs that `split` wrote need none.",
 )
 @output_option("Drive to write, or a folder if there are several logs.", required=False)
 @click.option(

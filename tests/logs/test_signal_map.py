@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from split_cli.errors import MapError
-from split_cli.logs.assembling.gather import gather
+from split_cli.logs.assembling.gather import fitting_presets, gather
 from split_cli.logs.drafting.suggest import suggest_map
 from split_cli.logs.presets import preset_abouts, preset_names
 from split_cli.logs.raw import RawSignal, TableRecording
@@ -277,3 +277,30 @@ def test_a_map_of_many_channels_is_no_work_squared():
     assert all(found.channel(name).sources[0].names == (source,) for name, source in channels.items())
     assert found.channel("none") is None
     assert time.process_time() - start < 1.0  # a search each time took 10 s
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_a_preset_fits_a_log_with_its_sources_and_no_log_without_one_that_it_needs(name):
+    """A preset that lacks vx, r or delta, to be laid over another, fits no log."""
+    preset = read_map(name)
+    addresses, types = {}, {}
+    if preset.time.source:
+        addresses[preset.time.source] = False
+    for entry in preset.channels:
+        for source in entry.sources:
+            for address in source.names:
+                if not address.startswith("/") and ":" in address:
+                    kind, _, field = address.partition(":")
+                    topic = preset.topics.get(kind, f"/{kind.partition('/')[2]}")
+                    address, types[topic] = f"{topic}/{field}", kind
+                whole = [f"{address}.{axis}" for axis in "xyzw"] if "quaternion" in source.convert else [address]
+                addresses |= dict.fromkeys(whole, entry.optional)
+
+    def fits(names) -> bool:
+        recording = TopicRecording("log", Path("log"), {n: RawSignal(n, TIME, TIME) for n in names})
+        recording.types = types
+        return name in fitting_presets(recording)
+
+    whole = {"vx", "r", "delta"} <= {entry.channel for entry in preset.channels}
+    assert fits(addresses) == whole
+    assert not any(fits([n for n in addresses if n != missing]) for missing in addresses if not addresses[missing])

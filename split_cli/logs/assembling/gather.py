@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -13,11 +15,13 @@ from split_cli.errors import ClockError, LogError, MapError, nearest_names
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
+from split_cli.logs.presets import preset_names
 from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column, turned, unit_of_time
 from split_cli.logs.scratch import set_aside
+from split_cli.logs.signal_map import read_map
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
-__all__ = ["Gathered", "gather", "row_rate_from_path", "row_rate_from_yaw", "topic_of"]
+__all__ = ["Gathered", "fitting_presets", "gather", "row_rate_from_path", "row_rate_from_yaw", "topic_of"]
 
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SLOWEST = 2.0
@@ -134,6 +138,24 @@ def gather(
         tuple(dict.fromkeys(notes.contradictions)),
         tuple(skipped),
     )
+
+
+def fitting_presets(recording: RawRecording) -> tuple[str, ...]:
+    """Return the presets whose sources a recording has, and that give vx, r and delta of it."""
+    infos = {info.name: info for info in recording.channels()}
+    resolver, fitting = _Resolver(recording.name, infos, SignalMap("", ())), []
+    for name in preset_names():
+        resolver.map = _preset(name)
+        with suppress(MapError):
+            found, _ = resolver.resolve_all(())
+            if {"vx", "r", "delta"} <= found.keys() and (resolver.map.time.source or next(iter(infos))) in infos:
+                fitting.append(name)
+    return tuple(fitting)
+
+
+@cache
+def _preset(name: str) -> SignalMap:
+    return read_map(name)
 
 
 def _world_name(channel: str, world: str) -> str:

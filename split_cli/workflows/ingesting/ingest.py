@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from split_cli.errors import LogError, MapError, SplitError, nearest_names
 from split_cli.files import atomic_directory, refuse_overwriting_inputs
 from split_cli.logs.assembling.assemble import Assembled, IngestSettings, assemble_drive
-from split_cli.logs.assembling.gather import topic_of
+from split_cli.logs.assembling.gather import fitting_presets, topic_of
 from split_cli.logs.assembling.quality import QualityReport, render_quality, stored_faults
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.logs.map_entries import SignalMap
@@ -20,7 +20,6 @@ from split_cli.logs.raw import RawChannelInfo, RawRecording
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import read_map
-from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.ingesting.ingest_manifest import IngestManifest, settings_digest
@@ -30,6 +29,9 @@ __all__ = [
     "IngestFailure", "IngestResult", "IngestRun", "IngestSettings", "ingest_logs", "list_channels", "list_maps",
     "suggest_map_for",
 ]  # fmt: skip
+
+_OWN_MAPS = ("canonical", "split_sim")
+"""Presets used without ``--map``: columns named as a drive's; messages of `split simulate` and `split race`."""
 
 
 @dataclass(frozen=True)
@@ -380,14 +382,16 @@ def _assemble_recording(
     topics: dict[str, str],
 ) -> Assembled:
     if signal_map is None:
-        names = {info.name for info in recording.channels()}
-        if not set(REQUIRED_CHANNELS) - {"T"} <= names:
+        presets = fitting_presets(recording)
+        own = next((name for name in _OWN_MAPS if name in presets), None)
+        if own is None:
+            fit = f"--map {presets[0]} fits: its channels are recorded. " if presets else ""
             raise MapError(
                 "needs a signal map: its channels are not named as a drive's",
                 where=path.name,
-                advice=f"`split ingest {path} --suggest-map` drafts one; presets are listed by `--list-maps`.",
+                advice=f"{fit}`split ingest {path} --suggest-map` drafts one; `--list-maps` lists presets.",
             )
-        signal_map = read_map("canonical")
+        signal_map = read_map(own)
     if topics:
         _check_topics(topics, signal_map)
         signal_map = replace(signal_map, topics={**signal_map.topics, **topics})
