@@ -1,5 +1,6 @@
 """`split init`: two files that the next commands take, and what comes next."""
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -39,3 +40,21 @@ def test_nothing_is_overwritten(tmp_path, sample_logs):
             catch_exceptions=False, standalone_mode=False,
         )  # fmt: skip
     assert (tmp_path / "map.yaml").read_text() == "mine" and not (tmp_path / "vehicle.yaml").exists()
+
+
+def test_a_preset_that_fits_is_named_in_the_map_and_among_the_steps(tmp_path):
+    """Autoware's reports, of which the draft cannot know that the base link is the rear axle."""
+    status = "/vehicle/status"
+    names = [
+        f"{status}/velocity_status/{one}" for one in ("longitudinal_velocity", "lateral_velocity", "heading_rate")
+    ]
+    names += [f"{status}/steering_status/steering_tire_angle", "t"]
+    rows = "\n".join(
+        ",".join(f"{np.sin(0.01 * k + j):.4f}" for j in range(4)) + f",{0.02 * k}" for k in range(200)
+    )
+    (tmp_path / "lap.csv").write_text(",".join(names) + "\n" + rows)
+    done = CliRunner().invoke(
+        command, [str(tmp_path / "lap.csv"), "-o", str(tmp_path / "car")], catch_exceptions=False
+    )
+    told = "The preset autoware fits this log: --map autoware can replace this draft."
+    assert told in done.output and f"# {told}" in (tmp_path / "car" / "map.yaml").read_text()

@@ -11,7 +11,7 @@ from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
 from split_cli.signals import REQUIRED_CHANNELS
 
-__all__ = ["UNITS_OF", "Draft", "Suggestion", "in_ranges", "quoted", "render_draft"]
+__all__ = ["UNITS_OF", "Draft", "Suggestion", "in_ranges", "quoted", "render_draft", "told_of_presets"]
 
 UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad",
             "engine_torque": "N m", "axle_torque": "N m"}  # fmt: skip
@@ -57,6 +57,7 @@ class Draft:
     hints: tuple[str, ...] = ()  # what to do with a file of another form than a column for each signal
     # What the vertical axis of the accelerometer tells of left and right, where nothing else does.
     by_gravity: str = ""
+    presets: tuple[str, ...] = ()  # whose sources are all recorded
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""
@@ -69,6 +70,7 @@ def render_draft(draft: Draft, name: str) -> str:
         f"# A draft for {name}. `judged`: the channel fits the others. `CHECK`: nothing judged it, look at it.",
         "# A number behind a relation is the measured slope; it is 1 where both sides agree.",
         "name: draft",
+        *(f"# {line}" for line in told_of_presets(draft.presets)),
         draft.time,
         "frame: flu   # or frd: y right, z down",
         "channels:",
@@ -95,6 +97,14 @@ def render_draft(draft: Draft, name: str) -> str:
         unused = in_ranges([name.replace("\n", " ") for name in draft.unused])
         lines.append(f"# Not used: {', '.join(unused[:40])}{' ...' if len(unused) > 40 else ''}")
     return "\n".join(lines)
+
+
+def told_of_presets(presets: Sequence[str]) -> tuple[str, ...]:
+    """Return in a sentence that maps of the project fit a log; nothing where none does."""
+    if not presets:
+        return ()
+    fit = f"preset {presets[0]} fits" if len(presets) == 1 else f"presets {', '.join(presets)} fit"
+    return (f"The {fit} this log: --map {presets[0]} can replace this draft. --list-maps says what it is for.",)
 
 
 _NOTES = {

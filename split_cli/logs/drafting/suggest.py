@@ -11,6 +11,7 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.conversion import expected_unit
+from split_cli.logs.assembling.gather import fitting_presets
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.drafting.alone import (
@@ -146,7 +147,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     by_gravity = "" if told else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)
     hints = hints_on_the_form(recording, infos)
     whole = (*suggestions, *dict.fromkeys(opened))
-    return Draft(whole, line, unused, tuple(undefined), told, hints, by_gravity)
+    return Draft(whole, line, unused, tuple(undefined), told, hints, by_gravity, fitting_presets(recording))
 
 
 def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:
