@@ -1,6 +1,9 @@
 """Hostile use of every command: one line that says what, exit code 1, and what was there before untouched."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -344,6 +347,14 @@ def test_the_log_at_fault_and_its_damage_are_named(here):
 def test_options_that_make_no_sense_write_nothing(here, options):
     refused(*options, says=())
     assert not Path("x.out").exists() and not Path("x.csv").exists() and not Path("o.parquet").exists()
+
+
+def test_a_valid_name_is_not_called_invalid_where_python_reads_ascii(here):
+    ascii_only = {**os.environ, "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    command = [sys.executable, "-m", "split_cli", "info"]
+    for name, told in ((b"r\xc3\xbccken.csv", b"Set PYTHONUTF8=1"), (b"r\xfccken.csv", b"is not valid UTF-8")):
+        done = subprocess.run([*command, name], env=ascii_only, capture_output=True)
+        assert done.returncode == 1 and told in done.stderr, done.stderr
 
 
 def test_a_car_that_only_goes_straight_keeps_its_tyres(here):
