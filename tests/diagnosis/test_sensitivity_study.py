@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.policy import STANDARD, deciding_numbers
+from tests.studies import policy
 from tests.studies.policy import altered, with_numbers
 from tests.studies.probing import outcomes, turned
 
@@ -76,3 +77,19 @@ def test_a_survey_names_what_may_matter_and_misses_nothing_that_does():
         if procedure({**NUMBERS, name: values[factor]}) != plain
     }
     assert changing <= differ and not {name for name, _ in differ} & {"unread", "slack", "small"}
+
+
+def test_a_survey_asks_every_case_of_the_folder_and_none_is_told(tmp_path, monkeypatch, capsys):
+    asked = []
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setattr(policy, "use_threads", lambda count: None)
+    monkeypatch.setattr(policy, "study", lambda folder, groups, cases, rows, follow: asked.append((cases, follow)))
+    command = [str(tmp_path), "--survey", "-o", str(tmp_path / "rows.csv")]
+    with pytest.raises(SystemExit):
+        policy.main(command)
+    assert "has no cases to survey" in capsys.readouterr().err
+    for name in ("0002", "0011"):
+        (tmp_path / "cases" / name).mkdir(parents=True)
+    policy.main(command)
+    policy.main([*command, "--cases", "2"])
+    assert asked == [([2, 11], False), ([2], False)]

@@ -202,12 +202,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [group.name for group in fields(STANDARD)]
     parser = argparse.ArgumentParser(prog="python -m tests.studies.policy", description=__doc__.split("\n\n")[0])
     parser.add_argument("folder", type=Path, help="what `split prove generate` wrote")
-    parser.add_argument("--cases", type=int, nargs="*", default=[])
+    parser.add_argument(
+        "--cases", type=int, nargs="*", default=[], help="default: none; with --survey all of FOLDER"
+    )
     parser.add_argument("--groups", nargs="+", choices=names, default=names)
     parser.add_argument("--survey", action="store_true", help="one diagnosis a case: which numbers turn anything")
     parser.add_argument("-o", "--rows", type=Path, required=True, help="file the rows are kept in")
     parser.add_argument("--table", type=Path, help="page whose part after its line of dashes is written anew")
     asked = parser.parse_args(arguments)
+    if asked.survey and not asked.cases:
+        asked.cases = sorted(int(one.name) for one in (asked.folder / "cases").glob("[0-9]*"))
+        if not asked.cases:
+            parser.error(f"{asked.folder} has no cases to survey: `split prove generate` writes them")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     use_threads(1)
     study(asked.folder, asked.groups, asked.cases, asked.rows, not asked.survey)
