@@ -46,12 +46,11 @@ def late_inputs(
     nominal model. tau is the least-squares slope, its error the jackknife's over blocks of time. A lag and a delay
     look alike to first order, and so does a late time stamp: the diagnosis tells them apart.
     """
-    used = labels if labels.accepted.all() else labels.take(labels.accepted)
     notes = []
     for name, output, label, rate, what, term in _INPUTS:
         if any(effect.term == term for effect in found):
             continue
-        late = _late(_missing(drive, used, vehicle, name, output), used.y[:, output])
+        late = _late(_missing(drive, labels, vehicle, name, output), labels.y[labels.accepted, output])
         if late is not None:
             delay, error, correlation = late
             notes.append(
@@ -65,17 +64,18 @@ def late_inputs(
 
 def torque_delay(drives: Sequence[Drive], labels: Sequence[Labels], vehicle: Vehicle) -> float | None:
     """Return by how much the torque of all drives together arrives late [s]; None where that is not clear."""
-    used = [part.take(part.accepted) for part in labels]
-    missing = [_missing(drive, part, vehicle, "T", 0) for drive, part in zip(drives, used, strict=True)]
-    found = _late(np.concatenate(missing), np.concatenate([part.y[:, 0] for part in used])) if used else None
+    missing = [_missing(drive, part, vehicle, "T", 0) for drive, part in zip(drives, labels, strict=True)]
+    y = [part.y[part.accepted, 0] for part in labels]
+    found = _late(np.concatenate(missing), np.concatenate(y)) if y else None
     return None if found is None else found[0]
 
 
-def _missing(drive: Drive, used: Labels, vehicle: Vehicle, name: str, output: int) -> np.ndarray:
-    """Return what a label lacks for every second that an input is late, shape (N,)."""
-    first, last = used.row, used.row + used.window
+def _missing(drive: Drive, labels: Labels, vehicle: Vehicle, name: str, output: int) -> np.ndarray:
+    """Return what an accepted label lacks for every second that an input is late, shape (N,)."""
+    first = labels.row[labels.accepted]
+    last = first + labels.window
     at = {channel: drive[channel][first] for channel in ("vx", "vy", "r", "T", "delta")}
-    missing: np.ndarray = (drive[name][last] - at[name]) / used.horizon
+    missing: np.ndarray = (drive[name][last] - at[name]) / labels.horizon
     model = SingleTrack(vehicle, ())
     for begin in range(0, len(first), _CHUNK):
         rows = slice(begin, begin + _CHUNK)
