@@ -183,6 +183,7 @@ def _known_unit(spelled: str) -> Unit | None:
     return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower()) or _quotient(spelled)
 
 
+#: Words within a unit's name. Some lack letters, since bus databases cut names (``Unit_MeterPerSeconSquar``).
 _WORDS_OF_UNITS = {
     "percent": "%", "kilo": "k", "milli": "m", "centi": "c", "metre": "m", "meter": "m",
     "degreeofarc": "deg", "degreofarc": "deg",

@@ -418,9 +418,9 @@ def _array(declaration: str, literals: list[str]) -> str:
     return declaration + " = {\n    " + ",\n    ".join(rows) + "\n};\n"
 
 
-def _reservations(told: tuple[str, ...]) -> str:
+def _reservations(sentences: tuple[str, ...]) -> str:
     """Return lines of the header's comment, none where there is nothing to say."""
-    lines = [line for text in told for line in wrap(_comment(f"Note: {text}."), 115)]
+    lines = [line for text in sentences for line in wrap(_comment(f"Note: {text}."), 115)]
     return "".join(f"\n * {line}" for line in lines)
 
 

@@ -139,7 +139,7 @@ class _Processes:
 
 @contextlib.contextmanager
 def _interrupts_wait() -> Iterator[None]:
-    """Hold Ctrl-C back while workers are started, which then never see it: one that loads would print where."""
+    """Hold Ctrl-C back while workers are started: they never see it, and print no traceback while they load."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return

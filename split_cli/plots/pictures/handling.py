@@ -18,7 +18,7 @@ _MOST_DOTS = 700
 
 
 def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Chart, ...]:
-    """Return understeer and gain and phase of the steering response; none where no recording shows them."""
+    """Return charts of understeer and of the steering response; none where no recording shows them."""
     charts = []
     moving = [(one, one.drive if one.vehicle is None else one.motion) for one in subjects]
     found = [(one, motion and understeer_of(motion, vehicle)) for one, motion in moving]

@@ -369,7 +369,7 @@ def _told_of(error: SplitError, recording: RawRecording) -> SplitError:
         where = f"{recording.name}, {where}" if where else recording.name
     if isinstance(error, LogError) and recording.notes:
         told = "; ".join(f"{note.what} ({note.count} times)" for note in recording.notes[:3])
-        advice = f"{advice.rstrip('.')}{'. ' if advice else ''}The reader found this beside: {told}."
+        advice = f"{advice.rstrip('.')}{'. ' if advice else ''}Found while reading: {told}."
     return type(error)(error.what, where=where, advice=advice or None)
 
 

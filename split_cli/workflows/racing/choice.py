@@ -105,10 +105,9 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
         )
         if rival is laps[0]:
             held = f"{rival.share:.2f} of the peak force there by choice, and to {best.share:.2f} in the best lap"
-            told += (
-                f" The plan was held to {held}. So this is not the gain of learning alone, which "
-                f"`--learner none --learner {settings.learner}` tells over as many laps."
-            )
+            told += f" The plan was held to {held}. So this is not the gain of learning alone"
+            # Where a nominal controller drove and no lap of it was clean, there is no other rival.
+            told += "." if nominal else f", which `--learner none --learner {settings.learner}` shows."
         return told
     slower = "no lap with it was clean" if best is None else f"the best clean lap with it took {best.time:.2f} s"
     told = f"Learning did not help: {slower}, {called} {rival.time:.2f} s."
@@ -119,7 +118,7 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
         told += f" In lap {last.number} the one-step errors of v_x, v_y and r were {left} of the nominal model's."
     if settings.features != AUTO:
         return (
-            f"{told} Leave out --features and --predictor: the race then chooses both on held-out parts of lap 0."
+            f"{told} Leave out --features and --predictor: the race then chooses both on held-out parts of laps."
         )
     return (
         f"{told} Drive with --learner none, or keep a lap at more of the peak (-o lap0.parquet --laps 0 "
