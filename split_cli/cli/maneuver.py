@@ -7,11 +7,14 @@ import click
 from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
     OutputPath,
+    car_option,
     existing_file,
+    grip_option,
     json_option,
     output_option,
     print_json,
     print_table,
+    sensor_options,
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar
@@ -33,13 +36,7 @@ __all__ = ["command"]
 @click.option("--predictor", default="auto", show_default=True, metavar="NAME",
               help="Predictor that evaluates the set: auto is "
               "bcm for three features and projected for more.")  # fmt: skip
-@click.option(
-    "--car",
-    default="road_car",
-    show_default=True,
-    metavar="NAME",
-    help="Simulated car: road_car, f1tenth_car or formula_car.",
-)
+@car_option
 @click.option(
     "--speed",
     "speeds",
@@ -48,14 +45,7 @@ __all__ = ["command"]
     metavar="M/S",
     help="Entry speed; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid].",
 )
-@click.option(
-    "--grip",
-    type=float,
-    default=1.0,
-    show_default=True,
-    metavar="SCALE",
-    help="Friction scale of the road: 1 dry, 0.5 wet.",
-)
+@grip_option
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force that the "
               f"controller may use  [default: {SHARE_LEARNED} with a set, or if the vehicle file knows the "
               f"tyres' peaks from data; else {SHARE_NOMINAL}].")  # fmt: skip
@@ -65,14 +55,7 @@ __all__ = ["command"]
 @click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
               "load transfer, a torque limit and, with a set, the tyre peaks that its labels show.")  # fmt: skip
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
-@click.option(
-    "--width", type=float, metavar="M", help="Width of the car's body  [default: 1.15 times its track width]."
-)
-@click.option(
-    "--seed", type=int, default=0, show_default=True, metavar="N", help="Random seed of the sensor noise."
-)
-@click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise.")
-@click.option("--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later.")
+@sensor_options
 @click.option(
     "--set",
     "set_output",

@@ -15,8 +15,9 @@ from split_cli.cli.digits import Printed, plausible
 
 __all__ = [
     "OutputPath",
-    "TimeSpan", "engine_options", "existing_file", "held_option", "json_option", "label_options", "list_of",
-    "log_options", "output_option", "print_json", "print_table", "tell_next", "vehicle_option",
+    "TimeSpan", "car_option", "engine_options", "existing_file", "grip_option", "held_option", "json_option",
+    "label_options", "list_of", "log_options", "output_option", "print_json", "print_table", "sensor_options",
+    "tell_next", "vehicle_option",
 ]  # fmt: skip
 
 # Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
@@ -163,6 +164,36 @@ def label_options(function: Callable) -> Callable:
             help="Samples between two labels; default: as many as the horizon has.",
         ),
     ):
+        function = option(function)
+    return function
+
+
+def car_option(function: Callable) -> Callable:
+    """``--car``: the simulated car that a controller drives."""
+    cars = "Simulated car: road_car, f1tenth_car or formula_car."
+    return click.option("--car", default="road_car", show_default=True, metavar="NAME", help=cars)(function)
+
+
+def grip_option(function: Callable) -> Callable:
+    """``--grip``: of the road that a controller drives on."""
+    meaning = "Friction scale of the road: 1 dry, 0.5 wet."
+    return click.option("--grip", type=float, default=1.0, show_default=True, metavar="SCALE", help=meaning)(
+        function
+    )
+
+
+def sensor_options(function: Callable) -> Callable:
+    """``--width``, ``--seed``, ``--exact-sensors``, ``--no-delay``: what a controller has of the simulated car."""
+    for option in (
+        click.option(
+            "--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later."
+        ),
+        click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise."),
+        click.option("--seed", type=int, default=0, show_default=True, metavar="N",
+                     help="Random seed of the sensor noise."),
+        click.option("--width", type=float, metavar="M",
+                     help="Width of the car's body  [default: 1.15 times its track width]."),
+    ):  # fmt: skip
         function = option(function)
     return function
 

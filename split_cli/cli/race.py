@@ -7,11 +7,14 @@ import click
 from split_cli.cli.digits import three_digits
 from split_cli.cli.options import (
     OutputPath,
+    car_option,
     existing_file,
+    grip_option,
     json_option,
     output_option,
     print_json,
     print_table,
+    sensor_options,
     vehicle_option,
 )
 from split_cli.cli.voice import StepBar, print_notes
@@ -30,13 +33,7 @@ __all__ = ["command"]
     help="Track: handling (2.3 km), small (580 m), oval, f1tenth, or a centre-line CSV with the columns "
     "x_m,y_m,w_tr_right_m,w_tr_left_m.",
 )
-@click.option(
-    "--car",
-    default="road_car",
-    show_default=True,
-    metavar="NAME",
-    help="Simulated car: road_car, f1tenth_car or formula_car.",
-)
+@car_option
 @click.option(
     "--laps",
     type=int,
@@ -71,14 +68,7 @@ __all__ = ["command"]
 )
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
-@click.option(
-    "--grip",
-    type=float,
-    default=1.0,
-    show_default=True,
-    metavar="SCALE",
-    help="Friction scale of the road: 1 dry, 0.5 wet.",
-)
+@grip_option
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
 @click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share in lap 0. Each clean lap "
@@ -128,14 +118,7 @@ __all__ = ["command"]
 @click.option("--tightening", type=float, default=0.0, show_default=True, metavar="SIGMA",
               help="Move the track borders inwards by this many standard deviations of the predicted "
               "position.")  # fmt: skip
-@click.option(
-    "--width", type=float, metavar="M", help="Width of the car's body  [default: 1.15 times its track width]."
-)
-@click.option(
-    "--seed", type=int, default=0, show_default=True, metavar="N", help="Random seed of the sensor noise."
-)
-@click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise.")
-@click.option("--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later.")
+@sensor_options
 @click.option("--set", "set_output", type=OutputPath("file"), metavar="FILE",
               help="Save the set after each lap.")  # fmt: skip
 @click.option("--report", type=OutputPath("file"), metavar="FILE", help="Write an HTML report of the laps.")
