@@ -112,9 +112,9 @@ def _parquet(path: Path) -> FileDescription:
         ) from error
     if reasons is not None:
         counts = reasons.value_counts().to_pylist()
-        told = ", ".join(f"{entry['counts']} {entry['values'] or 'accepted'}" for entry in counts)
+        by_reason = ", ".join(f"{entry['counts']} {entry['values'] or 'accepted'}" for entry in counts)
         features = [n for n in names if n not in ("t", "row", "segment", "y_vx", "y_vy", "y_r", "reason")]
-        facts = (("labels", str(len(reasons))), ("features", ", ".join(features)), ("by reason", told))
+        facts = (("labels", str(len(reasons))), ("features", ", ".join(features)), ("by reason", by_reason))
         return FileDescription(str(path), "labels", facts)
     if {"vx", "vy", "r"} <= {name.split("(")[0].strip() for name in names}:
         return _drive(path)

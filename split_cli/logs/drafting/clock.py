@@ -84,14 +84,7 @@ def clock_of_rows(
             line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {told}"
             return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
         if unit == "s" and stated_unit(info) is None and bool(np.all(np.diff(values) == 1.0)):
-            told_rate = _rate_told_by_motion(candidates, signals)[0]
-            if told_rate is not None and abs(told_rate - 1.0) > _LOST_ROW:
-                told = f"{info.name} counts rows, by how v_x or yaw change"
-                line = f"time: {{period: {1.0 / told_rate:.4g}}}   # CHECK: {told}"
-                return np.arange(len(values)) / told_rate, line, True
-            told = "rises by 1 from row to row: seconds, or rows?"
-            line = f"time: {{source: {quoted(info.name)}, unit: s}}   # CHECK: {told}"
-            return values - np.nanmin(values), line, True
+            return _rows_or_seconds(info.name, values, _rate_told_by_motion(candidates, signals)[0])
         others = [i.name for i in rising[1:]]
         also = f"   # also rises: {', '.join(others)}" if others else ""
         line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
@@ -107,6 +100,15 @@ def clock_of_rows(
         line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: no column of time; {why}"
         return np.arange(count) / row_rate, line, True
     return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
+
+
+def _rows_or_seconds(name: str, values: np.ndarray, rate: float | None) -> tuple[np.ndarray, str, bool]:
+    """Return time and line of a column that rises by 1: it counts rows where the motion has another rate [Hz]."""
+    if rate is not None and abs(rate - 1.0) > _LOST_ROW:
+        line = f"time: {{period: {1.0 / rate:.4g}}}   # CHECK: {name} counts rows, by how v_x or yaw change"
+        return np.arange(len(values)) / rate, line, True
+    line = f"time: {{source: {quoted(name)}, unit: s}}   # CHECK: rises by 1 from row to row: seconds, or rows?"
+    return values - np.nanmin(values), line, True
 
 
 def _why_no_clock(found: RawChannelInfo | None, signals: Mapping[str, RawSignal]) -> str:
@@ -194,12 +196,12 @@ def _rate_told_by_motion(
     candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]
 ) -> tuple[float | None, str]:
     """Return the rows a second that the motion tells [Hz], and how; None where nothing does."""
-    for told, how in (
+    for rate_of, how in (
         (_rate_told_by_yaw, "yaw turns as yaw rate says so"),
         (_rate_told_by_path, "the path grows as v_x says so, a few per cent are open"),
         (_rate_told_by_speed, "v_x changes as a_x says so, a few per cent are open"),
     ):
-        rate = told(candidates, signals)
+        rate = rate_of(candidates, signals)
         if rate is not None:
             return rate, how
     return None, ""

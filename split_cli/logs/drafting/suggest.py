@@ -124,13 +124,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
              "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate}  # fmt: skip
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
-    engine = {s.sources: told_of_an_engine(s.sources, [i.name for i in infos]) for s in suggestions}
-    suggestions = [
-        replace(s, status="assumed", reason=f"{engine[s.sources]}; {s.reason}")
-        if s.channel == "T" and s.status != "open" and engine[s.sources]
-        else s
-        for s in suggestions
-    ]
+    suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
     suggestions = _in_pairs(without_the_tilted(suggestions))
     suggestions = [
         read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions
@@ -176,6 +170,12 @@ def _as_course(s: Suggestion, verdict: Consistency, trial: Trial, chosen: Mappin
     if "course" not in {m.channel for m in named}:
         return s
     return replace(s, status="open", reason="by its name the direction of travel: yaw plus sideslip, not yaw")
+
+
+def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo]) -> Suggestion:
+    """Mark a torque that may be the engine's."""
+    why = told_of_an_engine(s.sources, [info.name for info in infos])
+    return replace(s, status="assumed", reason=f"{why}; {s.reason}") if why and s.status != "open" else s
 
 
 def _in_pairs(suggestions: Sequence[Suggestion]) -> list[Suggestion]:

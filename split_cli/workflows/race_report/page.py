@@ -141,10 +141,10 @@ def _headline(races: Sequence[RaceResult]) -> str:
 def _caution(races: Sequence[RaceResult]) -> str:
     """Return whether learning helped, and a warning where learners stand beside each other after one lap each."""
     learning = [race for race in races if race.learner != "none"]
-    told = "".join(f"<p>{escape(_called(race))}: {prose(race.verdict)}</p>" for race in races if race.verdict)
+    verdicts = "".join(f"<p>{escape(_called(race))}: {prose(race.verdict)}</p>" for race in races if race.verdict)
     if len(learning) < 2 or max(lap.number for race in learning for lap in race.laps) > 1:
-        return told
-    return told + (
+        return verdicts
+    return verdicts + (
         "<p>Each learner drove one lap with what lap 0 had taught. One lap of learning is not a comparison of the "
         "learners: laps scatter by tenths of a second, and learning goes on. Compare them over ten laps "
         "(<code>--laps 10</code>) and several seeds.</p>"

@@ -56,15 +56,15 @@ def choose_features(laps: Sequence[Drive], vehicle: Vehicle, settings: RaceSetti
     try:
         found = select(laps, vehicle, asked).candidates
     except SplitError as error:
-        told = f"{driven} cannot choose the features, {candidates[0]} is learned: {error}"
-        return FeatureChoice(candidates[0], told, True)
+        reason = f"{driven} cannot choose the features, {candidates[0]} is learned: {error}"
+        return FeatureChoice(candidates[0], reason, True)
     chosen = next(one for one in found if one.chosen)
-    told = " and ".join(
+    left = " and ".join(
         f"{100 * one.error:.0f} % with {one.features}"
         for one in sorted(found, key=lambda one: candidates.index(one.features))
     )
     reason = (
-        f"features {chosen.features}: on held-out tenths of {driven} the correction leaves {told} of the nominal "
+        f"features {chosen.features}: on held-out tenths of {driven} the correction leaves {left} of the nominal "
         "model's error"
     )
     undecided = sum(one.behind <= one.behind_error for one in found) > 1
@@ -98,30 +98,34 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
     called = "lap 0 with the nominal model" if rival is laps[0] else "the nominal controller's in as many laps"
     best = min((lap for lap in own if lap.clean), key=_duration, default=None)
     if best is not None and _duration(best) < _duration(rival):
-        told = (
+        sentence = (
             f"The best clean lap with what was learned took {best.time:.2f} s, "
             f"{100 * (1 - _duration(best) / _duration(rival)):.1f} % less than {called} "
             f"({rival.time:.2f} s)."
         )
         if rival is laps[0]:
             held = f"{rival.share:.2f} of the peak force there by choice, and to {best.share:.2f} in the best lap"
-            told += f" The plan was held to {held}. So this is not the gain of learning alone"
+            sentence += f" The plan was held to {held}. So this is not the gain of learning alone"
             # Where a nominal controller drove and no lap of it was clean, there is no other rival.
-            told += "." if nominal else f", which `--learner none --learner {settings.learner}` shows."
-        return told
+            sentence += "." if nominal else f", which `--learner none --learner {settings.learner}` shows."
+        return sentence
     slower = "no lap with it was clean" if best is None else f"the best clean lap with it took {best.time:.2f} s"
-    told = f"Learning did not help: {slower}, {called} {rival.time:.2f} s."
-    last = own[-1]
+    return f"Learning did not help: {slower}, {called} {rival.time:.2f} s.{_what_to_do(own[-1], settings)}"
+
+
+def _what_to_do(last: Lap, settings: RaceSettings) -> str:
+    """Return the errors of the last lap, and what to do where learning did not help."""
+    errors = ""
     shares = [after / before for after, before in zip(last.error_after, last.error_before, strict=True) if before]
     if shares:
         left = ", ".join(f"{100 * share:.0f} %" for share in shares)
-        told += f" In lap {last.number} the one-step errors of v_x, v_y and r were {left} of the nominal model's."
+        errors = f" In lap {last.number} the one-step errors of v_x, v_y and r were {left} of the nominal model's."
     if settings.features != AUTO:
         return (
-            f"{told} Leave out --features and --predictor: the race then chooses both on held-out parts of laps."
+            f"{errors} Leave out --features and --predictor: the race then chooses both on held-out parts of laps."
         )
     return (
-        f"{told} Drive with --learner none, or keep a lap at more of the peak (-o lap0.parquet --laps 0 "
+        f"{errors} Drive with --learner none, or keep a lap at more of the peak (-o lap0.parquet --laps 0 "
         f"--learner none --p-ellipse-lap0 {SHARE_NOMINAL}) and let `split diagnose --real lap0.parquet` name what "
         "the vehicle file lacks."
     )

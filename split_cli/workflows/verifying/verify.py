@@ -95,8 +95,8 @@ def _several(folder: Path) -> Verification:
     for path in inner:
         name = str(path.relative_to(folder))
         if (path / "manifest.json").is_file():
-            told = f"an export, whose C would be compiled and run: `split verify {path}`"
-            items.append(VerifiedItem(name, None, told))
+            detail = f"an export, whose C would be compiled and run: `split verify {path}`"
+            items.append(VerifiedItem(name, None, detail))
         else:
             items.append(in_one_line(name, lambda path=path: _folder(path)))
     for path in sorted(folder.rglob("*")):
