@@ -53,11 +53,10 @@ def command(
 ) -> None:
     """Say where a simulation and a real drive differ, and name the physics that the simulation lacks.
 
-    Without --sim the nominal model serves as the simulation. Without --holdout the last quarter of the real drives
-    is held out, and the improvement is measured there.
+    Without --sim the nominal model of the vehicle file serves as the simulation. The improvement is measured on
+    real driving that is held out: the drives of --holdout, or else the last quarter of the real drives.
 
-    The work is done in --jobs threads. A Dask cluster can take over fits of the search, self-tests and the
-    smallest detectable effects.
+    With --engine dask, a cluster takes over fits of the search, self-tests and the smallest detectable effects.
 
     \b
     Example:

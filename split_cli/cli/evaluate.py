@@ -58,8 +58,8 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     default=("z2",),
     callback=_feature_sets,
     metavar="LIST",
-    help="z1, z2, z1,z2, signal names or terms with states; repeatable. Several feature sets are also compared at "
-    "equal sizes.",
+    help="Inputs of the correction: z1, z2, or a comma-separated list of signals and terms with states. Repeat "
+    "the option, or write z1,z2, to compare feature sets at equal sizes.",
 )
 @click.option(
     "--sizes",
@@ -70,7 +70,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.option("--blocks", type=click.IntRange(2), default=10, metavar="N", help="Number of time blocks per drive.")
 @click.option("--holdout", type=float, default=0.3, metavar="SHARE", help="Share of the time that is held out.")
 @click.option(
-    "--guard", type=float, default=1.0, metavar="S", help="Unused time on either side of a held-out block."
+    "--guard", type=float, default=1.0, metavar="S", help="Unused time on either side of a held-out block [s]."
 )
 @click.option(
     "--rollout",
@@ -79,12 +79,13 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     metavar="LIST",
     help="Durations of the open-loop simulations (rollouts) [s].",
 )
-@click.option("--horizon", type=float, default=0.05, metavar="S", help="Label interval h, without --set.")
+@click.option("--horizon", type=float, default=0.05, metavar="S", help="Without --set: label interval h [s].")
 @click.option(
     "--trust",
     type=click.Choice(["held-out", "full"]),
     default="held-out",
-    help="Without --set: share of the correction to apply, estimated on held-out blocks or all of it.",
+    help="Without --set: held-out applies the share of the correction that held-out blocks support; full applies "
+    "all of it.",
 )
 @click.option(
     "--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file."
@@ -116,11 +117,13 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @held_option
 @json_option
 def command(drives, vehicle_path, set_path, output, as_json, select, engine, scheduler, jobs, **settings) -> None:
-    """Measure the error of predictors, beside the nominal model, persistence and the noise floor.
+    """Measure the error of predictors beside that of the nominal model.
 
-    Without --set, a set is trained on the training blocks of the drives and scored on the held-out blocks. Its
-    hyperparameters come from the training blocks too. Errors are in label units; squared errors are pooled over
-    drives.
+    The table also has persistence, which holds the last value, and the noise floor: the error that sensor noise
+    alone causes. Errors are root mean squares over all drives, in m/s^2 for v_x and v_y and in rad/s^2 for r.
+
+    Without --set, a set and its hyperparameters are learned from training blocks of the drives. The held-out
+    blocks give the errors.
 
     \b
     Example:

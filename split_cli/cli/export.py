@@ -19,15 +19,16 @@ __all__ = ["command"]
     multiple=True,
     required=True,
     type=click.Choice(["c", "casadi", "npz", "json", "ggv"]),
-    help="Format to write; repeatable.",
+    help="Format to write; repeatable. ggv: limits of acceleration at each speed, for lap-time planners.",
 )
 @output_option("Folder to write into.", folder=True)
 @click.option(
     "--predictor",
     default="projected",
     type=click.Choice(["projected", "table", "bcm", "rbcm"]),
-    help="projected: process on at most 600 points. table: spline table of the dense Gaussian process. "
-    "bcm: committee of cells. rbcm: robust committee.",
+    help="projected: Gaussian process on at most 600 points. "
+    "The choice table: splines through the Gaussian process of all points. "
+    "The choices bcm and rbcm: committee of one Gaussian process a cell, and its robust form.",
 )
 @click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
 @click.option(
@@ -44,18 +45,20 @@ __all__ = ["command"]
     "--step",
     type=click.FloatRange(min=0, min_open=True),
     metavar="S",
-    help="Sampling time of the controller, needed if effects delay commands [default: label interval].",
+    help="Sampling time of the controller [s]; it matters only where the vehicle file delays commands [default: "
+    "the set's label interval].",
 )
 @click.option(
     "--insist",
     is_flag=True,
-    help="Export in spite of faulty drives, too few labels, or a correction that helps no output.",
+    help="Export even if drives are faulty, labels are too few, or the correction helps no output.",
 )
 @json_option
 def command(set_path, targets, output, predictor, name, real, queries, step, insist, as_json) -> None:
-    """Write a trained set as C, CasADi, npz or json.
+    """Write a trained set as code or numbers for controllers and other programs.
 
-    Every target is first compared with Python on random and border queries. If one differs, nothing is written.
+    Every target is first compared with Python, at random and at the borders of cells. If one differs, nothing is
+    written.
     C is compiled with $CC, or cc, gcc or clang. Without a compiler the C is written and reported as unverified.
 
     \b

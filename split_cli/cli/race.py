@@ -55,16 +55,16 @@ __all__ = ["command"]
     "--start-set",
     type=existing_file,
     metavar="PATH",
-    help="Trained set to start from, or for learner none a folder of `split export --target casadi`, whose "
-    "function the controller evaluates. Without one, lap 0 is nominal and the kernel is fitted to it.",
+    help="Trained set to start from; without one, lap 0 is nominal and the kernel is fitted to it. With "
+    "--learner none it may be a folder of `split export --target casadi`, whose function is then evaluated.",
 )
 @click.option(
     "--predictor",
     default="auto",
     show_default=True,
     metavar="NAME",
-    help="Predictor that evaluates the set. bcm and projected follow every update, others are rebuilt after "
-    "each lap. With auto it is bcm for three features, projected for more.",
+    help="Predictor that evaluates the set: bcm and projected follow every update, others are rebuilt after each "
+    "lap. The choice auto takes bcm for three features and projected for more.",
 )
 @click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
@@ -72,33 +72,34 @@ __all__ = ["command"]
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
 @click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share in lap 0. Each clean lap "
-              f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse. With learner none and assumed "
-              f"peaks {SHARE_NOMINAL} is the most. [default: --p-ellipse; else {SHARE_LEARNED} if the vehicle "
-              f"file knows the tyres' peaks from data, {SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes "
-              "them].")  # fmt: skip
-@click.option("--p-unknown", type=float, metavar="SHARE", help="The same share where there are no training data. "
-              "It rises to --p-ellipse with the information that the data hold  [default: "
-              "--p-ellipse].")  # fmt: skip
+              f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse. With --learner none it is at "
+              f"most {SHARE_NOMINAL} if the vehicle file assumes the tyres' peaks. [default: --p-ellipse; else "
+              f"{SHARE_LEARNED} if the vehicle file knows the peaks from data, "
+              f"{SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes them].")  # fmt: skip
+@click.option("--p-unknown", type=float, metavar="SHARE", help="The same share in states "
+              "without training data. The more the data tell of a state, the nearer it is to --p-ellipse  "
+              "[default: --p-ellipse].")  # fmt: skip
 @click.option("--assumed-friction", "--told-grip", "assumed_friction", type=float, default=1.0, show_default=True,
               metavar="SCALE",
               help="Friction scale that the controller assumes before it has learned.")  # fmt: skip
 @click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="After each lap, move "
               "the slip limits to the tyres' peaks that the labels show.")  # fmt: skip
 @click.option("--margin", type=float, metavar="M", help="Distance to keep between the car's side and the track "
-              f"border, besides what earlier laps needed  [default: {MARGIN} for a wheelbase of {SIZE} m, in "
-              "proportion for others].")  # fmt: skip
+              f"border, in addition to what earlier laps needed  [default: {MARGIN} for a wheelbase of {SIZE} m, "
+              "in proportion for others].")  # fmt: skip
 @click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, metavar="WEIGHT",
               help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
-@click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
-              "load transfer, a torque limit, and learned tyre peaks as the correction's prior mean.")  # fmt: skip
+@click.option("--guarded/--unguarded", default=True, show_default=True, help="guarded: force limits "
+              "follow the load transfer, the torque is limited, and the correction assumes the learned tyre peaks "
+              "where it has no data. Without all three: --unguarded.")  # fmt: skip
 @click.option(
     "--features",
     default="auto",
     show_default=True,
     metavar="LIST",
     help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states. "
-    "The choice auto takes z2, or z2,feature_lag where that predicts held-out tenths of the laps so far better.",
+    "The choice auto takes z2 or z2,feature_lag: what has the smaller error on held-out tenths of the laps.",
 )
 @click.option(
     "--hyperparameters",
@@ -128,11 +129,12 @@ def command(
     vehicle_path, output, set_output, report, p_ellipse, p_ellipse_lap0, p_unknown, guarded, p_long,
     no_delay, iol_update, learners, as_json, **options,
 ) -> None:  # fmt: skip
-    """Race the double-track plant with a contouring controller that learns while it drives.
+    """Race a simulated double-track car, with a contouring controller that learns while it drives.
 
     The controller (MPCC, 80 steps of 50 ms) drives with the vehicle's nominal model plus what the learner has
-    found so far. The nominal model drives lap 0, and a learner learns it; a race begins with a flying start. Every
-    error stands beside the nominal one, and a lap on which a side of the car left the track is marked.
+    found so far. Lap 0 has a flying start and is driven with the nominal model alone; the learner learns from it.
+    The table compares the errors of each lap with those of the nominal model. It marks laps on which a side of the
+    car left the track.
 
     \b
     Example:
