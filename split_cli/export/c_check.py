@@ -16,6 +16,7 @@ from split_cli.export.step_check import (
     compare_features,
     compare_linearisation,
     compare_memory,
+    compare_observer,
     compare_states,
     make_step_oracle,
 )
@@ -58,6 +59,13 @@ _CASES = """    case 1:
     case 4:
         @NAME@_features(in, in + @N@, out);
         break;
+    case 12: {
+        @NAME@_trust trust;
+        memcpy(&trust, in + 2 * @N@ + 5, sizeof trust);
+        @NAME@_observe(in, in + @N@@PLACE_TIME@, in[@N@ + 2], @SUBSTEPS@, in + @N@ + 5, &trust);
+        memcpy(out, &trust, sizeof trust);
+        break;
+    }
 %if memory
     case 6: {
         int k;
@@ -98,7 +106,7 @@ def build_driver(
         "PLACE_TIME": f", in[{n} + 3], in[{n} + 4]" if source.place_time else "",
         "SUBSTEPS": str(rk4_substeps(memory)),
         "ARRIVED": f", in + {n} + 5" if memory and memory.line else "",
-        "WIDEST_IN": str(max(64, n + 7)),
+        "WIDEST_IN": str(max(64, 2 * n + 68)),
         "WIDEST_OUT": str(max(128, n * (n + 2))),
     }
     cases = fill(_CASES, values, memory_parts(memory)) if source.with_step else ""
@@ -261,6 +269,8 @@ def _check_step(
     parts = [linear[:, : n * n].reshape(-1, n, n), linear[:, n * n :].reshape(-1, n, 2)]
     compare_linearisation(np.concatenate(parts, axis=2), steps, real, "C: the linearisation")
     errors = []
+    substeps = rk4_substeps(source.memory)
+    compare_observer(lambda asked: driver.answers(12, asked, 63), steps, substeps, real, "C: the running trust")
     if source.memory is not None:
         for function, name, width in ((6, "start", n), (7, "rates", source.memory.continuous), (8, "arrived", 2)):
             if name != "arrived" or source.memory.line:

@@ -10,17 +10,24 @@ import numpy as np
 import scipy.sparse
 
 from split_cli.errors import OUR_FAULT, ExportError
-from split_cli.export.casadi_step import memory_step
+from split_cli.export.casadi_step import casadi_substeps, memory_step
 from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.projection import ProjectionData
-from split_cli.export.step_check import StepOracle, Stepper, compare_drives, compare_memory, compare_states
+from split_cli.export.step_check import (
+    StepOracle,
+    Stepper,
+    compare_drives,
+    compare_memory,
+    compare_observer,
+    compare_states,
+)
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData
 from split_cli.learning.trust import kept_share
 
 __all__ = [
-    "CasadiFunctions", "casadi_answer", "check_casadi", "check_hessian", "committee", "generate_c", "model_step",
-    "predictor_function", "projection", "spline_table",
+    "CasadiFunctions", "casadi_answer", "check_casadi", "check_hessian", "committee", "follows", "generate_c",
+    "model_step", "observer_answer", "predictor_function", "projection", "spline_table",
 ]  # fmt: skip
 
 
@@ -259,6 +266,11 @@ def check_casadi(
     for trusted in functions.trust[:1]:
         wholly = step(steps.asked, trusted)
         error = max(error, compare_states(wholly, steps.exact, steps, "double", "CasADi: the step with all trust"))
+    if functions.trust and follows(steps):
+        substeps = casadi_substeps(steps.model.graph)
+        compare_observer(
+            observer_answer(functions.trust[1]), steps, substeps, "double", "CasADi: the running trust"
+        )
     if steps.drives is not None:
         error = max(error, compare_drives(step, steps, "exact", "double", "CasADi: the step over a drive"))
         for function in functions.memory:
@@ -272,6 +284,23 @@ def _step_once(step: casadi.Function, asked: np.ndarray) -> np.ndarray:
     given = {"x": asked[:n], "u": asked[n : n + 2], "h": asked[n + 2], "p": asked[n + 3 : n + 5]}
     given["tau"] = np.ones(3)
     return np.asarray(step(*(given[step.name_in(k)] for k in range(step.n_in())))).ravel()
+
+
+def follows(steps: StepOracle) -> bool:
+    """Whether ``NAME_observe`` integrates as Python does: within its steps, plays move evenly."""
+    return not steps.model.memory.plays
+
+
+def observer_answer(observe: casadi.Function) -> Stepper:
+    """Return ``NAME_observe`` as something that the rows of `step_check.observed` can ask."""
+
+    def answer(asked: np.ndarray) -> np.ndarray:
+        n = observe.size1_in(0)
+        parts = np.split(asked.T, np.cumsum([n, 2, 1, 2, n]))
+        given = dict(zip(("x", "u", "h", "p", "x_end", "trust"), parts, strict=True))
+        return np.asarray(observe.map(len(asked))(*(given[observe.name_in(k)] for k in range(observe.n_in())))).T
+
+    return answer
 
 
 def _memory_answer(function: casadi.Function) -> Stepper:

@@ -10,7 +10,7 @@ from split_cli.export.casadi_trust import TRUST_SIZE, observation
 from split_cli.export.memory import Memory, nothing_kept, present
 from split_cli.export.symbolic import NominalGraph
 
-__all__ = ["memory_functions", "memory_step", "trust_functions"]
+__all__ = ["casadi_substeps", "memory_functions", "memory_step", "trust_functions"]
 
 
 def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: bool) -> casadi.Function:
@@ -75,8 +75,9 @@ def _begun(graph: NominalGraph, given: dict[str, casadi.MX]) -> tuple[Memory, ca
     return memory, acting, casadi.vertcat(*moving), place_time
 
 
-def _substeps(graph: NominalGraph, memory: Memory) -> int:
-    return max(8, int(np.ceil(graph.stiffness * memory.step)))
+def casadi_substeps(graph: NominalGraph) -> int:
+    """Return into how many parts a step is divided, the nominal one of ``NAME_observe`` too."""
+    return 8 if graph.memory is None else max(8, int(np.ceil(graph.stiffness * graph.memory.step)))
 
 
 def _whether_fits(memory: Memory, h: casadi.MX) -> casadi.MX:
@@ -100,7 +101,7 @@ def _integrated(graph: NominalGraph, given: dict[str, casadi.MX]) -> casadi.MX:
         slope = rates(y + node * dt * slope)
         total += weight * slope
     substep = casadi.Function("runge_kutta", [y, m, dt], [y + dt / 6.0 * total])
-    ended, count = casadi.vertcat(acting, place_time), _substeps(graph, memory)
+    ended, count = casadi.vertcat(acting, place_time), casadi_substeps(graph)
     for _ in range(count):
         ended = substep(ended, moving, given["h"] / count)
     return ended[3:6] + _whether_fits(memory, given["h"])
@@ -127,7 +128,7 @@ def _stepped(
     state = x if graph.memory is None else casadi.vertcat(acting, x[6:8])
     residual = predict(present(graph.features)(state, u)[0])[0]
     residual = residual if tau is None else tau * residual
-    substeps = _substeps(graph, memory)
+    substeps = casadi_substeps(graph)
     change = h * residual if plain else linear_response(A[3:6, 3:6], residual, h, substeps)
     after = acting + linear_response(A, f, h, substeps)
     line, begin = [], memory.continuous

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +13,13 @@ from split_cli.export.memory import present
 from split_cli.export.reference import Reference
 from split_cli.export.stepped_model import Drives, SteppedModel, random_memory, roll_drives
 from split_cli.export.symbolic import NominalGraph
+from split_cli.learning.running_trust import RunningTrust
 from split_cli.learning.training_set import TrainingSet
 
 __all__ = [
-    "STEP_TOLERANCE", "StepOracle", "Stepper", "compare_drives", "compare_features", "compare_linearisation",
-    "compare_memory", "compare_states", "make_step_oracle",
+    "OBSERVER_TOLERANCE", "STEP_TOLERANCE", "StepOracle", "Stepper", "compare_drives", "compare_features",
+    "compare_linearisation", "compare_memory", "compare_observer", "compare_states", "make_step_oracle",
+    "observed",
 ]  # fmt: skip
 
 Stepper = Callable[[np.ndarray], np.ndarray]
@@ -27,7 +30,10 @@ STEP_TOLERANCE = {"double": 1e-9, "float": 1e-4}
 LINEARISATION_TOLERANCE = {"double": 1e-5, "float": 1e-2}
 """Of an entry, relative to 1 + the entry; the reference's own residual slopes are finite differences."""
 
-_STATES = 120
+OBSERVER_TOLERANCE = {"double": 1e-6, "float": 1e-2}
+"""Of the running trust's numbers, relative to 1 + the number: slopes are finite differences."""
+
+_STATES, _OBSERVED = 120, 40
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,7 @@ class StepOracle:
     drives: Drives | None  # of a model with memory
     arrived: np.ndarray  # (N, 2): what arrives of the commands of `asked`
     rates: np.ndarray  # (N, 8 + S): right-hand side there
+    model: SteppedModel
 
     @property
     def size(self) -> int:
@@ -73,7 +80,7 @@ def make_step_oracle(
     rates[:, 3:6] += reference.predict(z).mean
     asked, linear = np.column_stack([x, plain[:, 8:]]), model.derivative(x, u, place_time)
     drives = None if graph.memory is None else roll_drives(model)
-    return StepOracle(asked, exact, recorded, linear, z, drives, first, rates)
+    return StepOracle(asked, exact, recorded, linear, z, drives, first, rates, model)
 
 
 def compare_states(found: np.ndarray, expected: np.ndarray, oracle: StepOracle, real: str, what: str) -> float:
@@ -147,6 +154,50 @@ def compare_memory(name: str, answer: Stepper, oracle: StepOracle, real: str, wh
         # A force on its way to a steady one is a small difference of two that are rounded to seven digits.
         size = size + size.max(axis=0)
     return _require(answer(asked), expected, size, STEP_TOLERANCE[real], f"{what}: {name}")
+
+
+def observed(oracle: StepOracle, substeps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return intervals with any evidence before them, and Python's running trust after each, shape (N, 63).
+
+    An interval is a row of `StepOracle.asked` with the measured end (n) and the trust before (63) appended. The
+    nominal step has so many `substeps`.
+    """
+    asked, n, model = oracle.asked[:_OBSERVED], oracle.size, copy(oracle.model)
+    model.substeps = substeps
+    x, u, place_time = asked[:, :n], asked[:, n : n + 2], asked[:, n + 3 :]
+    nominal, response = model.nominal_end(x, u, place_time)
+
+    def slopes(apart: float) -> np.ndarray:
+        ends = [model.nominal_end(x + move, u, place_time)[0] - model.nominal_end(x - move, u, place_time)[0]
+                for move in apart * np.eye(n)[3:6]]  # fmt: skip
+        return np.stack(ends, axis=2) / (2.0 * apart)
+
+    near, far = slopes(1e-4), slopes(2e-4)
+    rng, count = np.random.default_rng(29), len(x)
+    innovation = rng.normal(0.0, 0.1, (count, 3))
+    # Evidence of all directions, so that no share rests on a rounding.
+    evidence = rng.normal(0.0, 0.3, (count, 3, 4, 4))
+    products = (evidence @ evidence.swapaxes(2, 3)).reshape(count, 48)
+    before = np.column_stack([rng.uniform(0.0, 1.0, (count, 3)), rng.normal(0.0, 0.1, (count, 12)), products])
+    trust, expected = RunningTrust((1.0, 1.0, 1.0), model.step), []
+    for numbers, *interval in zip(before, near, innovation, response, strict=True):
+        trust.numbers = numbers
+        trust.observe(*interval)
+        expected.append(trust.numbers)
+    x_end = np.column_stack([x[:, :3], nominal + innovation, x[:, 6:]])
+    smooth = np.abs(near - far).max(axis=(1, 2)) < OBSERVER_TOLERANCE["double"]  # no kink of the model between
+    return np.column_stack([asked, x_end, before])[smooth], np.array(expected)[smooth]
+
+
+def compare_observer(observe: Stepper, oracle: StepOracle, substeps: int, real: str, what: str) -> float:
+    """Return the largest relative error of the trust after the intervals of `observed`; raise as `compare_states`.
+
+    `observe` takes rows to rows; its tolerance is `OBSERVER_TOLERANCE`.
+    """
+    asked, after = observed(oracle, substeps)
+    if not len(asked):
+        return 0.0
+    return _require(observe(asked), after, np.abs(after), OBSERVER_TOLERANCE[real], what)
 
 
 def compare_linearisation(found: np.ndarray, oracle: StepOracle, real: str, what: str) -> float:

@@ -161,6 +161,19 @@ class SteppedModel:
         moved[:, 3:6] += self.residual(acting, command, u, A)[0]
         return np.column_stack([moved, last, states])
 
+    def nominal_end(self, x: np.ndarray, u: np.ndarray, place_time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return velocities after a nominal step of Runge-Kutta (N, 3), and what each whole correction adds.
+
+        The second has shape (N, 3, 3): a row a velocity, a column a correction.
+        """
+        first, last = self.arrivals(x, u)
+        acting = np.column_stack([x[:, :6], first, x[:, 8 : self.memory.continuous]])
+        _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), place_time)
+        added, phi = self.residual(acting, x[:, 6:8], u, A)
+        mean = self.reference.predict(self.features(acting, x[:, 6:8], u)[0]).mean
+        ended = self.integrate(acting, last, x[:, 6:8], u, place_time)
+        return ended[:, 3:6] - added, self.step * phi * mean[:, None, :]
+
     def one_step(self, x: np.ndarray, u: np.ndarray, place_time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whole states after a step of either kind, shape (N, n)."""
         first, last = self.arrivals(x, u)

@@ -17,11 +17,12 @@ from split_cli.export.c_check import check_c, selftest_source
 from split_cli.export.casadi_function import (
     CasadiFunctions,
     check_casadi,
+    follows,
     generate_c,
     model_step,
     predictor_function,
 )
-from split_cli.export.casadi_step import memory_functions, trust_functions
+from split_cli.export.casadi_step import casadi_substeps, memory_functions, trust_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
 from split_cli.export.compiler import Compiler, find_compiler
 from split_cli.export.documents import (
@@ -39,7 +40,7 @@ from split_cli.export.generated_check import check_generated
 from split_cli.export.ggv import limits_over_speed, write_ggv
 from split_cli.export.projection import projection_data
 from split_cli.export.provenance import Provenance
-from split_cli.export.step_check import make_step_oracle
+from split_cli.export.step_check import StepOracle, make_step_oracle, observed
 from split_cli.export.stepped_model import Drives, SteppedModel, roll_drives
 from split_cli.export.symbolic import NominalGraph, build_nominal
 from split_cli.export.tables import Constants, TableData, build_tables, require_usable, table_data
@@ -154,6 +155,7 @@ def write_export(
     say(f"answering {plan.queries} queries in Python")
     oracle = make_oracle(predictor, plan.queries)
     drives = _drives(graph, training_set, oracle)
+    intervals: tuple[np.ndarray, np.ndarray] | None = None
     compiler = find_compiler()
     results = []
     document_check = None
@@ -167,7 +169,9 @@ def write_export(
             )
         elif target == "casadi":
             functions = casadi_functions(tables, graph, plan.name, training_set)
-            results.append(_write_casadi(training_set, plan, graph, functions, oracle, compiler, folder))
+            steps = make_step_oracle(graph, training_set, oracle.reference) if functions.step is not None else None
+            results.append(_write_casadi(training_set, plan, graph, functions, oracle, steps, compiler, folder))
+            intervals = observed(steps, casadi_substeps(graph)) if steps is not None and follows(steps) else None
         elif target == "ggv":
             files = write_ggv(limits_over_speed(training_set.vehicle, training_set.region), folder, plan.name)
             size = sum((folder / file).stat().st_size for file in files)
@@ -179,7 +183,7 @@ def write_export(
             # What reads back bit for bit predicts the same: npz and json share one comparison.
             document_check = result.check
             results.append(result)
-    _write_check_points(oracle, drives, folder / f"{plan.name}_check.json")
+    _write_check_points(oracle, drives, intervals, folder / f"{plan.name}_check.json")
     manifest = _manifest(training_set, plan, provenance, tables, oracle, results, folder)
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return tuple(results)
@@ -266,10 +270,10 @@ def _write_casadi(
     graph: NominalGraph,
     functions: CasadiFunctions,
     oracle: Oracle,
+    steps: StepOracle | None,
     compiler: Compiler | None,
     folder: Path,
 ) -> TargetResult:
-    steps = make_step_oracle(graph, training_set, oracle.reference) if functions.step is not None else None
     check, step_error = check_casadi(functions, oracle, steps)
     written = [f"{plan.name}.casadi"]
     functions.predict.save(str(folder / written[0]))
@@ -322,10 +326,13 @@ def _write_document(
     return TargetResult(target, tuple(written), check, None, None, None, path.stat().st_size, None, "numbers only")
 
 
-def _write_check_points(oracle: Oracle, drives: Drives | None, path: Path) -> None:
+def _write_check_points(
+    oracle: Oracle, drives: Drives | None, intervals: tuple[np.ndarray, np.ndarray] | None, path: Path
+) -> None:
     """Write some queries and answers, for `split verify` and for whoever ports the numbers elsewhere.
 
-    Where the step has a memory, drives of it as well: input, t and s of every step, and states from the start.
+    Where the step has a memory, drives of it as well: input, t and s of every step, and states from the start. Of
+    CasADi, a few `observed` intervals and the running trust after them.
     """
     usable = np.flatnonzero((np.abs(oracle.z) < 1e4).all(axis=1))
     rows = usable[:: max(1, len(usable) // CHECK_POINTS)][:CHECK_POINTS]
@@ -339,6 +346,8 @@ def _write_check_points(oracle: Oracle, drives: Drives | None, path: Path) -> No
     if drives is not None:
         places = {"u": drives.u, "place_time": drives.place_time, "x": drives.exact}
         content["drives"] = {"h": drives.step, **{key: values.tolist() for key, values in places.items()}}
+    if intervals is not None and len(intervals[0]):
+        content["observed"] = dict(zip(("asked", "trust"), (some[:4].tolist() for some in intervals), strict=True))
     path.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 

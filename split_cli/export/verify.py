@@ -10,7 +10,7 @@ import numpy as np
 
 from split_cli.errors import ExportError, SplitError
 from split_cli.export.c_check import run_selftest
-from split_cli.export.casadi_function import casadi_answer
+from split_cli.export.casadi_function import casadi_answer, observer_answer
 from split_cli.export.check import TOLERANCE, ExportAnswer, reference_of
 from split_cli.export.compiler import find_compiler
 from split_cli.export.documents import (
@@ -21,7 +21,7 @@ from split_cli.export.documents import (
     read_npz,
     relearned_error,
 )
-from split_cli.export.step_check import STEP_TOLERANCE
+from split_cli.export.step_check import OBSERVER_TOLERANCE, STEP_TOLERANCE
 from split_cli.export.targets import MANIFEST, MANIFEST_FORMAT
 from split_cli.export.verified import VerifiedItem
 from split_cli.files import ScratchFolder, parse_json, sha256_of_file
@@ -102,7 +102,15 @@ def verify_folder(folder: str | Path) -> tuple[VerifiedItem, ...]:
     for target in manifest["targets"]:
         try:
             findings.append(checks[target](folder, manifest["name"]))
-        except (ExportError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        except (
+            ExportError,
+            LookupError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            ArithmeticError,
+            RuntimeError,
+        ) as error:
             # Whatever forged points lead to in the target that is asked for them.
             findings.append(VerifiedItem(f"{target}: answers", False, str(error)[:400] or type(error).__name__))
     return tuple(findings)
@@ -137,13 +145,18 @@ def _verify_casadi(folder: Path, name: str) -> VerifiedItem:
             f"cannot be loaded ({str(error).splitlines()[-1]})", advice="Export the set again on this machine."
         ) from error
     asked = _ask(casadi_answer(predict), folder, name, "casadi")
-    stored = json.loads((folder / f"{name}_check.json").read_text()).get("drives")
-    if stored is None or not asked.passed:
-        return asked
-    worst = _drive(casadi.Function.load(str(folder / f"{name}_step.casadi")), stored)
-    allowed = 10.0 * STEP_TOLERANCE["double"]
-    detail = f"{asked.detail}; {worst:.3g} on stored drives, {allowed:g} is allowed"
-    return VerifiedItem(asked.check, bool(worst <= allowed), detail)
+    stored = json.loads((folder / f"{name}_check.json").read_text())
+    passed, details = asked.passed, [asked.detail]
+    for key, function, error_of, tolerance, where in (
+        ("drives", "step", _drive, STEP_TOLERANCE, "on stored drives"),
+        ("observed", "observe", _observe, OBSERVER_TOLERANCE, "of the running trust"),
+    ):
+        if passed and key in stored:
+            worst = error_of(casadi.Function.load(str(folder / f"{name}_{function}.casadi")), stored[key])
+            allowed = 10.0 * tolerance["double"]
+            details.append(f"{worst:.3g} {where}, {allowed:g} is allowed")
+            passed = worst <= allowed
+    return VerifiedItem(asked.check, passed, "; ".join(details))
 
 
 def _drive(step: Any, stored: dict[str, Any]) -> float:
@@ -154,6 +167,13 @@ def _drive(step: Any, stored: dict[str, Any]) -> float:
         given = [path[-1].T, at.T, stored["h"], place.T][: step.n_in()]
         path.append(np.asarray(step.map(len(at))(*given)).T)
     return float((np.abs(np.stack(path) - expected) / (1.0 + np.abs(expected))).max())
+
+
+def _observe(observe: Any, stored: dict[str, Any]) -> float:
+    """Return the largest relative error of the running trust after the stored intervals."""
+    expected = np.array(stored["trust"])
+    found = observer_answer(observe)(np.array(stored["asked"]))
+    return float((np.abs(found - expected) / (1.0 + np.abs(expected))).max())
 
 
 def _verify_npz(folder: Path, name: str) -> VerifiedItem:

@@ -57,6 +57,16 @@ class RunningTrust:
         self._products = np.zeros((3, 4, 4))  # sums of their products, a state each
         self.share = np.zeros(3)
 
+    @property
+    def numbers(self) -> np.ndarray:
+        """All that it keeps, shape (63,), in the order of the exports: share, errors, their products."""
+        return np.concatenate([self.share, self._driven.ravel(), self._products.ravel()])
+
+    @numbers.setter
+    def numbers(self, numbers: np.ndarray) -> None:
+        self.share, driven, products = np.split(np.array(numbers, dtype=float), [3, 15])
+        self._driven, self._products = driven.reshape(3, 4), products.reshape(3, 4, 4)
+
     def interrupt(self) -> None:
         """Begin errors anew, as after a gap; the evidence and the share stay."""
         self._driven[:] = 0.0

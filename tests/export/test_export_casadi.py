@@ -15,6 +15,7 @@ from split_cli.export.casadi_function import (
     generate_c,
     model_step,
 )
+from split_cli.export.casadi_step import trust_functions
 from split_cli.export.generated_check import check_generated
 from split_cli.export.step_check import make_step_oracle
 from split_cli.export.symbolic import build_nominal
@@ -60,10 +61,13 @@ def test_a_wrong_function_is_refused(small_set):
     heavier = build_nominal(SingleTrack(type(small_set.vehicle)(**{**vars(small_set.vehicle), "mass": 1500.1})),
                             small_set.features)  # fmt: skip
     wrong = model_step(functions.predict, heavier, "wrong")
+    steps = make_step_oracle(graph, small_set, oracle.reference)
     with pytest.raises(ExportError, match="step"):
-        check_casadi(
-            CasadiFunctions(functions.predict, wrong), oracle, make_step_oracle(graph, small_set, oracle.reference)
-        )
+        check_casadi(CasadiFunctions(functions.predict, wrong), oracle, steps)
+    trust = [trust_functions(functions.predict, one, "car", small_set.plain) for one in (graph, heavier)]
+    with pytest.raises(ExportError, match="CasADi: the running trust is"):
+        check_casadi(replace(functions, trust=(trust[0][0], trust[1][1])), oracle, steps)
+    check_casadi(replace(functions, trust=trust[0]), oracle, steps)
 
 
 def test_a_saved_function_answers_the_same(small_set, tmp_path):

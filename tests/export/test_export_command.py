@@ -71,6 +71,13 @@ def test_every_target_from_the_command_line(set_file, tmp_path, compiler):
         assert sha256_of_file(set_file).encode() in (folder / name).read_bytes()
     verified = CliRunner().invoke(verify_command, [str(folder)], catch_exceptions=False)
     assert verified.exit_code == 0 and "FAILED" not in verified.output and "not checked" not in verified.output
+    assert "of the running trust" in " ".join(verified.output.split())
+    stored = json.loads((folder / "my_car_check.json").read_text())
+    stored["observed"]["trust"][0][2] += 1e-4
+    (folder / "my_car_check.json").write_text(json.dumps(stored))
+    manifest["files"]["my_car_check.json"] = sha256_of_file(folder / "my_car_check.json")
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    assert [one.check for one in verify_folder(folder) if one.passed is False] == ["casadi: answers"]
 
 
 def test_two_exports_are_the_same_bytes(set_file, tmp_path, monkeypatch):

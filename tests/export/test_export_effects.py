@@ -308,6 +308,7 @@ MUTATIONS = {
     "memory that starts at rest": ("nominal_start(in, out);\n", "nominal_start(in, out);\n    x[9] = ZERO;\n"),
     "the residual sees late torque": ("w[STATES] = command[0];", "w[STATES] = state[6] + ZERO * command[0];"),
     "slopes without the play": ("drive[play[k]] = h != ZERO ?", "drive[play[k]] = h == ZERO ?"),
+    "a trust that mixes up the velocities": ("running->driven[4 * column + k % 4]", "running->driven[k]"),
     "a right-hand side without residual": ("rates[3 + o] += g[o];", "rates[3 + o] += ZERO * g[o];"),
 }  # fmt: skip
 
