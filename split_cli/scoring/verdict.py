@@ -13,7 +13,7 @@ from split_cli.scoring.trust import NEGLIGIBLE
 from split_cli.vehicle.single_track import SingleTrack
 
 __all__ = [
-    "BlockErrors", "Comparison", "compare", "number_blocks", "one_step_errors",
+    "BlockErrors", "Comparison", "compare", "does_harm", "number_blocks", "one_step_errors",
     "rollout_errors", "verdict", "warnings_of",
 ]  # fmt: skip
 
@@ -143,13 +143,19 @@ def _ratio(
     return _divide(ours, theirs), float(low), float(high)
 
 
+def does_harm(comparison: Comparison) -> bool:
+    """Return whether an error grows beyond chance, and by more than counts as none when the trust is found."""
+    ratio, low, _ = comparison.to_nominal
+    return low > 1.0 and ratio**2 > 1.0 + NEGLIGIBLE
+
+
 def verdict(comparisons: Sequence[Comparison]) -> str:
     """Return in one sentence what the correction is worth, state by state, beyond chance.
 
     Notes
     -----
-    An increase that counts as none when the trust is found is no harm here. It is told all the same, beside what
-    the state gains at other horizons or with other predictors.
+    What is no harm by `does_harm` is told all the same, beside what the state gains at
+    other horizons or with other predictors.
     """
     judged = [c for c in comparisons if c.to_nominal[1] == c.to_nominal[1]]
     if not judged:
@@ -159,7 +165,7 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
         own = [c for c in judged if c.state == state]
         worse = [c for c in own if c.to_nominal[1] > 1.0]
         better = [c for c in own if c.to_nominal[2] < 1.0]
-        if any(np.square(c.to_nominal[0]) > 1.0 + NEGLIGIBLE for c in worse):
+        if any(map(does_harm, worse)):
             found = {"WORSE": worse}
         else:
             found = {"better": better, "hardly worse": worse}
@@ -215,10 +221,10 @@ def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
             worse = [c for c in comparisons if c.state == state and getattr(c, attribute)[1] > 1.0]
             if worse:
                 c = max(worse, key=lambda c: getattr(c, attribute)[0])
-                ratio, low, high = getattr(c, attribute)
+                ratio, low, high = map(_beside_one, getattr(c, attribute))
                 warnings.append(
                     f"WARNING: {state} of the corrected model is worse than {other} {_where(worse)}: at most "
-                    f"{ratio:.2f} times its error (95 % interval {low:.2f} to {high:.2f}, {c.blocks} blocks)"
+                    f"{ratio} times its error (95 % interval {low} to {high}, {c.blocks} blocks)"
                 )
     return tuple(warnings)
 

@@ -58,6 +58,8 @@ def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
         said = verdict([one, *others])
         assert words in said and said.startswith(f"verdict: the correction {head}")
         assert "v_x of the corrected model is worse" in warnings_of([one])[0]
+    nearly = warnings_of([replace(worse, to_nominal=(1.001, 1.0005, 1.002))])[0]
+    assert "at most 1.001 times its error (95 % interval 1.0005 to 1.002" in nearly
     hardly = replace(worse, to_nominal=(1.001, 1.0005, 1.002))
     assert "hardly anything" in verdict([hardly])
     # What a state loses at one horizon hides no gain at another.

@@ -11,11 +11,12 @@ import pytest
 from split_cli.plots.pictures import handling, handling_charts
 from split_cli.scoring.handling.understeer import Understeer
 from split_cli.scoring.report import EvaluationSettings
+from split_cli.scoring.verdict import Comparison
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.evaluate import evaluate
 from split_cli.workflows.pictures import recording_charts
 from split_cli.workflows.recording_report import write_recording_report
-from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_page
+from split_cli.workflows.report.evaluation import _headline, evaluation_charts, evaluation_page
 from split_cli.workflows.report.recording import recording_page
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -109,6 +110,18 @@ def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):
     assert "Note: v_y is worse than holding the velocities." in verdict and "a note" not in verdict
     worse = replace(run, report=replace(run.report, verdicts=(lines[0].replace("better", "WORSE"),)))
     assert '<section class="verdict mismatch' in evaluation_page(worse)
+
+
+def test_the_headline_calls_harm_what_the_verdict_does():
+    """An error of 1.001 times the nominal one made it say worse above a page whose verdict said hardly."""
+
+    def judged(state: str, *ratio: float) -> Comparison:
+        return Comparison("bcm", "z2", state, 0.5, 20, 1.0, 1.0, 1.0, ratio, ratio)
+
+    hardly = judged("v_y", 1.001, 1.0005, 1.002)
+    assert _headline([hardly]) == "The learned correction changes hardly anything."
+    assert _headline([hardly, judged("r", 0.5, 0.4, 0.6)]).startswith("The correction helps: errors up to 50 %")
+    assert "worse" in _headline([hardly, judged("r", 1.02, 1.01, 1.03)])
 
 
 def test_in_a_browser_no_name_runs_or_hides(run, drive, car, browser, tmp_path):

@@ -22,7 +22,7 @@ from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, predicto
 from split_cli.scoring.report import IntervalShares
 from split_cli.scoring.rollouts import Correction
 from split_cli.scoring.run import EvaluationRun, Trace
-from split_cli.scoring.verdict import Comparison
+from split_cli.scoring.verdict import Comparison, does_harm
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.pictures import gathered
 from split_cli.workflows.report.markup import (
@@ -110,7 +110,7 @@ def _headline(comparisons: Sequence[Comparison]) -> str:
         return "No predictor was scored on held-out time."
     name = comparisons[0].name
     judged = [c for c in comparisons if c.name == name and np.isfinite(c.to_nominal).all()]
-    worse = sorted({c.state for c in judged if c.to_nominal[1] > 1.0}, key=list(_STATES).index)
+    worse = sorted({c.state for c in judged if does_harm(c)}, key=list(_STATES).index)
     if worse:
         states = " and ".join(_STATES[state][0].lower() for state in worse)
         return f"The learned correction makes {states} worse."
@@ -118,7 +118,8 @@ def _headline(comparisons: Sequence[Comparison]) -> str:
     if not judged:
         return "Too little held-out time to tell whether the correction helps."
     if not better:
-        return "The learned correction changes nothing significantly."
+        changed = "hardly anything" if any(c.to_nominal[1] > 1.0 for c in judged) else "nothing significantly"
+        return f"The learned correction changes {changed}."
     longest = [min((c for c in judged if c.state == s), key=lambda c: c.to_nominal[0]) for s in better]
     best = min(longest, key=lambda c: c.to_nominal[0])
     less = round(100.0 * (1.0 - best.to_nominal[0]))
