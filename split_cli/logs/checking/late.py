@@ -135,11 +135,13 @@ def _steered_late(
     unsure = own + _BY_CHANCE * fit.error if vehicle is not None else _SURE * fit.error
     if fit.refusal or lag < max(_LATE, unsure):
         return None
-    text = (
-        f"delta follows r by {lag:.3f} +- {fit.error:.3f} s, and no car turns before it is steered: delta is late "
-        f"by at least that, or r is early. `--delay delta={lag:.3g}` moves it."
-    )
-    return ConsistencyFinding("delay", "delta", text, lag, fit.error)
+    error = own + fit.error
+    if vehicle is None:
+        late = f"delta follows r by {lag:.3f} +- {error:.3f} s. It is late by at least that"
+    else:
+        late = f"delta is late by {lag:.2f} +- {error:.2f} s for the yaw rate and this vehicle file"
+    text = f"{late}, or r is early, since no car turns before it is steered. `--delay delta={lag:.3g}` moves it."
+    return ConsistencyFinding("delay", "delta", text, lag, error)
 
 
 def _finding(late: DelayEstimate) -> ConsistencyFinding:
