@@ -140,5 +140,5 @@ def test_a_state_of_a_term_is_a_feature(recorded):
     since = PERIOD * (np.arange(len(recorded)) - top)
     expected = np.where(since < 0, 100.0, 500.0 - 400.0 * behind * np.exp(-since / tau))
     assert arrived == pytest.approx(expected, rel=1e-9)
-    with pytest.raises(DriveError, match=r"no feature 'steer_lag\.angle'"):
+    with pytest.raises(DriveError, match=r"'steer_lag\.angle' is a state of the term steer_lag, which .* lacks"):
         FeatureSet(("alpha_f", "steer_lag.angle")).compute(model, risen)
