@@ -13,7 +13,7 @@ __all__ = ["MEMORY", "SPAN", "SWEEPS", "RunningTrust"]
 SPAN = 0.5
 #: Over how long evidence fades [s]: twenty spans, so that a share rests on about ten independent ones.
 MEMORY = 10.0
-#: Sweeps over the three outputs an interval; each begins where the last interval's ended.
+#: Sweeps over the three outputs an interval [1]; each begins where the last interval's ended. Judgement.
 SWEEPS = 3
 
 

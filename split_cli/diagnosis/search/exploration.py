@@ -38,6 +38,7 @@ class Explorer:
     variance_inflation: float
     # Residuals and sensitivities that are held at once [bytes], the newest. Older ones are worked out anew where
     # they are asked for, so this decides memory and time; of a result, what forward differences leave open.
+    # Judgement: a quarter of the gigabyte that two drives of three minutes may take.
     held: int = 2**28
     # Explanations, the costs that were asked for, and fits beside each: to compare, and before they were followed.
     _explored: list[tuple[Fit, float, list[Fit], list[Fit]]] = field(

@@ -30,11 +30,11 @@ _ROWS = 1500
 _STEERED_ROWS = 6000
 """Of these, where only the steer angle is looked at: four minutes [1]."""
 _GENTLE = 0.4
-"""Share of the vehicle file's grip up to which tyres are taken as linear [1]."""
+"""Share of the vehicle file's grip up to which tyres are taken as linear [1]; judgement."""
 _KNOWN_TO = 0.5
-"""Of the car's own lag: as well as yaw inertia and cornering stiffness of a file are known [1]."""
+"""Of the car's own lag, as well as a file's yaw inertia and cornering stiffness are known [1]; judgement."""
 _BY_CHANCE = 3.0
-"""Standard errors of a delay beside what the file may be wrong by [1]."""
+"""Standard errors of a delay beside what the file may be wrong by [1]; judgement."""
 _MOVING = 0.3
 """Of the drive's highest speed, above which steering shows in the yaw rate [1]."""
 _MOST = 3

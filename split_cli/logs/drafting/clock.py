@@ -196,27 +196,18 @@ def _rate_told_by_motion(
     candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]
 ) -> tuple[float | None, str]:
     """Return the rows a second that the motion tells [Hz], and how; None where nothing does."""
-    for rate_of, how in (
-        (_rate_told_by_yaw, "yaw turns as yaw rate says so"),
-        (_rate_told_by_path, "the path grows as v_x says so, a few per cent are open"),
-        (_rate_told_by_speed, "v_x changes as a_x says so, a few per cent are open"),
+    rate = _rate_told_by_yaw(candidates, signals)
+    if rate is not None:
+        return rate, "yaw turns as yaw rate says so"
+    for row_rate, channels, how in (
+        (row_rate_from_path, ("X", "Y", "vx"), "the path grows as v_x says so, a few per cent are open"),
+        (row_rate_from_speed, ("vx", "ax"), "v_x changes as a_x says so, a few per cent are open"),
     ):
-        rate = rate_of(candidates, signals)
+        found = _read_as_named(channels, candidates, signals)
+        rate = None if found is None else row_rate(*found)
         if rate is not None:
             return rate, how
     return None, ""
-
-
-def _rate_told_by_speed(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
-    """Return the rate at which v_x changes as a_x says, both in the units of their names or in SI."""
-    found = []
-    for channel in ("vx", "ax"):
-        plain = [c for c in candidates if c.channel == channel and not c.convert and c.sources[0] in signals]
-        if not plain:
-            return None
-        first = max(plain, key=lambda c: c.weight)
-        found.append(signals[first.sources[0]].values * (find_unit(first.unit).factor if first.unit else 1.0))
-    return row_rate_from_speed(*found)
 
 
 def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
@@ -230,13 +221,15 @@ def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str
     return None
 
 
-def _rate_told_by_path(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
-    """Return the rate at which X, Y grow as v_x says; None for a satellite fix, or without speed."""
+def _read_as_named(
+    channels: Sequence[str], candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]
+) -> list[np.ndarray] | None:
+    """Return channels in the units of their names or in SI; None without one, or for a satellite fix."""
     found = []
-    for channel in ("X", "Y", "vx"):
+    for channel in channels:
         plain = [c for c in candidates if c.channel == channel and not c.convert and c.sources[0] in signals]
         if not plain:
             return None
         first = max(plain, key=lambda c: c.weight)
         found.append(signals[first.sources[0]].values * (find_unit(first.unit).factor if first.unit else 1.0))
-    return row_rate_from_path(*found)
+    return found
