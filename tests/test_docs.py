@@ -1,6 +1,7 @@
 """What the documentation shows is what the program accepts."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,23 @@ def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text()):
         if "://" not in target:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_commits_that_pages_name_are_in_the_history():
+    """Commits of other projects stand behind the words "their commit". A tarball or a shallow clone cannot tell."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+        return done.stdout.strip()
+
+    if git("rev-parse", "--show-toplevel") != str(ROOT) or git("rev-parse", "--is-shallow-repository") != "false":
+        pytest.skip("no whole history here")
+    known = {commit[:7] for commit in git("rev-list", "HEAD").split()}
+    named = re.compile(r"(?<!their commit )\b(?=\d*[a-f])(?=[a-f]*\d)[0-9a-f]{7}\b")
+    unknown = {
+        f"{page.relative_to(ROOT)}: {commit}"
+        for page in [*PAGES, ROOT / "CHANGELOG.md"]
+        for commit in named.findall(page.read_text(encoding="utf-8"))
+        if commit not in known
+    }
+    assert not unknown
