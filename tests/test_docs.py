@@ -46,7 +46,7 @@ def test_links_between_pages_lead_somewhere(page):
 
 
 def test_commits_that_pages_name_are_in_the_history():
-    """Commits of other projects stand behind the words "their commit". A tarball or a shallow clone cannot tell."""
+    """Commits of other projects stand behind the words "their commit". A shallow clone cannot tell."""
 
     def git(*words: str) -> str:
         done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)

@@ -156,11 +156,11 @@ def diagnose(
             reasons = [no_match_in_words(hidden[0], gap)]
             stated = _undecided(reasons, share, inputs, described)
             return replace(stated, not_judged=(*stated.not_judged, *not_judged), detectable=detectable)
-        told = hidden_in_words(hidden)
-        not_judged += (told,) if told else ()
+        hiding = hidden_in_words(hidden)
+        not_judged += (hiding,) if hiding else ()
         return Diagnosis(
             "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
-            history=outcome.selection.history, summary=summarise("match", reasons=[told] if told else []),
+            history=outcome.selection.history, summary=summarise("match", reasons=[hiding] if hiding else []),
             gaps=_gaps(case), detectable=detectable,
         )  # fmt: skip
     progress("judging")
@@ -288,11 +288,11 @@ def _improve(
     case: DiagnosisCase,
     found: _Comparison,
     selection: Selection,
-    told: tuple[Sequence[Finding], RemainderTest],
+    reported: tuple[Sequence[Finding], RemainderTest],
     policy: Policy,
 ) -> tuple[tuple[Finding, ...], RemainderTest, Improvement, CorrectedVehicle | None]:
     """Return findings and remainder with their shares of held-out time, the improvement there, and the vehicle."""
-    findings, remainder = told
+    findings, remainder = reported
     split = hold_out(
         case.real, case.keep, case.holdout, case.keep_holdout, case.posterior, case.discrepancy, case.kinematics,
         policy, fixed_baseline=found.outcome.structure.objective.fixed_baseline,

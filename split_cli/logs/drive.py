@@ -29,7 +29,7 @@ from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
     "INPUT_CHANNELS", "Drive", "DriveMetadata", "NoiseEstimate", "Source", "metadata_of_drive", "open_drive",
-    "read_drive", "untold_inputs", "write_drive",
+    "read_drive", "unstated_inputs", "write_drive",
 ]  # fmt: skip
 
 INPUT_CHANNELS = ("T", "delta")
@@ -362,15 +362,15 @@ def _period_from_time(time: np.ndarray, segment: np.ndarray, path: Path) -> floa
     return float(np.round(np.median(step), 9))
 
 
-def untold_inputs(drives: Sequence[Drive]) -> tuple[str, ...]:
+def unstated_inputs(drives: Sequence[Drive]) -> tuple[str, ...]:
     """Return what to say of inputs whose course between samples no drive's metadata tells; empty if all do."""
-    untold = {name: None for drive in drives for name in INPUT_CHANNELS if name not in drive.metadata.between}
-    if not untold:
+    unstated = {name: None for drive in drives for name in INPUT_CHANNELS if name not in drive.metadata.between}
+    if not unstated:
         return ()
-    named = " and ".join(untold)
+    named = " and ".join(unstated)
     return (
         f"{named}: the recording does not say what happens between samples; linear interpolation is used. Give "
-        f"--held {','.join(untold)} if values are kept until the next sample, as commands are",
+        f"--held {','.join(unstated)} if values are kept until the next sample, as commands are",
     )
 
 

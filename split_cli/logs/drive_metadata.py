@@ -74,7 +74,7 @@ class DriveMetadata:
     between: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def told_kinds(self) -> tuple[str, ...]:
+    def reported_kinds(self) -> tuple[str, ...]:
         """The channels with their kinds, those of one kind together: ``vx, vy, r measured``."""
         alike: dict[str, list[str]] = {}
         for channel, kind in self.kinds.items():

@@ -104,13 +104,13 @@ class GrowingColumn:
             If there is no room for it on the disk.
         """
         if self._file is not None:
-            with _told_of_a_full_disk():
+            with _full_disk_as_error():
                 self._file.write(np.ascontiguousarray(values, dtype=self._dtype).data)
             return
         self._parts.append(np.array(values, dtype=self._dtype))
         self._held += len(values)
         if self._held >= LONG:
-            with _told_of_a_full_disk():
+            with _full_disk_as_error():
                 self._file = tempfile.TemporaryFile()  # noqa: SIM115 (grows from call to call)
                 for part in self._parts:
                     self._file.write(part.data)
@@ -121,7 +121,7 @@ class GrowingColumn:
         rest = np.concatenate(self._parts) if self._parts else np.empty(0, self._dtype)
         if self._file is None:
             return rest
-        with _told_of_a_full_disk(), self._file as file:
+        with _full_disk_as_error(), self._file as file:
             file.write(rest.data)
             return _mapped(file, self._dtype)
 
@@ -158,7 +158,7 @@ class GrowingSignal:
 
 
 @contextlib.contextmanager
-def _told_of_a_full_disk() -> Iterator[None]:
+def _full_disk_as_error() -> Iterator[None]:
     try:
         yield
     except OSError as error:

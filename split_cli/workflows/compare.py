@@ -10,7 +10,7 @@ import numpy as np
 
 from split_cli.errors import DriveError, SplitError
 from split_cli.learning.training_set import TrainingSet, read_set
-from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.logs.drive import Drive, read_drive, unstated_inputs
 from split_cli.prediction import DEFAULT_PREDICTOR, make_predictor
 from split_cli.scoring.application import correction_from
 from split_cli.scoring.comparison import ModelScore, RunErrors, rank, worse_than
@@ -208,7 +208,7 @@ def _pooled(parts: Sequence[RunErrors]) -> RunErrors:
 
 
 def _notes(models: Sequence[ComparedModel], drives: Sequence[Drive], parts: Sequence) -> tuple[str, ...]:
-    notes = list(untold_inputs(list(drives)))
+    notes = list(unstated_inputs(list(drives)))
     for model in models:
         known = {source.sha256 for source in model.trained.sources} if model.trained else set()
         notes += [

@@ -20,7 +20,7 @@ from split_cli.files import atomic_directory, refuse_what_cannot_be_a_folder, sh
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
-from split_cli.logs.drive import Drive, read_drive, untold_inputs
+from split_cli.logs.drive import Drive, read_drive, unstated_inputs
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.pictures import diagnosis_charts
@@ -104,7 +104,7 @@ def read_and_diagnose(
     groups = {"real": real, "sim": simulated, "holdout": holdout}
     drives = {role: [read_drive(path, held) for path in paths] for role, paths in groups.items()}
     given = [drive for several in drives.values() for drive in several]
-    for text in (*untold_inputs(given), *_long(given)):
+    for text in (*unstated_inputs(given), *_long(given)):
         note(text)
     inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
     inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))

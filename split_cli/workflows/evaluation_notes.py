@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from split_cli.learning.training_set import TrainingSet
-from split_cli.logs.drive import untold_inputs
+from split_cli.logs.drive import unstated_inputs
 from split_cli.prediction import PREDICTORS
 from split_cli.scoring.belonging import share_beyond
 from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
@@ -64,7 +64,7 @@ def notes_of(
     facts: Sequence[DriveFacts], drives: Sequence[HeldOutSamples], settings: EvaluationSettings, rollouts: Sequence
 ) -> list[str]:
     """Return the notes of an evaluation, those of its drives among them."""
-    notes = [*untold_inputs([held.drive for held in drives]), *(note for fact in facts for note in fact.notes)]
+    notes = [*unstated_inputs([held.drive for held in drives]), *(note for fact in facts for note in fact.notes)]
     for fact in facts:
         if 2 * fact.tested_valid < fact.tested:
             notes.append(

@@ -16,7 +16,7 @@ from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
 from split_cli.logs.assembling.quality import stored_findings
-from split_cli.logs.drive import Drive, open_drive, untold_inputs
+from split_cli.logs.drive import Drive, open_drive, unstated_inputs
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.engine import Engine
 from split_cli.workflows.recordings import RecordingCorrection
@@ -81,7 +81,7 @@ def label_drive(
         accepted=len(accepted),
         rejected=tuple(labels.counts().items()),
         rms=tuple(np.sqrt(np.mean(accepted**2, axis=0)).tolist()) if len(accepted) else None,
-        notes=(*untold_inputs([drive]), *drive_notes(drive), *correct.notes),
+        notes=(*unstated_inputs([drive]), *drive_notes(drive), *correct.notes),
     )
 
 

@@ -14,7 +14,7 @@ from split_cli.diagnosis.statement.sentences import (
     summarise,
     unexplained_part,
 )
-from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separation, told_apart_by_lacking
+from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking, separation
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import road_car
@@ -158,15 +158,15 @@ def test_exactness_depends_on_the_variant():
 
 def test_what_a_missing_channel_alone_would_tell_apart_is_declared_by_either():
     inertial = {"vx", "vy", "r", "ay", "yaw"}
-    assert set(told_apart_by_lacking("sensor_lever_arm", "", inertial)) == {
+    assert set(separable_by_lacking("sensor_lever_arm", "", inertial)) == {
         "cg_shift+tire_stiffness",
         "tire_stiffness",
     }
-    assert set(told_apart_by_lacking("steer_delay", "", inertial)) == {"channel_delay"}
-    assert set(told_apart_by_lacking("channel_delay", "r", inertial)) == {"steer_lag", "steer_delay"}
-    assert set(told_apart_by_lacking("channel_delay", "vx", inertial)) == {"drive_lag", "drive_delay"}
+    assert set(separable_by_lacking("steer_delay", "", inertial)) == {"channel_delay"}
+    assert set(separable_by_lacking("channel_delay", "r", inertial)) == {"steer_lag", "steer_delay"}
+    assert set(separable_by_lacking("channel_delay", "vx", inertial)) == {"drive_lag", "drive_delay"}
     for term in ("sensor_lever_arm", "steer_delay", "channel_delay"):
-        assert not told_apart_by_lacking(term, "", {*inertial, "X", "Y"})
+        assert not separable_by_lacking(term, "", {*inertial, "X", "Y"})
 
 
 def test_a_sentence_names_alternatives_in_words_with_the_id_once():

@@ -137,7 +137,7 @@ def test_compiled_labels_agree_with_the_reference_for_every_course_of_the_inputs
 
 def test_a_stated_course_is_kept_in_files_and_a_wrong_one_is_told(tmp_path):
     from split_cli.errors import DriveError
-    from split_cli.logs.drive import Drive, DriveMetadata, read_drive, untold_inputs, write_drive
+    from split_cli.logs.drive import Drive, DriveMetadata, read_drive, unstated_inputs, write_drive
 
     columns = {name: np.zeros(5) for name in ("vx", "vy", "r", "T", "delta")} | {"t": PERIOD * np.arange(5)}
     metadata = DriveMetadata(between={"T": "held", "r": "held"})
@@ -145,8 +145,9 @@ def test_a_stated_course_is_kept_in_files_and_a_wrong_one_is_told(tmp_path):
     write_drive(drive, tmp_path / "d.parquet")
     back = read_drive(tmp_path / "d.parquet")
     assert back.held == ("T",)
-    assert "--held delta" in untold_inputs([back])[0]
+    assert "--held delta" in unstated_inputs([back])[0]
     assert read_drive(tmp_path / "d.parquet", ("delta",)).held == ("T", "delta")
-    assert not untold_inputs([replace(back, metadata=DriveMetadata(between={"T": "held", "delta": "continuous"}))])
+    stated = DriveMetadata(between={"T": "held", "delta": "continuous"})
+    assert not unstated_inputs([replace(back, metadata=stated)])
     with pytest.raises(DriveError, match="'vx' cannot be held"):
         read_drive(tmp_path / "d.parquet", ("vx",))

@@ -162,14 +162,14 @@ def _brings_back(selection: Selection, first: SearchOutcome, rules: SelectionRul
     """
     chosen: set[str] = set()
     for k in range(len(first.selection.chosen.parts)) if selection.first_p < rules.sure_level else ():
-        for one in _not_told_apart(first, k):
+        for one in _indistinguishable(first, k):
             # A whole friction curve is its peak with both stiffnesses: under either name it was chosen.
             alike = (name for terms in exact_mimics(one.term, one.variant) for name in terms.split("+"))
             chosen |= {one.term, *alike}
     return bool(selection.terms) and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
 
 
-def _not_told_apart(outcome: SearchOutcome, k: int) -> list[Candidate]:
+def _indistinguishable(outcome: SearchOutcome, k: int) -> list[Candidate]:
     """Return a chosen part's candidate, and those that explain as well where it is named."""
     selection = outcome.selection
     several = selection.rivals[k] if selection.named[k] else ()

@@ -130,5 +130,5 @@ def identifiable(
         lacking.add("torque changes")
     if not _leaves_linear_range(real, vehicle, policy):
         lacking.add("hard turns")
-    told = [one for one in candidates if not lacking & one.needs]
-    return [one.without_witness() for one in told] if "measured position" in lacking else told
+    allowed = [one for one in candidates if not lacking & one.needs]
+    return [one.without_witness() for one in allowed] if "measured position" in lacking else allowed

@@ -152,14 +152,14 @@ def _blocks(parts: Sequence[Part]) -> list[_Block]:
     for part in parts:
         neutral = CATALOGUE[part.candidate.term].neutral
         names = list(part.values)
-        told = np.array([neutral.get(name) is not None for name in names])
+        has_neutral = np.array([neutral.get(name) is not None for name in names])
         distance = [
             (part.values[name] - neutral[name]) / part.candidate.ranges[name].step
             for name in names
             if neutral.get(name) is not None
         ]
         columns = first + np.arange(len(names))
-        blocks.append(_Block(part, columns, columns[told], np.array(distance)))
+        blocks.append(_Block(part, columns, columns[has_neutral], np.array(distance)))
         first += len(names)
     return blocks
 

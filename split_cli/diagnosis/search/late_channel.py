@@ -40,9 +40,9 @@ def with_late_channel(
     p_value = witnessed_p(objective, fit, 0, base, rules) * len(candidates)
     seen = objective.witnesses_cost(base.residuals) - objective.witnesses_cost(fit.residuals)
     lost = fit.cost - base.cost + seen
-    told = seen / variance_inflation - lost / max(objective.form_error_inflation, variance_inflation)
+    evidence = seen / variance_inflation - lost / max(objective.form_error_inflation, variance_inflation)
     own = objective.witness_floors.get(part.candidate.effect, 0.0) / objective.policy.self_test.term_margin
-    if p_value >= rules.level or told < rules.price or seen < rules.deviations**2 * own:
+    if p_value >= rules.level or evidence < rules.price or seen < rules.deviations**2 * own:
         return None
     return replace(
         selection,

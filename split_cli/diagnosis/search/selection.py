@@ -383,9 +383,9 @@ def rivals_of(
         difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
         total = float(difference.sum()) + explore.rules.price * (fit.complexity - chosen.complexity)
         # Model-form error moves no witness: what these say between the two is in doubt by chance alone.
-        told, error = _told_by_witnesses(objective, fit, chosen)
+        evidence, error = _witness_evidence(objective, fit, chosen)
         apart = 1.0 / explore.variance_inflation - 1.0 / variance_inflation
-        total, spread = total + apart * told, np.hypot(error_of_sum(difference), apart * error)
+        total, spread = total + apart * evidence, np.hypot(error_of_sum(difference), apart * error)
         rivals.append(Rival(fit, total, total / spread))
     rivals.sort(key=lambda rival: rival.excess)
     of_own = [rival.fit.parts[-1].candidate.term == own.term for rival in rivals]
@@ -395,7 +395,7 @@ def rivals_of(
     )
 
 
-def _told_by_witnesses(objective: MarginalLikelihood, fit: Fit, chosen: Fit) -> tuple[float, float]:
+def _witness_evidence(objective: MarginalLikelihood, fit: Fit, chosen: Fit) -> tuple[float, float]:
     """Return by how much more witnesses deny a fit than another, and the standard error; zeros if they are mute.
 
     They speak for a fit only by a sensor's fault of its last part, and by more than between halves of the

@@ -151,12 +151,12 @@ def acting_in_a_part(
         )
         return f"{where} there is a difference that is not there all along the drive; {several}."
 
-    def told(term: str, name: str, one: ParameterEstimate) -> str:
+    def worded(term: str, name: str, one: ParameterEstimate) -> str:
         low, high = (number(end, 3) for end in one.interval_95)
         value = f"{name} = {number(one.value, 3)} {one.unit}".removesuffix(" 1")
         return f"{term_with_id(term)} with {value} (95 %: {low} to {high})"
 
-    first, *others = (told(*one) for one in readings)
+    first, *others = (worded(*one) for one in readings)
     instead = f" It is explained nearly as well there by {' or by '.join(others)}." if others else ""
     return f"{where} it looks like {first}, but not all along the drive. This is a lead, not a finding.{instead}"
 
@@ -252,27 +252,28 @@ def _help(improvement: Improvement, stage: str, vehicle: Vehicle | None = None) 
         verb = "falls" if share >= 0.0 else "rises"
         low, high = sorted(100.0 * end if share >= 0.0 else -100.0 * end for end in ends)
         chance = ", within chance" if low < 0.0 < high else ""
-        told = f"{verb} by {percent(abs(share))} (95 %: {low:.0f} to {high:.0f} %{chance})"
-        parts.append(f"{intro}, the squared one-step error above the noise floor {told}.")
+        change = f"{verb} by {percent(abs(share))} (95 %: {low:.0f} to {high:.0f} %{chance})"
+        parts.append(f"{intro}, the squared one-step error above the noise floor {change}.")
     if improvement.rollouts:
-        told = (_as_it_is if nothing else _open_loop)(improvement.rollouts[-1], stage, vehicle)
-        parts.append(told if parts else f"{intro}: {told[:1].lower()}{told[1:]}")
+        change = (_as_it_is if nothing else _open_loop)(improvement.rollouts[-1], stage, vehicle)
+        parts.append(change if parts else f"{intro}: {change[:1].lower()}{change[1:]}")
     return " ".join(parts)
 
 
 def _as_it_is(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> str:
     """Return the errors of all velocities where a stage changes none."""
-    told = [
+    errors = [
         f"{number(getattr(last, stage)[k], 2)} {unit} in {name} (persistence: {number(last.persistence[k], 2)})"
         for k, (name, unit) in enumerate(_STATES)
     ]
-    text = f"After {last.horizon:g} s of open-loop simulation the error is {', '.join(told[:-1])} and {told[-1]}."
+    *most, final = errors
+    text = f"After {last.horizon:g} s of open-loop simulation the error is {', '.join(most)} and {final}."
     return " ".join([text, *_offsets(last, stage, last.beaten_by_persistence(stage), vehicle)])
 
 
 def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: Vehicle | None) -> list[str]:
     """Return what of a stage's squared errors is the mean error: of v_x, a force that lasts."""
-    told = []
+    sentences = []
     for k in channels:
         share = last.mean_share(stage, k)
         if share is None:
@@ -282,8 +283,8 @@ def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: 
         if k == 0 and vehicle is not None:
             force = number(abs(mean) * vehicle.mass / last.horizon, 2)
             text += f", as of {force} N of longitudinal force too {'much' if mean > 0.0 else 'little'}"
-        told.append(f"{text}.")
-    return told
+        sentences.append(f"{text}.")
+    return sentences
 
 
 def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> str:

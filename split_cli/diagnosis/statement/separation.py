@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from split_cli.diagnosis.statement.wording import term_name
 from split_cli.vehicle.effects import CATALOGUE, Mimic
 
-__all__ = ["Separation", "exact_mimics", "look_alike", "separation", "told_apart_by_lacking"]
+__all__ = ["Separation", "exact_mimics", "look_alike", "separable_by_lacking", "separation"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def exact_mimics(term: str, variant: str) -> tuple[str, ...]:
     return tuple(one.terms for one in mimics if one.exact and one.holds(variant) and one.terms != term)
 
 
-def told_apart_by_lacking(term: str, variant: str, measured: Container[str]) -> tuple[str, ...]:
+def separable_by_lacking(term: str, variant: str, measured: Container[str]) -> tuple[str, ...]:
     """Return what only channels tell from a term of which one was not measured, by declaration of either."""
 
     def lacking(mimic: Mimic) -> bool:

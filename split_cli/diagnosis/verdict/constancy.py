@@ -170,8 +170,8 @@ def beyond_form_error(
             spread = covariance[at] @ products[at]
             mean, square = float(np.trace(spread)), float(np.sum(spread * spread.T))
             energy = float(weights[of_part] @ products[at] @ weights[of_part])
-            told = mean > 0.0
-            p_value = float(chi2.sf(energy * mean / square, mean**2 / square)) if told else 1.0
+            measurable = mean > 0.0
+            p_value = float(chi2.sf(energy * mean / square, mean**2 / square)) if measurable else 1.0
             out[fit.parts[k].candidate.term] = p_value
     return out
 

@@ -71,10 +71,10 @@ def smallest_named(
             ((*next(found), CATALOGUE[term].parameter_units(one.variant)[name]) for one, _ in several),
             key=lambda one: one[0],
         )
-        told = parameters.setdefault(term, {})
+        sizes = parameters.setdefault(term, {})
         if values:
-            told[name] = values[name], unit
-    return tuple(Detectable(term, told) for term, told in parameters.items())
+            sizes[name] = values[name], unit
+    return tuple(Detectable(term, sizes) for term, sizes in parameters.items())
 
 
 def _alone(candidates: Sequence[Candidate]) -> dict[tuple[str, str], list[tuple[Candidate, dict[str, float]]]]:
@@ -166,8 +166,8 @@ def _is_apart(objective: MarginalLikelihood, bare: Fit, part: Part) -> bool:
     """Return whether a part that leaves what is left now would have an interval without its neutral value."""
     steps = np.array([part.candidate.ranges[name].step for name in part.values])
     slopes = tangent(objective, np.zeros(len(objective.weight)), part).slopes / steps
-    (told,) = parameter_estimates(objective, Fit((part,), bare.cost, bare.residuals, slopes), recorded=False)
-    ends = [(part.term.neutral[name], one.interval_95) for name, one in told.items() if name in part.term.neutral]
+    (shown,) = parameter_estimates(objective, Fit((part,), bare.cost, bare.residuals, slopes), recorded=False)
+    ends = [(part.term.neutral[name], one.interval_95) for name, one in shown.items() if name in part.term.neutral]
     return any(not low <= neutral <= high for neutral, (low, high) in ends)
 
 

@@ -86,7 +86,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
     wide = float(student.ppf(0.975, freedom))
     moved, out, column = moved_between_load_laws(objective, fit), [], 0
     for k, part in enumerate(fit.parts):
-        term, told, names = part.term, {}, []
+        term, estimated, names = part.term, {}, []
         shared = np.hypot(systematic_error(objective, fit, k), _between_recordings(objective, fit, k))
         if recorded:
             shared = np.hypot(shared, witnesses_disagree(objective, fit, k, objective.policy.selection))
@@ -96,7 +96,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
             value, physical = term.parameters[name], part.candidate.ranges[name]
             neutral = term.neutral.get(name)
             if neutral is not None and scale[column] * (physical.upper - physical.lower) < 1.0:
-                told[name] = _not_shown(neutral, unit, physical)
+                estimated[name] = _not_shown(neutral, unit, physical)
                 column += 1
                 continue
             away = 0.0 if neutral is None else value - neutral
@@ -109,19 +109,19 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
-            told[name] = ParameterEstimate(value, error, unit, _possible(limits, value, physical))
+            estimated[name] = ParameterEstimate(value, error, unit, _possible(limits, value, physical))
             if neutral is not None:
                 names.append(name)
             column += 1
         regions: tuple[JointRegion, ...] = ()
         if names:
-            at = first + np.flatnonzero([name in names for name in told])
-            away = np.array([told[name].value - term.neutral[name] for name in names])
+            at = first + np.flatnonzero([name in names for name in estimated])
+            away = np.array([estimated[name].value - term.neutral[name] for name in names])
             errors = shared**2 * np.outer(away, away) + np.diag((own * away) ** 2)
             errors += least_above(covariance[np.ix_(at, at)], known[np.ix_(at, at)])
             region = JointRegion(tuple(names), away, errors, radius_95(len(at), freedom))
             regions = (region, region.moved(moved[at])) if moved[at].any() else (region,)
-        out.append(PartEstimate(told, regions))
+        out.append(PartEstimate(estimated, regions))
     return tuple(out)
 
 

@@ -27,7 +27,7 @@ from split_cli.diagnosis.statement.result import (
     RivalSummary,
 )
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
-from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, told_apart_by_lacking
+from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking
 from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error, parameter_drifts
 from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
 from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along
@@ -39,7 +39,7 @@ _SHOWN_RIVALS = 6
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Reported:
     """A finding, and what else was worked out of it."""
 
     finding: Finding
@@ -62,8 +62,8 @@ def describe(
     rules = objective.policy.abstention
     left = residuals_beside_form_error(objective, selection.chosen)
     remainder = _remainder(structure, selection, variance_inflation, left)
-    told = _findings(objective, selection, remainder.share)
-    findings = _only_findings(told)
+    reported = _findings(objective, selection, remainder.share)
+    findings = _only_findings(reported)
     autocorrelation = residual_autocorrelation(structure, left)
     bent = _sure_bends(objective, selection, variance_inflation)
     unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome)
@@ -73,31 +73,31 @@ def describe(
         unexplained, kept = True, {one.term for one in findings if not one.exported}
     elif unexplained:
         imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection))
-        kept -= imitating - _told_by_witnesses(objective, selection)
-    vague = _vague(objective, selection, told) & kept
+        kept -= imitating - _confirmed_by_witnesses(objective, selection)
+    vague = _vague(objective, selection, reported) & kept
     kept -= vague
     while len(kept) < len(findings):
         # Those that stay are fitted again without the others, and asked again. What is not believed may yet be
         # there, so that values hold with and without it.
-        unexplained, beside = True, {one.finding.term: one for one in told}
+        unexplained, beside = True, {one.finding.term: one for one in reported}
         # A term that the data do not single out acts all the same: without it the others would take it up.
         selection = _only(objective, selection, kept | vague)
         left = residuals_beside_form_error(objective, selection.chosen)
         remainder = _remainder(structure, selection, variance_inflation, left)
         selection = _nameless(selection, vague)
         bent = _sure_bends(objective, selection, variance_inflation)
-        told = _findings(objective, selection, remainder.share, beside)
-        findings = _only_findings(told)
+        reported = _findings(objective, selection, remainder.share, beside)
+        findings = _only_findings(reported)
         imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection, vague))
-        imitating -= _told_by_witnesses(objective, selection)
-        doubted = _vague(objective, selection, told) - imitating
+        imitating -= _confirmed_by_witnesses(objective, selection)
+        doubted = _vague(objective, selection, reported) - imitating
         kept = {one.term for one in findings} - doubted - imitating
         vague |= doubted
     return selection, findings, remainder, unexplained
 
 
-def _only_findings(told: Sequence[_Told]) -> tuple[Finding, ...]:
-    return tuple(one.finding for one in told)
+def _only_findings(reported: Sequence[_Reported]) -> tuple[Finding, ...]:
+    return tuple(one.finding for one in reported)
 
 
 def _sure_bends(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> list[Bend]:
@@ -112,15 +112,15 @@ def _errs_too_much(objective: MarginalLikelihood, selection: Selection, variance
     return any(p_value * len(found) < objective.policy.selection.level for p_value in found.values())
 
 
-def _told_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
+def _confirmed_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
     """Return sensors' faults that take a fair share of what witnesses contradict: nothing nameless moves these."""
-    told, rules = set(), objective.policy.selection
+    confirmed, rules = set(), objective.policy.selection
     after = objective.witnesses_cost(selection.chosen.residuals)
     for part, without in zip(selection.chosen.parts, selection.without, strict=True):
         before = objective.witnesses_cost(without.residuals)
         if part.term.corrects and before - after > rules.fair_share * before:
-            told.add(part.candidate.term)
-    return told
+            confirmed.add(part.candidate.term)
+    return confirmed
 
 
 def _imitating(
@@ -161,14 +161,14 @@ def _declared(objective: MarginalLikelihood, selection: Selection, own: Candidat
     Witnesses of a sensor's fault are data enough: they need no other channel.
     """
     little = objective.form_error_inflation <= objective.policy.selection.much_over_noise
-    if little or own.term in _told_by_witnesses(objective, selection):
+    if little or own.term in _confirmed_by_witnesses(objective, selection):
         return exact_mimics(own.term, own.variant)
     drives = [one.series.drive for one in objective.evidence]
     measured = {name for name in drives[0].columns if all(measures(drive, name) for drive in drives)}
-    return *exact_mimics(own.term, own.variant), *told_apart_by_lacking(own.term, own.variant, measured)
+    return *exact_mimics(own.term, own.variant), *separable_by_lacking(own.term, own.variant, measured)
 
 
-def _vague(objective: MarginalLikelihood, selection: Selection, told: Sequence[_Told]) -> set[str]:
+def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequence[_Reported]) -> set[str]:
     """Return terms that the data do not single out.
 
     Many others do as well, nothing tells where they act, or no effect at all is as good: for each parameter by
@@ -176,7 +176,7 @@ def _vague(objective: MarginalLikelihood, selection: Selection, told: Sequence[_
     """
     candidates = {part.candidate.term: part.candidate for part in selection.chosen.parts}
     rules, out = objective.policy.abstention, set()
-    for one in told:
+    for one in reported:
         term, parameters = one.finding.term, one.finding.parameters
         if sum(name not in one.declared for name in one.finding.alternatives) > rules.most_alternatives:
             out.add(term)
@@ -198,12 +198,12 @@ def is_apart_from_none(finding: Finding) -> bool:
 def _is_one_apart(term: str, parameters: Mapping[str, ParameterEstimate]) -> bool:
     """Return whether some parameter's interval leaves out its neutral value; so it is where none has one."""
     neutral = CATALOGUE[term].neutral
-    told = [
+    apart = [
         not low <= neutral[name] <= high
         for name, (low, high) in ((name, one.interval_95) for name, one in parameters.items())
         if name in neutral
     ]
-    return any(told) or not told
+    return any(apart) or not apart
 
 
 def known_together(
@@ -349,8 +349,8 @@ def _findings(
     objective: MarginalLikelihood,
     selection: Selection,
     unnamed: float,
-    beside: Mapping[str, _Told] = MappingProxyType({}),
-) -> tuple[_Told, ...]:
+    beside: Mapping[str, _Reported] = MappingProxyType({}),
+) -> tuple[_Reported, ...]:
     """Return what is named; intervals also hold what `beside` tells of a term's parameters."""
     chosen = selection.chosen
     estimates = estimate_parts(objective, chosen)
@@ -380,7 +380,7 @@ def _findings(
             CATALOGUE[term].exported,
             combination,
         )
-        out.append(_Told(finding, regions, declared))
+        out.append(_Reported(finding, regions, declared))
     return tuple(sorted(out, key=lambda one: -one.finding.gap_explained))
 
 

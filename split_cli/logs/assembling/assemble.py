@@ -240,8 +240,8 @@ def _unverified(path: Path, before: DriveMetadata | None) -> str:
 
 
 def _assumed_before(before: DriveMetadata | None) -> tuple[str, ...]:
-    told = before.quality.get("assumed", ()) if before is not None else ()
-    return tuple(f"{text} (when it was first ingested)" for text in map(str, told))
+    assumed = before.quality.get("assumed", ()) if before is not None else ()
+    return tuple(f"{text} (when it was first ingested)" for text in map(str, assumed))
 
 
 def _ordered(names: Sequence[str]) -> list[str]:

@@ -60,10 +60,10 @@ class Converter:
         slack = 1e-3 * (at[-1] - at[0])
         with np.errstate(invalid="ignore"):
             beyond = (values < at[0] - slack) | (values > at[-1] + slack)
-        told = f"{channel}: {name} by a curve of {len(at)} points from {at[0]:g} to {at[-1]:g}"
+        note = f"{channel}: {name} by a curve of {len(at)} points from {at[0]:g} to {at[-1]:g}"
         if beyond.any():
-            told += f"; {int(beyond.sum())} samples beyond its ends are left out"
-        self.notes.conversions.append(told)
+            note += f"; {int(beyond.sum())} samples beyond its ends are left out"
+        self.notes.conversions.append(note)
         return np.where(beyond | ~np.isfinite(values), np.nan, np.interp(values, at, value))
 
     def convert(

@@ -124,12 +124,12 @@ def lateral_velocity_from_accelerations(
     if not held.any():
         return None
     speed = np.abs(columns["vx"][rows])
-    told = vehicle.cg_to_rear_axle * columns["r"][rows] - reckoned[rows]
+    observed = vehicle.cg_to_rear_axle * columns["r"][rows] - reckoned[rows]
     variance = np.maximum(speed, 0.1 * vehicle.minimum_speed) ** 2 * (_DIRECTION**2 + (_CURVED * rear[rows]) ** 2)
     step = np.diff(rows, prepend=rows[0]) * period
     unknown = (_UNKNOWN * np.maximum(speed, vehicle.minimum_speed)) ** 2
     mean, deviation, contradicted = _smoother(
-        step, np.diff(turned[rows], prepend=0.0), fresh, unknown, held, told, speed * rear[rows],
+        step, np.diff(turned[rows], prepend=0.0), fresh, unknown, held, observed, speed * rear[rows],
         variance * TOGETHER / np.maximum(step, _STEP),
     )  # fmt: skip
     vy, std = np.empty_like(reckoned), np.empty_like(reckoned)
@@ -184,7 +184,7 @@ def _smoother(
     fresh: np.ndarray,
     unknown: np.ndarray,
     held: np.ndarray,
-    told: np.ndarray,
+    observed: np.ndarray,
     slipping: np.ndarray,
     variance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
@@ -199,8 +199,8 @@ def _smoother(
     unknown : ndarray, shape (K,)
         Variance of e where one begins [m^2/s^2].
     held : ndarray of bool, shape (K,)
-    told, slipping, variance : ndarray, shape (K,)
-        There e + slipping s = told, with this variance.
+    observed, slipping, variance : ndarray, shape (K,)
+        There e + slipping s = observed, with this variance.
     """
     count, unused = len(step), 0
     before, spread_before = np.empty((count, 4)), np.empty((count, 4, 4))
@@ -221,7 +221,7 @@ def _smoother(
         if held[node]:
             H = np.array([1.0, 0.0, 0.0, slipping[node]])
             PH = P @ H
-            innovation, width = told[node] - H @ x, H @ PH + variance[node]
+            innovation, width = observed[node] - H @ x, H @ PH + variance[node]
             if innovation**2 < _FARTHEST**2 * width:
                 x, P = x + PH * (innovation / width), P - np.outer(PH, PH) / width
             else:

@@ -66,8 +66,8 @@ class Channels:
             for index, part in enumerate(self.clean[channel]):
                 gap = self.gap_of(channel, index)
                 if self.modes[channel][index] != "held" and gap > self.gap:
-                    told = f"at {1.0 / part.period:.3g} Hz: steps up to {gap:.2g} s are bridged (--gap)"
-                    slow.setdefault(told, {})[channel] = None
+                    note = f"at {1.0 / part.period:.3g} Hz: steps up to {gap:.2g} s are bridged (--gap)"
+                    slow.setdefault(note, {})[channel] = None
         return [
             f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()
         ]

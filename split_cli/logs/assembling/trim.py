@@ -36,7 +36,7 @@ def trim(
 
     Returns
     -------
-    series, told : dict of str to tuple of RawSeries, tuple of str
+    series, left_out : dict of str to tuple of RawSeries, tuple of str
         What was left out, in words.
 
     Raises
@@ -74,6 +74,6 @@ def trim(
                 raise MapError(what, advice="See --start, --end and --cut.")
             kept.append(replace(part, time=set_aside(part.time[keep]), values=set_aside(part.values[keep])))
         made[channel] = tuple(kept)
-    told = [f"before {last:g} s" if np.isinf(first) else f"after {first:g} s" if np.isinf(last)
+    left_out = [f"before {last:g} s" if np.isinf(first) else f"after {first:g} s" if np.isinf(last)
             else f"from {first:g} to {last:g} s" for first, last in spans]  # fmt: skip
-    return made, (f"left out on request: {', '.join(told)}",)
+    return made, (f"left out on request: {', '.join(left_out)}",)

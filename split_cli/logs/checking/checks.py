@@ -320,7 +320,7 @@ class Checks:
         moves = course is not None and course.kind != "constant" and float(np.ptp(course.angle)) > 0.004
         if not is_biased and not moves:
             return []
-        told = f" As a direction: {course.words()}." if course is not None else ""
+        as_direction = f" As a direction: {course.words()}." if course is not None else ""
         angle = np.degrees(bias / speed)
         what = "its direction is not steady"
         if is_biased:
@@ -333,7 +333,7 @@ class Checks:
                 "bias on straights",
                 "vy",
                 f"v_y reads {bias:+.3f} +- {error:.3f} m/s on straights at a median {speed:.1f} m/s: {what}."
-                f"{told} {how}",
+                f"{as_direction} {how}",
                 bias,
                 error,
             )
@@ -396,9 +396,9 @@ class Checks:
             vx = self.k.columns["vx"]
             carried = self.k.of("r/vx", lambda: self.k.columns["r"] / np.where(np.abs(vx) > 0.0, vx, np.nan))
             sideslip = sideslip + self.arm * carried
-        told = len(self.unjudged)
+        before = len(self.unjudged)
         self.relate(ACROSS, sideslip, path, {"vy": 1, "vx": -1}, 0.3)
-        del self.unjudged[told:]
+        del self.unjudged[before:]
         self.relations[count:] = [replace(relation, of_the_world=True) for relation in self.relations[count:]]
         return len(self.relations) > count
 

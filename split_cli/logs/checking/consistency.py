@@ -90,8 +90,8 @@ def check_consistency(
         factors |= {c: f for c, f in again.factors.items() if c not in factors and c not in _IN_OTHERS}
     if any(f.channel == "time" and f.check == "sign" for f in found):
         # Whatever needs a rate of change is judged when the rows are in order.
-        told, unjudged = tuple([*constant, *found]), tuple(dict.fromkeys(checks.unjudged))
-        return Consistency(told, _plain(checks), unjudged, factors, explanation.cost)
+        reported, unjudged = tuple([*constant, *found]), tuple(dict.fromkeys(checks.unjudged))
+        return Consistency(reported, _plain(checks), unjudged, factors, explanation.cost)
     if factors:
         corrected = Checks(corrected_columns(drive.columns, factors, vy_judged), drive, vehicle, kinds, certain)
         corrected.unjudged, finer = finer.unjudged, corrected

@@ -39,22 +39,22 @@ def copied_channels(drive: Drive, kinds: Mapping[str, str]) -> list[ConsistencyF
     place of two channels would win there if copies contradicted nobody.
     """
     found: list[ConsistencyFinding] = []
-    told: set[str] = set()
+    reported: set[str] = set()
     columns = drive.columns
     measured = [c for c in _MEASURED if c in columns and not is_derived(kinds.get(c, ""))]
     for first, second in combinations(measured, 2):
-        if second in told or {first, second} == {"X", "Y"}:
+        if second in reported or {first, second} == {"X", "Y"}:
             continue
         factor = _factor(columns[second], columns[first], _LEFT)
         if factor is not None:
-            told.add(second)
+            reported.add(second)
             times = "" if abs(factor - 1.0) < 1e-3 else f" times {factor:.4g}"
             text = (
                 f"{second} holds the numbers of {first}{times}: one is a copy, or both have one source. "
                 f"Map signals that measure them, or leave {second} out and derive it."
             )
             found.append(ConsistencyFinding("copied", second, text, factor))
-    if {"r", "vx", "delta"} <= set(measured) and "r" not in told:
+    if {"r", "vx", "delta"} <= set(measured) and "r" not in reported:
         factor = _factor(columns["r"], columns["vx"] * np.tan(columns["delta"]), _LEFT_BY_FORMULA)
         if factor is not None and factor != 0.0:
             text = (

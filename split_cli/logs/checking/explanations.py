@@ -96,7 +96,7 @@ def explain(
     best = stories[0]
     # More than the best says is no rival to it.
     rivals = [s for s in stories[1:] if s.cost < best.cost + _RIVAL and not s.blamed >= best.blamed]
-    told = tell(best, rivals, relations, beyond)
+    findings = tell(best, rivals, relations, beyond)
     sure = {m.channel for m in best.mistakes if all(m in rival.mistakes for rival in rivals)}
     doubtful = {leaf.relation.leaf for leaf in best.leaves if leaf.rivals}
     factors = {
@@ -104,7 +104,7 @@ def explain(
         for m in best.mistakes
         if m.channel in sure and m.channel not in doubtful and m.factor is not None
     }
-    return Explanation(tuple(told), factors, best.cost)
+    return Explanation(tuple(findings), factors, best.cost)
 
 
 def _backwards(relations: Sequence[Relation]) -> ConsistencyFinding | None:

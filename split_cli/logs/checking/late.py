@@ -146,7 +146,7 @@ def _steered_late(
 
 def _finding(late: DelayEstimate) -> ConsistencyFinding:
     """Put a delay into words; where nothing ties it to v_x, the yaw rate may be what is late."""
-    told, other = ("late", "early") if late.delay > 0.0 else ("early", "late")
+    sense, other = ("late", "early") if late.delay > 0.0 else ("early", "late")
     remedy = f"`--estimate-delays` moves it, or `--delay {late.channel}={late.delay:.3g}`."
     if late.reference == "r":
         remedy = (
@@ -156,7 +156,7 @@ def _finding(late: DelayEstimate) -> ConsistencyFinding:
     elif late.channel == "r" and late.reference != "vx":
         remedy = f"`--delay r={late.delay:.3g}` moves it; `--estimate-delays` would move the others."
     text = (
-        f"{late.channel} is {abs(late.delay):.3f} +- {late.error:.3f} s {told} against {late.reference} "
+        f"{late.channel} is {abs(late.delay):.3f} +- {late.error:.3f} s {sense} against {late.reference} "
         f"(from {' and '.join(late.identities)}). {remedy}"
     )
     return ConsistencyFinding("delay", late.channel, text, late.delay, late.error)

@@ -112,10 +112,10 @@ def velocity_along(checks: Checks) -> list[ConsistencyFinding]:
     recorded, true = (float(np.sqrt(np.mean(v[both] ** 2))) if both.any() else 0.0 for v in (vx, path))
     if recorded <= _NO_UNIT * true or np.ptp(vx[both]) == 0.0:
         return []
-    told = "do not vary together" if slope is None else f"correlate by {slope.correlation:.2f} only"
+    relation = "do not vary together" if slope is None else f"correlate by {slope.correlation:.2f} only"
     text = (
         f"v_x does not follow the path: {recorded:.3g} m/s (rms) where X, Y moves at {true:.2g} m/s, and the two "
-        f"{told}. Map another v_x, or leave it out and pass `--derive velocity-from-pose`."
+        f"{relation}. Map another v_x, or leave it out and pass `--derive velocity-from-pose`."
     )
     return [ConsistencyFinding("contradiction", "vx", text, recorded, None)]
 

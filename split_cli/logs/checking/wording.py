@@ -101,8 +101,8 @@ def _units_that_help(magnitude: Plausible) -> str:
         for m in known_mistakes(channel, None)
         if m.unit and not m.turned and m.cost <= COMMON and magnitude.value <= m.low * magnitude.high
     }
-    told = [f"{unit} would make it {size:.3g}" for unit, size in sizes.items()]
-    return f" ({', '.join(told)} {magnitude.unit})" if told else ""
+    readings = [f"{unit} would make it {size:.3g}" for unit, size in sizes.items()]
+    return f" ({', '.join(readings)} {magnitude.unit})" if readings else ""
 
 
 def _opposite_hands(world: Story, car: Story, broken: Sequence[Relation]) -> list[ConsistencyFinding]:

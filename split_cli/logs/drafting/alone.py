@@ -11,7 +11,7 @@ from split_cli.logs.checking.checks import LEAST_CORRELATION
 from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval, fit_slope
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
-from split_cli.logs.drafting.wheels import told_of_a_part
+from split_cli.logs.drafting.wheels import note_on_part
 
 __all__ = [
     "read_acceleration", "read_pedal", "read_sideslip", "read_torque", "read_wheel", "read_yaw_rate",
@@ -43,7 +43,7 @@ _MOST_SHARE, _MOST_PERCENT = 1.2, 120.0
 
 def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
     """Say whether T goes with the acceleration; how much per m/s^2 shows a torque of the engine or of one axle."""
-    of_part = told_of_a_part(s.sources)
+    of_part = note_on_part(s.sources)
     if s.status == "open" or not {"vx", "T"} <= set(columns):
         if of_part and s.status == "stated":
             return replace(s, status="assumed", reason=f"{of_part}{s.reason}")
@@ -53,32 +53,32 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
     slope = fit_slope(k.signal("T"), k.rate("vx") - carried, k.moving)
     if slope is None or abs(slope.correlation) < LEAST_CORRELATION:
         how = "cannot be judged" if slope is None else f"correlate by {slope.correlation:.2f} only"
-        told = f"T and dv_x/dt {how}: is it the torque at the wheels?"
+        remark = f"T and dv_x/dt {how}: is it the torque at the wheels?"
         if (
             slope is not None
             and s.status != "stated"
             and _go_apart(k.signal("T"), k.rate("vx") - carried, k.moving)
         ):
-            told = f"T and dv_x/dt {how}: it drives nothing, as the torque in a steering column does"
-            return replace(s, status="open", reason=told)
-        return replace(s, status="assumed", reason="; ".join(filter(None, (of_part, told))))
+            remark = f"T and dv_x/dt {how}: it drives nothing, as the torque in a steering column does"
+            return replace(s, status="open", reason=remark)
+        return replace(s, status="assumed", reason="; ".join(filter(None, (of_part, remark))))
     size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, which should be mass times wheel radius"
     if slope.slope < 0.0:
         s, size = replace(s, scale=-s.scale), f"its sign is turned; {size}"
     too_small = abs(slope.slope) < _LEAST_OF_A_CAR and float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
     if too_small:
-        told = f"{size}: too small for a car, so of the engine? `scale:` with ratio times efficiency makes it T"
-        return replace(s, status="open", reason=told)
+        remark = f"{size}: too small for a car, so of the engine? `scale:` with ratio times efficiency makes it T"
+        return replace(s, status="open", reason=remark)
     beyond = abs(slope.slope) > _MOST_OF_A_LORRY
     if beyond:
-        told = f"the file says {s.foreign_unit!r}, which is no known unit; " if s.foreign_unit else ""
-        return replace(s, status="open", reason=f"{told}{size}: more than any lorry's. Give its `scale:`")
+        remark = f"the file says {s.foreign_unit!r}, which is no known unit; " if s.foreign_unit else ""
+        return replace(s, status="open", reason=f"{remark}{size}: more than any lorry's. Give its `scale:`")
     status = "assumed" if of_part or s.unit is None or s.foreign_unit else "judged"
     unit = s.unit or "N m"
-    told = "" if s.unit else "unit not stated"
+    remark = "" if s.unit else "unit not stated"
     if s.foreign_unit:
-        told = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
-    return replace(s, status=status, unit=unit, reason="; ".join(filter(None, (of_part, told, size))))
+        remark = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
+    return replace(s, status=status, unit=unit, reason="; ".join(filter(None, (of_part, remark, size))))
 
 
 def _go_apart(y: np.ndarray, x: np.ndarray, mask: np.ndarray) -> bool:
@@ -97,8 +97,8 @@ def read_pedal(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
     if largest <= _MOST_SHARE or s.status == "stated":
         return s
     if largest > _MOST_PERCENT:
-        told = f"reaches {largest:.4g}: neither a share nor per cent of the pedal's travel. Give its `scale:`"
-        return replace(s, status="open", reason=told)
+        remark = f"reaches {largest:.4g}: neither a share nor per cent of the pedal's travel. Give its `scale:`"
+        return replace(s, status="open", reason=remark)
     return replace(s, unit="%", reason=f"unit not stated; it reaches {largest:.3g}, so per cent")
 
 
@@ -108,8 +108,8 @@ def read_yaw_rate(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float)
     if s.status != "assumed" or s.unit != unit or s.channel not in columns:
         return s
     reach = float(np.nanquantile(np.abs(columns[s.channel]), 0.99))
-    told = f"unit not stated; it reaches {reach:.3g}, and no car's exceeds {limit:g} {unit}, so deg/s"
-    return replace(s, unit="deg/s", reason=told) if reach > limit else s
+    remark = f"unit not stated; it reaches {reach:.3g}, and no car's exceeds {limit:g} {unit}, so deg/s"
+    return replace(s, unit="deg/s", reason=remark) if reach > limit else s
 
 
 def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
@@ -120,24 +120,24 @@ def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
     found = fit_slope(k.signal(s.channel), k.signal("vx"), k.moving)
     if found is None or found.correlation < LEAST_CORRELATION:
         return s
-    slope, told = found.slope, f"{s.channel} against v_x {found.slope:.3g}"
+    slope, remark = found.slope, f"{s.channel} against v_x {found.slope:.3g}"
     for unit, factor in _ROLLING.items():
         if abs(slope / factor - 1.0) < _ALIKE:
-            return replace(s, unit=unit, status="judged", reason=f"{told}, unit not stated")
+            return replace(s, unit=unit, status="judged", reason=f"{remark}, unit not stated")
     is_large = float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
     turning = {unit: factor / slope for unit, factor in (("rad/s", 1.0), ("rpm", 30.0 / np.pi))}
     least = _LEAST_OF_A_CAR_WHEEL if is_large else _RADII[0]
     for unit, radius in turning.items():
         if least < radius < _RADII[1]:
-            told = f"unit not stated; in {unit} it is a wheel of {radius:.3g} m radius"
-            return replace(s, unit=unit, status="assumed", reason=told)
+            remark = f"unit not stated; in {unit} it is a wheel of {radius:.3g} m radius"
+            return replace(s, unit=unit, status="assumed", reason=remark)
     radius = 0.5 / np.pi / slope
     if least < radius < _RADII[1]:
-        told = (
+        remark = (
             f"unit not stated; in turns per second, `unit: rad/s, scale: 6.2832`, it is a wheel of {radius:.3g} m"
         )
-        return replace(s, status="open", reason=f"{told} radius")
-    return replace(s, status="open", reason=f"{told}: neither a speed nor the turning of a wheel")
+        return replace(s, status="open", reason=f"{remark} radius")
+    return replace(s, status="open", reason=f"{remark}: neither a speed nor the turning of a wheel")
 
 
 def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
@@ -148,8 +148,8 @@ def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: fl
     values = columns[s.channel][standing & np.isfinite(columns[s.channel])]
     if len(values) < _REST_SECONDS * rate or abs(np.median(values)) < _TILTED:
         return s
-    told = f"reads {np.median(values):.3g} m/s^2 while the car stands: gravity, so it is not along a level axis"
-    return replace(s, status="open", reason=told)
+    remark = f"reads {np.median(values):.3g} m/s^2 while the car stands: gravity, so it is not along a level axis"
+    return replace(s, status="open", reason=remark)
 
 
 def without_the_tilted(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
@@ -157,9 +157,9 @@ def without_the_tilted(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
     tilted = next((s for s in suggestions if s.channel in ("ax", "ay") and "gravity" in s.reason), None)
     if tilted is None:
         return list(suggestions)
-    told = f"of the sensor of {tilted.sources[0]}, which reads gravity while the car stands"
+    remark = f"of the sensor of {tilted.sources[0]}, which reads gravity while the car stands"
     return [
-        replace(s, status="open", reason=told)
+        replace(s, status="open", reason=remark)
         if s.channel in ("ax", "ay") and s.status in ("assumed", "stated")
         else s
         for s in suggestions
@@ -176,12 +176,12 @@ def read_sideslip(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float)
     slope = _of_sideslip(columns, rate) if s.status != "open" and {"vx", "sideslip"} <= set(columns) else None
     if slope is None or abs(slope.correlation) < LEAST_CORRELATION or abs(np.log(abs(slope.slope))) > 0.3:
         return s
-    told = f"against v_y/v_x or the path {slope.slope:.3g}"
+    remark = f"against v_y/v_x or the path {slope.slope:.3g}"
     if slope.slope < 0.0:
         turned = "its sign is turned; " if s.scale > 0.0 else ""
-        told = f"against v_y/v_x or the path {abs(slope.slope):.3g}"
-        return replace(s, scale=-s.scale, status="judged", reason=f"{turned}{told}")
-    return replace(s, status="judged", reason=told)
+        remark = f"against v_y/v_x or the path {abs(slope.slope):.3g}"
+        return replace(s, scale=-s.scale, status="judged", reason=f"{turned}{remark}")
+    return replace(s, status="judged", reason=remark)
 
 
 def _of_sideslip(columns: Mapping[str, np.ndarray], rate: float) -> Slope | None:

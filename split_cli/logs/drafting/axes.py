@@ -28,14 +28,14 @@ def without_other_axes(usable: dict[str, list[TrialCandidate]], trial: Trial, gu
         if column is not None:
             sizes[candidate] = float(np.sqrt(np.nanmean(column**2)))
     speeds = [c for c in sizes if "long" not in concepts_of(tokens_of(c.sources[0]))[0] and c.unit is not None]
-    told = []
+    opened = []
     for candidate, size in sizes.items():
         speed = next((c for c in speeds if size < _FORWARD_SHARE * sizes[c]), None)
         if speed is not None:
             usable["vx"].remove(candidate)
             why = f"{size / sizes[speed]:.2g} of {speed.sources[0]}: not along the car"
-            told.append(Suggestion("vx", candidate.sources, status="open", reason=why))
-    return told
+            opened.append(Suggestion("vx", candidate.sources, status="open", reason=why))
+    return opened
 
 
 def without_the_world(
@@ -64,14 +64,14 @@ def without_the_world(
         if world > max(_GOES_WITH, own):
             source = chosen[{"ax": "vx", "ay": "vy"}[channel]].sources[0]
             reasons[channel] = f"the change of {source}: along the axes of the world"
-    told = []
+    opened = []
     for channel, reason in reasons.items():
         sources = chosen[channel].sources
         usable[channel] = [c for c in usable[channel] if c.sources != sources]
         if not usable[channel]:
             del usable[channel]
-        told.append(Suggestion(channel, sources, status="open", reason=reason))
-    return told
+        opened.append(Suggestion(channel, sources, status="open", reason=reason))
+    return opened
 
 
 def _changes(east: np.ndarray, north: np.ndarray, rate: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -80,11 +80,11 @@ def clock_of_rows(
         unit = unit if unit in ("s", "ms", "us", "ns", "min") else unit_of_time(values)
         fits = unit_of_time(values)
         if fits != unit and not _SHORTEST < _usual_step(values) * find_unit(unit).factor < _LONGEST:
-            told = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
-            line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {told}"
+            remark = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
+            line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {remark}"
             return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
         if unit == "s" and stated_unit(info) is None and bool(np.all(np.diff(values) == 1.0)):
-            return _rows_or_seconds(info.name, values, _rate_told_by_motion(candidates, signals)[0])
+            return _rows_or_seconds(info.name, values, _rate_from_motion(candidates, signals)[0])
         others = [i.name for i in rising[1:]]
         also = f"   # also rises: {', '.join(others)}" if others else ""
         line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
@@ -94,7 +94,7 @@ def clock_of_rows(
         steps = _from_steps(infos, recording)
         if steps is not None:
             return steps
-        row_rate, why = _rate_told_by_motion(candidates, signals)
+        row_rate, why = _rate_from_motion(candidates, signals)
         if row_rate is None:
             return np.arange(count) * 0.01, needed, False
         line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: no column of time; {why}"
@@ -117,9 +117,9 @@ def _why_no_clock(found: RawChannelInfo | None, signals: Mapping[str, RawSignal]
     if not len(values):
         return ""
     kept = len(np.unique(values[np.isfinite(values)]))
-    told = f"{found.name} has {kept} different values in {len(values)} rows: too few digits to be the clock"
-    told = told if 2 * kept < len(values) else f"{found.name} does not rise from row to row"
-    return f"# time: {{period: SECONDS}}   # {told}. Export it again, or state the period here"
+    remark = f"{found.name} has {kept} different values in {len(values)} rows: too few digits to be the clock"
+    remark = remark if 2 * kept < len(values) else f"{found.name} does not rise from row to row"
+    return f"# time: {{period: SECONDS}}   # {remark}. Export it again, or state the period here"
 
 
 def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tuple[np.ndarray, str, bool] | None:
@@ -138,11 +138,11 @@ def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tup
             continue
         off = np.abs(steps[1:] / np.median(steps) - 1.0)
         even = float(np.quantile(off, 0.99)) < _EVEN and float(off.max()) < _LOST_ROW
-        told = f"time: {{period: {step:.6g}}}   # CHECK: {info.name} holds the steps between rows, all alike"
+        entry = f"time: {{period: {step:.6g}}}   # CHECK: {info.name} holds the steps between rows, all alike"
         uneven = (
             f"# time: needed: {info.name} holds steps of unlike size between rows; add a column with their sum"
         )
-        return np.cumsum(steps) * find_unit(unit).factor, told if even else uneven, even
+        return np.cumsum(steps) * find_unit(unit).factor, entry if even else uneven, even
     return None
 
 
@@ -192,11 +192,11 @@ def _counts_since_1970(values: np.ndarray) -> bool:
     return any(1e9 <= first * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
 
 
-def _rate_told_by_motion(
+def _rate_from_motion(
     candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]
 ) -> tuple[float | None, str]:
     """Return the rows a second that the motion tells [Hz], and how; None where nothing does."""
-    rate = _rate_told_by_yaw(candidates, signals)
+    rate = _rate_from_yaw(candidates, signals)
     if rate is not None:
         return rate, "yaw turns as yaw rate says so"
     for row_rate, channels, how in (
@@ -210,7 +210,7 @@ def _rate_told_by_motion(
     return None, ""
 
 
-def _rate_told_by_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
+def _rate_from_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
     for yaw in (c for c in candidates if c.channel == "yaw" and c.sources[0] in signals):
         for rate in (c for c in candidates if c.channel == "r" and c.sources[0] in signals):
             units = [find_unit(c.unit).factor if c.unit else 1.0 for c in (yaw, rate)]

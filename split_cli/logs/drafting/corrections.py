@@ -52,9 +52,9 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
                 if channel == "X" and better.unit:
                     chosen["Y"] = replace(chosen["Y"], unit=better.unit)
         if {"ax", "ay"} <= {f.channel for f in verdict.findings if f.check == "swapped"}:
-            told = "along this axis by the data, not by its name"
+            remark = "along this axis by the data, not by its name"
             pair = (("ax", chosen["ay"]), ("ay", chosen["ax"]))
-            chosen = {**chosen, **{c: replace(s, channel=c, scale=abs(s.scale), reason=told) for c, s in pair}}
+            chosen = {**chosen, **{c: replace(s, channel=c, scale=abs(s.scale), reason=remark) for c, s in pair}}
             changed = True
         for finding in verdict.findings:
             if finding.check == "compass" and "yaw" in chosen:
@@ -98,8 +98,8 @@ def _with_zero(s: Suggestion, shift: float) -> Suggestion:
     """Return yaw counted from the axis X: an angle [rad] is added to what `world` and unit make of it."""
     unit = find_unit(s.unit).factor if s.unit and find_unit(s.unit) else 1.0
     own = -shift if s.world == "ned" else shift
-    told = f"its zero is {np.degrees(-shift):.4g} deg off X"
-    return replace(s, offset=s.offset + own / unit, reason=f"{s.reason}; {told}" if s.reason else told)
+    remark = f"its zero is {np.degrees(-shift):.4g} deg off X"
+    return replace(s, offset=s.offset + own / unit, reason=f"{s.reason}; {remark}" if s.reason else remark)
 
 
 def _other_hand(chosen: dict[str, Suggestion], trial: Trial) -> dict[str, Suggestion]:
@@ -112,9 +112,9 @@ def _other_hand(chosen: dict[str, Suggestion], trial: Trial) -> dict[str, Sugges
               if c in ("r", "vy", "ay")}  # fmt: skip
     yaw = chosen.get("yaw")
     if not path_is_certain(chosen) and not (yaw is not None and is_heading(yaw, trial.signals)):
-        told = "exchanged with the other, or the car's channels are right-positive: nothing recorded decides"
-        return {**chosen, "X": replace(chosen["Y"], channel="X", reason=told),
-                "Y": replace(chosen["X"], channel="Y", reason=told)}  # fmt: skip
+        remark = "exchanged with the other, or the car's channels are right-positive: nothing recorded decides"
+        return {**chosen, "X": replace(chosen["Y"], channel="X", reason=remark),
+                "Y": replace(chosen["X"], channel="Y", reason=remark)}  # fmt: skip
     if yaw is not None and yaw.world != "ned":
         turned["yaw"] = _as_compass(yaw)
     return {**chosen, **turned}
@@ -139,9 +139,9 @@ def _corrected(s: Suggestion, factor: float) -> Suggestion:
     return replace(s, unit=unit, scale=-s.scale if turned else s.scale, reason=reason)
 
 
-def _beside(reason: str, told: str) -> str:
+def _beside(reason: str, remark: str) -> str:
     """Return a further thing to say, behind what was said before."""
-    return told if not reason or told in reason else f"{reason}; {told}"
+    return remark if not reason or remark in reason else f"{reason}; {remark}"
 
 
 def as_others_turn(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[str, Suggestion]:
@@ -152,9 +152,9 @@ def as_others_turn(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[
     if "r" not in chosen or chosen["r"].scale > 0.0 or chosen["r"].convert:
         return chosen
     judged = {channel for r in verdict.relations if r.holds for channel in r.powers}
-    told = "taken as right-positive, since r is"
+    why = "taken as right-positive, since r is"
     return {
-        c: replace(s, scale=-s.scale, status="assumed", reason=f"{told}{_STATED if s.status == 'stated' else ''}")
+        c: replace(s, scale=-s.scale, status="assumed", reason=f"{why}{_STATED if s.status == 'stated' else ''}")
         if c in ("vy", "ay", "sideslip") and c not in judged and s.scale > 0.0
         else s
         for c, s in chosen.items()
@@ -185,15 +185,15 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     keys = {key, "hand"} if key == "X" else {key}
     holding = [relation for relation in verdict.relations if relation.holds and keys & set(relation.powers)]
     notes = [f.text for f in verdict.findings if f.channel == s.channel]
-    told = f"{s.reason}; " if s.reason else ""
+    remark = f"{s.reason}; " if s.reason else ""
     if _agree_in_any_unit(s, chosen, verdict):
         unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
         return replace(
-            s, unit=unit, reason=f"{told}unit not stated, {unit} assumed: r and yaw agree in degrees too"
+            s, unit=unit, reason=f"{remark}unit not stated, {unit} assumed: r and yaw agree in degrees too"
         )
     if holding:
         shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])
-        return replace(s, status="judged", reason=f"{told}{shown}{'; note: ' + notes[0] if notes else ''}")
+        return replace(s, status="judged", reason=f"{remark}{shown}{'; note: ' + notes[0] if notes else ''}")
     if s.status == "stated":
         return replace(s, reason=f"{'; ' + s.reason if s.reason else ''}")
     unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
@@ -202,6 +202,6 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
         assumed = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
     tried = next((u for u in verdict.unjudged if u.check.startswith(_SYMBOLS.get(s.channel, "-"))), None)
     if s.reason.endswith(_STATED):
-        told, assumed = "", s.reason
+        remark, assumed = "", s.reason
     judge = f"not judged ({tried.check}: {tried.reason})" if tried is not None else "nothing judges it"
-    return replace(s, unit=unit, reason=f"{told}{assumed}, and {judge}")
+    return replace(s, unit=unit, reason=f"{remark}{assumed}, and {judge}")

@@ -11,7 +11,7 @@ from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
 from split_cli.signals import REQUIRED_CHANNELS
 
-__all__ = ["UNITS_OF", "Draft", "Suggestion", "in_ranges", "quoted", "render_draft", "told_of_presets"]
+__all__ = ["UNITS_OF", "Draft", "Suggestion", "in_ranges", "lines_on_presets", "quoted", "render_draft"]
 
 UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad",
             "engine_torque": "N m", "axle_torque": "N m"}  # fmt: skip
@@ -70,7 +70,7 @@ def render_draft(draft: Draft, name: str) -> str:
         f"# A draft for {name}. `judged`: the channel fits the others. `CHECK`: nothing judged it, look at it.",
         "# A number behind a relation is the measured slope; it is 1 where both sides agree.",
         "name: draft",
-        *(f"# {line}" for line in told_of_presets(draft.presets)),
+        *(f"# {line}" for line in lines_on_presets(draft.presets)),
         draft.time,
         "frame: flu   # or frd: y right, z down",
         "channels:",
@@ -99,7 +99,7 @@ def render_draft(draft: Draft, name: str) -> str:
     return "\n".join(lines)
 
 
-def told_of_presets(presets: Sequence[str]) -> tuple[str, ...]:
+def lines_on_presets(presets: Sequence[str]) -> tuple[str, ...]:
     """Return in a sentence that maps of the project fit a log; nothing where none does."""
     if not presets:
         return ()

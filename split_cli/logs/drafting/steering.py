@@ -107,18 +107,18 @@ def read_steering(
     make : type
         ``Suggestion``.
     """
-    told = []
+    drafted = []
     shares = [s for c, s in chosen.items() if c in ("delta", "steering_wheel_angle") and s.unit == "%"]
     chosen = {c: s for c, s in chosen.items() if s not in shares}
     if shares and "delta" not in chosen:
-        told += [replace(s, channel="delta", status="open", reason=_share(s, columns)) for s in shares[:1]]
+        drafted += [replace(s, channel="delta", status="open", reason=_share(s, columns)) for s in shares[:1]]
     by_ratio = None
     if "steering_wheel_angle" in chosen:
         wheel = _hand_wheel(chosen["steering_wheel_angle"], columns)
-        told.append(wheel)
+        drafted.append(wheel)
         if "delta" not in chosen and _is_of_the_road(wheel, columns):
             as_delta = {**columns, "delta": columns[wheel.channel]}
-            told[-1] = _road_wheel(replace(wheel, channel="delta"), as_delta, vehicle)
+            drafted[-1] = _road_wheel(replace(wheel, channel="delta"), as_delta, vehicle)
         else:
             reach = apparent_wheelbase(columns.get("steering_wheel_angle", np.zeros(0)), columns) if (
                 "steering_wheel_angle" in columns) else None  # fmt: skip
@@ -127,10 +127,10 @@ def read_steering(
                 reach *= np.pi / 180.0
             by_ratio = make("delta", wheel.sources, status="open", reason=_ratio(reach, wheel.unit, vehicle))
     if "delta" in chosen:
-        told.append(_road_wheel(chosen["delta"], columns, vehicle))
-    if by_ratio is not None and not any(s.channel == "delta" and s.status != "open" for s in told):
-        told.append(by_ratio)
-    return told
+        drafted.append(_road_wheel(chosen["delta"], columns, vehicle))
+    if by_ratio is not None and not any(s.channel == "delta" and s.status != "open" for s in drafted):
+        drafted.append(by_ratio)
+    return drafted
 
 
 def _share(s: Any, columns: Mapping[str, np.ndarray]) -> str:
@@ -156,12 +156,12 @@ def _hand_wheel(s: Any, columns: Mapping[str, np.ndarray]) -> Any:
             size = abs(reach) * (np.pi / 180.0 if unit == "deg" else 1.0)
             hand = "; its sign is turned" if reach < 0.0 else ""
             return replace(s, unit=unit, status="judged", reason=f"{unit}: {size:.3g} m over curvature{hand}")
-    told = f"{s.reason}; unit not stated" if s.reason else "unit not stated"
+    remark = f"{s.reason}; unit not stated" if s.reason else "unit not stated"
     if s.unit is None and s.channel in columns:
         largest = float(np.nanquantile(np.abs(columns[s.channel]), 0.99))
         if largest > _MOST_TURNS:
-            return replace(s, unit="deg", reason=f"{told}; it reaches {largest:.3g}, so degrees")
-    return replace(s, reason=told)
+            return replace(s, unit="deg", reason=f"{remark}; it reaches {largest:.3g}, so degrees")
+    return replace(s, reason=remark)
 
 
 def _is_of_the_road(wheel: Any, columns: Mapping[str, np.ndarray]) -> bool:
@@ -266,12 +266,14 @@ def _without_unit(
             reason = f"{unit}: {size * factor:.3g} m of angle over curvature is a wheelbase{hand}"
             if unit == "rad" and not concepts_of(tokens_of(s.sources[0]))[0] & {"angle", "road", "wheel"}:
                 # A command in -1..1 of a simulator, with its lock near a radian, looks alike.
-                told = f"rad, or a command in -1..1? {size:.3g} m of it over curvature may be a wheelbase{hand}"
-                return replace(s, unit=unit, status="assumed", reason=told, **turned)
+                remark = f"rad, or a command in -1..1? {size:.3g} m of it over curvature may be a wheelbase{hand}"
+                return replace(s, unit=unit, status="assumed", reason=remark, **turned)
             if size * factor > _LONGEST_CAR:
-                told = f"{size * factor:.3g} m of angle over curvature is a lorry's wheelbase; of a car's steering"
-                told = f"{told} it makes a share of the lock: `scale: {'-' if turned else ''}WHEELBASE/{size:.3g}`"
-                return replace(s, unit=unit, status="assumed", reason=told, **turned)
+                remark = (
+                    f"{size * factor:.3g} m of angle over curvature is a lorry's wheelbase; of a car's steering "
+                    f"it makes a share of the lock: `scale: {'-' if turned else ''}WHEELBASE/{size:.3g}`"
+                )
+                return replace(s, unit=unit, status="assumed", reason=remark, **turned)
             return replace(s, unit=unit, status="judged", reason=reason, **turned)
         if unit == "rad" and size >= _SHORTEST_RACER * 180.0 / np.pi:
             sign = "-" if turned else ""

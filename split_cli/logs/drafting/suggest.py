@@ -45,7 +45,7 @@ from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.triples import along_the_car, names_of_triples, side_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.drafting.wheels import PARTS, sums_of_torques, told_of_an_engine, torques_alike
+from split_cli.logs.drafting.wheels import PARTS, note_on_engine, sums_of_torques, torques_alike
 from split_cli.logs.raw import (
     RawChannelInfo,
     RawRecording,
@@ -135,13 +135,13 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     opened = [s for s in opened if s.channel not in known and not set(s.sources) & taken]
     unused = tuple(info.name for info in infos if info.name not in taken)
     undefined = dict.fromkeys(i.type_name for i in infos if i.name.startswith("/") and _is_bare_topic(i, infos))
-    told = what_tells_left({s.channel: s for s in suggestions if s.status != "open"})
-    if not told:
+    left_by = what_tells_left({s.channel: s for s in suggestions if s.status != "open"})
+    if not left_by:
         suggestions = [without_a_side(s) for s in suggestions]
-    by_gravity = "" if told else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)
+    by_gravity = "" if left_by else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)
     hints = hints_on_the_form(recording, infos)
     whole = (*suggestions, *dict.fromkeys(opened))
-    return Draft(whole, line, unused, tuple(undefined), told, hints, by_gravity, fitting_presets(recording))
+    return Draft(whole, line, unused, tuple(undefined), left_by, hints, by_gravity, fitting_presets(recording))
 
 
 def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:
@@ -174,7 +174,7 @@ def _as_course(s: Suggestion, verdict: Consistency, trial: Trial, chosen: Mappin
 
 def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo]) -> Suggestion:
     """Mark a torque that may be the engine's."""
-    why = told_of_an_engine(s.sources, [info.name for info in infos])
+    why = note_on_engine(s.sources, [info.name for info in infos])
     return replace(s, status="assumed", reason=f"{why}; {s.reason}") if why and s.status != "open" else s
 
 
@@ -217,12 +217,12 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
         # Messages of ROS are in SI by its conventions (REP 103), positions of a fix in degrees.
         unit = "deg" if channel in ("latitude", "longitude") else expected_unit(channel)
         info = next((i for i in infos if i.name == sources[0]), None)
-        told = stated_unit(info) if info is not None else None
+        stated = stated_unit(info) if info is not None else None
         fixed = bool(convert) or channel in ("latitude", "longitude")
-        by_convention = told is None and not fixed and info is not None and info.type_name != "column"
+        by_convention = stated is None and not fixed and info is not None and info.type_name != "column"
         unit = unit if fixed or by_convention else None
         asked = info is not None and asks_by_type(info)
-        found.append(TrialCandidate(channel, sources, 3, told or unit, convert, by_convention, asked=asked))
+        found.append(TrialCandidate(channel, sources, 3, stated or unit, convert, by_convention, asked=asked))
     by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
     axes = named_by_axis(infos)
     for info in infos:

@@ -86,11 +86,11 @@ def side_by_gravity(
     # left = up x forward
     left = up * (1.0 if (k, i, j) in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) else -1.0)
     way = "up" if up > 0.0 else "down"
-    told = f"{three[k]} reads {reads:.3g} m/s^2, so it points {way}. In a right-handed sensor"
+    remark = f"{three[k]} reads {reads:.3g} m/s^2, so it points {way}. In a right-handed sensor"
     if left * ay.scale > 0.0:
-        return f"{told} a_y as above is then left-positive, and what agrees with it too."
+        return f"{remark} a_y as above is then left-positive, and what agrees with it too."
     return (
-        f"{told} a_y as above is then right-positive, and what agrees with it too: set `frame: frd`, "
+        f"{remark} a_y as above is then right-positive, and what agrees with it too: set `frame: frd`, "
         "and `world: ned` if there is a pose."
     )
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.drafting.vocabulary import concepts_of, place_and_rest, tokens_of
 
-__all__ = ["PARTS", "sums_of_torques", "told_of_a_part", "told_of_an_engine", "torques_alike"]
+__all__ = ["PARTS", "note_on_engine", "note_on_part", "sums_of_torques", "torques_alike"]
 
 PARTS = ("wheel_torque", "axle_torque")
 """Meanings that together make T."""
@@ -39,7 +39,7 @@ def sums_of_torques(found: Sequence[TrialCandidate]) -> list[TrialCandidate]:
     return made
 
 
-def told_of_a_part(sources: Sequence[str]) -> str:
+def note_on_part(sources: Sequence[str]) -> str:
     """Return what to say of a torque that is that of one axle, empty where it is the whole car's.
 
     Parameters
@@ -57,7 +57,7 @@ def told_of_a_part(sources: Sequence[str]) -> str:
     return ""
 
 
-def told_of_an_engine(sources: Sequence[str], names: Sequence[str]) -> str:
+def note_on_engine(sources: Sequence[str], names: Sequence[str]) -> str:
     """Return what to say of a torque that may be the engine's, empty where its name tells, or no engine is seen.
 
     It goes with the acceleration as the torque at the wheels does: only its size differs, by the gear ratio.

@@ -101,8 +101,8 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
         note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
     if sniffed.unnamed:
         beside = f" ({sniffed.titles} titles stand before {len(sniffed.header)} columns of values)"
-        told = beside if sniffed.titles else ""
-        note_once(notes, ReadNote(f"no header row{told}: columns are called column1, column2, ...", path.name))
+        remark = beside if sniffed.titles else ""
+        note_once(notes, ReadNote(f"no header row{remark}: columns are called column1, column2, ...", path.name))
     return columns
 
 

@@ -185,8 +185,8 @@ def _candidates(lines: list[str]) -> list[tuple[str, str]]:
             # Weighed by their share: 0,1;2,5 holds two numbers between commas as well, and a remnant.
             weight = numbers * numbers / max(len(cells), 1)
             # Blanks stand inside dates and beside other separators: they part columns where nothing else does.
-            told = separator == _BLANKS and any(entry[0] and entry[1] > 0.0 for entry in scored)
-            scored.append((width > 1 and not told, weight, (separator, decimal)))
+            settled = separator == _BLANKS and any(entry[0] and entry[1] > 0.0 for entry in scored)
+            scored.append((width > 1 and not settled, weight, (separator, decimal)))
     # A column of integers reads the same with either mark; the point, listed first, then wins.
     scored.sort(key=lambda entry: entry[:2], reverse=True)
     return [entry[2] for entry in scored]

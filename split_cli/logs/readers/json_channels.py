@@ -134,7 +134,7 @@ def _clock(channel: Mapping[str, Any], count: int) -> np.ndarray | None:
         time = _numbers(channel[key])
         return time * find_unit(unit_of_time(time)).factor
     for names, power in ((_RATES, -1.0), (_PERIODS, 1.0)):
-        told = channel.get(_key(channel, names) or "")
-        if isinstance(told, int | float) and 0.0 < told < 1e12:
-            return np.arange(count) * float(told) ** power
+        stated = channel.get(_key(channel, names) or "")
+        if isinstance(stated, int | float) and 0.0 < stated < 1e12:
+            return np.arange(count) * float(stated) ** power
     return None

@@ -281,8 +281,8 @@ class MessageRecording:
         if expected is not None:
             encoding = stream.schema_encoding if stream.schema else expected[0]
             if encoding not in expected:
-                told = f"{stream.encoding} messages with a {stream.schema_encoding!r} definition are not read"
-                raise LogError(told, advice=f"Record them with a definition in {expected[0]}.")
+                problem = f"{stream.encoding} messages with a {stream.schema_encoding!r} definition are not read"
+                raise LogError(problem, advice=f"Record them with a definition in {expected[0]}.")
             layout = self._definitions.layout(stream.type_name, encoding, stream.schema)
             return SerializedDecoder(layout, cdr=stream.encoding == "cdr")
         if stream.encoding == "protobuf" and stream.schema_encoding == "protobuf":

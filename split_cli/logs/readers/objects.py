@@ -78,8 +78,8 @@ class ProtobufDecoder:
             parse = DecoderFactory().decoder_for("protobuf", record)
             self._descriptor = parse(b"").DESCRIPTOR
         except Exception as error:  # the descriptor pool raises whatever it likes at damaged descriptors
-            told = f"the protobuf descriptor of {type_name!r} cannot be used ({error})"
-            raise LogError(told, advice="Record it again with its descriptor, or as json messages.") from error
+            problem = f"the protobuf descriptor of {type_name!r} cannot be used ({error})"
+            raise LogError(problem, advice="Record it again with its descriptor, or as json messages.") from error
         self._parse = parse
         self._failures = (DecodeError, OverflowError, ValueError)
         self._paths = _listed(_protobuf_paths(self._descriptor, "", frozenset()))

@@ -212,13 +212,13 @@ def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> RawRecordin
     try:
         return _messages(path, open_rosbag2_folder(path), message_paths)
     except NoRecordingError as error:
-        told = _told_of_pieces(path)
-        raise (
-            LogError("is a folder of pieces, not one recording", where=str(path), advice=told) if told else error
-        ) from error
+        advice = _advice_on_pieces(path)
+        if not advice:
+            raise
+        raise LogError("is a folder of pieces, not one recording", where=str(path), advice=advice) from error
 
 
-def _told_of_pieces(folder: Path) -> str:
+def _advice_on_pieces(folder: Path) -> str:
     """Say how the pieces of a data set in a folder become one table; empty where it holds none."""
     files = [file for file in itertools.islice(folder.rglob("*"), _MOST_LISTED) if file.is_file()]
     texts = [file for file in files if file.suffix == ".txt" and file.stem.isdigit()]

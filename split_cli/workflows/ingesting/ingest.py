@@ -58,7 +58,7 @@ class IngestResult:
     def to_text(self) -> str:
         """Return the report for a terminal."""
         head = f"{self.log} -> {self.drive_path}: {self.rows} rows at {1.0 / self.period:g} Hz"
-        kinds = "; ".join(self.metadata.told_kinds)
+        kinds = "; ".join(self.metadata.reported_kinds)
         converted = [f"  {text}" for text in self.metadata.conversions]
         return "\n".join(
             [

@@ -11,7 +11,7 @@ from typing import Any
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
 from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
-from split_cli.logs.drafting.draft import told_of_presets
+from split_cli.logs.drafting.draft import lines_on_presets
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
@@ -67,7 +67,7 @@ class InitResult:
                 f"No channel was recognised. See what the log holds: split ingest {self.log} --list",
                 f"Write the channels into {self.map_path}; docs/formats.md, Signal map, shows how.",
             )
-        steps = [f"Fill in the empty values of {self.vehicle_path}.", *told_of_presets(self.draft.presets)]
+        steps = [f"Fill in the empty values of {self.vehicle_path}.", *lines_on_presets(self.draft.presets)]
         if check:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
         if self.draft.time.startswith("# time: {period"):

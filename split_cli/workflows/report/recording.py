@@ -88,5 +88,5 @@ def _open(found: Mapping[str, Any]) -> str:
 
 
 def _done(drive: Drive) -> str:
-    told = (*drive.metadata.conversions, *drive.metadata.told_kinds)
+    told = (*drive.metadata.conversions, *drive.metadata.reported_kinds)
     return section("done", "What was converted, measured and derived", f"<ul>{items(told)}</ul>") if told else ""

@@ -16,7 +16,7 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.label_file import drive_of_labels, read_labels, write_labels
 from split_cli.learning.labels import Labels, compute_labels, window_samples
 from split_cli.learning.region import Region
-from split_cli.logs.drive import Drive, open_drive, untold_inputs
+from split_cli.logs.drive import Drive, open_drive, unstated_inputs
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.engine import HERE, Engine
@@ -179,7 +179,7 @@ class LabelledDrives:
         if drive is None:
             self._notes.append(f"{labels.drive} is learned from its labels; the recording was not looked at")
         else:
-            self.note(*untold_inputs([drive]))
+            self.note(*unstated_inputs([drive]))
             self._notes += drive_notes(drive)
             self._notes += late_inputs(drive, labels, self.labelling.vehicle)
         if labels.sha256 in self._seen:
