@@ -116,13 +116,14 @@ def test_a_relative_starts_where_it_is_as_large(objective):
 def test_a_forgotten_sensitivity_is_worked_out_anew(objective, explore, current):
     """Held or forgotten, explorations are the same; what is worked out anew is what straight lines were."""
     held = explore(current)
-    lean = Explorer(objective, tuple(candidates_of(objective, *NAMES)), VARIANCE_INFLATION, held=0)
+    two = sum(fit.residuals.nbytes + fit.sensitivity.nbytes for fit in (current, held[0]))
+    lean = Explorer(objective, tuple(candidates_of(objective, *NAMES)), VARIANCE_INFLATION, held=two)
     fits = lean(replace(current))
-    assert not any(fit.sensitivity.size for fit in fits)
+    assert fits[0].sensitivity.size and not any(fit.sensitivity.size for fit in fits[1:])
     assert [fit.cost for fit in fits] == [fit.cost for fit in held]
-    there, here = sensitivity_of(objective, fits[0]), held[0].sensitivity
+    there, here = sensitivity_of(objective, fits[1]), held[1].sensitivity
     assert np.linalg.norm(there - here) < 0.02 * np.linalg.norm(here)
-    assert fits[0].sensitivity is there
-    further = [one(fit)[0] for one, fit in ((explore, held[0]), (lean, fits[0]))]
+    assert fits[1].sensitivity is there
+    further = [one(fit)[0] for one, fit in ((explore, held[1]), (lean, fits[1]))]
     assert lean(current) is not fits and [fit.cost for fit in lean(current)] == [fit.cost for fit in held]
     assert further[0].cost == pytest.approx(further[1].cost, abs=0.02)

@@ -31,6 +31,7 @@ _LEAST_INFORMED = 2e-3
 _REMEMBERED = 64
 #: Shifts of the CG in wheelbases between which the shared discrepancy runs in straight lines.
 _SHIFTS = 0.02
+_BLOCK_SECONDS = 2.0  # stretches of a recording over which rows are counted as one, for errors of sums
 
 __all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
 
@@ -304,18 +305,17 @@ def build_objective(
     discrepancy: SharedDiscrepancy,
     keep: Sequence[np.ndarray],
     kinematics: Sequence[KinematicResiduals] = (),
-    block_seconds: float = 2.0,
     policy: Policy = STANDARD,
 ) -> MarginalLikelihood:
-    """Set up the costs on the kept rows; blocks are stretches of `block_seconds` of a recording."""
+    """Set up the costs on the kept rows; blocks are stretches of time of a recording."""
     numbers, first = [], 0
     for one, mask in zip(evidence, keep, strict=True):
-        number = (one.series.t[one.at] // block_seconds).astype(np.int64)
+        number = (one.series.t[one.at] // _BLOCK_SECONDS).astype(np.int64)
         number = first + np.unique(number, return_inverse=True)[1]
         first = int(number.max(initial=first - 1)) + 1
         numbers.append(np.repeat(number[mask], 3))
     for one in kinematics:
-        number = (one.series.t[one.begin] // block_seconds).astype(np.int64)
+        number = (one.series.t[one.begin] // _BLOCK_SECONDS).astype(np.int64)
         numbers.append(first + np.unique(number, return_inverse=True)[1])
         first = int(numbers[-1].max(initial=first - 1)) + 1
     block = np.unique(np.concatenate(numbers), return_inverse=True)[1]

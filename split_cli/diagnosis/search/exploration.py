@@ -82,14 +82,12 @@ class Explorer:
         """Let go of explanations beyond what is held; what is still in use elsewhere, of its sensitivity."""
         held, seen, kept = 0, set(), 1
         for number, (current, _, fits, first) in enumerate(reversed(self._explored), start=1):
-            new = {id(fit): fit for fit in (current, *fits, *first) if id(fit) not in seen}
-            seen |= new.keys()
-            held += sum(fit.residuals.nbytes + fit.sensitivity.nbytes for fit in new.values())
-            if held <= self.held:
-                kept = number
-                continue
-            for fit in new.values():
-                fit.forget()
+            for fit in {id(fit): fit for fit in (current, *fits, *first)}.values():
+                held += 0 if id(fit) in seen else fit.residuals.nbytes + fit.sensitivity.nbytes
+                if held > self.held and id(fit) not in seen:
+                    fit.forget()
+                seen.add(id(fit))
+            kept = number if held <= self.held else kept
         del self._explored[:-kept]
 
     def beyond_form_error(self, current: Fit) -> list[Fit]:
