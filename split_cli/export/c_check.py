@@ -12,6 +12,8 @@ from split_cli.export.c99 import CSource, fill, memory_parts, template
 from split_cli.export.check import ExportAnswer, Oracle, PredictionCheck, check_predictions
 from split_cli.export.compiler import STRICT_FLAGS, Compiler, Driver, run_program, section_bytes
 from split_cli.export.step_check import (
+    OBSERVER_TOLERANCE,
+    Intervals,
     compare_drives,
     compare_features,
     compare_linearisation,
@@ -141,7 +143,7 @@ def check_c(
     oracle: Oracle,
     compiler: Compiler,
     folder: Path,
-    drives: Drives | None = None,
+    selftest: str | None = None,
 ) -> CCheck:
     """Compile, run and compare everything the C offers, its self-test included.
 
@@ -149,8 +151,8 @@ def check_c(
     ----------
     folder : Path
         For what is compiled.
-    drives : Drives, optional
-        For the self-test.
+    selftest : str, optional
+        Its source; without it one of predictions alone is run.
 
     Raises
     ------
@@ -162,8 +164,7 @@ def check_c(
     predictions = check_predictions(answer, oracle, source.real, "C")
     _check_valid(training_set, oracle, driver)
     step_error = _check_step(source, graph, training_set, oracle, driver) if source.with_step else None
-    selftest = folder / f"{source.name}_selftest.c"
-    selftest.write_text(selftest_source(source, oracle, drives))
+    (folder / f"{source.name}_selftest.c").write_text(selftest or selftest_source(source, oracle))
     run_selftest(compiler, folder, source.name)
     inside = oracle.z[np.isfinite(oracle.z).all(axis=1) & (np.abs(oracle.z) < 1e4).all(axis=1)]
     code_bytes, constant_bytes = section_bytes(folder / f"{source.name}.o") or (None, None)
@@ -216,8 +217,10 @@ def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:
     return said
 
 
-def selftest_source(source: CSource, oracle: Oracle, drives: Drives | None = None) -> str:
-    """Return the self-test program: queries with Python's answers, and drives of a model with memory."""
+def selftest_source(
+    source: CSource, oracle: Oracle, drives: Drives | None = None, intervals: Intervals | None = None
+) -> str:
+    """Return the self-test program: Python's answers to queries, drives of a memory, and its running trust."""
     finite = np.flatnonzero((np.abs(oracle.z) < 1e4).all(axis=1))
     rows = finite[:: max(1, len(finite) // SELFTEST_QUERIES)][:SELFTEST_QUERIES]
 
@@ -237,9 +240,18 @@ def selftest_source(source: CSource, oracle: Oracle, drives: Drives | None = Non
         queries += array("drive_start", drive.exact[0]).replace("COUNT", "DRIVES")
         queries += array("drive_end", drive.exact[-1]).replace("COUNT", "DRIVES")
         queries = f"enum {{ DRIVES = {count}, STEPS = {len(drive.u)}, STATES = {n} }};\n" + queries
+    parts = [] if drive is None else ["memory"]
+    if intervals is not None:
+        parts.append("trust")
+        for label, values in (("interval", intervals.asked), ("trust_after", intervals.trust)):
+            queries += array(label, values).replace("COUNT", "INTERVALS")
+        size = (intervals.asked.shape[1] - 68) // 2
+        queries = f"enum {{ INTERVALS = {len(intervals.asked)}, WHOLE = {size} }};\n" + queries
     return fill(
         template("selftest.c.in"),
         {
+            "TRUST_TOLERANCE": f"{10.0 * OBSERVER_TOLERANCE[source.real]:g}",
+            "SUBSTEPS": str(intervals.substeps if intervals else 0),
             "PLACE_TIME_AT": ", (@NAME@_real)at[0], (@NAME@_real)at[1]".replace("@NAME@", source.name)
             if source.place_time
             else "",
@@ -253,7 +265,7 @@ def selftest_source(source: CSource, oracle: Oracle, drives: Drives | None = Non
             "SIGNAL": ", ".join(repr(float(v)) for v in oracle.reference.deviation**2),
             "QUERIES": queries,
         },
-        ("memory", *(["place_time"] if source.place_time else [])) if drive is not None else (),
+        (*parts, *(["measured"] if parts else []), *(["place_time"] if source.place_time else [])),
     )
 
 

@@ -26,7 +26,7 @@ from split_cli.export.tables import BcmTables, Constants, TableData
 from split_cli.learning.trust import kept_share
 
 __all__ = [
-    "CasadiFunctions", "casadi_answer", "check_casadi", "check_hessian", "committee", "follows", "generate_c",
+    "CasadiFunctions", "casadi_answer", "check_casadi", "check_hessian", "committee", "generate_c",
     "model_step", "observer_answer", "predictor_function", "projection", "spline_table",
 ]  # fmt: skip
 
@@ -266,7 +266,7 @@ def check_casadi(
     for trusted in functions.trust[:1]:
         wholly = step(steps.asked, trusted)
         error = max(error, compare_states(wholly, steps.exact, steps, "double", "CasADi: the step with all trust"))
-    if functions.trust and follows(steps):
+    if functions.trust:
         substeps = casadi_substeps(steps.model.graph)
         compare_observer(
             observer_answer(functions.trust[1]), steps, substeps, "double", "CasADi: the running trust"
@@ -284,11 +284,6 @@ def _step_once(step: casadi.Function, asked: np.ndarray) -> np.ndarray:
     given = {"x": asked[:n], "u": asked[n : n + 2], "h": asked[n + 2], "p": asked[n + 3 : n + 5]}
     given["tau"] = np.ones(3)
     return np.asarray(step(*(given[step.name_in(k)] for k in range(step.n_in())))).ravel()
-
-
-def follows(steps: StepOracle) -> bool:
-    """Whether ``NAME_observe`` integrates as Python does: within its steps, plays move evenly."""
-    return not steps.model.memory.plays
 
 
 def observer_answer(observe: casadi.Function) -> Stepper:

@@ -33,8 +33,8 @@ def trust_functions(
 
     Notes
     -----
-    Errors are judged as labels are made, by a nominal step of Runge-Kutta; plays move evenly within it. What an
-    output's whole correction adds is the derivative of `step_trusted` by tau, in which it is linear.
+    Errors are judged by a nominal step of Runge-Kutta, in which plays are drawn to their edge as in the right-hand
+    side. What an output's whole correction adds is the derivative of `step_trusted` by tau, in which it is linear.
     """
     if graph.features is None:
         return ()
@@ -91,7 +91,7 @@ def _integrated(graph: NominalGraph, given: dict[str, casadi.MX]) -> casadi.MX:
     """Return the velocities after a nominal step of Runge-Kutta."""
     memory, acting, moving, place_time = _begun(graph, given)
     y, m, dt = casadi.MX.sym("y", acting.shape[0] + 2), casadi.MX.sym("m", moving.shape[0]), casadi.MX.sym("dt")
-    model = _whole_model(graph, memory)
+    model = _whole_model(graph, memory, drawn=True)
 
     def rates(at: casadi.MX) -> casadi.MX:
         return casadi.vertcat(model(at[:-2], m, at[-2:])[0], 1.0, at[3])
@@ -192,8 +192,11 @@ def _arrivals(memory: Memory, x: casadi.MX, u: casadi.MX, h: casadi.MX) -> tuple
     return casadi.vertcat(*first), casadi.vertcat(*last)
 
 
-def _whole_model(graph: NominalGraph, memory: Memory) -> casadi.Function:
-    """Return (what acts, rates of arriving commands and plays, p) -> f and its Jacobian A, sparse."""
+def _whole_model(graph: NominalGraph, memory: Memory, drawn: bool = False) -> casadi.Function:
+    """Return (what acts, rates of arriving commands and plays, p) -> f and its Jacobian A, sparse.
+
+    Plays move at the rates given or, `drawn`, to their edge as in the right-hand side.
+    """
     size, plays = memory.continuous, memory.plays
     x, p = casadi.SX.sym("x", size), casadi.SX.sym("p", 2)
     moving = casadi.SX.sym("m", 2 + len(plays))
@@ -208,7 +211,7 @@ def _whole_model(graph: NominalGraph, memory: Memory) -> casadi.Function:
     A[2, 5] = 1
     A[3:6, 2:] = jacobian[:3, :]
     for k in range(memory.states):
-        if k in plays:
+        if k in plays and not drawn:
             f[8 + k] = moving[2 + plays.index(k)]
         else:
             f[8 + k], A[8 + k, 2:] = rates[3 + k], jacobian[3 + k, :]

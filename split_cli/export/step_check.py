@@ -17,9 +17,9 @@ from split_cli.learning.running_trust import RunningTrust
 from split_cli.learning.training_set import TrainingSet
 
 __all__ = [
-    "OBSERVER_TOLERANCE", "STEP_TOLERANCE", "StepOracle", "Stepper", "compare_drives", "compare_features",
-    "compare_linearisation", "compare_memory", "compare_observer", "compare_states", "make_step_oracle",
-    "observed",
+    "OBSERVER_TOLERANCE", "STEP_TOLERANCE", "Intervals", "StepOracle", "Stepper", "compare_drives",
+    "compare_features", "compare_linearisation", "compare_memory", "compare_observer", "compare_states",
+    "make_step_oracle", "observed",
 ]  # fmt: skip
 
 Stepper = Callable[[np.ndarray], np.ndarray]
@@ -55,6 +55,20 @@ class StepOracle:
         """Size n of the whole state."""
         size: int = self.exact.shape[1]
         return size
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Measured intervals, and what Python's running trust makes of them."""
+
+    # (N, 2 n + 68): a row of `StepOracle.asked`, the measured end (n) and the trust before (63).
+    asked: np.ndarray
+    trust: np.ndarray  # (N, 63): the trust after it
+    substeps: int  # of the nominal step
+
+    def first(self, count: int) -> Intervals:
+        """Return the first `count` of them."""
+        return Intervals(self.asked[:count], self.trust[:count], self.substeps)
 
 
 def make_step_oracle(
@@ -156,12 +170,8 @@ def compare_memory(name: str, answer: Stepper, oracle: StepOracle, real: str, wh
     return _require(answer(asked), expected, size, STEP_TOLERANCE[real], f"{what}: {name}")
 
 
-def observed(oracle: StepOracle, substeps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return intervals with any evidence before them, and Python's running trust after each, shape (N, 63).
-
-    An interval is a row of `StepOracle.asked` with the measured end (n) and the trust before (63) appended. The
-    nominal step has so many `substeps`.
-    """
+def observed(oracle: StepOracle, substeps: int) -> Intervals:
+    """Return intervals with any evidence before them, and Python's running trust after each."""
     asked, n, model = oracle.asked[:_OBSERVED], oracle.size, copy(oracle.model)
     model.substeps = substeps
     x, u, place_time = asked[:, :n], asked[:, n : n + 2], asked[:, n + 3 :]
@@ -186,7 +196,7 @@ def observed(oracle: StepOracle, substeps: int) -> tuple[np.ndarray, np.ndarray]
         expected.append(trust.numbers)
     x_end = np.column_stack([x[:, :3], nominal + innovation, x[:, 6:]])
     smooth = np.abs(near - far).max(axis=(1, 2)) < OBSERVER_TOLERANCE["double"]  # no kink of the model between
-    return np.column_stack([asked, x_end, before])[smooth], np.array(expected)[smooth]
+    return Intervals(np.column_stack([asked, x_end, before])[smooth], np.array(expected)[smooth], substeps)
 
 
 def compare_observer(observe: Stepper, oracle: StepOracle, substeps: int, real: str, what: str) -> float:
@@ -194,10 +204,11 @@ def compare_observer(observe: Stepper, oracle: StepOracle, substeps: int, real: 
 
     `observe` takes rows to rows; its tolerance is `OBSERVER_TOLERANCE`.
     """
-    asked, after = observed(oracle, substeps)
-    if not len(asked):
+    intervals = observed(oracle, substeps)
+    if not len(intervals.asked):
         return 0.0
-    return _require(observe(asked), after, np.abs(after), OBSERVER_TOLERANCE[real], what)
+    after = intervals.trust
+    return _require(observe(intervals.asked), after, np.abs(after), OBSERVER_TOLERANCE[real], what)
 
 
 def compare_linearisation(found: np.ndarray, oracle: StepOracle, real: str, what: str) -> float:

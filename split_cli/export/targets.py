@@ -17,7 +17,6 @@ from split_cli.export.c_check import check_c, selftest_source
 from split_cli.export.casadi_function import (
     CasadiFunctions,
     check_casadi,
-    follows,
     generate_c,
     model_step,
     predictor_function,
@@ -40,7 +39,7 @@ from split_cli.export.generated_check import check_generated
 from split_cli.export.ggv import limits_over_speed, write_ggv
 from split_cli.export.projection import projection_data
 from split_cli.export.provenance import Provenance
-from split_cli.export.step_check import StepOracle, make_step_oracle, observed
+from split_cli.export.step_check import Intervals, StepOracle, make_step_oracle, observed
 from split_cli.export.stepped_model import Drives, SteppedModel, roll_drives
 from split_cli.export.symbolic import NominalGraph, build_nominal
 from split_cli.export.tables import Constants, TableData, build_tables, require_usable, table_data
@@ -63,7 +62,7 @@ TARGETS = ("c", "casadi", "npz", "json", "ggv")
 PREDICTORS = ("bcm", "rbcm", "table", "projected")
 MANIFEST = "manifest.json"
 MANIFEST_FORMAT = "split-export-manifest/1"
-CHECK_POINTS = 64
+CHECK_POINTS, CHECK_INTERVALS = 64, 4
 
 
 @dataclass(frozen=True)
@@ -155,7 +154,11 @@ def write_export(
     say(f"answering {plan.queries} queries in Python")
     oracle = make_oracle(predictor, plan.queries)
     drives = _drives(graph, training_set, oracle)
-    intervals: tuple[np.ndarray, np.ndarray] | None = None
+    steps, intervals = None, None
+    if graph.features is not None and {"c", "casadi"} & set(plan.targets):
+        steps = make_step_oracle(graph, training_set, oracle.reference)
+        found = observed(steps, casadi_substeps(graph)).first(CHECK_INTERVALS)
+        intervals = found if len(found.asked) else None
     compiler = find_compiler()
     results = []
     document_check = None
@@ -165,13 +168,13 @@ def write_export(
             oracle_c = make_oracle(predictor, plan.queries, "float") if plan.real == "float" else oracle
             constants = predictor_tables(predictor, plan.real)
             results.append(
-                _write_c(training_set, plan, provenance, graph, constants, oracle_c, drives, compiler, folder)
+                _write_c(
+                    training_set, plan, provenance, graph, constants, oracle_c, drives, intervals, compiler, folder
+                )
             )
         elif target == "casadi":
             functions = casadi_functions(tables, graph, plan.name, training_set)
-            steps = make_step_oracle(graph, training_set, oracle.reference) if functions.step is not None else None
             results.append(_write_casadi(training_set, plan, graph, functions, oracle, steps, compiler, folder))
-            intervals = observed(steps, casadi_substeps(graph)) if steps is not None and follows(steps) else None
         elif target == "ggv":
             files = write_ggv(limits_over_speed(training_set.vehicle, training_set.region), folder, plan.name)
             size = sum((folder / file).stat().st_size for file in files)
@@ -204,6 +207,7 @@ def _write_c(
     constants: Constants,
     oracle: Oracle,
     drives: Drives | None,
+    intervals: Intervals | None,
     compiler: Compiler | None,
     folder: Path,
 ) -> TargetResult:
@@ -212,7 +216,7 @@ def _write_c(
     written = {
         f"{plan.name}.h": source.header,
         f"{plan.name}.c": source.source,
-        f"{plan.name}_selftest.c": selftest_source(source, oracle, drives),
+        f"{plan.name}_selftest.c": selftest_source(source, oracle, drives, intervals),
     }
     for name, text in written.items():
         (folder / name).write_text(text, encoding="ascii")
@@ -223,7 +227,7 @@ def _write_c(
         note = f"{missing}not compiled, hence not verified: there is no C compiler here"
         return TargetResult("c", tuple(written), None, None, None, None, source.table_bytes, None, note)
     with ScratchFolder() as scratch:
-        found = check_c(source, graph, training_set, oracle, compiler, scratch, drives)
+        found = check_c(source, graph, training_set, oracle, compiler, scratch, written[f"{plan.name}_selftest.c"])
     return TargetResult(
         "c", tuple(written), found.predictions, found.step_error, found.seconds_predict, found.seconds_jacobian,
         source.table_bytes, found.code_bytes, f"{missing}{plan.real}, {found.compiler}",
@@ -326,13 +330,11 @@ def _write_document(
     return TargetResult(target, tuple(written), check, None, None, None, path.stat().st_size, None, "numbers only")
 
 
-def _write_check_points(
-    oracle: Oracle, drives: Drives | None, intervals: tuple[np.ndarray, np.ndarray] | None, path: Path
-) -> None:
+def _write_check_points(oracle: Oracle, drives: Drives | None, intervals: Intervals | None, path: Path) -> None:
     """Write some queries and answers, for `split verify` and for whoever ports the numbers elsewhere.
 
     Where the step has a memory, drives of it as well: input, t and s of every step, and states from the start. Of
-    CasADi, a few `observed` intervals and the running trust after them.
+    any step, a few `observed` intervals and the running trust after them.
     """
     usable = np.flatnonzero((np.abs(oracle.z) < 1e4).all(axis=1))
     rows = usable[:: max(1, len(usable) // CHECK_POINTS)][:CHECK_POINTS]
@@ -346,8 +348,8 @@ def _write_check_points(
     if drives is not None:
         places = {"u": drives.u, "place_time": drives.place_time, "x": drives.exact}
         content["drives"] = {"h": drives.step, **{key: values.tolist() for key, values in places.items()}}
-    if intervals is not None and len(intervals[0]):
-        content["observed"] = dict(zip(("asked", "trust"), (some[:4].tolist() for some in intervals), strict=True))
+    if intervals is not None:
+        content["observed"] = {"asked": intervals.asked.tolist(), "trust": intervals.trust.tolist()}
     path.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 

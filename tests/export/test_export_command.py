@@ -71,7 +71,8 @@ def test_every_target_from_the_command_line(set_file, tmp_path, compiler):
         assert sha256_of_file(set_file).encode() in (folder / name).read_bytes()
     verified = CliRunner().invoke(verify_command, [str(folder)], catch_exceptions=False)
     assert verified.exit_code == 0 and "FAILED" not in verified.output and "not checked" not in verified.output
-    assert "of the running trust" in " ".join(verified.output.split())
+    told = " ".join(verified.output.split())
+    assert "of the running trust" in told and "the running trust after 4 intervals" in told
     stored = json.loads((folder / "my_car_check.json").read_text())
     stored["observed"]["trust"][0][2] += 1e-4
     (folder / "my_car_check.json").write_text(json.dumps(stored))

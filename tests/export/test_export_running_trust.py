@@ -10,7 +10,7 @@ import pytest
 
 from split_cli.export.c99 import c_source
 from split_cli.export.casadi_function import committee, model_step
-from split_cli.export.casadi_step import trust_functions
+from split_cli.export.casadi_step import casadi_substeps, trust_functions
 from split_cli.export.casadi_trust import TRUST_SIZE
 from split_cli.export.compiler import STRICT_FLAGS
 from split_cli.export.provenance import provenance_of
@@ -26,8 +26,8 @@ from tests.factories import make_training_set, road_car
 CASES = {
     "plain": (),
     "memory": (EffectSpec("drive_lag", {"tau": 0.05}), EffectSpec("steer_delay", {"delay": 0.08})),
+    "play": (EffectSpec("steer_backlash", {"width": 0.01}),),
 }
-SUBSTEPS = 8  # as many as CasADi's observer takes, so that both differ by rounding alone
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -47,7 +47,7 @@ def exported(request, compiler, tmp_path_factory) -> Exported:
 def stepped(car: Exported, x: np.ndarray, u: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Return the state after an interval with this share of each correction."""
     after, trust = np.empty(car.size), np.concatenate([share, np.zeros(60)])
-    car.call("step_trusted", x, u, STEP, SUBSTEPS, trust, after)
+    car.call("step_trusted", x, u, STEP, casadi_substeps(car.graph), trust, after)
     return after
 
 
@@ -57,11 +57,12 @@ def test_c_and_casadi_have_the_trust_of_python_and_find_a_planted_share(exported
     in_casadi = np.zeros(TRUST_SIZE)
     planted = np.array([0.6, 0.3, 0.8])
     x, commands, t, s = manoeuvre(steps=120)
+    substeps = casadi_substeps(exported.graph)  # as CasADi's observer takes, so that both differ by rounding alone
     x, trust, python = exported.start(x, t[0], s[0]), np.zeros(63), RunningTrust(np.ones(3), STEP)
     for k in range(120):
         u = np.ascontiguousarray((commands[k + 1] - commands[k]) / STEP)
         after = stepped(exported, x, u, planted)
-        exported.call("observe", x, u, STEP, SUBSTEPS, after, trust)
+        exported.call("observe", x, u, STEP, substeps, after, trust)
         nominal = stepped(exported, x, u, np.zeros(3))[3:6]
         response = np.stack([stepped(exported, x, u, one)[3:6] - nominal for one in np.eye(3)], axis=1)
         transition = np.empty((3, 3))
@@ -92,7 +93,7 @@ def test_what_is_not_finite_begins_the_errors_anew(exported):
     x, commands, t, s = manoeuvre()
     x, u, trust = exported.start(x, t[0], s[0]), np.zeros(2), np.arange(63.0) / 100.0
     share, products = trust[:3].copy(), trust[15:].copy()
-    exported.call("observe", x, u, STEP, SUBSTEPS, np.full(exported.size, np.nan), trust)
+    exported.call("observe", x, u, STEP, casadi_substeps(exported.graph), np.full(exported.size, np.nan), trust)
     np.testing.assert_array_equal(trust[:3], share)
     np.testing.assert_array_equal(trust[15:], products)
     assert not trust[3:15].any()
@@ -106,7 +107,7 @@ def test_what_is_not_finite_begins_the_errors_anew(exported):
 
 def _plain(car: Exported, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     after = np.empty(car.size)
-    car.call("step_rk4", x, u, STEP, SUBSTEPS, after)
+    car.call("step_rk4", x, u, STEP, casadi_substeps(car.graph), after)
     return after
 
 
