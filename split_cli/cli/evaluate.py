@@ -41,7 +41,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.option(
     "--predictor",
     "predictors",
-    default="bcm,projected",
+    default="projected,bcm",
     callback=list_of(str),
     metavar="LIST",
     help="Predictors to score: projected, bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",

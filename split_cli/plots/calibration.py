@@ -81,7 +81,7 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
         most = 1.3 * max(float(curve.force.max()), 1e-9)
         axis.set_ylim(-most, most)
         axis.axhline(0.0, color="0.8", lw=0.6)
-        axis.legend(fontsize="small", loc="upper left")
+        axis.legend(fontsize="small", loc="lower right")
     if calibration.resistance is not None:
         found = calibration.resistance
         axes[-1].fill_between(

@@ -62,6 +62,7 @@ class Chart:
     # Whether a page begins with the other x: two recordings meet at a place, not at a time.
     other_first: bool = False
     rows: tuple[str, ...] = ()  # names in the place of a y axis, from the top
+    reference: float | None = None  # with rows, the x at which a line stands, always within the frame
     equal: bool = False  # one unit is as long in x as in y
     wide: bool = False  # over the whole width of a page
     group: str = ""  # charts of one group share the zoom of their x axis

@@ -39,6 +39,8 @@ def draw_chart(chart: Chart, *, other_x: bool = False, axes: Axes | None = None)
     if chart.rows:
         axes.set_yticks(range(len(chart.rows)), chart.rows)
         axes.invert_yaxis()
+    if chart.reference is not None:
+        axes.axvline(chart.reference, color="0.5", ls="--", lw=1)
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
     if len(chart.series) > 1 or chart.bands:

@@ -110,7 +110,7 @@ def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] 
     traces : sequence of Trace
         Of any predictors; of each, one a drive.
     shares : sequence of IntervalShares
-        The warning says of the last predictor named whether it is near the points or beyond.
+        The warning says of the first predictor named what it holds near the points and beyond.
     """
     narrow = {
         name: _narrow_states([trace for trace in traces if trace.name == name])
@@ -127,14 +127,14 @@ def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] 
             f"WARNING: intervals of {state} are too narrow here: the 95 % intervals hold only {held} of the "
             f"labels. They would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide. This "
             "driving differs from that of the training; add drives like this one to it"
-            f"{_by_distance([s for s in shares if s.name == list(found)[-1]], number)}"
+            f"{_by_distance([s for s in shares if s.name == list(found)[0]], number)}"
         )
     return warnings
 
 
 def _by_distance(shares: Sequence[IntervalShares], state: int) -> str:
     """Return what 95 % intervals of one predictor hold near the points and beyond, empty without either."""
-    where = {True: "within a length scale of the set's points", False: "beyond"}
+    where = {True: "near the points of the set", False: "farther than a length scale from all of them"}
     parts = [f"{100.0 * s.coverage_95[state]:.0f} % {where[s.near]}" for s in shares]
     return f". They hold {' and '.join(parts)} ({shares[0].name})" if len(parts) > 1 else ""
 

@@ -274,7 +274,7 @@ def ticks_across(browser, chart: str) -> list[float]:
         ".filter((t) => !t.classList.contains('axis-title')).map((t) => t.textContent)",
         chart,
     )
-    return [float(text.replace("\u2212", "-").replace("\u2009", "")) for text in texts]
+    return [float(text.replace("\u2212", "-").replace(",", "")) for text in texts]
 
 
 class TestInABrowser:

@@ -48,8 +48,11 @@ def test_a_recording_is_headed_by_what_is_wrong_with_it(drive, car):
     page = recording_page(drive, FOUND, recording_charts(drive, car))
     assert '<h1 id="verdict">vx is 3.6 times what the position says.</h1>' in page
     assert "7 not finite" in page and page.count("<script") == 2
-    sound = recording_page(drive, {}, ())
-    assert "The channels fit together." in sound
+    held, open_ = {"name": "r against dyaw/dt"}, {"check": "a_y against v_x r", "reason": "too short"}
+    sound = recording_page(drive, {"consistency": {"relations": [held], "unjudged": [open_]}}, ())
+    assert "The channels fit together." in sound and "<dd>1 of 2" in sound
+    # What was not checked does not fit together.
+    assert "could not be checked" in recording_page(drive, {"consistency": {"unjudged": [open_]}}, ())
     # A finding without a short clause heads no page, and what it quotes is set as code.
     told = f"v_y {'and more of it ' * 9}is 1.58 +- 0.01 m off: set `position: rear_axle`"
     long = recording_page(drive, {"consistency": {"findings": [{"text": told.replace(": ", " ", 1)}]}}, ())

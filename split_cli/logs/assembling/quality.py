@@ -166,7 +166,7 @@ def _verdict(found: Consistency) -> list[str]:
     if found.findings:
         return ["does not fit together:", *(f"  {finding.text}" for finding in found.findings)]
     if not found.relations:
-        return []
+        return ["the channels could not be checked against each other"] if found.unjudged else []
     held = f"{len(found.relations)} relations hold" if len(found.relations) > 1 else "1 relation holds"
     return [f"the channels fit together: {held}, {len(found.unjudged)} could not be judged"]
 

@@ -26,6 +26,11 @@ _CHANNELS = (
     ("r", "Yaw rate r", "r [rad/s]"),
     ("ay", "Lateral acceleration a_y", "a_y [m/s²]"),
 )
+#: What the driver asks for: models get it from the recording, so only recordings are drawn.
+_INPUTS = (
+    ("delta", "Input: steer angle delta", "delta [rad]"),
+    ("T", "Input: torque at the wheels T", "T [N m]"),
+)
 _MOST_DOTS = 1500
 
 
@@ -57,7 +62,7 @@ class Subject:
 
 
 def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) -> tuple[Chart, ...]:
-    """Return v_x, v_y, r and a_y of all subjects over time and distance, and their accelerations."""
+    """Return motion and inputs of all subjects over time and distance, and their accelerations."""
     moving = [(one, one.motion) for one in subjects if one.motion is not None and len(one.motion) > 1]
     if not moving:
         return ()
@@ -66,13 +71,14 @@ def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) ->
         f"Models run open loop on the recorded inputs and restart from the measurement every {FREE_SECONDS:g} s."
         * modelled
     )
-    recordings = sum(one.vehicle is None for one in subjects)
+    recorded = [(one, one.drive) for one in subjects if one.vehicle is None]
     charts = []
-    for channel, title, axis in _CHANNELS:
-        series = tuple(_over_time(one, motion, channel) for one, motion in moving)
+    for channel, title, axis in (*_CHANNELS, *_INPUTS):
+        drawn = recorded if (channel, title, axis) in _INPUTS else moving
+        series = tuple(_over_time(one, motion, channel) for one, motion in drawn)
         charts.append(
             Chart(f"strip-{channel}", title, "time [s]", axis, series, note * (channel == "vx"),
-                  other_x="distance s [m]", other_first=recordings > 1, wide=True, group="strips")
+                  other_x="distance s [m]", other_first=len(recorded) > 1, wide=True, group="strips")
         )  # fmt: skip
     return (*charts, _accelerations(moving, vehicle))
 

@@ -61,12 +61,16 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]]) -> Chart:
         reach = np.array([-1.0, 1.0]) * _reach(found)
         line = found.offset + found.gradient * reach
         series.append(ChartLine(one.name, reach, line, one.role, shown=one.shown))
+    ranges = [f"{_reach(found):.1f}" for _, found in shown]
+    same = len(set(ranges)) == 1
     words = "; ".join(
-        f"{understeer_words(one.name, found)}, from |a_y| to {_reach(found):.1f} m/s²" for one, found in shown
+        understeer_words(one.name, found) + (f", up to {reach} m/s²" * (not same))
+        for (one, found), reach in zip(shown, ranges, strict=True)
     )
-    note = f"The slope is the understeer gradient, read below {shown[0][1].limit:.1f} m/s²: {words}."
-    if len(shown) > 1:
-        note += " Gradients read from different ranges of a_y may differ."
+    upto = f"|a_y| up to {ranges[0]} m/s²" if same else f"|a_y| below {shown[0][1].limit:.1f} m/s²"
+    note = f"The slope is the understeer gradient, from {upto}: {words}."
+    if not same:
+        note += " Slopes from different ranges of a_y may differ."
     return Chart("understeer", "Understeer gradient", "a_y [m/s²]", "alpha_f − alpha_r [rad]", tuple(series), note)
 
 

@@ -54,9 +54,22 @@ def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]], mo
     return tuple(charts)
 
 
-def coverage_charts(tallies: Mapping[tuple[str, str], ScoreTally]) -> tuple[Chart, ...]:
-    """Return promised against observed coverage, a chart a state, each naming its own coverage at 95 %."""
-    scored = {key: tally for key, tally in tallies.items() if tally.probability is not None}
+def coverage_charts(
+    tallies: Mapping[tuple[str, str], ScoreTally], predictors: Sequence[str] = ()
+) -> tuple[Chart, ...]:
+    """Return promised against observed coverage, a chart a state, each naming its own coverage at 95 %.
+
+    Parameters
+    ----------
+    predictors : sequence of str
+        Those to draw beside the nominal model; all where none is named.
+    """
+    wanted = {NOMINAL, *predictors}
+    scored = {
+        key: tally
+        for key, tally in tallies.items()
+        if tally.probability is not None and (not predictors or key[0] in wanted)
+    }
     names = predictor_names(scored)
     roles = ("learned", "corrected", "nominal", "other")
     others = sorted(scored.items(), key=lambda one: one[0][0] == NOMINAL)  # colours as on the page

@@ -41,7 +41,7 @@ const Charts = (() => {
     const places = Math.min(8, Math.max(0, -Math.floor(Math.log10(Math.abs(step) || 1) + 1e-9)));
     const text = Math.abs(value) < 1e-12 ? (0).toFixed(places) : value.toFixed(places);
     const [whole, part] = text.split(".");
-    const grouped = whole.replace(/\B(?=(\d{3})+(?!\d))/g, "\u2009").replace("-", "\u2212");
+    const grouped = whole.replace(/\B(?=(\d{3})+(?!\d))/g, ",").replace("-", "\u2212");
     return part ? `${grouped}.${part}` : grouped;
   }
 

@@ -52,7 +52,7 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
     said = headline(compared)
     title = f"Errors after {last[0].horizon:g} s of open-loop simulation"
     body = (
-        verdict(kind, said, facts_list(facts))
+        verdict(kind, said, facts_list([*facts, *_first_judged(compared)]))
         + section("errors", title, charts_block(charts[:3], thirds=True))
         + (section("gate", f"Where {escape(compared.models[0])}, named first, is worse", alarms) if alarms else "")
         + _tables(compared)
@@ -62,6 +62,14 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
     return page(
         "compare", ", ".join(compared.drives), f"{said} {', '.join(compared.models)}", body, charts, shows(table)
     )
+
+
+def _first_judged(compared: ModelComparison) -> list[tuple[str, str, str]]:
+    """Return whether the first model, the one that a gate in CI judges, is worse than another; it sets the colour."""
+    if len(compared.models) < 2:
+        return []
+    name, count = compared.models[0], len(compared.worse)
+    return [(f"{name} worse", f"{count} times", "than another model beyond chance, over states and horizons")]
 
 
 def headline(compared: ModelComparison) -> str:
@@ -120,7 +128,7 @@ def _tables(compared: ModelComparison) -> str:
         "the velocities as they are. <em>To the best</em> is the error over that of the best model, with its 95 % "
         "interval. If the interval contains 1, the difference is not significant.</p>"
     )
-    return section("scores", "Table", words + "".join(parts))
+    return section("scores", "All errors", words + "".join(parts))
 
 
 def _table(scores: Sequence[ModelScore], name: str) -> str:

@@ -42,7 +42,7 @@ __all__ = ["evaluation_charts", "evaluation_page"]
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _HARM = "WORSE"
 _WARNING = "WARNING: "
-_RATIOS = "Error divided by that of the vehicle file: below 1 the correction helps. Bars are 95 % intervals."
+_RATIOS = "Error divided by that of the vehicle file: left of the line at 1 it is smaller. Bars are 95 % intervals."
 _MODELS = {NOMINAL: "vehicle file", VELOCITY_PERSISTENCE: "persistence: velocities held"}
 _PREDICTORS = (
     "<p>Predictors such as bcm and projected evaluate the same trained set in different ways; docs/prediction.md "
@@ -90,7 +90,7 @@ def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
         lambda: handling_charts(subjects, vehicle),
         lambda: [track_chart([("measured", "measured", drive)])],
         lambda: whiteness_chart(residuals),
-        lambda: coverage_charts(run.tallies),
+        lambda: coverage_charts(run.tallies, run.report.settings.predictors),
     ])  # fmt: skip
 
 
@@ -171,7 +171,7 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
             note = "" if charts else _RATIOS
             charts.append(Chart(f"ratio-{symbol.replace('_', '')}", f"{title} {symbol}",
                                 "ratio of errors", "", tuple(series), note,
-                                rows=tuple(when)))  # fmt: skip
+                                rows=tuple(when), reference=1.0))  # fmt: skip
     return charts
 
 
@@ -230,5 +230,6 @@ def _intervals(shares: Sequence[IntervalShares]) -> str:
 
 
 def _sentence(note: str) -> str:
-    """Return a note of the command line as a sentence."""
-    return f"{note[:1].upper()}{note[1:].rstrip('.')}."
+    """Return a note of the command line as a sentence; one that begins with a file's name keeps its spelling."""
+    first = note[:1] if "." in note.partition(" ")[0] else note[:1].upper()
+    return f"{first}{note[1:].rstrip('.')}."

@@ -24,13 +24,17 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
         Its quality report, as the drive stores it.
     """
     words = _findings(found)
-    headline = words[0] if words else "The channels fit together."
-    kind = "mismatch" if words else "match"
+    checked = found.get("consistency") or {}
+    held, open_ = len(checked.get("relations") or ()), len(checked.get("unjudged") or ())
+    fits = "The channels fit together." if held else "The channels could not be checked against each other."
+    headline = words[0] if words else fits
+    kind = "mismatch" if words else "match" if held else "undecided"
     more = "".join(f"<p>{prose(text)}</p>" for text in words[1:])
     seconds = len(drive) * drive.period
     facts = [
         ("Length", f"{number(seconds)} s", f"{len(drive):,} rows at {drive.rate:g} Hz"),
         ("Segments", f"{len(drive.segments())}", "without a gap"),
+        ("Checks", f"{held} of {held + open_}", "relations between channels that could be judged"),
         ("Channels", f"{len(drive.columns) - 1}", ", ".join(name for name in drive.columns if name != "t")),
     ]
     body = (

@@ -81,7 +81,7 @@ def chart_payload(chart: Chart) -> dict[str, Any]:
     return {
         "name": chart.name, "title": readable(chart.title), "x": chart.x, "y": chart.y, "other_x": chart.other_x,
         "rows": [readable(row) for row in chart.rows], "equal": chart.equal, "wide": chart.wide,
-        "group": chart.group,
+        "group": chart.group, "reference": chart.reference,
         "bands": [{"low": band.low, "high": band.high, "name": readable(band.name)} for band in chart.bands],
         "series": [_series(one) for one in chart.series],
     }  # fmt: skip

@@ -33,7 +33,8 @@
       if (rows) {
         const ends = lists.flatMap((one) => [one.x, one.low || [], one.high || []]);
         const zero = lists.some((one) => one.kind === "bars") ? [[0]] : [];
-        return { x: view ? view.x : spread([...ends, ...zero]), y: [-0.6, rows.length - 0.4] };
+        const at = told.reference === null ? [] : [[told.reference]];
+        return { x: view ? view.x : spread([...ends, ...zero, ...at]), y: [-0.6, rows.length - 0.4] };
       }
       if (view && !strips) return view;
       const x = view ? view.x : spread(lists.map(across), strips ? 0 : 0.04);
@@ -48,6 +49,7 @@
 
     function drawRows(layer, plot) {
       const shown = visible();
+      if (told.reference !== null) layer.append(shape("line", { x1: plot.sx(told.reference), x2: plot.sx(told.reference), y1: plot.top, y2: plot.top + plot.tall, stroke: "var(--soft)", "stroke-dasharray": "4 3" }));
       const thick = Math.min(16, (plot.tall / rows.length / Math.max(shown.length, 1)) * 0.62);
       const step = (plot.tall / rows.length) * 0.78 / Math.max(shown.length, 1);
       shown.forEach((one, k) => one.y.forEach((row, i) => {

@@ -111,8 +111,9 @@ def chance(p_value: float | None) -> str:
 
 
 def typeset(text: str) -> str:
-    """Return a sentence with the signs of print: ``-1.8 m/s^2`` is ``−1.8 m/s²``."""
-    return re.sub(r"(?<![\w.])-(?=\d)", "−", text).replace("^2", "²")
+    """Return a sentence with the signs of print: ``-1.8 m/s^2`` is ``−1.8 m/s²``; no line ends before a unit."""
+    signed = re.sub(r"(?<![\w.])-(?=\d)", "−", text).replace("^2", "²").replace(" N m", " N\u00a0m")
+    return re.sub(r"(?<=\d) (?=%|N\b|m\b|m/s|s\b|rad\b)", "\u00a0", signed)
 
 
 def quantity(value: float, unit: str) -> str:
