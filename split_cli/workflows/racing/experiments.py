@@ -87,8 +87,9 @@ def _races() -> list[Experiment]:
 
 def _rivals_and_roads() -> list[Experiment]:
     found = []
+    for seed in _SEEDS:
+        found += [_race("limit", learner, seed, "limit", laps=3, **_SMALL) for learner in ("none", "split")]
     for learner, laps in (("none", 2), ("split", 3)):
-        found.append(_race("limit", learner, 0, "limit", laps=laps, **_SMALL))
         found.append(_race("worn", learner, 0, laps=laps, **_WORN))
         found += [_race("wet", learner, seed, laps=laps, **_WET) for seed in _SEEDS]
     for seed in _SEEDS:
