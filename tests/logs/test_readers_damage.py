@@ -1,5 +1,8 @@
 """Hostile input: a damaged recording gives a `LogError` or fewer values and a note, never a traceback."""
 
+import gc
+import tempfile
+
 import numpy as np
 import pytest
 from mcap.writer import CompressionType
@@ -180,11 +183,17 @@ def test_a_structure_of_arrow_that_claims_more_rows_than_its_parts_ends_no_proce
         ("noise.mf4", b"MDF     4.10    " + np.random.default_rng(0).bytes(400), "damaged"),
     ],
 )
-def test_what_is_no_recording_is_said(tmp_path, name, content, match):
+def test_what_is_no_recording_is_said_and_leaves_nothing(tmp_path, monkeypatch, name, content, match):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
     (tmp_path / name).write_bytes(content)
     with pytest.raises(LogError, match=match) as caught:
         open_recording(tmp_path / name)
     assert name in str(caught.value)
+    del caught
+    gc.collect()
+    assert not list(scratch.iterdir())
 
 
 def test_missing_paths_and_empty_folders_are_said(tmp_path):

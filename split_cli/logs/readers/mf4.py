@@ -5,16 +5,17 @@ from __future__ import annotations
 import io
 import logging
 import re
+import weakref
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.files import refuse_no_regular_file
+from split_cli.files import ScratchFolder, refuse_no_regular_file
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote, note_once
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import set_aside
@@ -53,7 +54,7 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
         given.
     """
     try:
-        from asammdf import MDF
+        import asammdf  # noqa: F401
     except ImportError as error:
         raise LogError(
             "is an MDF file, which needs asammdf", where=path.name, advice="pip install 'split-cli[mf4]'"
@@ -64,11 +65,25 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
             advice = "Give the DBC file of the bus that was recorded."
             raise LogError("no such CAN database", where=str(database), advice=advice)
     probe(path, list_samples)
+    # asammdf copies a file that its logger did not close, and never removes the copy of a damaged one.
+    with ExitStack() as open_files:
+        copies = open_files.enter_context(ScratchFolder())
+        recording = _open_within(path, databases, str(copies), open_files)
+        weakref.finalize(recording, open_files.pop_all().close)
+        return recording
+
+
+def _open_within(path: Path, databases: Sequence[Path], copies: str, open_files: ExitStack) -> LazyTableRecording:
+    """Open an MDF file with its temporary files in a folder; `open_files` closes what was opened."""
+    from asammdf import MDF
+
     try:
         with _without_prints():
-            file = MDF(path, raise_on_multiple_occurrences=False)
+            file = MDF(path, raise_on_multiple_occurrences=False, temporary_folder=copies)
+            open_files.callback(file.close)
             if databases:
                 file = file.extract_bus_logging({"CAN": [(str(database), 0) for database in databases]})
+                open_files.callback(file.close)
             places = _places(file)
     except Exception as error:  # asammdf passes on whatever damaged blocks lead to
         _mark_closed(error)
@@ -184,12 +199,14 @@ def _without_prints() -> Iterator[None]:
 
 
 def _mark_closed(error: Exception) -> None:
-    """Keep the half-opened file in `error` from printing a traceback of its own when it is collected."""
+    """Close the half-opened file in `error`; it would print a traceback of its own when it is collected."""
     frame = error.__traceback__
     while frame is not None:
         half_open = frame.tb_frame.f_locals.get("self")
         if hasattr(half_open, "_closed"):
             half_open._closed = True
+            with suppress(AttributeError, OSError):
+                half_open._tempfile.close()
         frame = frame.tb_next
 
 
