@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import fsspec
 import pytest
@@ -21,8 +23,12 @@ from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
 from split_cli.workflows.sources import find_sources, left_alone
+from split_cli.workflows.training.train import train_set
 from tests.conftest import ROOT
 from tests.logs import readers_support as support
+
+
+CAR = ROOT / "sample_logs" / "road_car.yaml"
 
 
 @pytest.fixture(scope="session")
@@ -182,8 +188,9 @@ def test_memory_is_a_file_system_too(logs, tmp_path):
         ingest_logs(["memory://nowhere/x.csv"], tmp_path / "more")
 
 
-@pytest.mark.slow
-def test_a_bucket_of_an_s3_server(logs, tmp_path, monkeypatch):
+@pytest.fixture
+def bucket(logs, monkeypatch) -> Iterator[Any]:
+    """A file system of an S3 server on this machine, with the logs in the bucket ``laps``."""
     from moto.server import ThreadedMotoServer
 
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
@@ -196,29 +203,48 @@ def test_a_bucket_of_an_s3_server(logs, tmp_path, monkeypatch):
         }.items():  # fmt: skip
             monkeypatch.setenv(name, value)
         fsspec.config.set_conf_env(fsspec.config.conf)
-        system = fsspec.filesystem("s3")
+        system = fsspec.filesystem("s3", skip_instance_cache=True)
+        if system.exists("laps"):  # servers of one process share their buckets
+            system.rm("laps", recursive=True)
         system.mkdir("laps")
         system.put(str(logs / "a.csv"), "laps/a.csv")
         system.put(str(logs / "monday"), "laps/monday", recursive=True)
-        run = ingest_logs(["s3://laps"], tmp_path / "drives")
-        assert len(run.results) == 3
-        system.put(str(logs / "monday" / "b.csv"), "laps/a.csv")
-        system.invalidate_cache()
-        again = ingest_logs(["s3://laps"], tmp_path / "drives")
-        assert [r.log for r in again.results] == ["a.csv"] and len(again.unchanged) == 2
+        yield system
     finally:
         server.stop()
         fsspec.config.conf.pop("s3", None)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "jobs"), [("process", 2), ("dask", 2)])
-def test_drives_are_the_same_bit_for_bit_on_every_engine(logs, tmp_path, name, jobs):
-    ingest_logs([logs], tmp_path / "one")
-    with open_engine(name, jobs=jobs) as engine:
-        assert engine.workers == 2
-        run = ingest_logs([logs], tmp_path / "many", engine=engine, keep_going=True)
+def test_a_bucket_of_an_s3_server(bucket, logs, tmp_path):
+    run = ingest_logs(["s3://laps"], tmp_path / "drives")
     assert len(run.results) == 3
+    bucket.put(str(logs / "monday" / "b.csv"), "laps/a.csv")
+    fsspec.filesystem("s3").invalidate_cache()
+    again = ingest_logs(["s3://laps"], tmp_path / "drives")
+    assert [r.log for r in again.results] == ["a.csv"] and len(again.unchanged) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["folder", "bucket"])
+def test_drives_and_sets_are_the_same_bit_for_bit_on_every_engine(logs, tmp_path, place, request):
+    """A folder with two processes; a bucket with two workers of Dask, who read it themselves, beside the folder."""
+    source, engine_name = logs, "process"
+    if place == "bucket":
+        system, source, engine_name = request.getfixturevalue("bucket"), "s3://laps", "dask"
+    ingest_logs([source], tmp_path / "one")
+    with open_engine(engine_name, jobs=2) as engine:
+        assert engine.workers == 2
+        run = ingest_logs([source], tmp_path / "many", engine=engine, keep_going=True)
+        assert len(run.results) == 3
+        if place == "bucket":
+            system.put(str(tmp_path / "many"), "laps/drives", recursive=True)
+            fsspec.filesystem("s3").invalidate_cache()
+            train_set(["s3://laps/drives"], CAR, tmp_path / "many.split", engine=engine)
+            train_set([tmp_path / "one"], CAR, tmp_path / "one.split")
+            assert (tmp_path / "one.split").read_bytes() == (tmp_path / "many.split").read_bytes()
+            ingest_logs([logs], tmp_path / "local")
+            assert contents(tmp_path / "one") == contents(tmp_path / "local")
     assert contents(tmp_path / "one") == contents(tmp_path / "many")
     stored = [json.loads((tmp_path / f / MANIFEST_NAME).read_text()) for f in ("one", "many")]
     assert stored[0] == stored[1]
