@@ -140,13 +140,15 @@ class Checks:
         powers: dict[str, int],
         base: float,
         corrected: Callable[[float, float], float] | None = None,
+        *,
+        zeroed: bool = False,
     ) -> None:
         """Measure y over x, whose ratio is the product of the channels' factors to the `powers`.
 
         A derived channel carries no mistake of its own and drops out of `powers`.
         """
         powers = {channel: power for channel, power in powers.items() if channel not in self.derived}
-        slope = fit_slope(y, x, self.k.moving)
+        slope = fit_slope(y, x, self.k.moving, zeroed=zeroed)
         if slope is None:
             self.unjudged.append(Unjudged(name, "too few samples in motion, or nothing changes"))
             return
@@ -178,7 +180,8 @@ class Checks:
                 k.signal("vx"),
                 k.ground_speed(),
                 {"vx": 1, "X": -1},
-                0.03 + self._spread_of_ground_speed(),
+                0.03 + self._more_than_forward(),
+                zeroed=True,
             )
         if self.usable("X", "Y", "yaw") and not self.usable("r"):
             self.relate("dyaw/dt against the turning of X, Y", k.rate("yaw"), k.course_rate(), {"yaw": 1}, 0.15)
@@ -195,18 +198,13 @@ class Checks:
         if self.usable("r") and not any("r" in relation.powers for relation in self.relations):
             self.unjudged.append(Unjudged("yaw rate", "neither yaw, position nor a_y follows its turning"))
 
-    def _spread_of_ground_speed(self) -> float:
-        """Return how much more the speed of X, Y varies than v_x, as a share of the latter [1].
-
-        By sideslip, and by the smoothing of a curved path, which cuts its corners by exp(-(r width)^2/2). At a
-        steady speed both are more than what v_x varies by.
-        """
-        k = self.k
-        vx = np.abs(k.signal("vx")[k.moving])
-        vy = k.signal("vy")[k.moving] if self.usable("vy") else 0.0
-        r = k.signal("r")[k.moving] if self.known("r") else 0.0
-        added = np.hypot(vx, vy) * np.exp(-0.5 * (r * k.width) ** 2) - vx
-        return float(np.nanstd(added) / max(float(np.nanstd(vx)), 1e-9)) if np.isfinite(added).any() else 0.0
+    def _more_than_forward(self) -> float:
+        """Return how much larger than v_x sideslip makes the speed of X, Y, as a share of v_x [1]."""
+        if not self.usable("vy"):
+            return 0.0
+        vx, vy = (self.k.signal(channel)[self.k.moving] for channel in ("vx", "vy"))
+        ratio = np.hypot(vx, vy) / np.maximum(np.abs(vx), 1e-9)
+        return float(np.nanmean(ratio) - 1.0) if np.isfinite(ratio).any() else 0.0
 
     def _accelerations(self) -> None:
         k = self.k

@@ -75,8 +75,15 @@ class Kinematics:
         return self._known[key] if key in self._known else self._filtered(name, values(), order)
 
     def ground_speed(self) -> np.ndarray:
-        """Return the speed of X, Y over ground [m/s], shape (N,)."""
-        return np.hypot(self.rate("X"), self.rate("Y"))
+        """Return the speed of X, Y over ground [m/s], shape (N,).
+
+        Notes
+        -----
+        Smoothing draws a circle of X, Y in by exp(-(course rate x width)^2/2), which is given back: at a steady
+        speed, a speed that falls in every corner would pass for a scale.
+        """
+        turned = np.nan_to_num(self.course_rate() * self.width)
+        return np.hypot(self.rate("X"), self.rate("Y")) * np.exp(0.5 * np.minimum(turned**2, 1.0))
 
     def course_rate(self) -> np.ndarray:
         """Return the rate of the direction of travel of X, Y [rad/s], shape (N,); NaN where nearly at rest."""
@@ -136,8 +143,10 @@ def around_mean(angle: np.ndarray) -> tuple[float, np.ndarray]:
     return centre, np.angle(np.exp(1j * (angle - centre)))
 
 
-def fit_slope(y: np.ndarray, x: np.ndarray, mask: np.ndarray) -> Slope | None:
+def fit_slope(y: np.ndarray, x: np.ndarray, mask: np.ndarray, *, zeroed: bool = False) -> Slope | None:
     """Fit y = slope x + offset where both are noisy; None when there are fewer than 50 samples or x stands still.
+
+    Two speeds are 0 together, `zeroed`: then the offset is 0, and a steady speed tells the scale as well.
 
     Notes
     -----
@@ -156,24 +165,26 @@ def fit_slope(y: np.ndarray, x: np.ndarray, mask: np.ndarray) -> Slope | None:
     for attempt in range(2):
         # The first line is drawn through clipped samples: a few wild ones must not lay the band that judges them.
         clipped = [np.clip(v, *b) for v, b in zip((y, x), bounds, strict=True)] if attempt == 0 else (y, x)
-        slope, offset, _ = _line(*clipped)
+        slope, offset, _ = _line(*clipped, zeroed)
         residual = y - slope * x - offset
         scale = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
         near = np.abs(residual) <= max(6.0 * scale, 1e-12)
         if np.count_nonzero(near) < 50 or np.std(x[near]) == 0.0 or np.std(y[near]) == 0.0:
             break
         y, x = y[near], x[near]
-    slope, offset, correlation = _line(y, x)
-    values, errors = block_interval(lambda rows: np.array(_line(y[rows], x[rows])[:2]), len(y))
+    slope, offset, correlation = _line(y, x, zeroed)
+    values, errors = block_interval(lambda rows: np.array(_line(y[rows], x[rows], zeroed)[:2]), len(y))
     return Slope(slope, float(errors[0]), float(values[1]), float(errors[1]), correlation, len(y))
 
 
-def _line(y: np.ndarray, x: np.ndarray) -> tuple[float, float, float]:
+def _line(y: np.ndarray, x: np.ndarray, zeroed: bool = False) -> tuple[float, float, float]:
     dx, dy = x - x.mean(), y - y.mean()
     sx, sy = float(np.sqrt(np.mean(dx * dx))), float(np.sqrt(np.mean(dy * dy)))
     correlation = float(np.mean(dx * dy)) / (sx * sy) if sx > 0 and sy > 0 else 0.0
+    if zeroed:
+        sx, sy = float(np.sqrt(np.mean(x * x))), float(np.sqrt(np.mean(y * y)))
     slope = float(np.copysign(sy / sx, correlation)) if sx > 0 else 0.0
-    return slope, float(np.median(y - slope * x)), correlation
+    return slope, 0.0 if zeroed else float(np.median(y - slope * x)), correlation
 
 
 def block_interval(estimate: Callable[[np.ndarray], np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:

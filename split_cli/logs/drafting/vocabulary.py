@@ -249,6 +249,8 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
         return ("ax", 3) if "long" in c else ("ay", 3) if c & {"lat", *_SIDES} else None
     if turning and c & {"rate", "velocity", "angular"}:
         return ("r", 3) if not c & {"long", "lat"} else None
+    if c == {"angle", "up"}:
+        return "r", 1  # one of angX, angY, angZ, which is a rate beside an angle of its own name
     if "yaw" in c:
         return ("yaw", 3) if c <= {"yaw", "angle", "world", "position"} else None
     if "rate" in c or "angular" in c or "angle" in c:

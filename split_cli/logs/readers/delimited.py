@@ -142,7 +142,9 @@ def number_of(cell: str, decimal: str) -> float:
         cell = _ungrouped(cell)
     try:
         # Python takes 1_5 for 15; no logger writes that.
-        return float(cell.replace(decimal, ".") if decimal != "." else cell) if "_" not in cell else float("nan")
+        return (
+            float(cell.replace(decimal, ".") if decimal != "." else cell) if "_" not in cell else seconds_of(cell)
+        )
     except ValueError:
         folded = cell.lower()
         if folded in _TRUE or folded in _FALSE:
@@ -189,6 +191,8 @@ _OF_A_PROGRAM = re.compile(
     r"(?:[A-Z]{1,5})?(?:([+-])(\d{2}):?(\d{2}))? ?(\d{4})$"
 )
 _DATE = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})[ T]+(.+)$")
+_STAMP = re.compile(r"(20\d\d)[-_]?(\d\d)[-_]?(\d\d)[-_T ](\d\d)[-_]?(\d\d)[-_]?(\d\d)(?:[-_.](\d{1,9}))?$")
+"""A moment as it is written in names of files: 2024_04_23_13_15_46_619, 20240423_131546."""
 
 
 def seconds_of(cell: str) -> float:
@@ -213,6 +217,9 @@ def seconds_of(cell: str) -> float:
         return float(span[1]) * _SECONDS[span[2]]
     if len(cell) < 14:
         return float("nan")
+    if stamp := _STAMP.match(cell):
+        year, month, day, hour, minute, second, part = stamp.groups()
+        cell = f"{year}-{month}-{day}T{hour}:{minute}:{second}.{(part or '0')[:6]}"
     spoken = _OF_A_PROGRAM.match(cell)
     if spoken and spoken[1].lower() in _MONTHS:
         month, day, clock_of_day, sign, hours, minutes, year = spoken.groups()

@@ -1,0 +1,45 @@
+"""What public recordings of real and simulated cars brought that no other test has: their layout, with made-up motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.readers.delimited import seconds_of
+from split_cli.logs.readers.opening import open_recording
+
+
+def cornering(seconds=120.0, period=0.05):
+    """Return the motion of a small car at a nearly steady 6 m/s, which brakes to 5 m/s and turns by 2 rad/s."""
+    t = np.arange(0.0, seconds, period / 10)
+    v = 6.0 - np.exp(-((((t % 30.0) - 15.0) / 1.5) ** 2))
+    r = 2.0 * np.sin(0.7 * t) ** 3
+    yaw = np.cumsum(r) * period / 10
+    x, y = (np.cumsum(v * of(yaw)) * period / 10 for of in (np.cos, np.sin))
+    return {
+        name: values[::10] for name, values in (("t", t), ("x", x), ("y", y), ("yaw", yaw), ("v", v), ("r", r))
+    }
+
+
+def test_a_nearly_steady_speed_is_no_other_unit_of_the_path(tmp_path):
+    """A simulator's path with v_x of 6 m/s on nine rows of ten: corners that smoothing cut passed for knots."""
+    c = cornering()
+    rows = np.column_stack([c["x"], c["y"], c["yaw"], np.arctan(0.33 * c["r"] / c["v"]), c["v"]])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", comments="", header="x,y,yaw,steering_angle,actual_vel")
+    draft = draft_map(open_recording(tmp_path / "a.csv"))
+    assert draft.time.startswith("time: {period: 0.05}")
+    assert draft.of("vx").status == "judged" and draft.of("X").status == "unsided"
+    rows[:, 4] /= 0.514444
+    np.savetxt(tmp_path / "b.csv", np.column_stack([c["t"], rows]), delimiter=",", comments="",
+               header="t,x,y,yaw,steering_angle,actual_vel")  # fmt: skip
+    assert draft_map(open_recording(tmp_path / "b.csv")).of("vx").unit == "kn"
+
+
+@pytest.mark.parametrize(
+    "cell", ["2024_04_23_13_15_46_619", "20240423_131546.619", "2024-04-23-13-15-46-619", "20240423T131546_619"]
+)
+def test_a_moment_written_as_in_names_of_files_is_a_time(cell):
+    """AutoDRIVE stamps its rows yyyy_MM_dd_HH_mm_ss_fff; ISO 8601 is the oracle."""
+    assert seconds_of(cell) == pytest.approx(seconds_of("2024-04-23T13:15:46.619"), abs=1e-6)
+    assert np.isnan(seconds_of("2024_13_23_13_15_46_619"))
