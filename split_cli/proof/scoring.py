@@ -175,7 +175,7 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
             (
                 "sets: names that are none of theirs, of all named",
                 "at most 2 %",
-                _strangers_named(sets),
+                _wrongly_named(sets),
                 0.02,
                 False,
             ),
@@ -194,7 +194,7 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
     entries += (
         [
             ("whole cars: physics above 0.35 named, or in class", "at least 85 %", _recall(whole), 0.85, True),
-            ("whole cars: names of what is not there, of all named", "none", _strangers_named(whole), 0.0, False),
+            ("whole cars: names of what is not there, of all named", "none", _wrongly_named(whole), 0.0, False),
         ]
         if whole
         else []
@@ -237,7 +237,7 @@ def _recall(sets: Sequence[CaseScore]) -> Rate:
     ])  # fmt: skip
 
 
-def _strangers_named(sets: Sequence[CaseScore]) -> Rate:
+def _wrongly_named(sets: Sequence[CaseScore]) -> Rate:
     """Return how many findings in sets are none of the effects, nor have one among their alternatives."""
     return rate_of([
         not {one.term, *one.alternatives} & {effect.term for effect in score.answer.effects}

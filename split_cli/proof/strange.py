@@ -177,7 +177,7 @@ STRANGE: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
 
 
 NAMED_SINCE = {"gyro_late": "channel_delay", "speed_gain": "speed_scale"}
-"""Kinds drawn as strangers, so that cases stay what they were, that the catalogue has a name for by now."""
+"""Unmodelled effects that the catalogue has a name for by now; their kind stays, so that cases do."""
 
 
 def draw_strange(kind: str, rng: np.random.Generator, world: ProofWorld) -> Concealed:

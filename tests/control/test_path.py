@@ -65,7 +65,7 @@ def test_a_centre_line_file_is_read_with_its_widths_in_their_order(tmp_path):
     check_path(path, 1.8)
 
 
-def test_a_centre_line_of_a_stranger_follows_its_header(tmp_path):
+def test_a_third_party_centre_line_follows_its_header(tmp_path):
     """Semicolons, another order, a column more, points at unequal distances, the first one again at the end."""
     angle = np.sort(np.random.default_rng(4).uniform(0.0, 2 * np.pi, 90))
     angle = np.append(angle, angle[0])

@@ -1,4 +1,4 @@
-"""The drive that files of strange loggers hold."""
+"""The drive that files of third-party loggers hold."""
 
 import pytest
 

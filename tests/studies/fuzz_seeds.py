@@ -25,7 +25,7 @@ from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle, write_vehicle
 from tests.factories import make_drive, make_training_set, road_car
 from tests.logs import readers_support as support
-from tests.logs.test_readers_stranger import DBC, VBO
+from tests.logs.test_readers_third_party import DBC, VBO
 from tests.studies import fuzz_seeds_newer as newer
 from tests.studies.fuzz_seeds_newer import Kind, read_recording
 

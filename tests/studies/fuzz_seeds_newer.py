@@ -18,7 +18,7 @@ from split_cli.logs.readers import open_recording
 from split_cli.logs.readers.together import open_together
 from split_cli.workflows.verifying.verify import verify
 from tests.logs import readers_support as support
-from tests.logs.test_readers_stranger import DBC
+from tests.logs.test_readers_third_party import DBC
 
 __all__ = ["NEWER", "Kind", "frames", "in_pieces", "ours_verified", "read_recording", "rows", "tables"]
 

@@ -117,7 +117,7 @@ def test_groups_that_hold_each_other_are_read_once(tmp_path):
 
 
 def test_what_lies_in_another_file_is_none_of_this_one(tmp_path):
-    """A recording of a stranger that names a file of yours must not bring its content into a drive."""
+    """A recording from elsewhere that names a file of yours must not bring its content into a drive."""
     secret = hdf5(tmp_path / "secret.h5", lambda file: None)
     (tmp_path / "raw").write_bytes(bytes(800))
 

@@ -15,7 +15,7 @@ from split_cli.logs.raw import unit_of_time
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import read_map
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.test_stranger_loggers import table
+from tests.logs.test_third_party_loggers import table
 
 DEG, G = 180.0 / np.pi, 9.80665
 HALF_TRACK = 0.8

@@ -10,8 +10,8 @@ from split_cli.logs.drafting.fields import field_candidates
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawChannelInfo, RawSignal, TableRecording
 from split_cli.logs.readers.opening import open_recording
-from tests.logs.test_stranger_exports import CHANNELS, ingested
-from tests.logs.test_stranger_styles import DEG
+from tests.logs.test_third_party_exports import CHANNELS, ingested
+from tests.logs.test_third_party_styles import DEG
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import find_unit
-from tests.logs.test_stranger_styles import DEG, TOLERANCES, Style, compare
+from tests.logs.test_third_party_styles import DEG, TOLERANCES, Style, compare
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "delta", "T")
 

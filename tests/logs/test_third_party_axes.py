@@ -1,4 +1,4 @@
-"""Strangers' logs whose axes, clocks or names mislead: velocities of the world, two odometries, right for left."""
+"""Logs whose axes, clocks or names mislead: velocities of the world, two odometries, right for left."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import PlantedDrive, planted_map
-from tests.logs.test_stranger_styles import DEG, G, Style, bearing, compare, degrees_of, written
+from tests.logs.test_third_party_styles import DEG, G, Style, bearing, compare, degrees_of, written
 from tests.optional import needed
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay", "delta", "T")

@@ -1,4 +1,4 @@
-"""Logs as strangers write them, from header to drive: own names, units, clocks, hands, holds and gaps.
+"""Logs as other programs write them, from header to drive: own names, units, clocks, hands, holds and gaps.
 
 Each style is written from a planted drive, drafted by `draft_map`, ingested with the drafted map, and compared with
 what was planted. Right is a channel within the tolerance below; open is one the map leaves out with a reason.
@@ -34,7 +34,7 @@ Columns = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Style:
-    """How a stranger writes: `write` returns title and values of every column from time and SI channels."""
+    """How another program writes: `write` returns title and values of every column from time and SI channels."""
 
     write: Callable[[np.ndarray, Columns], dict[str, np.ndarray]]
     opened: frozenset[str] = frozenset()
@@ -329,7 +329,7 @@ def written(style: Style, planted: PlantedDrive, path) -> None:
 
 
 @pytest.mark.parametrize("name", STYLES)
-def test_a_strangers_log_becomes_the_drive_that_was_driven(name, planted, tmp_path):
+def test_a_third_party_log_becomes_the_drive_that_was_driven(name, planted, tmp_path):
     style = STYLES[name]
     written(style, planted, tmp_path / "log.csv")
     recording = open_recording(tmp_path / "log.csv")

@@ -12,8 +12,8 @@ from split_cli.logs.readers.delimited import degrees_of, seconds_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import UNITS
-from tests.logs.test_stranger_exports import ingested
-from tests.logs.test_stranger_styles import DEG
+from tests.logs.test_third_party_exports import ingested
+from tests.logs.test_third_party_styles import DEG
 
 MPH = 0.44704
 

@@ -10,7 +10,7 @@ from split_cli.logs.readers.delimited import open_delimited
 from split_cli.logs.readers.opening import open_recording
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from tests.factories import road_car
-from tests.logs.test_stranger_styles import DEG, G, Style, written
+from tests.logs.test_third_party_styles import DEG, G, Style, written
 from tests.optional import needed
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay", "delta", "T")
