@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
 from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
-from split_cli.diagnosis.recording.series import build_series
+from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.recording.witnesses import is_witness_of_position
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.formula import sparse_formula
@@ -89,36 +90,17 @@ def diagnose(
         Whether to measure on held-out time what naming improves, and to judge the corrected vehicle. Without,
         only findings are stated, and the shares that they explain are those of all time.
     """
-    settings, described = policy.comparison, policy.described()
-    drives, notes = clean_drives([*real, *simulated, *holdout], policy.screening)
-    roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
-    taught = drives[len(real) : len(real) + len(simulated)]
-    reasons = [
-        reason
-        for drive, role in zip(drives, roles, strict=True)
-        for reason in unfit(drive, vehicle, policy.screening, () if role == "sim" else taught)
-    ]
-    reasons = [*reasons, *notes] if reasons else idle(drives[: len(real)], vehicle, policy.screening)
+    settings = policy.comparison
+    record = {"inputs": tuple(inputs), "settings": policy.described()}
+    drives, roles, notes, reasons = _screened(real, vehicle, simulated, holdout, policy)
     if reasons:
-        return _undecided(reasons, 0.0, inputs, described)
-    drives = [moving(drive, vehicle, policy.screening) for drive in drives]
+        return _undecided(reasons, 0.0, record)
     progress("smoothing")
-    places, lap = places_of(drives, vehicle.wheelbase)
-    series = together(
-        lambda one: build_series(one[0], one[1], one[2][0], lap_length=lap, place_reference=one[2][1]),
-        zip(drives, roles, places, strict=True),
-    )
+    series = _smoothed(drives, roles, vehicle)
     progress("whitening")
-    case = gather_case(vehicle, series, policy)
-    reach, kept = settings.reach, _rows(case)
-    if kept < settings.least_rows and case.simulated:
-        reach = settings.far_reach
-        case = case.compared(reach, policy)
-        kept = _rows(case)
+    case, kept, is_far = _compared(gather_case(vehicle, series, policy), policy)
     share = kept / max(sum(len(one.at) for one in case.real), 1)
-    not_judged = (*notes, *limits_of(case.real, vehicle, share, policy))
-    if reach > settings.reach:
-        not_judged += (_FAR,)
+    not_judged = (*notes, *limits_of(case.real, vehicle, share, policy), *((_FAR,) if is_far else ()))
     positions = [
         tuple(filter(is_witness_of_position, several)) for several in (case.kinematics, case.simulated_kinematics)
     ]
@@ -129,13 +111,11 @@ def diagnose(
             "drive both over the same speeds, torques and turns.",
             *in_sentences(out_of_scale(*positions, rules=policy.screening)),
         ]
-        return _undecided(reasons, share, inputs, described)
+        return _undecided(reasons, share, record)
     candidates = identifiable(
-        build_candidates(vehicle, case.real[0].series),
-        [one.series for one in case.real],
-        vehicle,
-        policy,
+        build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle, policy
     )
+    reach = settings.far_reach if is_far else settings.reach
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
     if outcome.known.ratio > policy.selection.much_over_noise:
         not_judged += (_MUCH_FORM_ERROR,)
@@ -146,30 +126,68 @@ def diagnose(
     progress("sizing")
     detectable = smallest_named(outcome.objectives, candidates, outcome.variance_inflation, settings.level / _WAYS)
     if found.p_value >= settings.level:
-        gap = outcome.gap.effect_to_noise
-        hidden = (
-            hidden_effects(outcome.structure.objective, _of_known_inputs(candidates, real), gap, detectable)
-            if simulated
-            else ()
-        )
-        if hidden and hidden[0].share > policy.selection.fair_share:
-            reasons = [no_match_in_words(hidden[0], gap)]
-            stated = _undecided(reasons, share, inputs, described)
-            return replace(stated, not_judged=(*stated.not_judged, *not_judged), detectable=detectable)
-        hiding = hidden_in_words(hidden)
-        not_judged += (hiding,) if hiding else ()
-        return Diagnosis(
-            "match", found.p_value, share, not_judged, inputs=tuple(inputs), settings=described,
-            history=outcome.selection.history, summary=summarise("match", reasons=[hiding] if hiding else []),
-            gaps=_gaps(case), detectable=detectable,
-        )  # fmt: skip
+        judged = _of_known_inputs(candidates, real) if simulated else []
+        return _match(case, found, judged, share, not_judged, {**record, "detectable": detectable})
     progress("judging")
     stated = _tell(case, found, policy, improved)
-    hardly = reach > settings.reach or share < settings.least_share
+    hardly = is_far or share < settings.least_share
     if hardly and not stated.findings and not contradictions:
-        return _undecided([_FAR_AND_UNNAMED], share, inputs, described)
-    stated = replace(stated, compared_share=share, not_judged=not_judged, detectable=detectable)
-    return replace(stated, inputs=tuple(inputs), settings=described)
+        return _undecided([_FAR_AND_UNNAMED], share, record)
+    return replace(stated, compared_share=share, not_judged=not_judged, detectable=detectable, **record)
+
+
+def _screened(
+    real: Sequence[Drive], vehicle: Vehicle, simulated: Sequence[Drive], holdout: Sequence[Drive], policy: Policy
+) -> tuple[list[Drive], list[str], Sequence[str], list[str]]:
+    """Return what moves of all drives, their roles, what was left out, and why they cannot be diagnosed."""
+    drives, notes = clean_drives([*real, *simulated, *holdout], policy.screening)
+    roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
+    taught = drives[len(real) : len(real) + len(simulated)]
+    reasons = [
+        reason
+        for drive, role in zip(drives, roles, strict=True)
+        for reason in unfit(drive, vehicle, policy.screening, () if role == "sim" else taught)
+    ]
+    reasons = [*reasons, *notes] if reasons else idle(drives[: len(real)], vehicle, policy.screening)
+    return [moving(one, vehicle, policy.screening) for one in drives if not reasons], roles, notes, reasons
+
+
+def _smoothed(drives: Sequence[Drive], roles: Sequence[str], vehicle: Vehicle) -> list[Series]:
+    places, lap = places_of(drives, vehicle.wheelbase)
+    return together(
+        lambda one: build_series(one[0], one[1], one[2][0], lap_length=lap, place_reference=one[2][1]),
+        zip(drives, roles, places, strict=True),
+    )
+
+
+def _compared(case: DiagnosisCase, policy: Policy) -> tuple[DiagnosisCase, int, bool]:
+    """Return a case, how many rows are compared, and whether samples further off than usual had to be."""
+    settings, kept = policy.comparison, _rows(case)
+    is_far = bool(kept < settings.least_rows and case.simulated)
+    case = case.compared(settings.far_reach, policy) if is_far else case
+    return case, _rows(case), is_far
+
+
+def _match(
+    case: DiagnosisCase,
+    found: _Comparison,
+    judged: Sequence[Candidate],
+    share: float,
+    not_judged: tuple[str, ...],
+    record: Mapping[str, Any],
+) -> Diagnosis:
+    """State that no difference was found, unless an effect of a force that matters could hide."""
+    objective, gap = found.outcome.structure.objective, found.outcome.gap.effect_to_noise
+    hidden = hidden_effects(objective, judged, gap, record["detectable"]) if judged else ()
+    if hidden and hidden[0].share > objective.policy.selection.fair_share:
+        stated = _undecided([no_match_in_words(hidden[0], gap)], share, record)
+        return replace(stated, not_judged=(*stated.not_judged, *not_judged))
+    hiding = hidden_in_words(hidden)
+    reasons = [hiding] if hiding else []
+    return Diagnosis(
+        "match", found.p_value, share, (*not_judged, *reasons), history=found.outcome.selection.history,
+        summary=summarise("match", reasons=reasons), gaps=_gaps(case), **record,
+    )  # fmt: skip
 
 
 def _of_known_inputs(candidates: Sequence[Candidate], real: Sequence[Drive]) -> list[Candidate]:
@@ -333,8 +351,7 @@ def _gaps(case: DiagnosisCase):
     return tuple(map(gap_series, case.real, case.keep, forces, forces))
 
 
-def _undecided(reasons: Sequence[str], share: float, inputs: Sequence[InputFile], described: dict) -> Diagnosis:
+def _undecided(reasons: Sequence[str], share: float, record: Mapping[str, Any]) -> Diagnosis:
     return Diagnosis(
-        "undecided", None, share, tuple(reasons), inputs=tuple(inputs), settings=described,
-        summary=summarise("undecided", reasons=reasons),
-    )  # fmt: skip
+        "undecided", None, share, tuple(reasons), summary=summarise("undecided", reasons=reasons), **record
+    )

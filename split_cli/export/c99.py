@@ -118,12 +118,30 @@ def c_source(
     real = tables.real
     with_step = graph.features is not None
     table_text, table_bytes = _tables(tables)
+    values = {**_texts(tables, graph, provenance, name, plain), "TABLES": table_text, **_predictor_values(tables)}
+    robust = ("robust",) if getattr(tables, "robust", False) else ()
+    values["PREDICTOR"] = fill(template(_TEMPLATES[type(tables)]), values, robust)
+    values["VALID"] = straight_line(valid, "valid_region", real, "1 where the valid region holds z, else 0.")
+    memory = graph.memory if with_step else None
+    values |= _memory_values(graph, memory, name, real)
+    step_header, step_body = _step(values, graph, provenance, real) if with_step else ("", "")
+    header = fill(template("model.h.in"), {**values, "STEP_DECLARATIONS": step_header})
+    # Values are put in once; text that was put in is not searched again for placeholders.
+    source = fill(template("model.c.in"), {**values, "STEP": step_body})
+    needs = graph.needs_place_and_time
+    return CSource(name, real, header, source, with_step, tables.feature_count, needs, memory, table_bytes)
+
+
+def _texts(
+    tables: Constants, graph: NominalGraph, provenance: Provenance, name: str, plain: bool
+) -> dict[str, str]:
+    """Return what stands for the placeholders of header and source but tables, predictor and step."""
     supported = supported_variance(tables.trust, tables.doubt, tables.signal_variance)
-    values = {
+    return {
         "NAME": name,
         "UPPER": name.upper(),
         "GUARD": f"{name.upper()}_H",
-        "REAL": real,
+        "REAL": tables.real,
         "DIMENSION": str(tables.feature_count),
         "FEATURES": ", ".join(provenance.features),
         "HORIZON": f"{provenance.horizon:g}",
@@ -137,8 +155,7 @@ def c_source(
         "LOW_SPEED": f"{graph.low_speed:g}",
         "KEPT": ", ".join(f"{value:g}" for value in _kept(tables).tolist()),
         "DOUBT": ", ".join(f"{value:g}" for value in tables.doubt.tolist()),
-        "SUPPORTED": ", ".join(number(value, real) for value in supported.tolist()),
-        "TABLES": table_text,
+        "SUPPORTED": ", ".join(number(value, tables.real) for value in supported.tolist()),
         "PLACE_TIME": f", {name}_real t, {name}_real s" if graph.needs_place_and_time else "",
         "RESIDUAL": "h g(z)" if plain else "h Phi g(z)",
         "RESIDUAL_A": "none" if plain else "A",
@@ -149,42 +166,20 @@ def c_source(
             else "    static const real place_time[2] = {ZERO, ZERO};"
         ),
     }
-    values |= _predictor_values(tables)
-    robust = ("robust",) if getattr(tables, "robust", False) else ()
-    values["PREDICTOR"] = fill(template(_TEMPLATES[type(tables)]), values, robust)
-    values["VALID"] = straight_line(valid, "valid_region", real, "1 where the valid region holds z, else 0.")
-    memory = graph.memory if with_step else None
-    values |= _memory_values(graph, memory, name, real)
-    step_header = step_body = ""
-    if with_step:
-        values["NOMINAL"] = _nominal(graph, real)
-        values["LIMITS"] = _limits(graph, provenance, real)
-        values["LINEAR"] = fill(template("linear.c.in"), values)
-        trust = {
-            **values,
-            "SPAN": f"{SPAN:g}",
-            "MEMORY": f"{MEMORY:g}",
-            "APART": "1e-4" if real == "double" else "1e-2",
-        }
-        kind, kept = "memory_step" if memory else "step", memory_parts(memory)
-        step_header, step_body = (
-            fill(template(f"{kind}.{end}.in"), {**values, "TRUST": fill(template(f"trust.{end}.in"), trust)}, kept)
-            for end in ("h", "c")
-        )
-    header = fill(template("model.h.in"), {**values, "STEP_DECLARATIONS": step_header})
-    # Values are put in once; text that was put in is not searched again for placeholders.
-    source = fill(template("model.c.in"), {**values, "STEP": step_body})
-    return CSource(
-        name,
-        real,
-        header,
-        source,
-        with_step,
-        tables.feature_count,
-        graph.needs_place_and_time,
-        memory,
-        table_bytes,
+
+
+def _step(values: dict[str, str], graph: NominalGraph, provenance: Provenance, real: str) -> tuple[str, str]:
+    """Return declarations and code of the nominal step with the correction and its running trust."""
+    values = {**values, "NOMINAL": _nominal(graph, real), "LIMITS": _limits(graph, provenance, real)}
+    values["LINEAR"] = fill(template("linear.c.in"), values)
+    apart = "1e-4" if real == "double" else "1e-2"
+    trust = {**values, "SPAN": f"{SPAN:g}", "MEMORY": f"{MEMORY:g}", "APART": apart}
+    kind, kept = "memory_step" if graph.memory else "step", memory_parts(graph.memory)
+    header, body = (
+        fill(template(f"{kind}.{end}.in"), {**values, "TRUST": fill(template(f"trust.{end}.in"), trust)}, kept)
+        for end in ("h", "c")
     )
+    return header, body
 
 
 def _number_of(value: Any) -> float:

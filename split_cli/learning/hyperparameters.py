@@ -132,21 +132,7 @@ def fit_kernel(
 
     from split_cli.learning._compiled import blocks_likelihood
 
-    inside = grid.index(z)[1]
-    z, y = z[inside], y[inside]
-    t = np.arange(float(len(z))) if times is None else times[inside]
-    if len(z) < FEWEST_TO_FIT:
-        raise SetError(
-            f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed",
-            advice="Use --hyperparameters default.",
-        )
-    if len(z) > _AT_MOST:
-        thinned = np.linspace(0, len(z) - 1, _AT_MOST).round().astype(int)
-        z, y, t = z[thinned], y[thinned], t[thinned]
-    blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)
-    if len(blocks) > MAXIMUM_BLOCKS:
-        chosen = np.linspace(0, len(blocks) - 1, MAXIMUM_BLOCKS).round().astype(int)
-        blocks = [blocks[i] for i in chosen]
+    z, y, t, blocks = _blocks_to_fit(z, y, grid, times)
     rows = np.concatenate(blocks)
     offsets = np.concatenate([[0], np.cumsum([len(block) for block in blocks])])
     z_blocks, t_blocks, y_blocks, points = z[rows], t[rows], y[rows], len(rows)
@@ -183,11 +169,9 @@ def fit_kernel(
         )
         found.append(one)
     best = min(found, key=lambda one: float(one.fun))
-    names = [f"length scale {i + 1}" for i in range(dimension)]
-    names += [f"{what} of {output}" for what in ("signal", "noise") for output in OUTPUTS]
-    on_bound = np.isclose(best.x, low, atol=1e-6) | np.isclose(best.x, high, atol=1e-6)
+    at_low, at_high = (np.isclose(best.x, bound, atol=1e-6) for bound in (low, high))
     if longest < LENGTH_BOUNDS[1]:  # asked for: neither the labels nor the search are at fault
-        on_bound[:dimension] = np.isclose(best.x, low, atol=1e-6)[:dimension]
+        at_high[:dimension] = False
     scales, signal, white, lasting, memory = _parts(best.x, dimension)
     return KernelFit(
         kernel=Kernel(scales, signal, white + lasting, origin="fitted"),
@@ -195,11 +179,33 @@ def fit_kernel(
         points=points,
         blocks=len(blocks),
         evaluations=sum(int(one.nfev) for one in found),
-        # A part of the noise that is not there ends on its bound, and nothing is wrong with that.
-        at_bound=tuple(name for name, on in zip(names, on_bound, strict=False) if on),
+        at_bound=_names_of(at_low | at_high, dimension),
         lasting_variance=lasting,
         memory=memory if times is not None else 0.0,
     )
+
+
+def _blocks_to_fit(
+    z: np.ndarray, y: np.ndarray, grid: Grid, times: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Return labels within the grid, thinned, with times or their numbers, and the rows of each block."""
+    inside = grid.index(z)[1]
+    z, y = z[inside], y[inside]
+    t = np.arange(float(len(z))) if times is None else times[inside]
+    if len(z) < FEWEST_TO_FIT:
+        raise SetError(
+            f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed",
+            advice="Use --hyperparameters default.",
+        )
+    thinned = _evenly(len(z), _AT_MOST)
+    z, y, t = z[thinned], y[thinned], t[thinned]
+    blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)
+    return z, y, t, [blocks[i] for i in _evenly(len(blocks), MAXIMUM_BLOCKS)]
+
+
+def _evenly(count: int, most: int) -> np.ndarray:
+    """Return the numbers of at most so many of a row of things, evenly spread."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int)
 
 
 def longest_scale(grid: Grid) -> float:
@@ -209,6 +215,13 @@ def longest_scale(grid: Grid) -> float:
     from the range of the data, where five dimensions would leave nearly every query without a neighbour.
     """
     return LONGEST_SCALE if np.isfinite(grid.lower).all() else LENGTH_BOUNDS[1]
+
+
+def _names_of(on_bound: np.ndarray, dimension: int) -> tuple[str, ...]:
+    """Return the parameters on a bound; a part of the noise that is not there ends there, and none is wrong."""
+    names = [f"length scale {i + 1}" for i in range(dimension)]
+    names += [f"{what} of {output}" for what in ("signal", "noise") for output in OUTPUTS]
+    return tuple(name for name, on in zip(names, on_bound, strict=False) if on)
 
 
 def _bounds(grid: Grid, mean_square: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:

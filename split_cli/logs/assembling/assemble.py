@@ -30,7 +30,7 @@ from split_cli.logs.assembling.synchronize import (
     without_missing,
 )
 from split_cli.logs.assembling.trim import trim
-from split_cli.logs.checking.consistency import check_consistency
+from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.copies import copied_channels, without_copies
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
 from split_cli.logs.checking.late import late_channels
@@ -134,13 +134,7 @@ def _said_then(assemble: Callable[[], Assembled]) -> str:
 def _assemble(
     recording: RawRecording, signal_map: SignalMap, vehicle: Vehicle | None, settings: IngestSettings
 ) -> Assembled:
-    gap = _USUAL_GAP if settings.gap is None else settings.gap
-    if not gap > 0:
-        raise MapError(f"the gap is {gap:g} s, it must be positive", advice="Give --gap in seconds.")
-    if settings.row_rate is not None:
-        if not settings.row_rate > 0:
-            raise MapError(f"the row rate is {settings.row_rate:g} Hz", advice="Give --row-rate in rows a second.")
-        signal_map = replace(signal_map, time=TimeBase(period=1.0 / settings.row_rate))
+    gap, signal_map = _gap_and_map(settings, signal_map)
     derivations = _ordered([derivation_named(name).name for name in settings.derive])
     needed = _needed_channels(signal_map, derivations)
     gathered = gather(
@@ -171,19 +165,7 @@ def _assemble(
     if too_short or dropped:
         warnings.append(f"{too_short + dropped} rows of stretches too short to use were left out")
     drive = _drive(recording, grid, columns)
-    checked = drive
-    if len(drive) > MOST_CHECKED:
-        first = (len(drive) - MOST_CHECKED) // 2
-        checked = drive.stretch(first, first + MOST_CHECKED)
-        minutes = len(checked) * grid.period / 60.0
-        warnings.append(f"channels were checked against each other on the middle {minutes:.3g} minutes")
-    copied = copied_channels(checked, kinds)
-    measured = without_copies(kinds, copied)
-    consistency = check_consistency(checked, vehicle, measured, _certain(signal_map))
-    consistency = replace(consistency, findings=(*copied, *consistency.findings))
-    if not settings.estimate_delays:
-        late = late_channels(checked, vehicle, measured, consistency)
-        consistency = replace(consistency, findings=(*consistency.findings, *late))
+    consistency = _checked(drive, vehicle, kinds, signal_map, settings, warnings)
     quality = QualityReport(
         channels=tuple(qualities),
         segments=len(slices_of(grid.segment)),
@@ -203,13 +185,9 @@ def _assemble(
             *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes),
         ),
     )
-    paths = getattr(recording, "paths", (recording.path,))
     quality = replace(quality, unverified=_unverified(recording.path, before))
     metadata = DriveMetadata(
-        sources=tuple(
-            Source(path.name if len(paths) > 1 else recording.name, sha256_of_file(path) if path.exists() else "")
-            for path in paths
-        ),
+        sources=_sources(recording),
         vehicle=vehicle.name if vehicle else "",
         kinds=kinds,
         signal_map={"map": signal_map.name, **signal_map.content},
@@ -219,6 +197,49 @@ def _assemble(
         between=_between(channels, made, columns),
     )
     return Assembled(replace(drive, metadata=metadata), quality)
+
+
+def _gap_and_map(settings: IngestSettings, signal_map: SignalMap) -> tuple[float, SignalMap]:
+    """Return the longest step that is bridged [s], and the map with the rate of rows that was asked for."""
+    gap = _USUAL_GAP if settings.gap is None else settings.gap
+    if not gap > 0:
+        raise MapError(f"the gap is {gap:g} s, it must be positive", advice="Give --gap in seconds.")
+    if settings.row_rate is None:
+        return gap, signal_map
+    if not settings.row_rate > 0:
+        raise MapError(f"the row rate is {settings.row_rate:g} Hz", advice="Give --row-rate in rows a second.")
+    return gap, replace(signal_map, time=TimeBase(period=1.0 / settings.row_rate))
+
+
+def _checked(
+    drive: Drive,
+    vehicle: Vehicle | None,
+    kinds: Mapping[str, str],
+    signal_map: SignalMap,
+    settings: IngestSettings,
+    warnings: list[str],
+) -> Consistency:
+    """Check channels against each other, of a long drive on its middle, which is a warning."""
+    checked = drive
+    if len(drive) > MOST_CHECKED:
+        first = (len(drive) - MOST_CHECKED) // 2
+        checked = drive.stretch(first, first + MOST_CHECKED)
+        minutes = len(checked) * drive.period / 60.0
+        warnings.append(f"channels were checked against each other on the middle {minutes:.3g} minutes")
+    copied = copied_channels(checked, kinds)
+    measured = without_copies(kinds, copied)
+    consistency = check_consistency(checked, vehicle, measured, _certain(signal_map))
+    consistency = replace(consistency, findings=(*copied, *consistency.findings))
+    late = () if settings.estimate_delays else late_channels(checked, vehicle, measured, consistency)
+    return replace(consistency, findings=(*consistency.findings, *late))
+
+
+def _sources(recording: RawRecording) -> tuple[Source, ...]:
+    paths = getattr(recording, "paths", (recording.path,))
+    return tuple(
+        Source(path.name if len(paths) > 1 else recording.name, sha256_of_file(path) if path.exists() else "")
+        for path in paths
+    )
 
 
 def _certain(signal_map: SignalMap) -> frozenset[str]:

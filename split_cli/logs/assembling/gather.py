@@ -102,30 +102,8 @@ def gather(
         notes.conversions.append("rows in reverse order, the newest first: turned round")
     common = None if common is None else set_aside(common)
     converter = Converter(recording.name, signal_map, wheel_radius, notes)
-    # A signal goes with its last use, so that a long recording is not held twice.
-    uses = Counter(name for groups in found.values() for names in groups for name in names)
-    uses.update([*extras, *clocks])
-
-    def use(name: str) -> RawSignal:
-        uses[name] -= 1
-        return signals[name] if uses[name] else signals.pop(name)
-
-    series: dict[str, tuple[RawSeries, ...]] = {}
-    maps: dict[str, ChannelMap] = {}
-    for channel, names_of_sources in found.items():
-        entry = signal_map.channel(channel)
-        name = _world_name(channel, entry.sources[0].world or signal_map.world)
-        maps[name] = replace(entry, channel=name)
-        series[name] = tuple(
-            converter.convert(name, source, [use(n) for n in names], common)
-            for source, names in zip(entry.sources, names_of_sources, strict=True)
-        )
-    for column in extras:
-        if column not in clocks and column not in series:
-            signal = use(column)
-            time = common if signal.time is None else signal.time
-            maps[column] = ChannelMap(column, (SignalSource((column,), unit=signal.unit),), optional=True)
-            series[column] = (RawSeries(column, column, time, signal.values),)
+    others = [column for column in extras if column not in clocks]
+    maps, series = _converted(found, others, signals, Counter(extras) + Counter(clocks), converter, common)
     if chosen or recording.clocks:
         words = f"{chosen or recording.clocks[0]} time of the messages"
     return Gathered(
@@ -138,6 +116,43 @@ def gather(
         tuple(dict.fromkeys(notes.contradictions)),
         tuple(skipped),
     )
+
+
+def _converted(
+    found: Mapping[str, list[list[str]]],
+    others: Sequence[str],
+    signals: dict[str, RawSignal],
+    uses: Counter[str],
+    converter: Converter,
+    common: np.ndarray | None,
+) -> tuple[dict[str, ChannelMap], dict[str, tuple[RawSeries, ...]]]:
+    """Return maps and series of channels and of other columns; `uses` counts those of signals elsewhere.
+
+    A signal goes with its last use, so that a long recording is not held twice.
+    """
+    uses = uses + Counter(name for groups in found.values() for names in groups for name in names)
+
+    def use(name: str) -> RawSignal:
+        uses[name] -= 1
+        return signals[name] if uses[name] else signals.pop(name)
+
+    series: dict[str, tuple[RawSeries, ...]] = {}
+    maps: dict[str, ChannelMap] = {}
+    for channel, names_of_sources in found.items():
+        entry = converter.map.channel(channel)
+        name = _world_name(channel, entry.sources[0].world or converter.map.world)
+        maps[name] = replace(entry, channel=name)
+        series[name] = tuple(
+            converter.convert(name, source, [use(n) for n in names], common)
+            for source, names in zip(entry.sources, names_of_sources, strict=True)
+        )
+    for column in others:
+        if column not in series:
+            signal = use(column)
+            time = common if signal.time is None else signal.time
+            maps[column] = ChannelMap(column, (SignalSource((column,), unit=signal.unit),), optional=True)
+            series[column] = (RawSeries(column, column, time, signal.values),)
+    return maps, series
 
 
 def fitting_presets(recording: RawRecording) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -138,52 +138,7 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
     except ImportError as error:
         raise LogError("is a CAN log", where=path.name, advice="pip install 'split-cli[can]'") from error
     database = read_databases(databases)
-    by_id = {message.frame_id: message for message in database.messages}
-    decoded: dict[str, GrowingSignal] = {}
-    unknown: Counter[int] = Counter()
-    unfit: Counter[str] = Counter()
-    cut = is_cut_blf(path)
-    try:
-        with _unread_lines() as unread, _frames(path) as reader:
-            for frame in reader:
-                if frame is None:
-                    unread.count += 1
-                    continue
-                if frame.is_error_frame or frame.is_remote_frame:
-                    continue
-                message = by_id.get(frame.arbitration_id)
-                if message is None:
-                    unknown[frame.arbitration_id] += 1
-                    continue
-                try:
-                    values = message.decode(bytes(frame.data), decode_choices=False, allow_truncated=True)
-                except Exception:  # cantools: too short, a multiplexer without that value
-                    unfit[message.name] += 1
-                    continue
-                for signal, value in values.items():
-                    if isinstance(value, int | float):
-                        name = f"/{message.name}/{signal}"
-                        samples = decoded.get(name)
-                        if samples is None:
-                            samples = decoded[name] = GrowingSignal()
-                        samples.append(frame.timestamp, float(value))
-    except LogError:
-        raise
-    except Exception as error:  # python-can passes on what damaged blocks lead to
-        if not decoded:
-            reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-            what = f"is cut off or damaged ({reason})"
-            raise LogError(what, where=path.name, advice="Record it again.") from error
-        unfit["(the file is cut off or damaged here)"] += 1
-    notes = [
-        ReadNote("frames that do not fit their definition", f"{path.name}, {name}", count)
-        for name, count in unfit.items()
-    ]
-    if unread.count or cut:
-        what = "lines or blocks that are cut off or damaged"
-        notes.append(ReadNote(what, path.name, unread.count + cut))
-    if unknown:
-        notes.append(ReadNote("frames of ids that no database defines", path.name, sum(unknown.values())))
+    decoded, notes, ids, unfit = _decode(path, {message.frame_id: message for message in database.messages})
     if not decoded and unfit:
         known = ", ".join(name for name, _ in unfit.most_common(5))
         raise LogError(
@@ -192,13 +147,68 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
             advice="Is it the DBC of this car, and of this year's software?",
         )
     if not decoded:
-        seen = ", ".join(f"0x{i:X}" for i, _ in unknown.most_common(5)) or "none"
+        seen = ", ".join(f"0x{i:X}" for i, _ in ids.most_common(5)) or "none"
         raise LogError(
             "no frame is of a message that the database defines",
             where=path.name,
             advice=f"Frames have the ids {seen}. Is it the DBC of this car and this bus?",
         )
     return _recording(path, database, decoded, notes)
+
+
+def _decode(
+    path: Path, by_id: Mapping[int, Any]
+) -> tuple[dict[str, GrowingSignal], list[ReadNote], Counter[int], Counter[str]]:
+    """Return signals, what was lost, and how many frames have ids of no message or do not fit their message."""
+    decoded: dict[str, GrowingSignal] = {}
+    unknown: Counter[int] = Counter()
+    unfit: Counter[str] = Counter()
+    lost = int(is_cut_blf(path))
+    try:
+        with _unread_lines() as unread, _frames(path) as reader:
+            for frame in reader:
+                if frame is None:
+                    lost += 1
+                elif frame.is_error_frame or frame.is_remote_frame:
+                    continue
+                elif frame.arbitration_id not in by_id:
+                    unknown[frame.arbitration_id] += 1
+                else:
+                    _add(decoded, unfit, by_id[frame.arbitration_id], frame)
+    except LogError:
+        raise
+    except Exception as error:  # python-can passes on what damaged blocks lead to
+        if not decoded:
+            reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+            what = f"is cut off or damaged ({reason})"
+            raise LogError(what, where=path.name, advice="Record it again.") from error
+        unfit["(the file is cut off or damaged here)"] += 1
+    lost += unread.count
+    notes = [
+        ReadNote("frames that do not fit their definition", f"{path.name}, {name}", count)
+        for name, count in unfit.items()
+    ]
+    if lost:
+        notes.append(ReadNote("lines or blocks that are cut off or damaged", path.name, lost))
+    if unknown:
+        notes.append(ReadNote("frames of ids that no database defines", path.name, sum(unknown.values())))
+    return decoded, notes, unknown, unfit
+
+
+def _add(decoded: dict[str, GrowingSignal], unfit: Counter[str], message: Any, frame: Any) -> None:
+    """Decode one frame into the signals, or count it as one that does not fit."""
+    try:
+        values = message.decode(bytes(frame.data), decode_choices=False, allow_truncated=True)
+    except Exception:  # cantools: too short, a multiplexer without that value
+        unfit[message.name] += 1
+        return
+    for signal, value in values.items():
+        if isinstance(value, int | float):
+            name = f"/{message.name}/{signal}"
+            samples = decoded.get(name)
+            if samples is None:
+                samples = decoded[name] = GrowingSignal()
+            samples.append(frame.timestamp, float(value))
 
 
 @contextmanager
