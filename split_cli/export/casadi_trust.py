@@ -42,6 +42,13 @@ def observation() -> casadi.Function:
         error = normal[j, 3] - sum(normal[j, i] * share[i] for i in range(3))
         better = share[j] + casadi.if_else(normal[j, j] > 0.0, error / normal[j, j], 0.0)
         share[j] = casadi.fmin(casadi.fmax(better, 0.0), 1.0)
+    column = casadi.vertcat(*share)
+    left = normal[3, 3] + casadi.dot(column, casadi.mtimes(normal[:3, :3], column) - 2.0 * normal[:3, 3])
+    left = casadi.fmax(left, 0.0) / 3.0
+    for j in range(3):
+        gain = share[j] ** 2 * normal[j, j]
+        doubt = casadi.if_else(gain > 0.0, (1.0 - share[j]) * (2.0 * SPAN / MEMORY) * left / gain, 1.0)
+        share[j] *= casadi.fmax(1.0 - doubt, 0.0)
     following = casadi.vertcat(*share, casadi.vec(driven.T), *products)
     kept = casadi.vertcat(trust[:3], casadi.SX.zeros(12), trust[15:])
     # What is no finite number is not below this.

@@ -31,7 +31,10 @@ def follow(most: np.ndarray, transition: np.ndarray, innovation: np.ndarray, res
 def reference(
     most: np.ndarray, transition: np.ndarray, innovation: np.ndarray, response: np.ndarray
 ) -> np.ndarray:
-    """Return the share by definition: every error as a sum over all intervals before it, then SciPy's minimum."""
+    """Return the share by definition: every error as a sum over all intervals before it, then SciPy's minimum.
+
+    What falls short of `most` is shrunk by its variance over its square.
+    """
     count, kept = len(innovation), 1.0 / (1.0 + H / SPAN)
     error, change = np.zeros((count, 3)), np.zeros((count, 3, 3))
     for end in range(count):
@@ -49,7 +52,10 @@ def reference(
 
     bounds = [(0.0, m) for m in most]
     found: np.ndarray = minimize(left, 0.5 * most, bounds=bounds, options={"ftol": 1e-15, "gtol": 1e-10}).x
-    return found
+    squares = np.array([np.sum(weight @ change[:, :, j] ** 2 / size) for j in range(3)])
+    variance = left(found) / 3.0 * (2.0 * SPAN / MEMORY) / squares
+    kept: np.ndarray = found * np.maximum(1.0 - (1.0 - found / most) * variance / found**2, 0.0)
+    return kept
 
 
 def test_it_is_what_the_sums_over_the_whole_drive_give() -> None:
@@ -73,6 +79,14 @@ def test_the_stored_trust_is_never_exceeded_and_a_wrong_correction_is_not_applie
     assert not follow(MOST, transition, response @ (-MOST), response).share.any()
     assert not follow(np.zeros(3), transition, noise, response).share.any()
     assert not RunningTrust(MOST, H).share.any(), "nothing was driven, so nothing supports a correction"
+
+
+def test_a_share_that_noise_alone_would_make_is_hardly_applied() -> None:
+    """Corrections that have nothing to do with the errors: least squares would apply some of them all the time."""
+    transition, noise, response = driving(4000)
+    trust = RunningTrust(MOST, H)
+    shares = [trust.observe(*known).copy() for known in zip(transition, noise, response, strict=True)]
+    assert np.mean(shares[400:]) < 0.01
 
 
 def test_a_correction_that_becomes_wrong_is_taken_back_within_the_memory() -> None:

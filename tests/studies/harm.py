@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 
@@ -299,6 +300,20 @@ def is_worse(row: dict) -> bool:
     return low is not None and low > 1.0
 
 
+def worse_at_once(rows: list[dict]) -> list[dict]:
+    """Return the rows that are worse when the intervals hold 95 % for all rows at once (Bonferroni).
+
+    The lower end of an interval lies as many times further from the ratio, on a logarithmic scale, as a normal
+    quantile does.
+    """
+    wider = NormalDist().inv_cdf(1.0 - 0.025 / max(len(rows), 1)) / NormalDist().inv_cdf(0.975)
+    return [
+        row
+        for row in rows
+        if (1.0 - wider) * np.log(row["to_nominal"][0]) + wider * np.log(row["to_nominal"][1]) > 0.0
+    ]
+
+
 def ratio_of(values: list[float | None]) -> str:
     """Return 0.85 (0.80 to 0.91), in bold when the interval lies above 1."""
     ratio, low, high = values
@@ -326,7 +341,9 @@ def summary(reports: list[dict], predictor: str) -> list[str]:
         told.append(
             f"- {name}: of {len(found)} states and horizons {len(worse)} are worse than the nominal model beyond "
             f"chance (at most {largest:.3f} times its error), {better} better; geometric mean of the ratios "
-            f"{mean:.3f}."
+            f"{mean:.3f}. Were the {len(found) - better} that are not better without any effect, "
+            f"{0.025 * (len(found) - better):.1f} would count as worse. With intervals that hold for all at once "
+            f"{len(worse_at_once(found))} do."
         )
     unwarned = [
         (row["state"], row["horizon"])
