@@ -176,6 +176,10 @@ def main(arguments: list[str] | None = None) -> None:
         _fail(str(error), 1)
     except click.exceptions.Abort:
         _leave_stopped(stopped)
+    except click.MissingParameter as error:
+        error.message = getattr(error.param, "help", None) or ""  # of the option: what it is
+        error.show()
+        sys.exit(2)
     except click.ClickException as error:
         error.show()
         sys.exit(2)

@@ -88,7 +88,7 @@ def vehicle_option(required: bool = True) -> Callable:
         type=existing_file,
         required=required,
         metavar="FILE",
-        help="Vehicle file (YAML).",
+        help="Vehicle file (YAML); `split init` drafts one.",
     )
 
 

@@ -71,7 +71,8 @@ class FeatureSet:
 def _no_feature(name: str, known: Sequence[str], drive: Drive, model: SingleTrack) -> DriveError:
     term, _, state = name.partition(".")
     if term not in CATALOGUE or state not in CATALOGUE[term].states:
-        return DriveError(f"no feature {name!r}", where=drive.name, advice=nearest_names(name, known))
+        advice = f"{nearest_names(name, known)} The usual features are z2 and z1."
+        return DriveError(f"no feature {name!r}", where=drive.name, advice=advice)
     units = CATALOGUE[term].units.items()
     values = ", ".join(f"{parameter}: VALUE" + (f" [{unit}]" if unit != "1" else "") for parameter, unit in units)
     return DriveError(

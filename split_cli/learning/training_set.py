@@ -225,8 +225,10 @@ class SetFile:
         except PermissionError as error:
             raise SetError("cannot be read (Permission denied)", where=str(path)) from error
         except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-            reason = "truncated, damaged or of another kind"
-            raise SetError(f"is not a whole trained set ({reason})", where=str(path), advice=_RETRAIN) from error
+            own = self.path.suffix == ".split"
+            what = "is not a whole trained set (truncated or damaged)" if own else "is no trained set"
+            advice = _RETRAIN if own else "A trained set is the NAME.split that `split train` writes."
+            raise SetError(what, where=str(path), advice=advice) from error
         if found not in _READABLE:
             raise SetError(
                 f"is a trained set of format {found!r}, this version reads {SET_FORMAT!r}",

@@ -147,7 +147,7 @@ def find_sources(
         sources = _remote(text, suffixes) if is_remote(text) else _local(text, suffixes)
         if not sources:
             kinds = ", ".join(suffixes)
-            raise SplitError(f"holds no {what}", where=text, advice=f"Known are {kinds}.")
+            raise SplitError(f"holds no {what}", where=text, advice=f"Give a file or folder with {kinds}.")
         for source in sources:
             if outside is not None and _is_below(source.address, outside) and not _is_below(text, outside):
                 continue

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -288,6 +289,12 @@ def _needed_channels(signal_map: SignalMap, derivations: Sequence[str]) -> list[
     return needed
 
 
+def _misspelt(channel: str, signal_map: SignalMap) -> str:
+    """Return the channel of the map that is no channel of a drive and is spelled nearly as a required one."""
+    close = get_close_matches(channel, [one.channel for one in signal_map.channels if one.channel not in CHANNELS])
+    return f" The map has {close[0]!r}, which is no channel: is it meant?" if close else ""
+
+
 def _check_required(gathered: Gathered, derivations: Sequence[str], signal_map: SignalMap, where: str) -> None:
     made = {channel for name in derivations for channel in DERIVATIONS[name].makes}
     missing = [c for c in REQUIRED_CHANNELS if c not in gathered.series and c not in made]
@@ -300,7 +307,7 @@ def _check_required(gathered: Gathered, derivations: Sequence[str], signal_map: 
         f"{' and '.join([', '.join(missing[:-1]), missing[-1]] if many else missing)} {'are' if many else 'is'} "
         f"required and not mapped{' (not recorded: ' + '; '.join(skipped) + ')' if skipped else ''}",
         where=where,
-        advice=" ".join(_way_to(channel, signal_map, reached) for channel in missing)
+        advice=" ".join(_way_to(channel, signal_map, reached) + _misspelt(channel, signal_map) for channel in missing)
         + " `split ingest LOG --list` shows what is recorded.",
     )
 

@@ -70,10 +70,15 @@ def trim(
             for first, last in spans:
                 keep &= ~((time >= first) & (time < last))
             if not keep.any():
-                what = f"nothing of {channel} is left after trimming"
-                raise MapError(what, advice="See --start, --end and --cut.")
+                what = f"nothing of {channel} is left after trimming; it is recorded from {_span(time)}"
+                raise MapError(what, advice="Give other times with --start, --end or --cut.")
             kept.append(replace(part, time=set_aside(part.time[keep]), values=set_aside(part.values[keep])))
         made[channel] = tuple(kept)
     left_out = [f"before {last:g} s" if np.isinf(first) else f"after {first:g} s" if np.isinf(last)
             else f"from {first:g} to {last:g} s" for first, last in spans]  # fmt: skip
     return made, (f"left out on request: {', '.join(left_out)}",)
+
+
+def _span(time: np.ndarray) -> str:
+    """Return the first and last time [s] as they are given to ``--start`` and ``--end``."""
+    return f"{np.nanmin(time):.1f} to {np.nanmax(time):.1f} s" if np.isfinite(time).any() else "no time"

@@ -409,7 +409,17 @@ def _check_topics(topics: dict[str, str], signal_map: SignalMap) -> None:
             )
 
 
+#: What a name ends in that a user means as a file, and not as a folder of drives.
+_NO_FOLDERS = (".csv", ".txt", ".mcap", ".feather", ".mat")
+
+
 def _check_folder(output: Path, sources: Sequence[SourceFile]) -> None:
+    if output.suffix.lower() in _NO_FOLDERS and not output.is_dir():
+        raise SplitError(
+            f"a drive is written as Parquet, not as {output.suffix}",
+            where=str(output),
+            advice=f"Name {output.with_suffix('.parquet')}, or a folder.",
+        )
     if len(sources) > 1 and output.suffix.lower() in (".parquet", ".pq"):
         raise SplitError(
             f"{len(sources)} recordings cannot go into one drive", where=str(output), advice="Name a folder."
