@@ -6,7 +6,7 @@
 Every set is trained by `split train` on one part of what was recorded and judged by `split evaluate --set` on
 another: another drive of the same car, or the other half of the same one. Nothing is chosen on what is judged.
 *Fresh* drives are simulated for this study. With ``--work``, drives, sets and judgements stay in that folder, and
-a run that was ended goes on where it was. docs/results.md holds the table.
+a run that was ended goes on where it was. docs/records/harm_of_pairs.md holds the table of every pair.
 """
 
 import argparse
