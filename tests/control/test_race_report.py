@@ -148,6 +148,12 @@ def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):
         keys = browser.find_elements("css selector", f"#chart-{chart} .legend .switch")
         assert [key.get_attribute("aria-pressed") for key in keys] == ["true", "false", "true"]
     assert one("#status").text == "lap 0: 100 m, 10.0 m/s; lap 2: 110 m, 11.0 m/s"
+    marks = "return document.querySelectorAll(`#strips svg line[stroke-dasharray='3 3']`).length"
+    assert browser.execute_script(marks) == len([chart for chart in race_charts([result]) if chart.wide])
+    whole = "return document.getElementById('track').toDataURL()"
+    before = browser.execute_script(whole)
+    browser.execute_script("view.value = 'car'; view.dispatchEvent(new Event('change'))")
+    assert browser.execute_script(whole) != before
     # At true pace a lap outlasts a busy machine.
     browser.execute_script("document.getElementById('pace').value = '1'")
     one("#play").click()

@@ -4,7 +4,7 @@
   const roles = ["measured", "simulated", "corrected", "learned", "nominal", "other"]; // as the charts below
   const named = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const find = (id) => document.getElementById(id);
-  const slider = find("time"), clock = find("clock"), play = find("play"), pace = find("pace"), status = find("status");
+  const slider = find("time"), clock = find("clock"), play = find("play"), pace = find("pace"), view = find("view"), status = find("status");
   const chosen = new Set([...race.laps.keys()].filter((k) => race.laps[k].shown));
   const role = (k) => roles[k % roles.length];
   const colour = (k) => named(role(k));
@@ -65,8 +65,19 @@
   }
 
   const track = find("track"), ground = race.left.concat(race.right);
-  const onTrack = frame(track, ground.map((p) => p[0]), ground.map((p) => p[1]), true, 16);
+  const whole = frame(track, ground.map((p) => p[0]), ground.map((p) => p[1]), true, 16);
+  const road = Math.hypot(race.left[0][0] - race.right[0][0], race.left[0][1] - race.right[0][1]);
+
+  /* The whole track, or six of its widths about the first chosen car. */
+  function frameNow() {
+    const [k] = laps();
+    if (view.value === "whole" || k === undefined) return whole;
+    const lap = race.laps[k], place = at(lap, now), size = track.height / (6 * road);
+    const [x0, y0] = [value(lap.x, place), value(lap.y, place)];
+    return (x, y) => [track.width / 2 + (x - x0) * size, track.height / 2 - (y - y0) * size];
+  }
   function drawTrack() {
+    const onTrack = frameNow();
     const pen = track.getContext("2d"), grown = Math.max(1, track.width / (track.clientWidth || track.width)); // in a narrow window
     pen.clearRect(0, 0, track.width, track.height);
     for (const border of [race.left, race.right]) line(pen, border.map(([x, y]) => onTrack(x, y)), named("soft"), 1.5 * grown, true);
@@ -100,6 +111,8 @@
     slider.value = String(now);
     clock.textContent = `${now.toFixed(1)} s`;
     drawTrack(); tell();
+    const [k] = laps();
+    if (Charts.markStrips) Charts.markStrips(k === undefined ? null : now, k === undefined ? null : value(race.laps[k].s, at(race.laps[k], now)));
   }
   function tick(stamp) {
     if (!running) return;
@@ -121,5 +134,6 @@
   slider.addEventListener("input", () => { stop(); setTime(Number(slider.value)); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawTrack);
   addEventListener("resize", drawTrack);
+  view.addEventListener("change", drawTrack);
   setTime(0);
 })();

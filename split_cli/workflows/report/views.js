@@ -190,6 +190,10 @@
   }
 
   told.forEach(chart);
+  /* Mark a moment and a place in charts with two kinds of x; null for none. */
+  Charts.markStrips = (time, place) => {
+    for (const plot of Object.values(plots)) if (plot.group === "strips") plot.mark(along ? place : time);
+  };
   if (choice) choice.addEventListener("change", (event) => {
     along = event.target.value === "s";
     for (const plot of Object.values(plots)) if (plot.group === "strips") { plot.view = null; plot.redraw(); }
