@@ -15,6 +15,7 @@ from typing import Any
 
 from split_cli.errors import SplitError
 from split_cli.files import ScratchFolder, sha256_of_file
+from split_cli.logs.readers.numpy_arrays import is_array_folder
 from split_cli.logs.readers.opening import is_prose
 
 __all__ = [
@@ -29,7 +30,7 @@ __all__ = [
 
 LOG_SUFFIXES = (
     ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".mdf", ".blf",
-    ".asc", ".trc", ".jsonl", ".ascii", ".lvm", ".tsv", ".arrow", ".mcap.zstd", ".db3.zstd",
+    ".asc", ".trc", ".jsonl", ".ascii", ".lvm", ".tsv", ".arrow", ".mcap.zstd", ".db3.zstd", ".npz",
 )  # fmt: skip
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
 _COPY_BYTES = 1 << 22
@@ -264,13 +265,18 @@ def _hidden(path: PurePath) -> bool:
 
 
 def _is_bag(path: Path) -> bool:
-    """Tell a rosbag2 folder: it has metadata, or its recordings are the numbered parts of one database."""
+    """Tell a folder that is one recording: a rosbag2 folder, or one with a file for each array.
+
+    A rosbag2 folder has metadata, or its recordings are the numbered parts of one database.
+    """
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return path.is_dir()
     shown = (entry for entry in path.iterdir() if not entry.name.startswith("."))
     logs = [entry for entry in shown if _is_one_of(entry, LOG_SUFFIXES)]
     parts = {re.sub(r"(_\d+)?\.db3(\.zstd)?$", "", log.name.lower()) for log in logs}
-    return len(parts) == 1 and all(log.name.lower().endswith((".db3", ".db3.zstd")) for log in logs)
+    if any(log.suffix.lower() != ".txt" for log in logs):
+        return len(parts) == 1 and all(log.name.lower().endswith((".db3", ".db3.zstd")) for log in logs)
+    return is_array_folder(path)
 
 
 def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:

@@ -1,4 +1,4 @@
-"""What public recordings of real and simulated cars brought that no other test has: their layout, with made-up motion."""
+"""What public recordings of cars brought that no other test has: their layout, with made-up motion."""
 
 from __future__ import annotations
 
@@ -43,3 +43,27 @@ def test_a_moment_written_as_in_names_of_files_is_a_time(cell):
     """AutoDRIVE stamps its rows yyyy_MM_dd_HH_mm_ss_fff; ISO 8601 is the oracle."""
     assert seconds_of(cell) == pytest.approx(seconds_of("2024-04-23T13:15:46.619"), abs=1e-6)
     assert np.isnan(seconds_of("2024_13_23_13_15_46_619"))
+
+
+def test_columns_without_names_are_known_by_the_motion_that_ties_them(tmp_path):
+    """States of a driven car as a bare matrix, as AutoRally's data sets have them; the end explodes."""
+    c = cornering(300.0, 0.02)
+    vy = -0.3 * c["r"] * np.cos(0.1 * c["t"])
+    mid = c["yaw"] - 0.01 * c["r"]  # in the middle of each step
+    x = np.cumsum(c["v"] * np.cos(mid) - vy * np.sin(mid)) * 0.02
+    y = np.cumsum(c["v"] * np.sin(mid) + vy * np.cos(mid)) * 0.02
+    other = np.cos(3.1 * c["t"])
+    rows = np.column_stack([c["v"], vy, c["r"], other, c["yaw"], x, y])
+    rows[-40:] *= 1e9
+    np.savez(tmp_path / "a.npz", states=rows, inputs=np.column_stack([np.sin(c["t"]), c["r"] / c["v"]]))
+    draft = draft_map(open_recording(tmp_path / "a.npz"), row_rate=50.0)
+    found = {s.channel: s.sources[0] for s in draft.suggestions if s.channel != "delta"}
+    assert found == {"vx": "states[0]", "vy": "states[1]", "r": "states[2]", "yaw": "states[4]", "X": "states[5]",
+                     "Y": "states[6]"}  # fmt: skip
+    assert draft.of("delta").sources == ("inputs[1]",)
+
+
+def test_columns_without_names_that_are_no_motion_stay_without_one(tmp_path):
+    noise = np.cumsum(np.random.default_rng(1).normal(size=(4000, 9)), axis=0)
+    np.savez(tmp_path / "a.npz", x=noise)
+    assert not draft_map(open_recording(tmp_path / "a.npz"), row_rate=50.0).suggestions

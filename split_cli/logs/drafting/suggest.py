@@ -31,6 +31,7 @@ from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_of
 from split_cli.logs.drafting.form import hints_on_the_form
 from split_cli.logs.drafting.hand import what_tells_left, without_a_side
 from split_cli.logs.drafting.multiples import with_units_of_multiples
+from split_cli.logs.drafting.nameless import is_of_a_state, named_by_motion
 from split_cli.logs.drafting.naming import (
     COMMANDED,
     Meaning,
@@ -85,6 +86,8 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     """
     infos = recording.channels()
     candidates = _candidates(recording, infos)
+    if not any(c.channel in _OF_MOTION for c in candidates):
+        candidates += named_by_motion(recording, infos)
     triples = names_of_triples(infos)
     signals = _read(recording, candidates, triples)
     time, line, known = clock_of_rows(recording, infos, signals, candidates, row_rate)
@@ -226,7 +229,7 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
     by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
     axes = named_by_axis(infos)
     for info in infos:
-        if info == time or info.type_name == "text" or info.name in by_field:
+        if info == time or info.type_name == "text" or info.name in by_field or is_of_a_state(info, infos):
             continue
         unit = stated_unit(info)
         asked = info.name.startswith("/") and is_of_a_command(info.name.rpartition("/")[0])

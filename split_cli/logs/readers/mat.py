@@ -14,28 +14,16 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs import scratch
 from split_cli.logs.budget import Unfolded, refuse_unpacked_size
-from split_cli.logs.raw import (
-    RawRecording,
-    RawSignal,
-    ReadNote,
-    TableRecording,
-    column_name_and_unit,
-    note_once,
-    unit_of_time,
-)
+from split_cli.logs.raw import RawRecording, ReadNote, note_once
 from split_cli.logs.readers.mat5_structure import check_mat5
+from split_cli.logs.readers.vectors import VALUE_FIELDS, recording_of_vectors
 from split_cli.logs.scratch import set_aside
 
 __all__ = ["open_mat", "open_mat_hdf5"]
 
 _DEEPEST = 8
 _MOST_COLUMNS = 64
-_TIME_NAMES = ("time", "Time", "t", "tout")
-_TIME_FIELD = re.compile(r"(?:t|time|timestamps?|stamp|tout)(?:_?(s|sec|ms|us|ns))?", re.IGNORECASE)
 _UNIT_FIELDS = ("unit", "units")
-_TITLED_FIELDS = (".Value", ".Values", ".value", ".values")
-_VALUE_FIELDS = (*_TITLED_FIELDS, ".data", ".Data")
-_VALUE_NAMES = ("signals.values", "values", "data", "Data")
 
 
 def open_mat(path: Path) -> RawRecording:
@@ -153,7 +141,7 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
 def _with_unit(name: str, unit: str) -> str:
     """Return the address of a structure's values with the unit that stands beside them, as MoTeC exports it."""
     # A dot in brackets is no part of an address.
-    return f"{name} [{unit.replace('.', ' ')}]" if unit and name.endswith(_VALUE_FIELDS) else name
+    return f"{name} [{unit.replace('.', ' ')}]" if unit and name.endswith(VALUE_FIELDS) else name
 
 
 def _named(items: Any) -> list[str]:
@@ -288,118 +276,23 @@ def _text_hdf5(item: Any) -> str:
 def _recording(
     path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequence[str], lost: int = 0, elsewhere: int = 0
 ) -> RawRecording:
-    arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
     notes: list[ReadNote] = []
     if lost:
         notes.append(ReadNote("variables that cannot be read or stand twice, left out", path.name, lost))
     if elsewhere:
         notes.append(ReadNote("links to other files, or to what was read already, left out", path.name, elsewhere))
-    clocks = _own_clocks(arrays)
-    titles = _of_one_value(arrays, clocks)
-    signals: dict[str, RawSignal] = {}
-    for name, values in arrays.items():
-        if len(values) == 2 and values.ndim == 2 and name not in clocks and _rises_evenly(values[0]):
-            # Simulink's To File: the first of two rows is the time.
-            signals[name] = RawSignal(name, values[0].astype(np.float64), values[1].astype(np.float64), None)
-            note_once(notes, ReadNote("matrices of two rows, the first taken as time in s", path.name))
-            continue
-        if name in titles and titles[name] is None:
-            continue
-        for column_name, column in _columns(name, values):
-            bare, unit = column_name_and_unit(titles.get(name) or column_name)
-            time = clocks.get(name)
-            if time is not None and len(time) != len(column):
-                time = None
-            signals[bare] = RawSignal(bare, time, column, unit)
-    scalars = sum(values.size <= 1 for _, values in leaves)
-    if scalars:
-        note_once(notes, ReadNote("variables of a single value, not listed", path.name, scalars))
     if objects:
         shown = ", ".join(objects[:6]) + (" ..." if len(objects) > 6 else "")
         what = f"objects of MATLAB (timeseries, timetable, Dataset), which cannot be read outside it: {shown}"
-        if not signals:
+        if not any(values.size > 1 and values.ndim <= 2 for _, values in leaves):
             advice = (
                 "In MATLAB, store their numbers: S.t = x.Time; S.vx = x.Data; save('log.mat', '-struct', 'S')."
             )
             raise LogError(f"holds only {what}", where=path.name, advice=advice)
         note_once(notes, ReadNote(what, path.name, len(objects)))
-    if not signals:
-        raise LogError(
-            "holds no vector of numbers",
-            where=path.name,
-            advice="Save the signals as vectors: save('log.mat', 't', 'vx', 'vy').",
-        )
-    return TableRecording(path.name, path, signals, type_name="vector", notes=notes)
-
-
-def _of_one_value(arrays: dict[str, np.ndarray], clocks: dict[str, np.ndarray]) -> dict[str, str | None]:
-    """Return the titles of structures of one value and its time (MoTeC): the structure's; None for the time."""
-    fields: dict[str, list[str]] = {}
-    for name in arrays:
-        fields.setdefault(name.split(" [")[0].rpartition(".")[0], []).append(name)
-    titles: dict[str, str | None] = {}
-    for structure, names in fields.items():
-        value = next((name for name in names if name.split(" [")[0].endswith(_TITLED_FIELDS)), None)
-        if structure and value in clocks and len(names) == 2 and min(arrays[value].shape) == 1:
-            unit = value.partition(" [")[2]
-            titles |= {name: f"{structure} [{unit}" if unit and name == value else None for name in names}
-            titles[value] = titles[value] or structure
-    return titles
-
-
-def _rises_evenly(row: np.ndarray) -> bool:
-    """Whether a row counts up in equal steps, as a time does."""
-    step = np.diff(np.asarray(row, dtype=np.float64))
-    return len(step) > 10 and bool(np.all(step > 0.0)) and float(np.ptp(step)) < 1e-3 * float(step.mean())
-
-
-def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the time of each array that stands in a structure beside one: of Simulink, or of a sensor."""
-    clocks = _clocks_of_structures(arrays)
-    for name in arrays:
-        for ending in _VALUE_NAMES:
-            if not name.endswith("." + ending):
-                continue
-            structure = name[: -len(ending)]
-            beside = next((arrays[structure + t] for t in _TIME_NAMES if structure + t in arrays), None)
-            if beside is not None:
-                clocks[name] = np.asarray(beside, dtype=np.float64).ravel()
-    return clocks
-
-
-def _clocks_of_structures(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return for each vector of a structure (``imu.r``) the structure's rising vector of time (``imu.t``)."""
-    times: dict[str, np.ndarray] = {}
-    for name, values in arrays.items():
-        structure, _, field = name.rpartition(".")
-        match = _TIME_FIELD.fullmatch(field)
-        if not structure or match is None or structure in times or min(values.shape, default=0) != 1:
-            continue
-        time = np.asarray(values, dtype=np.float64).ravel()
-        step = np.diff(time[np.isfinite(time)])
-        if len(step) and np.mean(step > 0) > 0.95:
-            # A clock that states no unit tells it by its steps.
-            unit = match[1] or unit_of_time(time)
-            times[structure] = time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit, 1.0)
-    clocks = {}
-    for name, values in arrays.items():
-        time = times.get(name.split(" [")[0].rpartition(".")[0])
-        if time is not None and len(time) in values.shape:
-            clocks[name] = time
-    return clocks
-
-
-def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield a vector as itself and a matrix as the vectors along its longer side."""
-    with np.errstate(over="ignore"):
-        # Of a damaged long double; what is infinite is dropped and counted later.
-        values = np.asarray(values, dtype=np.float64)
-    if min(values.shape) == 1 or values.ndim == 1:
-        yield name, values.ravel()
-        return
-    along = values if values.shape[0] >= values.shape[1] else values.T
-    for index in range(min(along.shape[1], _MOST_COLUMNS)):
-        yield f"{name}[{index}]", set_aside(along[:, index].copy())
+    return recording_of_vectors(
+        path, leaves, notes, "Save the signals as vectors: save('log.mat', 't', 'vx', 'vy').", "vector"
+    )
 
 
 def _damaged(path: Path, error: Exception) -> LogError:

@@ -56,8 +56,6 @@ _OTHERS = {
     ".tdms": ("a TDMS file", "Export it as CSV or MAT."),
     ".erg": ("a result of CarMaker", "Export it as CSV or MAT."),
     ".fit": ("a FIT file", "Export it as CSV."),
-    ".npz": ("an archive of NumPy arrays", "Save the arrays as the columns of one table, CSV or Parquet."),
-    ".npy": ("a NumPy array", "Save its columns with their names, as CSV or Parquet."),
     **dict.fromkeys((".pkl", ".pickle"), ("a pickle of Python", "Save it as Parquet or CSV.")),
     **dict.fromkeys((".xls", ".xlsx", ".ods"), ("a spreadsheet", "Export it as CSV.")),
 }  # fmt: skip
@@ -76,7 +74,8 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     ----------
     path : path-like
         MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Racelogic .vbo, Parquet, Feather, MAT (v4, v5,
-        v7.3), MF4, and logs of CAN frames (BLF, ASC, candump, TRC, MF4 bus logging).
+        v7.3), NumPy (.npz, .npy, a folder of arrays), MF4, and logs of CAN frames (BLF, ASC, candump, TRC, MF4 bus
+        logging).
     message_paths : sequence of path-like
         Folders of ``.msg`` files, for message types that the recording does not define, and CAN databases.
 
@@ -183,6 +182,14 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.vbo import open_vbo
 
         return open_vbo(path)
+    if head.startswith(b"\x93NUMPY"):
+        from split_cli.logs.readers.numpy_arrays import open_npy
+
+        return open_npy(path)
+    if head.startswith(b"PK\x03\x04"):
+        from split_cli.logs.readers.numpy_arrays import is_npz, open_npz
+
+        return open_npz(path) if is_npz(path, head) else None
     if is_pi_toolbox(head):
         return open_pi_toolbox(path)
     if is_json(head):
@@ -212,7 +219,11 @@ def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> RawRecordin
     try:
         return _messages(path, open_rosbag2_folder(path), message_paths)
     except NoRecordingError as error:
+        from split_cli.logs.readers.numpy_arrays import is_array_folder, open_array_folder
+
         advice = _advice_on_pieces(path)
+        if not advice and is_array_folder(path):
+            return open_array_folder(path)
         if not advice:
             raise
         raise LogError("is a folder of pieces, not one recording", where=str(path), advice=advice) from error
@@ -227,21 +238,7 @@ def _advice_on_pieces(folder: Path) -> str:
             f"It holds {len(texts)} or more numbered texts such as {texts[0].name}. Join them in their order into "
             "one table: a first line of titles with units, a column of time, and a line for each text."
         )
-    arrays = [file for file in files if _head(file).startswith(b"\x93NUMPY")]
-    if arrays:
-        return (
-            f"It holds NumPy arrays such as {arrays[0].relative_to(folder)}. Save them as tables, one CSV or "
-            "Parquet for each clock with its times as a column, and join the tables with --together."
-        )
     return ""
-
-
-def _head(path: Path) -> bytes:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(8)
-    except OSError:
-        return b""
 
 
 def _messages(path: Path, container: Container, message_paths: Sequence[str | Path]) -> RawRecording:

@@ -1,0 +1,153 @@
+"""Columns without names, as ``states[3]`` or ``column4``: known by how a car's motion ties them together."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.logs.drafting.trial import TrialCandidate
+from split_cli.logs.raw import RawChannelInfo, RawRecording
+
+__all__ = ["is_of_a_state", "named_by_motion"]
+
+_NAMELESS = re.compile(r"(column|col|field[._]?data|data|value|.*\[)_?\d+\]?", re.IGNORECASE)
+_MOST_COLUMNS = 24
+"""That are compared [1]; judgement: a state vector has 6 to 12 numbers."""
+_ROWS = (4, 16, 64, 256)
+"""Over which changes are taken, since the rate is not known [1]."""
+_WINDOWS = 4000
+_TIED = 0.9
+"""Correlation of a change with the sum of what it should be the integral of, from which on it counts [1]."""
+_SAME_STEP = 1.2
+"""Ratio of the steps between rows that yaw and the path tell, up to which they tell the same [1]."""
+_BEYOND = 10.0
+"""Times the range of nine tenths, beyond which a value is none of the motion [1]."""
+_ALONG = 0.8
+"""Length of the mean direction of travel across yaw, from which on a path is one of this yaw [1]: 1 without
+sideslip, 0 where nothing ties them."""
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A set of columns that is one car's motion."""
+
+    score: float
+    names: Mapping[str, str]  # channel to recorded name
+
+
+def is_of_a_state(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:
+    """Whether a column is one of four or more of a matrix called by one letter: the first of x is no position."""
+    return re.fullmatch(r"(?:.*\.)?[A-Za-z]\[\d+\]", info.name) is not None and any(
+        other.name == info.name.rpartition("[")[0] + "[3]" for other in infos
+    )
+
+
+def named_by_motion(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:
+    """Return the columns without names that are X, Y, yaw, v_x, yaw rate, v_y and steering of one motion.
+
+    Notes
+    -----
+    Yaw changes by the sum of the yaw rate, the length of the path by that of v_x, both times one step of time;
+    the path runs along yaw; v_y is the rest across it. Only where all of it holds at once is anything named. The
+    checks judge it further, as what names say.
+    """
+    names = [i.name for i in infos if i.type_name != "text" and _NAMELESS.fullmatch(i.name)]
+    if not 5 <= len(names) <= 200:
+        return []
+    read = recording.read(names)
+    longest = max(len(read[name].values) for name in names)
+    columns = {n: read[n].values for n in names if len(read[n].values) == longest}
+    columns = {n: v for n, v in columns.items() if np.isfinite(v).all() and np.ptp(v) > 0.0}
+    columns = dict(itertools.islice(columns.items(), _MOST_COLUMNS))
+    if len(columns) < 5:
+        return []
+    found = [_tied(columns, rows) for rows in _ROWS if longest > 40 * rows]
+    best = max((f for f in found if f is not None), key=lambda f: f.score, default=None)
+    if best is None:
+        return []
+    note = "has no name; found by the motion of the others"
+    return [TrialCandidate(channel, (name,), 2, None, note=note) for channel, name in best.names.items()]
+
+
+def _tied(columns: Mapping[str, np.ndarray], rows: int) -> _Found | None:
+    """Return the best set over changes of so many rows; None where there is none."""
+    names = list(columns)
+    values = np.stack([_unwrapped(columns[name]) for name in names])
+    low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=1)[:, :, None]
+    # Of a log that explodes at its end the rest counts.
+    sound = (np.abs(values - middle) <= _BEYOND * (high - low)).all(axis=0)
+    values = values[:, sound]
+    if values.shape[1] < 40 * rows:
+        return None
+    begin = np.arange(0, values.shape[1] - rows, max(rows // 2, values.shape[1] // _WINDOWS, 1))
+    change = values[:, begin + rows] - values[:, begin]
+    summed = np.concatenate([np.zeros((len(names), 1)), np.cumsum(values, axis=1)], axis=1)
+    mean = (summed[:, begin + rows] - summed[:, begin]) / rows
+    pairs = list(itertools.combinations(range(len(names)), 2))
+    lengths = np.stack([np.hypot(change[i], change[j]) for i, j in pairs])
+    of_yaw, of_path = _correlations(change, mean), _correlations(lengths, np.abs(mean))
+    best: _Found | None = None
+    for yaw, rate in zip(*np.nonzero(of_yaw > _TIED), strict=True):
+        for pair, speed in zip(*np.nonzero(of_path > _TIED), strict=True):
+            if yaw == rate or len({yaw, rate, speed, *pairs[pair]}) < 5:
+                continue
+            steps = [_ratio(change[yaw], mean[rate]), _ratio(lengths[pair], mean[speed])]
+            if not max(steps) < _SAME_STEP * min(steps):
+                continue
+            for x, y in (pairs[pair], pairs[pair][::-1]):
+                across = np.exp(1j * (np.arctan2(change[y], change[x]) - mean[yaw]))
+                moving = lengths[pair] > 0.2 * np.quantile(lengths[pair], 0.95)
+                along = float(np.real(np.mean(across[moving])))
+                score = along * float(of_yaw[yaw, rate]) * float(of_path[pair, speed])
+                if along < _ALONG or (best is not None and score <= best.score):
+                    continue
+                chosen = {"X": x, "Y": y, "yaw": yaw, "vx": speed, "r": rate}
+                side = change[y] * np.cos(mean[yaw]) - change[x] * np.sin(mean[yaw])
+                left = [k for k in range(len(names)) if k not in chosen.values()]
+                chosen |= _rest(left, mean, side, steps[1], mean[rate] / np.where(moving, mean[speed], np.nan))
+                best = _Found(score, {channel: names[k] for channel, k in chosen.items()})
+    return best
+
+
+def _rest(
+    left: Sequence[int], mean: np.ndarray, side: np.ndarray, step: float, bend: np.ndarray
+) -> dict[str, int]:
+    """Return which of the columns left are v_y, in size, and what steers: it goes with the bend of the path."""
+    known = np.isfinite(bend)
+    found: dict[str, int] = {}
+    sideways = {k: float(_correlations(side[None], mean[k][None])[0, 0]) for k in left}
+    vy = max(sideways, key=lambda k: abs(sideways[k]), default=None)
+    if (
+        vy is not None
+        and abs(sideways[vy]) > _TIED
+        and _SAME_STEP**-1 < _ratio(side, mean[vy]) / step < _SAME_STEP
+    ):
+        found["vy"] = vy
+    steers = {k: float(_correlations(bend[None, known], mean[k][None, known])[0, 0]) for k in left if k != vy}
+    delta = max(steers, key=lambda k: abs(steers[k]), default=None)
+    if delta is not None and abs(steers[delta]) > 0.8:
+        found["delta"] = delta
+    return found
+
+
+def _unwrapped(values: np.ndarray) -> np.ndarray:
+    """Return an angle that jumps by a turn without its jumps, other values as they are."""
+    jumps = np.abs(np.diff(values))
+    turns = jumps[jumps > np.pi]
+    return np.unwrap(values) if len(turns) and np.all(np.abs(turns - 2.0 * np.pi) < 1.0) else values
+
+
+def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the correlation of each row of `a`, (M, N), with each of `b`, (K, N); 0 for one that rests."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = ((v - v.mean(axis=1, keepdims=True)) / v.std(axis=1, keepdims=True) for v in (a, b))
+        return np.nan_to_num(a @ b.T / a.shape[1])
+
+
+def _ratio(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the ratio of two signals that go together, by their mean squares [unit of a over that of b]."""
+    return float(np.sqrt(np.mean(a * a) / np.mean(b * b)))

@@ -1,0 +1,207 @@
+"""NumPy arrays: archives (.npz), single arrays (.npy), and folders with a file for each array."""
+
+from __future__ import annotations
+
+import itertools
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.budget import Unfolded, refuse_unpacked_size
+from split_cli.logs.raw import RawRecording, ReadNote
+from split_cli.logs.readers.vectors import is_time, recording_of_vectors
+
+__all__ = ["is_array_folder", "is_npz", "open_array_folder", "open_npy", "open_npz"]
+
+_MAGIC = b"\x93NUMPY"
+_MOST_FILES = 2000
+"""Of a folder, looked at [1]; judgement: a car has some hundred sensors."""
+_HEAD_BYTES = 1024
+_MOST_BLANK = 0.01
+"""Of the lines of a text, that may be no numbers [1]: a title and a remark."""
+_NO_NUMBERS = "Save vectors of numbers by their names: np.savez('log.npz', t=t, vx=vx, r=r)."
+_OBJECTS = "arrays of Python objects, left out: to read them would run what they hold"
+
+
+def is_npz(path: Path, head: bytes) -> bool:
+    """Whether a file is an archive of NumPy arrays: a zip archive with files in NumPy's format."""
+    if not head.startswith(b"PK\x03\x04") or not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return any(name.endswith(".npy") for name in archive.namelist())
+
+
+def open_npz(path: Path) -> RawRecording:
+    """Open an archive of NumPy arrays; fields of a structured array are addressed as ``name.field``.
+
+    Raises
+    ------
+    LogError
+        If it is damaged or holds no vector of numbers.
+    """
+    leaves: list[tuple[str, np.ndarray]] = []
+    objects = 0
+    unfolded = Unfolded(path.stat().st_size)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for place, member in enumerate(archive.infolist()):
+                if not member.filename.endswith(".npy"):
+                    continue
+                most = unfolded.most(place, member.compress_size)
+                what = f"array {member.filename}"
+                refuse_unpacked_size(member.file_size, member.compress_size, what, path.name, most)
+                unfolded.add(place, member.file_size)
+                with archive.open(member) as stream:
+                    values = _array(stream, member.file_size, path.name)
+                objects += values is None
+                leaves += _leaves(member.filename.removesuffix(".npy"), values)
+    except (zipfile.BadZipFile, OSError, EOFError, ValueError, NotImplementedError) as error:
+        raise _damaged(path, error) from error
+    return recording_of_vectors(path, leaves, _notes(path, objects), _NO_NUMBERS)
+
+
+def open_npy(path: Path) -> RawRecording:
+    """Open one NumPy array: the fields of a structured one, or the columns of a matrix as ``name[0]``.
+
+    Raises
+    ------
+    LogError
+        If it is damaged or holds no vector of numbers.
+    """
+    with path.open("rb") as stream:
+        try:
+            values = _array(stream, path.stat().st_size, path.name)
+        except (OSError, EOFError, ValueError) as error:
+            raise _damaged(path, error) from error
+    leaves = _leaves("" if values is not None and values.dtype.names else path.stem, values)
+    return recording_of_vectors(path, list(leaves), _notes(path, values is None), _NO_NUMBERS)
+
+
+def is_array_folder(folder: Path) -> bool:
+    """Whether a folder has a file for each array: arrays of NumPy, or two texts with one number a line."""
+    files = list(itertools.islice((f for f in folder.rglob("*") if f.is_file()), _MOST_FILES))
+    arrays = sum(f.suffix.lower() in (".npy", "") and _begins(f, len(_MAGIC)) == _MAGIC for f in files)
+    texts = (f for f in files if f.suffix.lower() == ".txt" and f.parent == folder and _is_column(f))
+    return arrays > 0 or sum(1 for _ in itertools.islice(texts, 2)) == 2
+
+
+def open_array_folder(folder: Path) -> RawRecording:
+    """Open a folder with a file for each array, of NumPy or a text with one number a line.
+
+    The path of a file in the folder is the name of its array: ``imu/yaw_rate.npy`` is ``imu.yaw_rate``, and its
+    time stands beside it, for instance in ``imu/timestamps.txt``.
+
+    Raises
+    ------
+    LogError
+        If one is damaged, or none holds numbers.
+    """
+    files = sorted(f for f in itertools.islice(folder.rglob("*"), _MOST_FILES) if f.is_file())
+    leaves: list[tuple[str, np.ndarray]] = []
+    objects, unread = 0, 0
+    for file in files:
+        beside = [f for f in files if f.parent == file.parent]
+        parts = list(file.relative_to(folder).with_suffix("").parts)
+        if len(parts) > 1 and len(beside) == 2 and not is_time(parts[-1]):
+            # The only signal of its folder is called like it.
+            parts[-1] = "value"
+        name = ".".join(parts).replace(" ", "_")
+        if _begins(file, len(_MAGIC)) == _MAGIC:
+            with file.open("rb") as stream:
+                try:
+                    values = _array(stream, file.stat().st_size, file.name)
+                except (OSError, EOFError, ValueError) as error:
+                    raise _damaged(file, error) from error
+            objects += values is None
+            leaves += _leaves(name, values)
+        elif file.suffix.lower() == ".txt" and (column := _column_of_text(file)) is not None:
+            leaves.append((name, column))
+        else:
+            unread += 1
+    notes = _notes(folder, objects)
+    if unread:
+        notes.append(ReadNote("files that are no arrays, left out", folder.name, unread))
+    return recording_of_vectors(folder, leaves, notes, _NO_NUMBERS)
+
+
+def _begins(file: Path, count: int) -> bytes:
+    try:
+        with file.open("rb") as stream:
+            return stream.read(count)
+    except OSError:
+        return b""
+
+
+def _column_of_text(file: Path) -> np.ndarray | None:
+    """Return the numbers of a text with one a line, shape (N, 1), NaN for other lines; None if it is none."""
+    if not _is_column(file):
+        return None
+    lines = file.read_bytes().split(b"\n")
+    lines = lines[:-1] if not lines[-1].strip() else lines
+    try:
+        return np.array(lines, dtype=np.float64).reshape(-1, 1)
+    except ValueError:
+        values = np.array([float(line) if _is_number(line) else np.nan for line in lines])
+    return values.reshape(-1, 1) if np.mean(np.isnan(values)) < _MOST_BLANK else None
+
+
+def _is_column(file: Path) -> bool:
+    """Whether the first lines of a text, but for one title, hold one number each."""
+    lines = _begins(file, _HEAD_BYTES).split(b"\n")[:-1][:20]
+    return len(lines) > 2 and all(_is_number(line) for line in lines[1:])
+
+
+def _is_number(text: bytes) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _array(stream: BinaryIO, size: int, where: str) -> np.ndarray | None:
+    """Return an array; None for one of Python objects, which is never loaded."""
+    version = np.lib.format.read_magic(stream)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"version {version[0]}.{version[1]} of the format is not known")
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read(stream)
+    if dtype.hasobject:
+        return None
+    count = int(np.prod(shape, dtype=object))
+    if count * dtype.itemsize > size:
+        raise ValueError(f"its head claims {count:,} values, more than are stored")
+    flat = np.frombuffer(stream.read(count * dtype.itemsize), dtype=dtype)
+    if len(flat) < count:
+        raise EOFError("it ends early")
+    return flat.reshape(shape, order="F" if fortran else "C")
+
+
+def _leaves(name: str, values: np.ndarray | None) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the numeric arrays of a variable: vectors as columns, stamps of NumPy in s."""
+    if values is None:
+        return
+    if values.dtype.names:
+        for field in values.dtype.names:
+            yield from _leaves(f"{name}.{field}" if name else field, values[field])
+        return
+    if values.dtype.kind == "M":
+        values = values.astype("datetime64[ns]").astype(np.int64) * 1e-9
+    elif values.dtype.kind == "m":
+        values = values / np.timedelta64(1, "s")
+    if values.dtype.kind in "biuf":
+        squeezed = values.squeeze() if values.ndim > 2 else values
+        yield name, squeezed.reshape(-1, 1) if squeezed.ndim == 1 else squeezed
+
+
+def _notes(path: Path, objects: int) -> list[ReadNote]:
+    return [ReadNote(_OBJECTS, path.name, int(objects))] if objects else []
+
+
+def _damaged(path: Path, error: Exception) -> LogError:
+    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+    return LogError(f"is cut off or damaged ({reason})", where=path.name, advice="Save it again.")

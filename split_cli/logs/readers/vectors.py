@@ -1,0 +1,194 @@
+"""Named arrays as a recording: what MATLAB files and NumPy archives have in common."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import LogError
+from split_cli.logs.raw import (
+    RawRecording,
+    RawSignal,
+    ReadNote,
+    TableRecording,
+    column_name_and_unit,
+    note_once,
+    unit_of_time,
+)
+from split_cli.logs.scratch import set_aside
+
+__all__ = ["TITLED_FIELDS", "VALUE_FIELDS", "is_time", "recording_of_vectors"]
+
+_MOST_COLUMNS = 64
+_TIME_NAMES = ("time", "Time", "t", "tout")
+_TIME_FIELD = re.compile(r"(?:t|time|timestamps?|stamp|tout)(?:_?(s|sec|ms|us|ns))?", re.IGNORECASE)
+TITLED_FIELDS = (".Value", ".Values", ".value", ".values")
+VALUE_FIELDS = (*TITLED_FIELDS, ".data", ".Data")
+_UNIT = 1e-3
+"""By which the length of a unit quaternion may vary [1]: it is saved in four digits or more."""
+_GRAVITY = 9.80665  # m/s^2
+_VALUE_NAMES = ("signals.values", "values", "data", "Data")
+
+
+def is_time(name: str) -> bool:
+    """Whether an array is called a time, as ``t`` and ``timestamps`` are."""
+    return _TIME_FIELD.fullmatch(name) is not None
+
+
+def recording_of_vectors(
+    path: Path, leaves: Sequence[tuple[str, np.ndarray]], notes: list[ReadNote], empty: str, kind: str = "column"
+) -> RawRecording:
+    """Return a recording of named arrays: vectors as they are, the columns of a matrix as ``name[0]``.
+
+    An array takes its time from the one that stands beside it in its structure (``imu.t`` for ``imu.r``), or,
+    where there are times of several lengths, from the only one of its length.
+
+    Parameters
+    ----------
+    leaves : sequence of (str, ndarray)
+    notes : list of ReadNote
+        What was lost so far; what is found here is added.
+    empty : str
+        What to do if no array has two numbers.
+    kind : str
+        What a listing calls each.
+
+    Raises
+    ------
+    LogError
+        If none has.
+    """
+    arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
+    clocks = _clocks_of_lengths(arrays) | _own_clocks(arrays)
+    titles = _of_one_value(arrays, clocks)
+    signals: dict[str, RawSignal] = {}
+    for name, values in arrays.items():
+        if len(values) == 2 and values.ndim == 2 and name not in clocks and _rises_evenly(values[0]):
+            # Simulink's To File: the first of two rows is the time.
+            signals[name] = RawSignal(name, values[0].astype(np.float64), values[1].astype(np.float64), None)
+            note_once(notes, ReadNote("matrices of two rows, the first taken as time in s", path.name))
+            continue
+        if name in titles and titles[name] is None:
+            continue
+        for column_name, column in _columns(titles.get(name) or name, values):
+            bare, unit = column_name_and_unit(column_name)
+            time = clocks.get(name)
+            if time is not None and len(time) != len(column):
+                time = None
+            signals[bare] = RawSignal(bare, time, column, unit)
+    scalars = sum(values.size <= 1 for _, values in leaves)
+    if scalars:
+        note_once(notes, ReadNote("variables of a single value, not listed", path.name, scalars))
+    if not signals:
+        raise LogError("holds no vector of numbers", where=path.name, advice=empty)
+    return TableRecording(path.name, path, signals, type_name=kind, notes=notes)
+
+
+def _of_one_value(arrays: dict[str, np.ndarray], clocks: dict[str, np.ndarray]) -> dict[str, str | None]:
+    """Return the titles of structures of one value and its time (MoTeC): the structure's; None for the time."""
+    fields: dict[str, list[str]] = {}
+    for name in arrays:
+        fields.setdefault(name.split(" [")[0].rpartition(".")[0], []).append(name)
+    titles: dict[str, str | None] = {}
+    for structure, names in fields.items():
+        value = next((name for name in names if name.split(" [")[0].endswith(TITLED_FIELDS)), None)
+        if structure and value in clocks and len(names) == 2:
+            unit = value.partition(" [")[2]
+            titles |= {name: f"{structure} [{unit}" if unit and name == value else None for name in names}
+            titles[value] = titles[value] or structure
+    return titles
+
+
+def _rises_evenly(row: np.ndarray) -> bool:
+    """Whether a row counts up in equal steps, as a time does."""
+    step = np.diff(np.asarray(row, dtype=np.float64))
+    return len(step) > 10 and bool(np.all(step > 0.0)) and float(np.ptp(step)) < 1e-3 * float(step.mean())
+
+
+def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the time of each array that stands in a structure beside one: of Simulink, or of a sensor."""
+    clocks = _clocks_of_structures(arrays)
+    for name in arrays:
+        for ending in _VALUE_NAMES:
+            if not name.endswith("." + ending):
+                continue
+            structure = name[: -len(ending)]
+            beside = next((arrays[structure + t] for t in _TIME_NAMES if structure + t in arrays), None)
+            if beside is not None:
+                clocks[name] = np.asarray(beside, dtype=np.float64).ravel()
+    return clocks
+
+
+def _clocks_of_structures(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return for each vector of a structure (``imu.r``) the structure's rising vector of time (``imu.t``)."""
+    times: dict[str, np.ndarray] = {}
+    for name, values in arrays.items():
+        structure, _, field = name.rpartition(".")
+        match = _TIME_FIELD.fullmatch(field)
+        if not structure or match is None or structure in times or min(values.shape, default=0) != 1:
+            continue
+        time = np.asarray(values, dtype=np.float64).ravel()
+        step = np.diff(time[np.isfinite(time)])
+        if len(step) and np.mean(step > 0) > 0.95:
+            times[structure] = _in_seconds(time, match[1])
+    clocks = {}
+    for name, values in arrays.items():
+        time = times.get(name.split(" [")[0].rpartition(".")[0])
+        if time is not None and len(time) in values.shape:
+            clocks[name] = time
+    return clocks
+
+
+def _clocks_of_lengths(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the time of each array by its length, where times of several lengths have a time in their name."""
+    times: dict[int, list[np.ndarray]] = {}
+    for name, values in arrays.items():
+        words = re.split(r"[._/ ]", name.split(" [")[0])
+        match = next(filter(None, map(_TIME_FIELD.fullmatch, words)), None)
+        if match is not None and min(values.shape, default=0) == 1:
+            times.setdefault(values.size, []).append(_in_seconds(values, match[1]))
+    if len(times) < 2 or any(len(found) > 1 for found in times.values()):
+        return {}
+    return {name: times[n][0] for name, values in arrays.items() for n in values.shape if n in times}
+
+
+def _in_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
+    """Return a time in seconds; a clock that states no unit tells it by its steps."""
+    time = np.asarray(values, dtype=np.float64).ravel()
+    return time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit or unit_of_time(time), 1.0)
+
+
+def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield a vector as itself and a matrix as the vectors along its longer side."""
+    with np.errstate(over="ignore"):
+        # Of a damaged long double; what is infinite is dropped and counted later.
+        values = np.asarray(values, dtype=np.float64)
+    if min(values.shape) == 1 or values.ndim == 1:
+        yield name, values.ravel()
+        return
+    along = values if values.shape[0] >= values.shape[1] else values.T
+    titles = _layout(along)
+    for index in range(min(along.shape[1], _MOST_COLUMNS)):
+        yield name + (titles[index] if titles else f"[{index}]"), set_aside(along[:, index].copy())
+
+
+def _layout(values: np.ndarray) -> list[str]:
+    """Return names of the columns of a message of ROS that was saved as a matrix; empty where it is none.
+
+    nav_msgs/Odometry has 13 numbers, of which a unit quaternion stands behind the position. sensor_msgs/Imu
+    without its quaternion has 6: the three that read gravity are the accelerations.
+    """
+    finite = values[np.isfinite(values).all(axis=1)]
+    if len(finite) < 20:
+        return []
+    size = {k: float(np.median(np.linalg.norm(finite[:, k : k + 3], axis=1))) for k in (0, 3)}
+    turn, push = ([f".{of}.{axis}" for axis in "xyz"] for of in ("angular_velocity", "linear_acceleration"))
+    if values.shape[1] == 13 and np.ptp(np.linalg.norm(finite[:, 3:7], axis=1) - 1.0) < _UNIT:
+        place = [f".pose.position.{axis}" for axis in "xyz"] + [f".pose.orientation.{axis}" for axis in "xyzw"]
+        return place + [f".twist.linear.{axis}" for axis in "xyz"] + [f".twist.angular.{axis}" for axis in "xyz"]
+    if values.shape[1] == 6 and max(size.values()) == min(max(size.values()), 1.3 * _GRAVITY) > 0.7 * _GRAVITY:
+        return turn + push if size[3] > size[0] else push + turn
+    return []
