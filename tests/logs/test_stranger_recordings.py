@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from split_cli.logs.checking.plausible import is_damaged
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.opening import open_recording
@@ -67,3 +68,11 @@ def test_columns_without_names_that_are_no_motion_stay_without_one(tmp_path):
     noise = np.cumsum(np.random.default_rng(1).normal(size=(4000, 9)), axis=0)
     np.savez(tmp_path / "a.npz", x=noise)
     assert not draft_map(open_recording(tmp_path / "a.npz"), row_rate=50.0).suggestions
+
+
+def test_a_position_that_explodes_at_the_end_is_dropped_there():
+    """AutoRally's states end with positions of 1e9 m; UTM metres far from 0 are none of that kind."""
+    x = 4.0e6 + 100.0 * np.sin(np.arange(2000) / 90.0)
+    assert not is_damaged("X", x).any()
+    x[-20:] = 4.0e6 + np.geomspace(10.0, 1e9, 20)
+    assert is_damaged("X", x).sum() == np.count_nonzero(np.abs(x - 4.0e6) > 1e5)

@@ -417,6 +417,10 @@ def row_rate_from_speed(vx: np.ndarray, ax: np.ndarray) -> float | None:
     return _row_rate(vx[good], ax[good])
 
 
+_EXPLODED = 10.0
+"""Times what nine of ten changes keep within [1]."""
+
+
 def _row_rate(grown: np.ndarray, rate: np.ndarray) -> float | None:
     """Return the rows a second at which `grown` grows by `rate` a second [Hz]; None where it does not."""
     if len(rate) < 200:
@@ -425,6 +429,9 @@ def _row_rate(grown: np.ndarray, rate: np.ndarray) -> float | None:
     # Over a fiftieth of the rows: noise and held samples average out, and a drift of yaw rate stays small.
     step = max(len(grown) // 50, 2)
     a, b = grown[step:] - grown[:-step], summed[step:] - summed[:-step]
+    # What explodes at the end of a log tells no rate.
+    sound = np.all([np.abs(v) <= _EXPLODED * np.quantile(np.abs(v), 0.9) for v in (a, b)], axis=0)
+    a, b = a[sound], b[sound]
     if np.std(a) == 0.0 or np.std(b) == 0.0 or abs(np.corrcoef(a, b)[0, 1]) < 0.98:
         return None
     slope = float(np.sqrt(np.mean(b * b) / np.mean(a * a)))

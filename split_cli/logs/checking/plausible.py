@@ -16,6 +16,8 @@ NO_CAR_EXCEEDS = {
 """99 % quantiles of |channel| that no car on wheels reaches, from 1:43 models to dragsters."""
 _DAMAGED = 10.0
 """Times the 90 % quantile of a channel, beyond which a few samples are damaged, not moved [1]."""
+_FARTHEST = 1e5
+"""From the middle of a drive, beyond which and far beyond all others a position is none [m]."""
 _BODY = ("vx", "r")
 """What the car's inertia keeps from jumping; accelerometers do reach more, by vibration."""
 
@@ -44,11 +46,14 @@ def is_damaged(channel: str, values: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     channel : str
-        Only motion of the body is judged.
+        Only motion of the body and its position are judged.
     values : ndarray, shape (N,)
         SI, finite.
     """
-    if channel not in _BODY or not len(values):
+    if channel not in (*_BODY, "X", "Y") or not len(values):
         return np.zeros(len(values), dtype=bool)
+    if channel in ("X", "Y"):
+        size = np.abs(values - np.median(values))
+        return size > max(_FARTHEST, _DAMAGED * float(np.quantile(size, 0.9)))
     size = np.abs(values)
     return size > max(NO_CAR_EXCEEDS[channel][0], _DAMAGED * float(np.quantile(size, 0.9)))

@@ -12,7 +12,7 @@ import numpy as np
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawRecording
 
-__all__ = ["is_of_a_state", "named_by_motion"]
+__all__ = ["has_no_name", "is_of_a_state", "named_by_motion"]
 
 _NAMELESS = re.compile(r"(column|col|field[._]?data|data|value|.*\[)_?\d+\]?", re.IGNORECASE)
 _MOST_COLUMNS = 24
@@ -39,6 +39,11 @@ class _Found:
     names: Mapping[str, str]  # channel to recorded name
 
 
+def has_no_name(name: str) -> bool:
+    """Whether a column is called by its number alone."""
+    return _NAMELESS.fullmatch(name) is not None
+
+
 def is_of_a_state(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:
     """Whether a column is one of four or more of a matrix called by one letter: the first of x is no position."""
     return re.fullmatch(r"(?:.*\.)?[A-Za-z]\[\d+\]", info.name) is not None and any(
@@ -55,7 +60,7 @@ def named_by_motion(recording: RawRecording, infos: Sequence[RawChannelInfo]) ->
     the path runs along yaw; v_y is the rest across it. Only where all of it holds at once is anything named. The
     checks judge it further, as what names say.
     """
-    names = [i.name for i in infos if i.type_name != "text" and _NAMELESS.fullmatch(i.name)]
+    names = [i.name for i in infos if i.type_name != "text" and has_no_name(i.name)]
     if not 5 <= len(names) <= 200:
         return []
     read = recording.read(names)

@@ -11,7 +11,8 @@ from typing import Any
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
 from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
-from split_cli.logs.drafting.draft import lines_on_presets
+from split_cli.logs.drafting.draft import in_ranges, lines_on_presets
+from split_cli.logs.drafting.nameless import has_no_name
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
@@ -62,10 +63,14 @@ class InitResult:
         mapped = {s.channel for s in self.draft.suggestions if s.status != "open"}
         missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
         check = [s.channel for s in self.draft.suggestions if s.status == "assumed"]
+        opened = {s.channel for s in self.draft.suggestions if s.status == "open"}
         if not mapped:
+            kept = f" Comments in {self.map_path} say what was found of {', '.join(sorted(opened))}."
             return (
+                *lines_on_presets(self.draft.presets),
                 f"No channel was recognised. See what the log holds: split ingest {self.log} --list",
-                f"Write the channels into {self.map_path}; docs/formats.md, Signal map, shows how.",
+                f"Write the channels into {self.map_path}; docs/formats.md, Signal map, shows how."
+                + (kept if opened else ""),
             )
         steps = [f"Fill in the empty values of {self.vehicle_path}.", *lines_on_presets(self.draft.presets)]
         if check:
@@ -82,15 +87,16 @@ class InitResult:
         chosen = derivations_for(missing, mapped)
         derived = {channel for name in chosen for channel in DERIVATIONS[name].makes}
         derive = "".join(f" --derive {name}" for name in chosen)
-        opened = {s.channel for s in self.draft.suggestions if s.status == "open"}
         left = [channel for channel in missing if channel not in derived]
         if found := [channel for channel in left if channel in opened]:
             steps.append(f"Map {', '.join(found)} in {self.map_path}: its comments say what was found.")
         if lost := [channel for channel in left if channel not in opened]:
+            nameless = in_ranges([name for name in self.draft.unused if has_no_name(name)])
+            unnamed = f" One of {', '.join(nameless[:8])} may be it: they have no names." if nameless else ""
             steps.append(
                 f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without it: another "
                 "file may hold it (--together), or it has to be recorded. "
-                f"Comments in {self.map_path} say what will do."
+                f"Comments in {self.map_path} say what will do.{unnamed}"
             )
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         steps.append(f"Run: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
