@@ -435,6 +435,30 @@ def test_a_stretch_is_named_and_not_the_whole_road():
     assert named(select_terms(objective, candidates, VARIANCE_INFLATION)) == {"friction_patch"}
 
 
+def test_a_stretch_that_lies_elsewhere_than_it_saves_most_is_searched_for_again():
+    """Ends of a stretch do not move over ground where it does nothing: what was found first put them there."""
+    objective = objective_of(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
+    patch = candidates_of(objective, "friction_patch")[0]
+    explore, base = Explorer(objective, (patch,), VARIANCE_INFLATION), nothing(objective)
+    elsewhere = fit_parts(objective, [Part(patch, {"scale": 0.9, "s_start": 20.0, "s_end": 60.0})])
+    _, (again,) = rivals_of(explore, elsewhere, 0, base)
+    assert again.excess < -100.0 and again.fit.parts[0].values["s_end"] == pytest.approx(220.0, abs=0.02 * LAP)
+    # Where it lies where it should, it is no rival of itself.
+    assert rivals_of(explore, again.fit, 0, base) == ((), ())
+
+
+def test_two_nuisances_that_share_an_effect_become_one_name():
+    objective = objective_of(steer=partial(behind, tau=0.03))
+    lag, delay = candidates_of(objective, "steer_lag", "steer_delay")
+    explore, base = Explorer(objective, (lag, delay), VARIANCE_INFLATION), nothing(objective)
+    both = fit_parts(objective, [Part(one, dict(one.starts[0])) for one in (lag, delay)])
+    shared = selecting._examined(explore, base, both)
+    history: list[str] = []
+    alone = selecting._without_sharers(explore, replace(shared, named=(False, False)), history)
+    assert named(alone) == {"steer_lag"} and "steer_delay gives way" in history[0]
+    assert selecting._without_sharers(explore, alone, []) is alone
+
+
 def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):
     """Drag and inertia act apart: each is as large as alone."""
     fit = chosen_pair.chosen

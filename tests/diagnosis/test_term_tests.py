@@ -5,12 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_1samp
 
 import split_cli.diagnosis.search.term_tests as term_tests
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Fit, Part
-from split_cli.diagnosis.search.term_tests import block_t, block_z, is_spread
+from split_cli.diagnosis.search.term_tests import block_t, block_z, blocks_p, is_spread
 
 
 def objective_of(blocks: int, rows: int) -> MarginalLikelihood:
@@ -52,6 +53,23 @@ def test_block_t_is_a_regression_on_blocks_own_sizes():
     left = without - best * d
     error = np.sqrt(np.sum((weight * (sizes - best)) ** 2)) / weight.sum()
     assert block_t(objective_of(12, 10), fit_of(left), fit_of(without)) == pytest.approx(best / error, rel=1e-6)
+
+
+def test_blocks_in_which_an_effect_acts_alike_are_students_sample_and_one_block_says_nothing():
+    rng = np.random.default_rng(5)
+    sizes, d = 1.0 + 0.8 * rng.standard_normal(9), np.ones(90)
+    without = np.repeat(sizes, 10)
+    objective, left = objective_of(9, 10), without - sizes.mean()
+    student = ttest_1samp(sizes, 0.0)
+    # The sandwich has n in the place of n - 1.
+    same = block_t(objective, fit_of(left), fit_of(without)) * np.sqrt(8 / 9)
+    assert same == pytest.approx(student.statistic, rel=1e-6)
+    assert 0.5 * student.pvalue < blocks_p(objective, fit_of(left), fit_of(without)) < student.pvalue
+    # All that acts lies in one block: there is no other that could agree.
+    without[10:] -= sizes.repeat(10)[10:]
+    assert blocks_p(
+        objective, fit_of(without - sizes[0] * d * (without != 0.0)), fit_of(without)
+    ) == pytest.approx(1.0)
 
 
 def test_few_blocks_that_agree_are_believed_and_few_that_do_not_are_not(monkeypatch):

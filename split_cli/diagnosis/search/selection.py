@@ -153,6 +153,7 @@ def select_terms(
             break
         history += grown.history
         selection = _examined(explore, base, _turned_over(explore, grown.chosen, history))
+    selection = _without_sharers(explore, selection, history)
     # Last: whatever were added to it again, or took its place, would be part of the explanation that it replaced.
     single = alone(explore, base, selection.chosen, selection.named)
     if single is not None:
@@ -226,6 +227,23 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
     if not all_known:
         selection = _with_rivals(explore, selection)
     return selection, selection.chosen is not before
+
+
+def _without_sharers(explore: Explorer, selection: Selection, history: list[str]) -> Selection:
+    """Return a selection without nuisances beside which terms lose the names that they have without, and say so.
+
+    Two terms may share an effect, each too small to be named beside the other, while either alone is sure. That is
+    one name with an alternative, and not two nuisances: the one that costs less to leave goes.
+    """
+    while not all(selection.named) and len(selection.named) > 1:
+        unnamed = [k for k, named in enumerate(selection.named) if not named]
+        k = min(unnamed, key=lambda k: explore.price(selection.without[k]))
+        trial = _compared(explore, selection.base, selection.without[k])
+        if sum(trial.named) <= sum(selection.named):
+            break
+        history.append(f"{selection.chosen.parts[k].candidate.label} gives way: another is named without it")
+        selection = _with_rivals(explore, trial)
+    return selection
 
 
 def _exchanged_beside_form_error(
@@ -369,8 +387,9 @@ def rivals_of(
 ) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
     """Return a part replaced by other terms, and by other variants of its own, best first.
 
-    Beside the few that promise most, those are fitted that may explain as well; with `better` only those that
-    promise to explain more.
+    Where the part itself saves more, searched for afresh beside the others, that is one of the latter. Beside the
+    few that promise most, those are fitted that may explain as well; with `better` only those that promise to
+    explain more.
     """
     objective = explore.objective
     variance_inflation = max(explore.variance_inflation, objective.form_error_inflation)
@@ -378,7 +397,9 @@ def rivals_of(
     reference = objective.block_sums(chosen.residuals**2)
     rivals = []
     for fit in explore(rest, chosen.cost if better else _worth_a_fit(explore, chosen, k, rest)):
-        if fit.parts[-1].candidate.label == own.label:
+        # What was found first may have led a part into a valley that is not its own: a stretch to other ends.
+        of_itself = fit.parts[-1].candidate.label == own.label
+        if of_itself and fit.cost > chosen.cost - explore.rules.tie * variance_inflation:
             continue
         difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
         total = float(difference.sum()) + explore.rules.price * (fit.complexity - chosen.complexity)

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 from scipy.stats import norm
+from scipy.stats import t as student_t
 
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
@@ -16,9 +17,9 @@ from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit
 from split_cli.vehicle.effects import Term
 
 __all__ = [
-    "block_t", "block_z", "effect_to_noise_of_terms", "error_of_sum", "is_apart_from_itself", "is_form_error",
-    "is_spread", "is_witnessed", "over_allowance", "p_of_effect", "part_over_allowance", "part_sizes",
-    "sizes_in_velocity", "systematic_error", "term_p", "term_size", "witnessed_p",
+    "block_t", "block_z", "blocks_p", "effect_to_noise_of_terms", "error_of_sum", "is_apart_from_itself",
+    "is_form_error", "is_spread", "is_witnessed", "over_allowance", "p_of_effect", "part_over_allowance",
+    "part_sizes", "sizes_in_velocity", "systematic_error", "term_p", "term_size", "witnessed_p",
     "witnesses_disagree",
 ]  # fmt: skip
 
@@ -30,7 +31,7 @@ def block_z(objective: MarginalLikelihood, fit: Fit, other: Fit) -> float:
 
 
 def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> bool:
-    """Return whether one part saves in enough blocks of time, or its size is known well enough from them all.
+    """Return whether one part saves in enough blocks of time, or the blocks in which it acts agree about its size.
 
     A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
     and if it stands for something else they do not. What is larger than the noise is seen however seldom it acts.
@@ -39,7 +40,8 @@ def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rul
     seldom = fit.parts[k].candidate.located and objective.form_error_inflation <= rules.much_over_noise
     if seldom or block_z(objective, fit, without) > objective.policy.comparison.deviations:
         return True
-    return block_t(objective, fit, without) > rules.sure or term_size(objective, fit, k) > rules.plain
+    agree = blocks_p(objective, fit, without) < objective.policy.comparison.level
+    return agree or term_size(objective, fit, k) > rules.plain
 
 
 def block_t(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
@@ -50,6 +52,20 @@ def block_t(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
     What it adds, taken as one direction, has the size 1: a Wald statistic.
     """
     return 1.0 / _error_of_size(objective.block, without.residuals - fit.residuals, fit.residuals)
+
+
+def blocks_p(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
+    """Return the p value of no size of what a fit adds to another, by how blocks of time agree about its size.
+
+    Notes
+    -----
+    `block_t` in Student's t distribution. A block counts as far as the effect acts in it: with i_b = d_b^T d_b,
+    there are (sum of i_b)^2/(sum of i_b^2) blocks (Kish, 1965), of which one is spent on the size. The sandwich of
+    few clusters, or of clusters of which few matter, has a tail as heavy as that (Bell and McCaffrey, 2002).
+    """
+    acts = objective.block_sums((without.residuals - fit.residuals) ** 2)
+    blocks = float(acts.sum()) ** 2 / max(float(acts @ acts), 1e-300)
+    return float(2.0 * student_t.sf(block_t(objective, fit, without), max(blocks - 1.0, 1e-9)))
 
 
 def _error_of_size(block: np.ndarray, direction: np.ndarray, left: np.ndarray) -> float:
