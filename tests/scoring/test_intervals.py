@@ -85,5 +85,7 @@ def test_shares_near_the_points_and_beyond_are_told_apart_and_in_the_warning():
     # Within a third of 1.96 deviations lie 48.6 %.
     np.testing.assert_allclose(beyond.coverage_95, 0.486, atol=0.09)
     told = interval_warnings([trace], (near, beyond))
-    figures = re.search(r"hold (\d+) % near the points of the set and (\d+) % farther than a length scale", told[2])
+    figures = re.search(
+        r"hold (\d+) % near the points of the set and (\d+) % farther than a length scale", told[2]
+    )
     assert [float(part) for part in figures.groups()] == [round(100 * s.coverage_95[2]) for s in (near, beyond)]

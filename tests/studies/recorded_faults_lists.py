@@ -64,5 +64,5 @@ LISTS: dict[str, list[Row]] = {
         *_rows("genesis, swapped halves", "steering offset", "velocity rotated", "speed scaled"),
     ],
 }
-"""By name. ``first`` are the 42 faults of docs/records/recorded_faults.md at today's sizes. ``second`` has parts and
-faults that no search had seen when the list was fixed, on 25 November 2026."""
+"""By name. ``first`` are the 42 faults of docs/records/recorded_faults.md at today's sizes.
+``second`` has parts and faults that no search had seen when the list was fixed, on 25 November 2026."""

@@ -27,7 +27,6 @@ from split_cli.workflows.training.train import train_set
 from tests.conftest import ROOT
 from tests.logs import readers_support as support
 
-
 CAR = ROOT / "sample_logs" / "road_car.yaml"
 
 
@@ -228,7 +227,7 @@ def test_a_bucket_of_an_s3_server(bucket, logs, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("place", ["folder", "bucket"])
 def test_drives_and_sets_are_the_same_bit_for_bit_on_every_engine(logs, tmp_path, place, request):
-    """A folder with two processes; a bucket with two workers of Dask, who read it themselves, beside the folder."""
+    """A folder with two processes; a bucket with two workers of Dask, who read it, beside the folder."""
     source, engine_name = logs, "process"
     if place == "bucket":
         system, source, engine_name = request.getfixturevalue("bucket"), "s3://laps", "dask"

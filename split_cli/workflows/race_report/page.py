@@ -76,7 +76,13 @@ def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
         for key, (_, _, column, factor) in _ALONG.items():
             series[key].append(ChartLine(name, t, factor * trace[part, column], role, along=s, shown=shown))
         series["gg"].append(ChartLine(name, trace[part, 11], trace[part, 10], role, "points", shown=shown))
-    along = {"x": "time [s]", "other_x": "distance along the centre line [m]", "other_first": True, "wide": True, "group": "strips"}
+    along = {
+        "x": "time [s]",
+        "other_x": "distance along the centre line [m]",
+        "other_first": True,
+        "wide": True,
+        "group": "strips",
+    }
     plane = "a_y, left positive [m/s²]", "a_x [m/s²]"
     gap = f"Time gap to {laps[0][0]} (negative: ahead)" if laps else ""
     return [

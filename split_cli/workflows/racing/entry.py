@@ -130,8 +130,10 @@ def check_car(vehicle: Vehicle, car: CarParameters) -> None:
     if not 1.0 / LARGEST_LIKENESS <= ratio <= LARGEST_LIKENESS:
         raise SplitError(
             f"{car.name} has a wheelbase of {car.wheelbase:.2f} m, the vehicle file {vehicle.name} says "
-            f"{vehicle.wheelbase:.2f} m", where="--car", advice="Give --car the simulated car of this vehicle file: road_car, f1tenth_car or formula_car.",
-        )  # fmt: skip
+            f"{vehicle.wheelbase:.2f} m",
+            where="--car",
+            advice="Give --car the simulated car of this vehicle file: road_car, f1tenth_car or formula_car.",
+        )
 
 
 def check_torque(vehicle: Vehicle, most: float) -> None:

@@ -65,7 +65,7 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
 
 
 def _first_judged(compared: ModelComparison) -> list[tuple[str, str, str]]:
-    """Return whether the first model, the one that a gate in CI judges, is worse than another; it sets the colour."""
+    """Return whether the first model, which a gate in CI judges, is worse than another; it sets the colour."""
     if len(compared.models) < 2:
         return []
     name, count = compared.models[0], len(compared.worse)

@@ -42,7 +42,9 @@ __all__ = ["evaluation_charts", "evaluation_page"]
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _HARM = "WORSE"
 _WARNING = "WARNING: "
-_RATIOS = "Error divided by that of the vehicle file: left of the line at 1 it is smaller. Bars are 95 % intervals."
+_RATIOS = (
+    "Error divided by that of the vehicle file: left of the line at 1 it is smaller. Bars are 95 % intervals."
+)
 _MODELS = {NOMINAL: "vehicle file", VELOCITY_PERSISTENCE: "persistence: velocities held"}
 _PREDICTORS = (
     "<p>Predictors such as bcm and projected evaluate the same trained set in different ways; docs/prediction.md "
