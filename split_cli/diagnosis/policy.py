@@ -149,7 +149,8 @@ class SelectionRules:
         "1",
         "share that matters: of what witnesses contradict, to be a sensor's; of the variance left in a channel, "
         "below which a term has taken nearly all; of the forces on the drives, averaged over 2 s, from which on "
-        "an effect that could hide leaves no match; of what a term saves, that another may lack and be as good",
+        "an effect that could hide leaves no match; of what a term saves, that another may lack and be as good; "
+        "of the gap without a name, from which on it is unexplained",
         CHOSEN + "; a force wrong by a fifth spoils any prediction",
     )
     sure_level: float = number(
@@ -213,7 +214,6 @@ class SelectionRules:
 class Abstention:
     """When something is said to have no name."""
 
-    share: float = number(0.08, "1", "share of the gap without a name from which on it is unexplained", CHOSEN)
     most_alternatives: int = number(
         4,
         "terms",

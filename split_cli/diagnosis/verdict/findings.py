@@ -254,7 +254,7 @@ def _is_unexplained(
         return True
     if remainder.p_value >= selection.level or remainder.effect_to_noise < least:
         return False
-    return remainder.effect_to_noise > large or remainder.share > policy.abstention.share
+    return remainder.effect_to_noise > large or remainder.share > selection.fair_share
 
 
 def is_autocorrelated(autocorrelation: ResidualAutocorrelation, usual: float, policy: Policy = STANDARD) -> bool:
