@@ -28,8 +28,6 @@ class ExportedResidual(Residual):
         Of `split export --target casadi`.
     vehicle : Vehicle
         Which the controller drives with.
-    damped : bool
-        As of `PredictorResidual`.
 
     Raises
     ------
@@ -43,9 +41,9 @@ class ExportedResidual(Residual):
     The prior's variance is what the function answers infinitely far from its points.
     """
 
-    def __init__(self, folder: Path, vehicle: Vehicle, damped: bool = True) -> None:
+    def __init__(self, folder: Path, vehicle: Vehicle) -> None:
         manifest = read_manifest(folder)
-        self.name, self.predictor, self.damped = manifest["name"], manifest["predictor"], damped
+        self.name, self.predictor = manifest["name"], manifest["predictor"]
         file = folder / f"{self.name}.casadi"
         if not file.is_file():
             raise ExportError(
@@ -83,7 +81,7 @@ class ExportedResidual(Residual):
         if len(z) not in self._batches:
             self._batches[len(z)] = Batch(self._function, len(z))
         mean, variance, slope = self._batches[len(z)](z)
-        return ResidualValues.told(mean[:, :, 0], slope, variance[:, :, 0], self._prior, self.damped)
+        return ResidualValues.of(mean[:, :, 0], slope, variance[:, :, 0], self._prior)
 
     def grip(self, vehicle: Vehicle, largest: float) -> np.ndarray:
         """Return the peak of front and rear over the vehicle file's, shape (2,), as the function tells it.

@@ -42,8 +42,6 @@ class DictionaryResidual(Residual):
     ----------
     header : TrainingSet
         For features and kernel.
-    damped : bool
-        As of `PredictorResidual`.
 
     Notes
     -----
@@ -51,8 +49,8 @@ class DictionaryResidual(Residual):
     fail, and so does this: the rival gets the better evaluation, and its cost is not counted against it.
     """
 
-    def __init__(self, dictionary: Dictionary, header: TrainingSet, damped: bool = True) -> None:
-        self.dictionary, self.damped = dictionary, damped
+    def __init__(self, dictionary: Dictionary, header: TrainingSet) -> None:
+        self.dictionary = dictionary
         self.features, self.kernel = header.features, header.kernel
         self.refresh()
 
@@ -80,9 +78,9 @@ class DictionaryResidual(Residual):
         slope = np.einsum("nk,nkd,ko->nod", cross, gap, self._weights, optimize=True) / self.kernel.length_scales
         explained = np.stack([((cross @ inverse) * cross).sum(axis=1) for inverse in self._inverse], axis=1)
         knowledge = np.clip(explained, 0.0, 1.0)
-        if self.damped:
-            slope = slope * knowledge[:, :, None]
-        return ResidualValues(mean, slope, (1.0 - knowledge) * self.kernel.signal_variance, knowledge)
+        return ResidualValues(
+            mean, slope * knowledge[:, :, None], (1.0 - knowledge) * self.kernel.signal_variance, knowledge
+        )
 
 
 class IolLearner(LabellingLearner):

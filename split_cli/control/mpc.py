@@ -40,8 +40,6 @@ class Mpc(RecedingController):
         Of the car [m].
     speed : callable
         Wanted speed [m/s] at arc lengths [m], arrays of one shape.
-    tightening : float
-        See `RecedingController`.
 
     Notes
     -----
@@ -52,12 +50,12 @@ class Mpc(RecedingController):
 
     def __init__(
         self, model: ControlModel, path: Path, actuators: Actuators, settings: MpcSettings, width: float,
-        speed: Callable[[np.ndarray], np.ndarray], tightening: float = 0.0,
+        speed: Callable[[np.ndarray], np.ndarray],
     ) -> None:  # fmt: skip
         self.settings, self.speed = settings, speed
         super().__init__(
             model, path, actuators, settings.weights, settings.limits, settings.horizon,
-            0.5 * width + settings.margin, tightening,
+            0.5 * width + settings.margin,
         )  # fmt: skip
         self.s = np.zeros(settings.horizon + 1)
 

@@ -29,12 +29,14 @@ class ResidualValues:
     knowledge: np.ndarray  # (N, 3): 1 - variance/prior variance, from 0 (nothing was learned here) to 1
 
     @classmethod
-    def told(
-        cls, mean: np.ndarray, slope: np.ndarray, variance: np.ndarray, prior: np.ndarray, damped: bool
-    ) -> ResidualValues:
-        """Return what a predictor says, given its `prior` variance, (3,); `damped` as of `PredictorResidual`."""
+    def of(cls, mean: np.ndarray, slope: np.ndarray, variance: np.ndarray, prior: np.ndarray) -> ResidualValues:
+        """Return what a predictor says, given its `prior` variance, (3,), with a slope of what is known.
+
+        Where data thin out a slope is the least certain of all that the residual says, and a controller that
+        follows it to the edge spins: it is multiplied by 1 - variance/prior.
+        """
         knowledge = np.clip(1.0 - variance / prior, 0.0, 1.0)
-        return cls(mean, slope * knowledge[:, :, None] if damped else slope, variance, knowledge)
+        return cls(mean, slope * knowledge[:, :, None], variance, knowledge)
 
     def stages(self, which: slice) -> ResidualValues:
         """Return the residual at some of the features."""
@@ -93,13 +95,10 @@ class PredictorResidual(Residual):
     ----------
     name : str
         Of the predictor.
-    damped : bool
-        Multiply the slope by what is known, 1 - variance/prior: where data thin out a slope is the least certain
-        of all that the residual says, and a controller that follows it to the edge spins.
     """
 
-    def __init__(self, training_set: TrainingSet, name: str, damped: bool = True) -> None:
-        self.name, self.damped = name, damped
+    def __init__(self, training_set: TrainingSet, name: str) -> None:
+        self.name = name
         self._set = training_set
         self._made: Predictor | None = None
         self.features = training_set.features
@@ -127,7 +126,7 @@ class PredictorResidual(Residual):
             return ResidualValues(nothing.mean, nothing.slope, variance, nothing.knowledge)
         predictor = self.predictor.at(z)
         found = predictor.predict(z)
-        return ResidualValues.told(found.mean, predictor.jacobian(z), found.variance, self._prior, self.damped)
+        return ResidualValues.of(found.mean, predictor.jacobian(z), found.variance, self._prior)
 
 
 class OnlineResidual(Residual):
@@ -136,14 +135,10 @@ class OnlineResidual(Residual):
     Parameters
     ----------
     known : OnlineCommittee or OnlineProjection
-    damped : bool
-        As of `PredictorResidual`.
     """
 
-    def __init__(
-        self, known: OnlineCommittee | OnlineProjection, features: FeatureSet, damped: bool = True
-    ) -> None:
-        self.known, self.damped = known, damped
+    def __init__(self, known: OnlineCommittee | OnlineProjection, features: FeatureSet) -> None:
+        self.known = known
         self.features = features
         self._prior = known.kernel.signal_variance
 
@@ -155,4 +150,4 @@ class OnlineResidual(Residual):
     def of_data(self, z: np.ndarray) -> ResidualValues:
         """Return mean, slope and variance at features `z`, shape (N, D)."""
         mean, variance, slope = self.known.along(z)
-        return ResidualValues.told(mean, slope, variance, self._prior, self.damped)
+        return ResidualValues.of(mean, slope, variance, self._prior)

@@ -6,13 +6,12 @@ scales. A spline's query reads 64 coefficients whatever the size of the set.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy import ndarray
 
 from split_cli.compiled_code import compiled
 
-__all__ = ["jacobian", "predict", "predict_parallel", "spline", "weighted_sum"]
+__all__ = ["jacobian", "predict", "spline", "weighted_sum"]
 
 #: Sums may be reordered and contracted; infinities and not-a-number keep their meaning.
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
@@ -102,24 +101,6 @@ def predict(
     spread = np.empty((z.shape[0], 3))
     c, t = np.empty(capacity), np.empty(capacity)
     for i in range(z.shape[0]):
-        _predict_one(
-            z[i], points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust,
-            c, t, mean[i], spread[i],
-        )  # fmt: skip
-    return mean, spread
-
-
-@compiled(cache=True, fastmath=_FASTMATH, parallel=True)
-def predict_parallel(
-    z: ndarray, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray, offsets: ndarray,
-    vector_offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray, floor: ndarray, robust: bool,
-    capacity: int,
-) -> tuple[ndarray, ndarray]:  # fmt: skip
-    """`predict` with the queries shared out over threads; the same bits, since a query is never split."""
-    mean = np.empty((z.shape[0], 3))
-    spread = np.empty((z.shape[0], 3))
-    for i in numba.prange(z.shape[0]):
-        c, t = np.empty(capacity), np.empty(capacity)
         _predict_one(
             z[i], points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust,
             c, t, mean[i], spread[i],

@@ -97,8 +97,6 @@ class BcmPredictor(Predictor):
     neglect : float
         Cells so far from the query that together they change the variance by less than ``neglect`` S0, and the
         mean by less than ``neglect`` (sqrt(S0) + \\|mean\\|), are skipped. 0 visits every cell.
-    parallel : bool
-        Share the queries of a batch out over threads. Off by default: a controller asks one at a time.
 
     Notes
     -----
@@ -118,12 +116,11 @@ class BcmPredictor(Predictor):
     name: str = "bcm"
     robust: ClassVar[bool] = False
 
-    def __init__(self, training_set: TrainingSet, neglect: float = 1e-13, parallel: bool = False) -> None:
+    def __init__(self, training_set: TrainingSet, neglect: float = 1e-13) -> None:
         super().__init__(training_set)
         if not 0.0 <= neglect < 1.0:
             raise ValueError(f"neglect is {neglect!r}, it must lie in [0, 1)")
         self.neglect = neglect
-        self.parallel = parallel
         self.tables = committee_tables(training_set)
         self._arguments = self._compiled_arguments()
 
@@ -151,8 +148,7 @@ class BcmPredictor(Predictor):
     def predict(self, z: np.ndarray) -> Prediction:
         z = queries(z, self.training_set)
         kernel = self.training_set.kernel
-        run = _compiled.predict_parallel if self.parallel else _compiled.predict
-        mean, spread = run(z / kernel.length_scales, *self._arguments)
+        mean, spread = _compiled.predict(z / kernel.length_scales, *self._arguments)
         return Prediction(mean, spread * kernel.signal_variance)
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:

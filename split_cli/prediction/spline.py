@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_banded
@@ -39,13 +39,6 @@ class Lattice:
         """Return all nodes, shape (size, 3), last axis fastest."""
         return np.stack(np.meshgrid(*self.axes(), indexing="ij"), axis=-1).reshape(-1, 3)
 
-    def around(self, lower: np.ndarray, upper: np.ndarray) -> Lattice:
-        """Return the smallest lattice of the same nodes that holds this one and the box given."""
-        own = self.first + np.array(self.shape) - 1
-        first = np.minimum(self.first, np.floor(lower / self.spacing).astype(np.int64))
-        last = np.maximum(own, np.ceil(upper / self.spacing).astype(np.int64))
-        return replace(self, first=first, shape=tuple((last - first + 1).tolist()))
-
 
 def lattice_over(lower: np.ndarray, upper: np.ndarray, spacing: np.ndarray) -> Lattice:
     """Return the lattice over the box from `lower` to `upper`, shape (3,) each, rounded outwards."""
@@ -72,7 +65,7 @@ class Spline:
         return _compiled.spline(z, self.origin, 1.0 / self.spacing, self.coefficients, True)
 
 
-def fit_spline(lattice: Lattice, values: np.ndarray, dtype: type = np.float64) -> Spline:
+def fit_spline(lattice: Lattice, values: np.ndarray) -> Spline:
     """Return the spline that takes `values`, shape (size, W), at the nodes and is 0 beyond the padding.
 
     Notes
@@ -87,7 +80,7 @@ def fit_spline(lattice: Lattice, values: np.ndarray, dtype: type = np.float64) -
         lines = np.moveaxis(table, axis, 0)
         solved = solve_banded((1, 1), bands, lines.reshape(count, -1), check_finite=False)
         table = np.moveaxis(solved.reshape(lines.shape), 0, axis)
-    padded: np.ndarray = np.pad(table, [(PADDING, PADDING)] * 3 + [(0, 0)]).astype(dtype)
+    padded: np.ndarray = np.pad(table, [(PADDING, PADDING)] * 3 + [(0, 0)])
     origin = (lattice.first - PADDING) * lattice.spacing
     return Spline(origin, lattice.spacing, np.ascontiguousarray(padded))
 

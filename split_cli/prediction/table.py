@@ -25,8 +25,6 @@ _MOST_NODES = 3_000_000
 #: Distances in length scales. The box reaches `_MARGIN` beyond the points and fades over its outer `_FADE`; a node
 #: fades between `_NEAR` and `_FAR` of the nearest point, where the process is nearly the prior by itself.
 _MARGIN, _FADE, _NEAR, _FAR = 1.5, 1.0, 2.0, 3.0
-#: A changed point changes the process at this distance by less than the bound, see `TablePredictor.updated`.
-_REACH = 4.0
 _TRIED = 1000
 
 
@@ -35,12 +33,8 @@ class TableError:
     """What the spline gives away, measured against the process it was filled from."""
 
     bound: float  # asked for: largest error of the mean, in signal deviations
-    # mean, mean_rms: largest and root mean square error of the mean found, in signal deviations.
-    mean: float
-    mean_rms: float
-    # deviation, deviation_rms: the same of the standard deviation.
-    deviation: float
-    deviation_rms: float
+    mean: float  # largest error of the mean found, in signal deviations
+    deviation: float  # the same of the standard deviation
     queries: int  # places tried: random ones, each coordinate within half a length scale of a point
 
     @property
@@ -56,8 +50,6 @@ class TablePredictor(Predictor):
     ----------
     bound : float
         Error of the mean, in signal deviations, from which the spacing of the nodes is found.
-    real : {"double", "float"}
-        Precision the coefficients are kept in.
     most : int
         Points the dense process is projected on, see `batch_process.BatchProcess`.
 
@@ -65,8 +57,6 @@ class TablePredictor(Predictor):
     ----------
     spline : Spline
         Of mean (three outputs) and of 1 - deviation/prior deviation (three outputs).
-    rebuilt : int
-        Nodes computed for this table; all of them unless it was made by `updated`.
     least : ndarray, shape (3,)
         Smallest deviation the table answers, as a share of the prior's: P points tell no more than rho/(P + rho).
 
@@ -84,7 +74,6 @@ class TablePredictor(Predictor):
         self,
         training_set: TrainingSet,
         bound: float = DEFAULT_BOUND,
-        real: str = "double",
         most: int = MOST_INDUCING,
     ) -> None:
         super().__init__(training_set)
@@ -95,7 +84,7 @@ class TablePredictor(Predictor):
             )
         if not 0.0 < bound < 1.0:
             raise ValueError(f"bound is {bound!r}, it must lie between 0 and 1")
-        self.bound, self.real, self.most = bound, real, most
+        self.bound, self.most = bound, most
         ratio = training_set.kernel.noise_variance / training_set.kernel.signal_variance
         self.least = np.sqrt(ratio / (training_set.size + ratio))
         self._build()
@@ -115,44 +104,13 @@ class TablePredictor(Predictor):
         """Return the mean's Jacobian at queries `z`, shape (N, 3, 3); exact and continuous."""
         return self.spline.value_and_slope(queries(z, self.training_set))[1][:, :3]
 
-    def updated(self, training_set: TrainingSet) -> TablePredictor:
-        """Return the table of a set that learning has gone on with; only nodes in reach of a change are computed.
-
-        Parameters
-        ----------
-        training_set : TrainingSet
-            Of the same features, grid and kernel.
-
-        Raises
-        ------
-        ValueError
-            If the kernel is another one: no node would stay.
-
-        Notes
-        -----
-        Nodes within four length scales of a point that came, left or has another label are filled anew, from the
-        points within four length scales of those nodes. At that distance a correlation is e^-8 = 3e-4.
-        """
-        old, kernel = self.training_set, training_set.kernel
-        if not all(
-            np.array_equal(getattr(kernel, name), getattr(old.kernel, name))
-            for name in ("length_scales", "signal_variance", "noise_variance")
-        ):
-            raise ValueError("the kernel changed: build a new table")
-        new = object.__new__(TablePredictor)
-        Predictor.__init__(new, training_set)
-        new.bound, new.real, new.most, new.least = self.bound, self.real, self.most, self.least
-        new._follow(self, _changed_points(old, training_set))
-        return new
-
-    # ---- building ----------------------------------------------------------------------------------------
-
     def _build(self) -> None:
         s, scales = self.training_set, self.training_set.kernel.length_scales
         if not s.size:
             self._lattice = Lattice(scales / _FIRST_NODES, np.zeros(3, dtype=np.int64), (1, 1, 1))
             self._values = np.zeros((1, 6))
-            self._finish(TableError(self.bound, 0.0, 0.0, 0.0, 0.0, 0), 0)
+            self.error = TableError(self.bound, 0.0, 0.0, 0)
+            self.spline = fit_spline(self._lattice, self._values)
             return
         process = BatchProcess(s.z, s.y, s.kernel, self.most)
         lower, upper = s.z.min(axis=0) - _MARGIN * scales, s.z.max(axis=0) + _MARGIN * scales
@@ -160,25 +118,17 @@ class TablePredictor(Predictor):
         while True:
             self._lattice = lattice_over(lower, upper, scales / nodes)
             self._values = np.zeros((self._lattice.size, 6))
-            places = self._lattice.nodes()
-            computed = self._fill(process, places, np.arange(len(places)))
-            error = self._measure(process)
-            self._finish(error, computed)
+            self._fill(process, self._lattice.nodes())
+            self.spline = fit_spline(self._lattice, self._values)
+            self.error = error = self._measure(process)
             # The fourth-order law, a twentieth on top since it is the largest of many errors that must fall.
             finer = nodes * min(1.6, 1.05 * (max(error.mean, 1e-12) / self.bound) ** 0.25)
             if error.met or self._lattice.size * (finer / nodes) ** 3 > _MOST_NODES:
                 return
             nodes = finer
 
-    def _finish(self, error: TableError, computed: int) -> None:
-        self.error, self.rebuilt = error, computed
-        self._refit()
-
-    def _refit(self) -> None:
-        self.spline = fit_spline(self._lattice, self._values, np.float32 if self.real == "float" else np.float64)
-
-    def _fill(self, process: BatchProcess, places: np.ndarray, rows: np.ndarray) -> int:
-        """Compute values at nodes `rows`, faded to the prior far from points; return how many were computed."""
+    def _fill(self, process: BatchProcess, places: np.ndarray) -> None:
+        """Compute values at the nodes, faded to the prior far from points."""
         s, scales = self.training_set, self.training_set.kernel.length_scales
         lower, upper = s.z.min(axis=0) / scales - _MARGIN, s.z.max(axis=0) / scales + _MARGIN
         scaled = places / scales
@@ -187,13 +137,10 @@ class TablePredictor(Predictor):
         fade = smooth_step(inside / _FADE) * smooth_step((_FAR - nearest) / (_FAR - _NEAR))
         used = np.flatnonzero(fade > 0.0)
         mean, known = process.mean_and_known(places[used])
-        self._values[rows] = 0.0
-        self._values[rows[used]] = fade[used, None] * np.column_stack([mean, 1.0 - np.sqrt(1.0 - known)])
-        return len(used)
+        self._values[used] = fade[used, None] * np.column_stack([mean, 1.0 - np.sqrt(1.0 - known)])
 
     def _measure(self, process: BatchProcess) -> TableError:
         """Compare the spline with the process at random places near points."""
-        self._refit()
         s = self.training_set
         rng = np.random.default_rng(20240117)
         z = s.z[rng.integers(0, s.size, _TRIED)]
@@ -202,73 +149,4 @@ class TablePredictor(Predictor):
         found = self.spline.value(z)
         mean_error = np.abs(found[:, :3] - mean) / np.sqrt(s.kernel.signal_variance)
         deviation_error = np.abs(found[:, 3:] - (1.0 - np.sqrt(1.0 - known)))
-        return TableError(
-            self.bound,
-            float(mean_error.max()),
-            float(np.sqrt(np.mean(mean_error**2))),
-            float(deviation_error.max()),
-            float(np.sqrt(np.mean(deviation_error**2))),
-            len(z),
-        )
-
-    def _follow(self, old: TablePredictor, changed: np.ndarray) -> None:
-        s, scales = self.training_set, self.training_set.kernel.length_scales
-        self._lattice, self._values, self.spline = old._lattice, old._values, old.spline
-        if not len(changed):
-            self.error, self.rebuilt = old.error, 0
-            return
-        lower, upper = s.z.min(axis=0) - _MARGIN * scales, s.z.max(axis=0) + _MARGIN * scales
-        self._lattice = old._lattice.around(lower, upper)
-        table = np.zeros((*self._lattice.shape, 6))
-        begin = old._lattice.first - self._lattice.first
-        place = tuple(slice(b, b + n) for b, n in zip(begin, old._lattice.shape, strict=True))
-        table[place] = old._values.reshape(*old._lattice.shape, 6)
-        self._values = table.reshape(-1, 6)
-        places = self._lattice.nodes()
-        reached = cKDTree(changed / scales).query(places / scales, distance_upper_bound=_REACH)[0] <= _REACH
-        # Where the box has grown its fade has moved: nodes that the old one faded are due as well.
-        if self._lattice.shape != old._lattice.shape:
-            reached |= _faded_by(old, places) & ~_faded_by(self, places)
-        rows = np.flatnonzero(reached)
-        near = cKDTree(places[rows] / scales).query(s.z / scales, distance_upper_bound=_REACH)[0] <= _REACH
-        process = BatchProcess(s.z[near], s.y[near], s.kernel, self.most)
-        computed = self._fill(process, places[rows], rows)
-        self._finish(old.error, computed)
-
-
-def _box(s: TrainingSet) -> tuple[np.ndarray, np.ndarray]:
-    """Return the box in which the table does not fade, a little inside it."""
-    reach = (_MARGIN - _FADE) * s.kernel.length_scales
-    return s.z.min(axis=0) - reach, s.z.max(axis=0) + reach
-
-
-def _faded_by(table: TablePredictor, places: np.ndarray) -> np.ndarray:
-    lower, upper = _box(table.training_set)
-    outside: np.ndarray = (places < lower) | (places > upper)
-    faded: np.ndarray = np.any(outside, axis=1)
-    return faded
-
-
-def _changed_points(old: TrainingSet, new: TrainingSet) -> np.ndarray:
-    """Return the points that only one of the sets has, or with another label, shape (N, 3)."""
-
-    def cells(s: TrainingSet) -> dict[int, np.ndarray]:
-        both = np.column_stack([s.z, s.y])
-        return {
-            number: both[first:last]
-            for number, first, last in zip(s.cell_numbers.tolist(), s.offsets[:-1], s.offsets[1:], strict=True)
-        }
-
-    before, after = cells(old), cells(new)
-    empty = np.empty((0, 6))
-
-    def beside(own: np.ndarray, other: np.ndarray) -> np.ndarray:
-        known = (own[:, None] == other[None]).all(axis=2).any(axis=1)
-        return own[~known, :3]
-
-    parts = [np.empty((0, 3))]
-    for number in before.keys() | after.keys():
-        one, two = before.get(number, empty), after.get(number, empty)
-        if not np.array_equal(one, two):
-            parts += [beside(one, two), beside(two, one)]
-    return np.concatenate(parts)
+        return TableError(self.bound, float(mean_error.max()), float(deviation_error.max()), len(z))

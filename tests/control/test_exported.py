@@ -34,14 +34,13 @@ def learned(tmp_path_factory) -> tuple[Path, Path]:
     return folder / "wet.split", folder / "controller"
 
 
-@pytest.mark.parametrize("damped", [True, False])
-def test_the_exported_function_says_what_the_set_says(learned, damped):
+def test_the_exported_function_says_what_the_set_says(learned):
     """CasADi's derivative of the file stands against the predictor's own."""
     trained, folder = learned
     training_set = read_set(trained)
     z = training_set.z[::7] + 0.01
-    expected = PredictorResidual(training_set, "projected", damped).of_data(z)
-    found = ExportedResidual(folder, read_vehicle(CAR), damped).of_data(z)
+    expected = PredictorResidual(training_set, "projected").of_data(z)
+    found = ExportedResidual(folder, read_vehicle(CAR)).of_data(z)
     for name in ("mean", "slope", "variance", "knowledge"):
         value = getattr(expected, name)
         scale = float(np.abs(value).max())

@@ -227,13 +227,6 @@ def test_what_bcm_neglects_stays_within_the_stated_bound(neglect, make_set):
     assert not np.array_equal(a.mean, b.mean), "nothing was neglected, the test proves nothing"
 
 
-def test_parallel_bcm_gives_the_same_bits(driven_set):
-    z = query_points(driven_set, 100, 17)
-    one = BcmPredictor(driven_set).predict(z)
-    many = BcmPredictor(driven_set, parallel=True).predict(z)
-    assert np.array_equal(one.mean, many.mean) and np.array_equal(one.variance, many.variance)
-
-
 def test_features_of_another_width_work_and_a_wrong_width_is_refused(make_set):
     random = np.random.default_rng(18)
     kernel = Kernel(np.full(5, 0.7), np.ones(3), np.full(3, 0.05))

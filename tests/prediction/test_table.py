@@ -1,17 +1,13 @@
 """The table against the process it is filled from, at its edges, and after updates."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from split_cli.learning.cells import extend
-from split_cli.learning.kernel import Kernel
 from split_cli.prediction.batch_process import BatchProcess
 from split_cli.prediction.full import FullPredictor
 from split_cli.prediction.spline import fit_spline, lattice_over
 from split_cli.prediction.table import TablePredictor
-from tests.factories import make_labels, make_training_set, smooth_residual
+from tests.factories import make_training_set
 
 
 @pytest.fixture(scope="module")
@@ -121,43 +117,3 @@ def test_queries_that_are_not_finite(trained, table):
     assert np.isnan(got.mean[0]).all() and np.isnan(got.variance[0]).all()
     assert np.array_equal(got.mean[1:], np.zeros((3, 3)))
     np.testing.assert_allclose(got.variance[1:], np.tile(trained.kernel.signal_variance, (3, 1)))
-
-
-def test_single_precision_keeps_six_digits_in_half_the_memory(trained, table):
-    single = TablePredictor(trained, real="float")
-    z = near(trained, 300, 7)
-    assert single.nbytes * 2 == table.nbytes
-    scale = np.abs(table.mean(z)).max()
-    np.testing.assert_allclose(single.mean(z), table.mean(z), atol=2e-6 * scale)
-
-
-def test_an_update_fills_only_nodes_in_reach_and_equals_a_new_table():
-    """A long set in torque; the new labels lie at one end of it, so most nodes stay."""
-    stored = make_training_set(8, 400, length_scale_cells=2.0, noise=0.1)
-    kernel = Kernel(np.array([0.08, 0.08, 0.2]), stored.kernel.signal_variance, stored.kernel.noise_variance)
-    stored = extend(replace(stored, kernel=kernel, **_no_points(stored)), [_labels(stored.z, stored)])
-    rng = np.random.default_rng(9)
-    added = np.column_stack([rng.uniform(-0.03, 0.03, (20, 2)), rng.uniform(0.85, 1.0, 20)])
-    grown = extend(stored, [_labels(added, stored)])
-    table = TablePredictor(stored)
-    followed, fresh = table.updated(grown), TablePredictor(grown)
-    assert 0 < followed.rebuilt < 0.7 * fresh.rebuilt
-    z = near(grown, 400, 10)
-    deviation = np.sqrt(kernel.signal_variance)
-    changed = np.abs(table.mean(z) - fresh.mean(z)).max()
-    error = np.abs(followed.predict(z).mean - fresh.predict(z).mean) / deviation
-    assert error.max() < 4.0 * table.bound < 0.5 * (changed / deviation.min())
-    assert table.updated(stored).rebuilt == 0
-    with pytest.raises(ValueError, match="kernel"):
-        table.updated(replace(grown, kernel=Kernel(2.0 * kernel.length_scales, np.ones(3), np.ones(3))))
-
-
-def _no_points(stored):
-    arrays = ("cell_numbers", "z", "y", "gamma", "t", "source", "row")
-    empty = {name: getattr(stored, name)[:0] for name in arrays}
-    return {**empty, "offsets": np.zeros(1, dtype=np.int64), "sources": ()}
-
-
-def _labels(z, stored):
-    rng = np.random.default_rng(len(z))
-    return make_labels(z, smooth_residual(z) + 0.1 * rng.normal(size=(len(z), 3)), stored.vehicle)
