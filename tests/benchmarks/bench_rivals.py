@@ -43,6 +43,7 @@ from split_cli.prediction.online import OnlineCommittee  # noqa: E402
 from split_cli.prediction.online_process import OnlineProcess  # noqa: E402
 from split_cli.prediction.table import TablePredictor  # noqa: E402
 from split_cli.vehicle.single_track import SingleTrack  # noqa: E402
+from tests.benchmarks.gpytorch_rival import gpytorch_rows  # noqa: E402
 from tests.benchmarks.rival_stream import SLOW_QUERIES, Row, Stream, accuracy, each, percentiles, spent, stream_of  # noqa: E402
 from tests.benchmarks.streaming_rivals import log_gp_rows, sky_gp_rows  # noqa: E402
 from tests.factories import make_labels  # noqa: E402
@@ -249,55 +250,6 @@ def scikit_learn(stream: Stream, full: np.ndarray) -> Row | None:
     return Row("scikit-learn, exact", len(stream.z), s.size, build, None, None, *query, **found)
 
 
-def gpytorch_exact(stream: Stream, full: np.ndarray) -> list[Row]:
-    """Time GPyTorch's exact process, one batch of three outputs: cached, and each query after an update."""
-    try:
-        import gpytorch
-        import torch
-    except ImportError:
-        return []
-    torch.set_num_threads(1)
-    s = stream.trained
-    z, y = torch.tensor(s.z), torch.tensor(s.y.T.copy())
-
-    class Exact(gpytorch.models.ExactGP):
-        def __init__(self, x, targets, likelihood):
-            super().__init__(x, targets, likelihood)
-            batch = torch.Size([3])
-            self.mean_module = gpytorch.means.ZeroMean(batch_shape=batch)
-            self.covar_module = gpytorch.kernels.ScaleKernel(
-                gpytorch.kernels.RBFKernel(ard_num_dims=3, batch_shape=batch), batch_shape=batch
-            )
-
-        def forward(self, x):
-            return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
-
-    def fresh():
-        likelihood = gpytorch.likelihoods.GaussianLikelihood(batch_shape=torch.Size([3]))
-        model = Exact(z.expand(3, *z.shape), y, likelihood).double()
-        model.covar_module.outputscale = torch.tensor(s.kernel.signal_variance.copy())
-        model.covar_module.base_kernel.lengthscale = torch.tensor(s.kernel.length_scales.copy()).reshape(1, 1, 3)
-        likelihood.noise = torch.tensor(s.kernel.noise_variance.copy()).reshape(3, 1)
-        return model.eval()
-
-    def ask(model, at):
-        with torch.no_grad(), gpytorch.settings.fast_pred_var():
-            found = model(torch.tensor(at).expand(3, *at.shape))
-            return found.mean.numpy().T, found.variance.numpy().T
-
-    begin = time.perf_counter()
-    model = fresh()
-    ask(model, stream.queries[:1])
-    build = time.perf_counter() - begin
-    query = each(lambda at: ask(model, at), [q[None] for q in stream.queries[:SLOW_QUERIES]])
-    found = accuracy(*ask(model, stream.queries), stream, full)
-    rows = [Row("GPyTorch, exact", len(stream.z), s.size, build, None, None, *query, **found)]
-    few = 3 if s.size > 2000 else 8
-    anew = each(lambda at: ask(fresh(), at), [q[None] for q in stream.queries[:few]])
-    rows.append(Row("GPyTorch, update then predict", len(stream.z), s.size, None, None, None, *anew))
-    return rows
-
-
 def casadi_full(stream: Stream, compiler: Compiler) -> Row:
     """Time the mean of the full process as C that CasADi writes, with its Jacobian."""
     import casadi
@@ -379,7 +331,7 @@ def measure(
         if sky_gp is not None:
             found += sky_gp_rows(sky_gp, stream, full)
         if dense:
-            found += [row for row in (scikit_learn(stream, full), *gpytorch_exact(stream, full)) if row]
+            found += [row for row in (scikit_learn(stream, full), *gpytorch_rows(stream, full)) if row]
         rows.append(found)
     return [_median(list(same)) for same in zip(*rows, strict=True)]
 
@@ -447,6 +399,7 @@ def table_text(rows: list[Row]) -> str:
 @click.option("--length-scale", default=2.0, show_default=True, help="In cells.")
 @click.option("--repeats", default=3, show_default=True)
 @click.option("--streaming", is_flag=True, help="Only those that learn sample by sample, once each.")
+@click.option("--gpytorch", is_flag=True, help="Only GPyTorch, one output after the other, at any size.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Rows and machine.")
 @click.option("--stream", "stream_path", type=click.Path(path_type=Path), help="Samples and queries, npz.")
 @click.option("--log-gp", type=click.Path(exists=True, path_type=Path), help="Folder that holds LoGGP.py.")
@@ -458,6 +411,7 @@ def main(
     length_scale: float,
     repeats: int,
     streaming: bool,
+    gpytorch: bool,
     json_path: Path | None,
     stream_path: Path | None,
     log_gp: Path | None,
@@ -474,7 +428,9 @@ def main(
             np.savez(stream_path, z=s.z, y=s.y, queries=s.queries, truth=s.truth, kept_z=s.trained.z,
                      kept_y=s.trained.y, **{k: getattr(s.trained.kernel, k) for k in
                      ("length_scales", "signal_variance", "noise_variance")})  # fmt: skip
-        if streaming:
+        if gpytorch:
+            rows += gpytorch_rows(stream_of(size, length_scale), None, alone=True)
+        elif streaming:
             rows += measure_streaming(size, length_scale, log_gp, sky_gp)
         else:
             rows += measure(size, length_scale, repeats, compiler, log_gp, sky_gp)
