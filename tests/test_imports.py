@@ -33,7 +33,7 @@ LAYERS = {
     "api": 10,
     "cli": 10,
 }
-# The rooms of the diagnosis, from the ground up: `engine.py` on top, `policy.py` and `together.py` below all.
+# The rooms of the diagnosis, from the ground up: `engine.py` on top, `policy.py` and `parallel.py` below all.
 ROOMS = ("statement", "recording", "baseline", "innovations", "remainder", "search", "verdict", "engine")
 # The rooms of other layers, from the ground up; files beside them are the ground, which imports no room.
 ROOMS_OF = {
@@ -267,7 +267,7 @@ def test_the_reader_of_arrows_sees_an_upward_one(file, text, expected):
     [
         ("diagnosis/search/fitting.py", "from split_cli.diagnosis.verdict.findings import describe", True),
         ("diagnosis/verdict/findings.py", "from split_cli.diagnosis.search.fitting import Fit", False),
-        ("diagnosis/together.py", "from split_cli.diagnosis.statement.result import Diagnosis", True),
+        ("diagnosis/parallel.py", "from split_cli.diagnosis.statement.result import Diagnosis", True),
         ("diagnosis/recording/series.py", "from split_cli.diagnosis.engine import diagnose", True),
         ("logs/checking/delay.py", "from split_cli.logs.assembling.derive import derive", True),
         ("logs/drafting/trial.py", "from split_cli.logs.checking.checks import Check", False),

@@ -14,7 +14,7 @@ from split_cli.cli.options import (
     print_json,
     print_table,
 )
-from split_cli.cli.voice import print_notes
+from split_cli.cli.verbosity import print_notes
 
 __all__ = ["command"]
 

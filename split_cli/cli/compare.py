@@ -16,7 +16,7 @@ from split_cli.cli.options import (
     print_json,
     print_table,
 )
-from split_cli.cli.voice import StepBar, print_notes
+from split_cli.cli.verbosity import StepBar, print_notes
 
 __all__ = ["command"]
 

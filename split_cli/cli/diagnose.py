@@ -16,7 +16,7 @@ from split_cli.cli.options import (
     print_table,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar
+from split_cli.cli.verbosity import StepBar
 
 __all__ = ["command"]
 
@@ -62,8 +62,8 @@ def command(
     Example:
       split diagnose --real lap.parquet --sim twin.parquet --vehicle car.yaml --out diagnosis
     """
+    from split_cli.diagnosis.parallel import use_threads
     from split_cli.diagnosis.statement.document import diagnosis_to_text
-    from split_cli.diagnosis.together import use_threads
     from split_cli.workflows.diagnose import diagnose_files
     from split_cli.workflows.engine import open_engine
 

@@ -6,7 +6,7 @@ import click
 
 from split_cli.cli.digits import three_digits, two_digits
 from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
-from split_cli.cli.voice import print_notes
+from split_cli.cli.verbosity import print_notes
 
 __all__ = ["command"]
 

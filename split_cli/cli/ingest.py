@@ -20,7 +20,7 @@ from split_cli.cli.options import (
     tell_next,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar
+from split_cli.cli.verbosity import StepBar
 
 __all__ = ["command"]
 

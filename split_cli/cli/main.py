@@ -14,7 +14,7 @@ import weakref
 import click
 
 from split_cli import CACHE_NOTE, __version__
-from split_cli.cli.voice import show_only
+from split_cli.cli.verbosity import show_only
 from split_cli.errors import NumericalRepairWarning, SplitError, nearest_names
 
 __all__ = ["COMMANDS", "group", "main"]
@@ -134,7 +134,7 @@ def group(context, quiet, verbose, legend, config) -> None:
     3 a check failed (--exit-code, --most). --quiet, --verbose and --legend may stand anywhere on the line.
     """
     from split_cli.cli.settings import default_options, settings_files
-    from split_cli.cli.voice import Loud, Quiet
+    from split_cli.cli.verbosity import Loud, Quiet
 
     if quiet and verbose:
         raise click.UsageError("--quiet and --verbose exclude each other.")

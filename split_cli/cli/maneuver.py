@@ -17,7 +17,7 @@ from split_cli.cli.options import (
     sensor_options,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar
+from split_cli.cli.verbosity import StepBar
 from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 
 __all__ = ["command"]

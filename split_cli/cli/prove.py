@@ -216,7 +216,7 @@ def _tell_seal(seal, as_json: bool) -> None:
 
 def _progress(what: str):
     """Return a function that tells progress on stderr, where someone watches."""
-    from split_cli.cli.voice import StepBar
+    from split_cli.cli.verbosity import StepBar
 
     bar = StepBar()
     bar.text = what

@@ -17,7 +17,7 @@ from split_cli.cli.options import (
     sensor_options,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar, print_notes
+from split_cli.cli.verbosity import StepBar, print_notes
 from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SHARE_STEP, SIZE
 
 __all__ = ["command"]

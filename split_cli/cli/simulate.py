@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from split_cli.cli.options import OutputPath, json_option, output_option, print_json, print_table
-from split_cli.cli.voice import print_notes
+from split_cli.cli.verbosity import print_notes
 
 __all__ = ["command"]
 

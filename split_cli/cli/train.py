@@ -18,7 +18,7 @@ from split_cli.cli.options import (
     tell_next,
     vehicle_option,
 )
-from split_cli.cli.voice import StepBar, print_notes
+from split_cli.cli.verbosity import StepBar, print_notes
 
 __all__ = ["command"]
 

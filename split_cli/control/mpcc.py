@@ -10,7 +10,7 @@ from split_cli.control.limits import Limits
 from split_cli.control.model import ControlModel, Linearization
 from split_cli.control.path import Path, PathPoint
 from split_cli.control.policy import PROGRESS_ACCELERATION
-from split_cli.control.receding import Actuators, Plan, RecedingController, Weights, _stages
+from split_cli.control.receding_horizon import Actuators, Plan, RecedingController, Weights, _stages
 
 __all__ = ["Mpcc", "MpccSettings"]
 

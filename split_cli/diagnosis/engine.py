@@ -10,6 +10,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.parallel import together
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
 from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
@@ -27,7 +28,6 @@ from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, InputFile, RemainderTest
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
-from split_cli.diagnosis.together import together
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import smallest_named
 from split_cli.diagnosis.verdict.findings import describe, is_autocorrelated, with_shares

@@ -10,7 +10,7 @@ import numpy as np
 
 from split_cli import __version__
 from split_cli.learning.training_set import TrainingSet
-from split_cli.scoring.reservations import reservations
+from split_cli.scoring.export_warnings import reservations
 from split_cli.vehicle.parameters import vehicle_to_mapping
 
 __all__ = ["CONVENTIONS", "Provenance", "content_digest", "provenance_of"]
@@ -44,7 +44,7 @@ class Provenance:
     horizon: float  # label interval h [s]
     predictor: str
     version: str = __version__  # of split
-    reservations: tuple[str, ...] = ()  # where the correction may do harm, `scoring.reservations`
+    reservations: tuple[str, ...] = ()  # where the correction may do harm, `scoring.export_warnings`
     memory: dict[str, Any] | None = None  # states of the step beyond the first eight, as `Memory.told` has it
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 
 from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import Drive
-from split_cli.proof.library import Library, build_library
+from split_cli.proof.baseline_regressors import Library, build_library
 from split_cli.proof.outcome import Named, Statement
 from split_cli.proof.windows import FIRST, HORIZON, window_errors
 from split_cli.vehicle.parameters import Vehicle

@@ -9,9 +9,9 @@ from scipy.special import ndtri, stdtrit
 
 from split_cli.learning.running_width import RunningWidth
 from split_cli.learning.training_set import TrainingSet
-from split_cli.scoring.belonging import near_points
 from split_cli.scoring.report import IntervalShares
 from split_cli.scoring.run import Trace
+from split_cli.scoring.vehicle_match import near_points
 from split_cli.scoring.verdict import STATES, number_blocks
 
 __all__ = ["interval_shares", "interval_warnings", "too_narrow"]

@@ -101,7 +101,7 @@ class IntervalShares:
     # name, features: of the predictor.
     name: str
     features: str
-    near: bool  # whether these samples lie within a length scale of a point (`belonging.near_points`)
+    near: bool  # whether these samples lie within a length scale of a point (`vehicle_match.near_points`)
     samples: int
     share: float  # of all test samples [1]
     # coverage_50, coverage_90, coverage_95: (3,): observed share of labels inside the central intervals, of v_x,

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.parallel import handing_out
 from split_cli.diagnosis.remainder.location import FORCES
 from split_cli.diagnosis.statement.document import VEHICLES, diagnosis_to_text, vehicle_name
 from split_cli.diagnosis.statement.improvement import Improvement
 from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, InputFile
 from split_cli.diagnosis.statement.sentences import not_accepted
-from split_cli.diagnosis.together import handing_out
 from split_cli.files import atomic_directory, refuse_what_cannot_be_a_folder, sha256_of_file, write_digests
 from split_cli.learning.features import Z2
 from split_cli.learning.label_file import label_columns

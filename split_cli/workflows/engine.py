@@ -17,7 +17,7 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-from split_cli.diagnosis.together import cores, use_threads
+from split_cli.diagnosis.parallel import cores, use_threads
 from split_cli.errors import SplitError
 
 __all__ = ["HERE", "Engine", "open_engine"]

@@ -33,11 +33,11 @@ from split_cli.scoring.evaluation import (
 )
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, informative_sets
-from split_cli.scoring.followed import FollowedPredictor
 from split_cli.scoring.intervals import interval_shares, interval_warnings
 from split_cli.scoring.report import Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
+from split_cli.scoring.running_trust_on_drive import FollowedPredictor
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from split_cli.scoring.torque_lag import Prepared, decide, found_lag, lag_note
 from split_cli.scoring.verdict import (

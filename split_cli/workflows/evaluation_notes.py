@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import unstated_inputs
 from split_cli.prediction import PREDICTORS
-from split_cli.scoring.belonging import share_beyond
 from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
 from split_cli.scoring.evidence import MOST_ROWS
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, EvaluationSettings
 from split_cli.scoring.run import DRAWN_ROWS
+from split_cli.scoring.vehicle_match import share_beyond
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
 

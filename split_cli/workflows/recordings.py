@@ -9,7 +9,7 @@ from split_cli.errors import DriveError
 from split_cli.learning.features import recording_of
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import TrackReference, build_reference, track_position
-from split_cli.scoring.belonging import belonging
+from split_cli.scoring.vehicle_match import belonging
 from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.parameters import Vehicle
 

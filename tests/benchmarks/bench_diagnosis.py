@@ -15,7 +15,7 @@ import pickle
 import time
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.together import use_threads
+from split_cli.diagnosis.parallel import use_threads
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import driven, noisy_objective
 

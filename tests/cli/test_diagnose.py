@@ -42,7 +42,7 @@ def run(monkeypatch, verdict: str, *options: str, watched: bool = False):
         return VERDICTS[verdict]
 
     monkeypatch.setattr(workflow, "diagnose_files", known)
-    monkeypatch.setattr("split_cli.cli.voice.is_watched", lambda: watched)
+    monkeypatch.setattr("split_cli.cli.verbosity.is_watched", lambda: watched)
     return CliRunner().invoke(group, ["diagnose", *ARGUMENTS, *options])
 
 

@@ -18,7 +18,7 @@ from split_cli.cli.digits import known_to, pair_known, plausible, three_digits
 from split_cli.cli.main import COMMANDS, group
 from split_cli.cli.manual import manual_page
 from split_cli.cli.settings import default_options
-from split_cli.cli.voice import Quiet, StepBar, print_notes
+from split_cli.cli.verbosity import Quiet, StepBar, print_notes
 from split_cli.errors import SplitError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -143,7 +143,7 @@ class TestVoice:
     @pytest.fixture
     def drawn(self, monkeypatch, capsys):
         """Return what a bar on a terminal shows last, each thing done at its time [s]."""
-        monkeypatch.setattr("split_cli.cli.voice.is_watched", lambda: True)
+        monkeypatch.setattr("split_cli.cli.verbosity.is_watched", lambda: True)
 
         def last_line(done: list[tuple[float, tuple]], **settings) -> str:
             now = [0.0]
@@ -174,7 +174,7 @@ class TestVoice:
         assert shown == "█████" + "░" * 15 + "  10 s, about 30 s left  fitting"
 
     def test_the_time_goes_on_between_steps_and_notes_stand_above(self, monkeypatch, capsys):
-        monkeypatch.setattr("split_cli.cli.voice.is_watched", lambda: True)
+        monkeypatch.setattr("split_cli.cli.verbosity.is_watched", lambda: True)
         with StepBar(2) as bar:
             bar("slow")
             time.sleep(1.3)

@@ -30,11 +30,11 @@ from split_cli.workflows.racing import driving
 from split_cli.workflows.racing.choice import FeatureChoice, choose_features, whether_learning_helped
 from split_cli.workflows.racing.driving import Race, next_deviation
 from split_cli.workflows.racing.entry import check_trusted
+from split_cli.workflows.racing.first_lap import blank_header, remembering
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.result import Lap
 from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
-from split_cli.workflows.racing.study import blank_header, remembering
 
 ROOT = Path(__file__).resolve().parents[2]
 CAR = str(ROOT / "sample_logs" / "road_car.yaml")

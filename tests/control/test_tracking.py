@@ -6,14 +6,14 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from split_cli.control import receding
+from split_cli.control import receding_horizon
 from split_cli.control.limits import Limits, slip_limit
 from split_cli.control.model import ControlModel
 from split_cli.control.mpc import Mpc, MpcSettings
 from split_cli.control.mpcc import Mpcc, MpccSettings
 from split_cli.control.path import contour_and_lag, resampled
 from split_cli.control.policy import ANEW, PATIENCE
-from split_cli.control.receding import Actuators, ControllerLost
+from split_cli.control.receding_horizon import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, ResidualValues
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.driving import Race
@@ -138,7 +138,7 @@ def test_a_first_plan_is_found_by_shorter_steps_where_whole_ones_lead_to_a_spin(
     """A road of half the grip: whole steps from the guess reach a plan about which nothing is solved."""
     (wet,) = PLAN.chosen(("wet-nominal-0",))
     with monkeypatch.context() as patch:
-        patch.setattr(receding, "FIRST_STEPS", (1.0,))
+        patch.setattr(receding_horizon, "FIRST_STEPS", (1.0,))
         with pytest.raises(ControllerLost, match="no plan was found"):
             Race(wet.settings, CAR, None, print).begin()
     race = Race(wet.settings, CAR, None, print)

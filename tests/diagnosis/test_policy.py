@@ -92,12 +92,12 @@ BESIDE_THEIR_ALGORITHM = {
     "search/candidates.py": {"_NEAR"},
     "search/fitting.py": {"_ITERATIONS", "_JOINT_ITERATIONS", "_REFRESHES", "_LEAST_GAIN", "_PLACES", "_BENT"},
     "search/joint.py": {"_NEAR_NONE", "_NO_EFFECT", "_TRIED"},
-    "search/partly.py": {"_MOST_BLOCKS"},
-    "search/running.py": {"_TINY"},
+    "search/parts_of_drive.py": {"_MOST_BLOCKS"},
+    "search/variant_choice.py": {"_TINY"},
     # Memory: what is not held is worked out anew, see test_exploration.py.
     "search/exploration.py": {"Explorer.held"},
     # How many threads run.
-    "together.py": {"_MOST", "_threads"},
+    "parallel.py": {"_MOST", "_threads"},
     # How many ways of driving there are, and when the report says a word of what has been found.
     "engine.py": {"_WAYS"},
     "statement/improvement.py": {"NORMAL_95", "_SHOWS"},

@@ -16,7 +16,7 @@ from split_cli.export.verify import verify_folder
 from split_cli.files import sha256_of_file
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.prediction import make_predictor
-from split_cli.scoring.reservations import reservations
+from split_cli.scoring.export_warnings import reservations
 from split_cli.workflows.export import export_set
 from split_cli.workflows.verifying.verify import verify_set
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from split_cli.proof.baseline_regressors import Library, greedy_selection
 from split_cli.proof.baselines import Regression, greedy_bic, sequentially_thresholded, stlsq
-from split_cli.proof.library import Library, greedy_selection
 from tests.optional import needed
 
 

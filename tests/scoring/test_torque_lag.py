@@ -14,8 +14,8 @@ from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, DriveMetadata, write_drive
 from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence
+from split_cli.scoring.export_warnings import reservations
 from split_cli.scoring.report import EvaluationSettings
-from split_cli.scoring.reservations import reservations
 from split_cli.scoring.torque_lag import fit_torque_lag, lag_note
 from split_cli.scoring.trust import best_trust
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle

@@ -18,8 +18,8 @@ from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import build_grid
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
+from split_cli.workflows.racing.first_lap import blank_header
 from split_cli.workflows.racing.settings import LEARNING
-from split_cli.workflows.racing.study import blank_header
 
 BLOCKS = 5
 _LAG = EffectSpec("feature_lag", {"tau": 0.08})

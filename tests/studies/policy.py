@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.parallel import use_threads
 from split_cli.diagnosis.policy import STANDARD, Policy, deciding_numbers
 from split_cli.diagnosis.statement.document import diagnosis_to_text
-from split_cli.diagnosis.together import use_threads
 from split_cli.errors import SplitError
 from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import read_vehicle

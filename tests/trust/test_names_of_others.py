@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from split_cli.cli.voice import Shown
+from split_cli.cli.verbosity import Shown
 from split_cli.errors import spreadsheet_text
 from split_cli.vehicle.parameters import write_vehicle
 from tests.factories import road_car

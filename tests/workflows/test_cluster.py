@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 from split_cli.cli.main import group
 from split_cli.diagnosis.engine import diagnose
+from split_cli.diagnosis.parallel import handing_out
 from split_cli.diagnosis.policy import STANDARD
-from split_cli.diagnosis.together import handing_out
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from tests.factories import MissingForce, make_drive, road_car

@@ -11,11 +11,11 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_sh
 from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, learn_discrepancy
+from split_cli.diagnosis.parallel import together
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
-from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 

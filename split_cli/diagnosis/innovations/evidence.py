@@ -9,9 +9,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
+from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener
 from split_cli.diagnosis.policy import STANDARD, Believing
-from split_cli.diagnosis.recent import Recent
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle

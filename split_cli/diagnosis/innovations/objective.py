@@ -16,11 +16,11 @@ from scipy.linalg import solve_triangular
 from split_cli.diagnosis.baseline.body import alters_body, moved_axles, moves_axles, with_cg_ahead
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.baseline.tires import alters_tires
+from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
-from split_cli.diagnosis.recent import Recent
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import values_of
 from split_cli.vehicle.effects import Term

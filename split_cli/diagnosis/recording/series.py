@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.recent import Recent
+from split_cli.diagnosis.cache import Recent
 from split_cli.logs.assembling.dead_reckoning import TOGETHER, TOLERANCE
 from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import INPUT_CHANNELS, Drive

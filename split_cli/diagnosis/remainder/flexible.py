@@ -11,8 +11,8 @@ import numpy as np
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, scaled_features, spread
 from split_cli.diagnosis.innovations.effect_to_noise import windowed
 from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence, integrated
+from split_cli.diagnosis.parallel import together
 from split_cli.diagnosis.recording.series import Series
-from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 

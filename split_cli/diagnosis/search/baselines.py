@@ -30,9 +30,9 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
-from split_cli.diagnosis.search.running import with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms
 from split_cli.diagnosis.search.term_tests import term_p, witnessed_p
+from split_cli.diagnosis.search.variant_choice import with_variants_that_run
 from split_cli.diagnosis.statement.separation import exact_mimics
 
 __all__ = ["SearchOutcome", "ends_beyond", "search", "search_again", "settled"]

@@ -22,6 +22,7 @@ from split_cli.diagnosis.innovations.objective import (
     build_objective,
     learn_discrepancy,
 )
+from split_cli.diagnosis.parallel import apart, together
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
@@ -29,8 +30,7 @@ from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelati
 from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.partly import most_saved
-from split_cli.diagnosis.together import apart, together
+from split_cli.diagnosis.search.parts_of_drive import most_saved
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["SelfTest", "self_test"]

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 
+from split_cli.diagnosis.parallel import together
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fits_without, sensitivity_of, tangent
@@ -14,7 +15,6 @@ from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_
 from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
 from split_cli.diagnosis.search.joint import promised_without, without_needless
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
-from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = [

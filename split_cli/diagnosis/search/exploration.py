@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
+from split_cli.diagnosis.parallel import apart_with, together
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
@@ -24,7 +25,6 @@ from split_cli.diagnosis.search.fitting import (
 )
 from split_cli.diagnosis.search.form_error import free_to_form_error, saved_beside_form_error
 from split_cli.diagnosis.statement.separation import look_alike
-from split_cli.diagnosis.together import apart_with, together
 
 __all__ = ["Explorer", "nearest_start"]
 

@@ -9,8 +9,8 @@ from types import MappingProxyType
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
+from split_cli.diagnosis.parallel import apart_with
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.together import apart_with
 from split_cli.vehicle.descent import Slopes, descend
 from split_cli.vehicle.effects import Term
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.parallel import apart_with
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import (
@@ -24,7 +25,6 @@ from split_cli.diagnosis.search.fitting import (
     fits_without,
     sensitivity_of,
 )
-from split_cli.diagnosis.together import apart_with
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["all_at_once", "cheapest_first", "promised_by_all", "promised_without", "without_needless"]

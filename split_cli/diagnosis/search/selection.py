@@ -32,7 +32,7 @@ from split_cli.diagnosis.search.forward import (
     sizes_with_form_error,
 )
 from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, promised_by_all
-from split_cli.diagnosis.search.partly import ActingPart, strongest_part
+from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_part
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     is_apart_from_itself,

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.optimize import brentq
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
+from split_cli.diagnosis.parallel import apart
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit, Part, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
-from split_cli.diagnosis.together import apart
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE, Term
 

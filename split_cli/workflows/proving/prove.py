@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from split_cli.diagnosis.together import use_threads
+from split_cli.diagnosis.parallel import use_threads
 from split_cli.errors import SplitError
 from split_cli.files import atomic_write_text
 from split_cli.logs.drive import read_drive

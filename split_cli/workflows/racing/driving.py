@@ -24,7 +24,7 @@ from split_cli.control.policy import (
     SIZE,
     TORQUE_RATE,
 )
-from split_cli.control.receding import Actuators, ControllerLost, StepInfo
+from split_cli.control.receding_horizon import Actuators, ControllerLost, StepInfo
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
 from split_cli.learning.features import parse_features
@@ -46,9 +46,9 @@ from split_cli.workflows.racing.entry import (
     check_trusted,
     find_path,
 )
+from split_cli.workflows.racing.first_lap import blank_header, make_learner, remembering, studied_header
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import RaceSettings
-from split_cli.workflows.racing.study import blank_header, make_learner, remembering, studied_header
 from split_cli.workflows.racing.tally import Tally
 
 __all__ = ["Race", "next_deviation"]

@@ -12,10 +12,10 @@ import numpy as np
 from split_cli.errors import SplitError, nearest_names
 from split_cli.files import atomic_path, atomic_write_text
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from split_cli.workflows.racing.first_lap import PAST_TERM
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
-from split_cli.workflows.racing.study import PAST_TERM
 
 __all__ = ["PAST_FEATURES", "PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]
 

@@ -16,7 +16,7 @@ from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpc import Mpc, MpcSettings, SpeedController
 from split_cli.control.path import contour_and_lag
 from split_cli.control.policy import P_LONG, SHARE_LEARNED
-from split_cli.control.receding import Actuators, ControllerLost
+from split_cli.control.receding_horizon import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, PredictorResidual, Residual
 from split_cli.control.scenarios import Scenario, build_scenario, cones_hit
 from split_cli.errors import SplitError
@@ -33,8 +33,8 @@ from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
 from split_cli.workflows.racing.entry import check_car, check_predictor, check_trusted
+from split_cli.workflows.racing.first_lap import remembering
 from split_cli.workflows.racing.settings import AUTO, predictor_for
-from split_cli.workflows.racing.study import remembering
 
 __all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]
 

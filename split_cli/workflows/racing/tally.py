@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from split_cli.control.learner import Learned
-from split_cli.control.receding import StepInfo
+from split_cli.control.receding_horizon import StepInfo
 from split_cli.workflows.racing.result import Lap
 
 __all__ = ["Tally"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.errors import DriveError
-from split_cli.scoring.belonging import belonging, share_beyond
+from split_cli.scoring.vehicle_match import belonging, share_beyond
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.workflows.recordings import vehicle_doubts
 from tests.factories import make_drive, make_training_set, road_car

@@ -7,8 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
+from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.innovations.evidence import motion
-from split_cli.diagnosis.recent import Recent
 from split_cli.diagnosis.recording.series import extended_model
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.effects.recording import over_samples

@@ -1,4 +1,4 @@
-"""A small memory of what was worked out last, for values that a search comes back to."""
+"""A cache of the last few results, for values that a search comes back to."""
 
 from __future__ import annotations
 

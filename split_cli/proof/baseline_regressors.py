@@ -1,4 +1,4 @@
-"""Regressors of the baselines: a small size of every term, as its 0.05 s prediction error.
+"""Regressors of the baseline methods: a small size of every term, as its 0.05 s prediction error.
 
 It is what baselines select from, and by what it is told how much of a strange effect the catalogue can absorb.
 """

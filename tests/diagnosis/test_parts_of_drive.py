@@ -7,7 +7,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.witnesses import build_witnesses
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.partly import most_saved, parts_of_drive, strongest_part
+from split_cli.diagnosis.search.parts_of_drive import most_saved, parts_of_drive, strongest_part
 from split_cli.diagnosis.search.selection import nothing
 from tests.diagnosis.recordings import (
     bare_objective,

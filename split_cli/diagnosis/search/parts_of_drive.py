@@ -16,11 +16,11 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.parallel import together
 from split_cli.diagnosis.remainder.structure import minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Part, Tangent
 from split_cli.diagnosis.statement.result import ParameterEstimate
-from split_cli.diagnosis.together import together
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["ActingPart", "PartReading", "Parts", "most_saved", "parts_of_drive", "strongest_part"]

@@ -1,4 +1,4 @@
-"""Where the correction of a set may do harm: what every export of it says."""
+"""Warnings that every export of a trained set carries: where its correction may do harm."""
 
 from __future__ import annotations
 

@@ -7,8 +7,8 @@ import threading
 import numpy as np
 import pytest
 
-from split_cli.diagnosis import together as module
-from split_cli.diagnosis.together import apart_with, handing_out, together, use_threads
+from split_cli.diagnosis import parallel as module
+from split_cli.diagnosis.parallel import apart_with, handing_out, together, use_threads
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import driven, noisy_objective
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.search.running as running
+import split_cli.diagnosis.search.variant_choice as running
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors
 from split_cli.diagnosis.remainder.flexible import flexible_rows
@@ -13,8 +13,8 @@ from split_cli.diagnosis.remainder.structure import Structure, build_structure
 from split_cli.diagnosis.search.candidates import Range
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.running import free_running_errors, with_variants_that_run
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms, with_chosen
+from split_cli.diagnosis.search.variant_choice import free_running_errors, with_variants_that_run
 from tests.diagnosis.recordings import candidates_of
 from tests.diagnosis.test_selection import objective_of, planted
 

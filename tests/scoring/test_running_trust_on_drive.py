@@ -14,8 +14,8 @@ from split_cli.logs.drive import Drive
 from split_cli.prediction import Predictor, make_predictor
 from split_cli.scoring.application import predict_rows
 from split_cli.scoring.evaluation import HeldOutSamples, rollout_trajectories
-from split_cli.scoring.followed import FollowedPredictor
 from split_cli.scoring.rollouts import score_rollouts
+from split_cli.scoring.running_trust_on_drive import FollowedPredictor
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
 from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import MissingForce, make_drive, road_car

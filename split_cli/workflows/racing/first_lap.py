@@ -1,4 +1,4 @@
-"""What is fixed after lap 0 of a race: grid, kernel and learner."""
+"""What a race fixes after its first lap, lap 0: grid, kernel and learner."""
 
 from __future__ import annotations
 
