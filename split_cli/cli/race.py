@@ -72,7 +72,8 @@ __all__ = ["command"]
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
 @click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share in lap 0. Each clean lap "
-              f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse. With --learner none it is at "
+              f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse, and less on a track that is too "
+              "narrow for the margin. With --learner none it is at "
               f"most {SHARE_NOMINAL} if the vehicle file assumes the tyres' peaks. [default: --p-ellipse; else "
               f"{SHARE_LEARNED} if the vehicle file knows the peaks from data, "
               f"{SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes them].")  # fmt: skip

@@ -340,7 +340,7 @@ class RecedingController(ABC):
         input uncertainty left out). `deviation` comes on top; together they take at most half the room.
         """
         inside = np.full(self.horizon, self.half_width)
-        room = ROOM_SHARE * np.maximum(np.minimum(point.left, point.right) - self.half_width, 0.0)
+        room = self.room(point)
         if not self.tightening:
             return inside + np.minimum(self.deviation, room)
         n, step = self.n_model, self.model.step
@@ -352,6 +352,10 @@ class RecedingController(ABC):
             across = np.array([np.sin(point.direction[k]), -np.cos(point.direction[k])])
             deviation[k] = np.sqrt(max(across @ spread[:2, :2] @ across, 0.0))
         return inside + np.minimum(self.tightening * deviation + self.deviation, room)
+
+    def room(self, point: PathPoint) -> np.ndarray:
+        """Return by how much more than `half_width` the borders can be moved in at places of the line [m]."""
+        return ROOM_SHARE * np.maximum(np.minimum(point.left, point.right) - self.half_width, 0.0)
 
     @property
     def _shift_of_load(self) -> np.ndarray | float:

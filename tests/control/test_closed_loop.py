@@ -35,6 +35,7 @@ from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.result import Lap
 from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
+from split_cli.workflows.racing.tally import Tally
 
 ROOT = Path(__file__).resolve().parents[2]
 CAR = str(ROOT / "sample_logs" / "road_car.yaml")
@@ -86,7 +87,8 @@ def test_a_clean_lap_lets_the_next_one_use_a_step_more_of_the_peak():
     """From 0.75 of an assumed peak to 0.95 with a learner, to 0.85 without; a lap off the track raises nothing."""
     for learner, shares in (("split", (0.85, 0.95, 0.95)), ("none", (0.85, 0.85, 0.85))):
         race = Race(RaceSettings(learner=learner), read_vehicle(CAR), None, lambda text: None)
-        race.controller = SimpleNamespace(limits=replace(race.mpcc.limits, p_ellipse=first_share(race.vehicle)))
+        limits = replace(race.mpcc.limits, p_ellipse=first_share(race.vehicle))
+        race.controller = SimpleNamespace(limits=limits, deviation=0.8, room=lambda point: np.full(2, 1.4))
         race.laps = [SimpleNamespace(clean=False)]
         race._raise_share()
         assert race.controller.limits.p_ellipse == pytest.approx(0.75)
@@ -94,6 +96,10 @@ def test_a_clean_lap_lets_the_next_one_use_a_step_more_of_the_peak():
         for share in shares:
             race._raise_share()
             assert race.controller.limits.p_ellipse == pytest.approx(share)
+    # Where the track leaves room for a fourth of the margin, the step is a fourth, too.
+    race.controller = SimpleNamespace(limits=limits, deviation=0.8, room=lambda point: np.array([1.4, 0.2]))
+    race._raise_share()
+    assert race.controller.limits.p_ellipse == pytest.approx(0.775)
 
 
 def test_lap_0_chooses_what_is_learned():
@@ -121,12 +127,12 @@ def test_a_choice_is_undecided_within_one_standard_error(monkeypatch, behind, un
 def test_the_race_says_whether_learning_helped():
     def driven(number, time, outside=0.0, share=0.75):
         return SimpleNamespace(number=number, time=time, outside=outside, clean=outside == 0.0, share=share,
-                               error_after=(0.2, 0.1, 0.3), error_before=(0.4, 0.4, 0.4))  # fmt: skip
+                               margin=1.1, error_after=(0.2, 0.1, 0.3), error_before=(0.4, 0.4, 0.4))  # fmt: skip
 
     # Lap 0 is driven carefully, and a verdict that knows no other lap of the nominal model says so.
     laps = [driven(0, 40.0), driven(1, 38.0, share=0.85)]
     helped = whether_learning_helped(laps, RaceSettings())
-    assert "38.00 s, 5.0 % less than lap 0" in helped and "held to 0.75" in helped and "to 0.85 in" in helped
+    assert "38.00 s, 5.0 % less than lap 0" in helped and "held to 0.75" in helped and "to 0.85" in helped
 
     def without(*laps):
         return SimpleNamespace(learner="none", laps=laps)
@@ -200,12 +206,14 @@ def test_a_choice_that_later_laps_turn_learns_all_laps_as_if_it_had_been_made_at
 
 
 def test_the_margin_is_what_the_lap_before_has_needed():
-    # The plan kept 1.1 m and the car had 0.4 m left: 0.7 m were needed.
+    tally, info = Tally(1, 0, 0.85), SimpleNamespace(solved=True, solver_seconds=0.0, total_seconds=0.0)
+    # The plan kept 1.1 m and the car had 0.4 m left: 0.7 m were needed. Where the track is narrow, it kept 0.5 m.
+    for beyond, kept in ((-1.1, 1.1), (-0.4, 1.1), (0.1, 0.5)):
+        tally.add((), beyond, kept, info)
+    assert (tally.beyond, tally.margin) == (0.1, 0.5)
+    assert next_deviation(0.8, tally.needed) == pytest.approx(0.7)
     # Had it kept to its plan, 0.8 of 0.8 m stay.
-    assert next_deviation(0.8, 1.1, -0.4) == pytest.approx(0.7)
-    assert next_deviation(0.8, 1.1, -1.1) == pytest.approx(0.64)
-    # A car that was off the track needed more than it was given.
-    assert next_deviation(0.8, 1.1, 0.1) == pytest.approx(1.2)
+    assert next_deviation(0.8, 0.0) == pytest.approx(0.64)
 
 
 def test_a_small_car_keeps_lengths_in_proportion_and_its_plans_to_its_actuators():

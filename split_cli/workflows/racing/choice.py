@@ -104,8 +104,11 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
             f"({rival.time:.2f} s)."
         )
         if rival is laps[0]:
-            held = f"{rival.share:.2f} of the peak force there by choice, and to {best.share:.2f} in the best lap"
-            sentence += f" The plan was held to {held}. So this is not the gain of learning alone"
+            there, then = (f"{lap.share:.2f} of the peak force and {lap.margin:.2f} m" for lap in (rival, best))
+            sentence += (
+                f" There the plan was held to {there} from the border by choice, and to {then} in the best lap. "
+                "So this is not the gain of learning alone"
+            )
             # Where a nominal controller drove and no lap of it was clean, there is no other rival.
             sentence += "." if nominal else f", which `--learner none --learner {settings.learner}` shows."
         return sentence

@@ -64,24 +64,23 @@ LEFT_BEHIND = 1.0
 """A car whose whole width and this much more [m] is beyond the border has left the track, and its lap ends."""
 
 
-def next_deviation(before: float, margin: float, beyond: float) -> float:
+def next_deviation(before: float, needed: float) -> float:
     """Return by how much more than the least margin the next lap's plan keeps to the border [m].
 
     Parameters
     ----------
     before : float
         What this lap's plan kept so [m].
-    margin : float
-        What this lap's plan kept to the border in all [m].
-    beyond : float
-        Farthest that a side of the car was beyond the border, negative within the track [m].
+    needed : float
+        By how much the car came nearer to the border than planned, at most [m]. Where the track leaves no room
+        for the whole margin, the plan kept less.
 
     Notes
     -----
-    The lap came nearer to the border than planned by `margin` + `beyond`, whether the model, noise or the price of
-    a soft border is at fault. `DEVIATION_KEPT` of what was kept stays in any case.
+    The model, noise or the price of a soft border may be at fault. `DEVIATION_KEPT` of what was kept stays in any
+    case.
     """
-    return max(margin + beyond, DEVIATION_KEPT * before)
+    return max(needed, DEVIATION_KEPT * before)
 
 
 class Race:
@@ -193,9 +192,11 @@ class Race:
         if self._drive(record=None) is None:
             bend = 1.0 / np.abs(self.path.curvature).max()
             lock = self.vehicle.wheelbase / np.tan(self.actuators.max_steer)
+            asks = "The nominal model asks" if self.begins_nominal else f"What {s.start_set} learned asks"
+            share = "--p-ellipse-lap0" if self.begins_nominal else "--p-ellipse"
             advice = (
-                "The nominal model asks for more than the road gives: lower --p-ellipse-lap0 or --max-speed, or "
-                "tell the grip by --assumed-friction."
+                f"{asks} for more than the road gives: lower {share} or --max-speed, or tell the grip by "
+                "--assumed-friction."
             )
             if bend < lock:
                 advice = f"Full lock gives a radius of {lock:.1f} m, and the tightest bend has {bend:.1f} m."
@@ -253,12 +254,19 @@ class Race:
         self.controller.model = self.model
 
     def _raise_share(self) -> None:
-        """Let the next lap use more of the peak, by one step at most, where the last one was clean."""
-        limits, most = self.controller.limits, self.mpcc.limits.p_ellipse
+        """Let the next lap use more of the peak, by one step at most, where the last one was clean.
+
+        A narrow track leaves no room for the whole margin; then the step is as much smaller as the margin is.
+        """
+        controller, most = self.controller, self.mpcc.limits.p_ellipse
+        limits = controller.limits
         if self.begins_nominal and self.settings.learner == "none":
             most = max(nominal_share(self.vehicle), limits.p_ellipse)
-        share = limits.p_ellipse + (SHARE_STEP if self.laps[-1].clean else 0.0)
-        self.controller.limits = replace(limits, p_ellipse=min(share, most))
+        step = 0.0
+        if self.laps[-1].clean:
+            room = float(controller.room(self.path.at(np.arange(len(self.path.x)) * self.path.spacing)).min())
+            step = SHARE_STEP * min(1.0, room / controller.deviation if controller.deviation else 1.0)
+        controller.limits = replace(limits, p_ellipse=min(limits.p_ellipse + step, most))
 
     def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
         """Move the tyres' peaks to where labels tell them."""
@@ -277,8 +285,7 @@ class Race:
 
     def _lap(self, number: int) -> None:
         controller = self.controller
-        margin = controller.half_width - 0.5 * self.width + controller.deviation
-        tally = Tally(number, len(self.world.rows) - 1, margin, controller.limits.p_ellipse)
+        tally = Tally(number, len(self.world.rows) - 1, controller.limits.p_ellipse)
         self.learner.begin_lap(f"lap {number}", self.world.t)
         begin = self.crossing
         self.lines += 1
@@ -293,7 +300,7 @@ class Race:
         self.traces.append(np.array(tally.trace))
         outside = self.laps[-1].outside
         self.say(f"lap {number}: " + (f"{time:.2f} s, {outside:.2f} m outside" if time else self.ended))
-        controller.deviation = next_deviation(controller.deviation, margin, tally.beyond)
+        controller.deviation = next_deviation(controller.deviation, tally.needed)
         self.spans[number] = (tally.first, len(world.rows))
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
@@ -321,10 +328,10 @@ class Race:
                 self.ended = f"{error} at {s % self.path.length:.0f} m"
                 return None
             s = self.path.project(*world.exact[:2], before + world.exact[3] * h, reach=8.0)
-            contour, beyond = self._beyond(s)
+            contour, beyond, kept = self._beyond(s)
             if record is not None:
                 row = (world.t, s, *world.exact, *world.truth[-1][7:9], contour)
-                record.add(row, beyond, info)
+                record.add(row, beyond, kept, info)
             if world.spun:
                 self.ended = f"the car spun at {s % self.path.length:.0f} m"
             elif beyond > self.width + LEFT_BEHIND:
@@ -337,12 +344,16 @@ class Race:
                 self.crossing = t_before + h * (self.until - before) / (s - before)
                 return self.crossing
 
-    def _beyond(self, s: float) -> tuple[float, float]:
-        """Return the contour error [m] and how far a side of the car is beyond the border [m], negative within."""
+    def _beyond(self, s: float) -> tuple[float, float, float]:
+        """Return the contour error, how far a side of the car is beyond the border, negative within, and what
+        plans keep there [m].
+        """
+        controller, half = self.controller, 0.5 * self.width
         point = self.path.at(np.array([s]))
         x, y = self.world.exact[:2]
         contour = float(contour_and_lag(point, np.array([x]), np.array([y]))[0][0])
-        return contour, float(max(contour - point.right[0], -contour - point.left[0]) + 0.5 * self.width)
+        kept = controller.half_width - half + min(controller.deviation, float(controller.room(point)[0]))
+        return contour, float(max(contour - point.right[0], -contour - point.left[0]) + half), kept
 
     def _interval(self, record: Tally | None) -> StepInfo:
         """Plan the interval after the next one while the car drives the next, then learn what came of it."""

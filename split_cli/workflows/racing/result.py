@@ -42,7 +42,7 @@ class Lap:
     # was not computed.
     motion_before: tuple[float, ...] = (0.0, 0.0, 0.0)
     motion_after: tuple[float, ...] = (0.0, 0.0, 0.0)
-    margin: float = 0.0  # kept from the car's side to the border in the plan [m]
+    margin: float = 0.0  # kept from the car's side to the border in the plan, where the track is narrowest [m]
     share: float = 0.0  # of the peak force that the plan might use [1]
 
     @property

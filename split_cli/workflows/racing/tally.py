@@ -22,26 +22,27 @@ class Tally:
         Of the lap.
     first : int
         Row of the world's recording at which it begins.
-    margin : float
-        Kept from the car's side to the border in the plan [m].
     share : float
         Of the peak force that the plan might use [1].
     """
 
-    def __init__(self, number: int, first: int, margin: float, share: float) -> None:
-        self.number, self.first, self.margin, self.share = number, first, margin, share
+    def __init__(self, number: int, first: int, share: float) -> None:
+        self.number, self.first, self.share = number, first, share
         self.infos: list[StepInfo] = []
         self.learned: list[Learned] = []
         self.trace: list[tuple[float, ...]] = []
-        self.beyond = -np.inf
+        self.beyond = self.needed = -np.inf
+        self.margin = np.inf
 
-    def add(self, row: tuple[float, ...], beyond: float, info: StepInfo) -> None:
+    def add(self, row: tuple[float, ...], beyond: float, kept: float, info: StepInfo) -> None:
         """Take one interval: a row of `RaceResult.traces`, and how far the car was beyond the border [m].
 
-        Within the track that is negative.
+        Within the track that is negative. Plans `kept` so far from the border there [m].
         """
         self.infos.append(info)
         self.beyond = max(self.beyond, beyond)
+        self.needed = max(self.needed, kept + beyond)
+        self.margin = min(self.margin, kept)
         self.trace.append(row)
 
     def lap(self, time: float | None, truth: np.ndarray, size: int, cells: int, ended: str) -> Lap:
@@ -59,7 +60,7 @@ class Tally:
             step_ms=_times([info.total_seconds for info in self.infos]),
             update_ms=_times([entry.seconds for entry in self.learned]),
             failures=sum(not info.solved for info in self.infos), outside=max(self.beyond, 0.0), ended=ended,
-            motion_before=motion_before, motion_after=motion_after, margin=self.margin,
+            motion_before=motion_before, motion_after=motion_after, margin=self.margin if self.infos else 0.0,
             share=self.share,
         )  # fmt: skip
 
