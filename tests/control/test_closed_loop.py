@@ -24,6 +24,7 @@ from split_cli.learning.training_set import read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.plant.cars import F1TENTH_CAR, ROAD_CAR
+from split_cli.plant.dynamics import Surroundings
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
@@ -81,6 +82,31 @@ def test_two_laps_of_a_ring_are_driven_learned_and_written(tmp_path):
     recorded = read_drive(drive)
     assert recorded["t"][-1] - recorded["t"][0] == pytest.approx(nominal["time"] + learned["time"], abs=0.2)
     assert invoke("info", str(trained)).exit_code == 0
+
+
+@pytest.mark.parametrize("lost", ["ice", "solver"])
+def test_a_lap_that_is_lost_says_so_and_what_was_learned_is_kept(tmp_path, monkeypatch, lost):
+    drive, trained, whole = tmp_path / "ring.parquet", tmp_path / "ring.split", Race._lap
+
+    def lap(self, number):
+        if number == 1 and lost == "ice":
+            self.world._around = Surroundings(friction=0.1)
+        elif number == 1:
+            none = SimpleNamespace(solved=False, seconds=0.0)
+            monkeypatch.setattr(self.controller.programme, "solve", lambda data: none)
+        whole(self, number)
+
+    monkeypatch.setattr(Race, "_lap", lap)
+    done = invoke(
+        "race", "--vehicle", CAR, "--track", str(ring(tmp_path, 20.0, 12.0)), "--laps", "2", "--max-speed", "14",
+        "-o", str(drive), "--set", str(trained),
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    no_plan = "10 quadratic programmes in a row had no solution"
+    what = f"the car spun|the car left the track|{no_plan}" if lost == "ice" else no_plan
+    assert re.search(rf"lap 1 was not finished: ({what}) at \d+ m", done.output)
+    assert "Learning did not help" in done.output and "\n  2 " not in done.output
+    assert read_set(trained).size > 20 and len(read_drive(drive)["t"]) > 400
 
 
 def test_a_clean_lap_lets_the_next_one_use_a_step_more_of_the_peak():
