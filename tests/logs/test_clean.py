@@ -81,8 +81,8 @@ def test_a_clock_that_jumps_back_continues_behind_with_a_gap_in_all_channels_ali
 
 
 def test_a_few_late_messages_are_no_clock_jump():
-    time = np.arange(1000) * 0.01
-    time[[300, 301]] -= 1.0
+    late = [*range(200), *range(202, 302), 200, 201, *range(302, 1000)]  # they come 1 s behind their time
+    time = np.array(late) * 0.01
     joined, said = join_clock_resets({"vx": (series(time, time),)}, 0.1)
     assert said == () and joined["vx"][0].time is time
 
@@ -99,15 +99,35 @@ def test_too_little_left_is_an_error_that_says_what_was_dropped():
         clean_series(series(np.arange(5), [1, 2, np.nan, np.nan, np.nan]))
 
 
-@pytest.mark.parametrize("rows", [[0], [250], [100, 101, 102], [3, 250]])
-def test_stamps_far_ahead_of_all_that_follow_cost_their_rows_alone(rows):
-    """One wrong stamp among a thousand moved what followed behind it, where it shared one time and was dropped."""
+@pytest.mark.parametrize(
+    ("rows", "by"),
+    [([0], 1e17), ([250], 1e17), ([100, 101, 102], 1e17), ([3, 250], 1e17), ([250], -1.0), ([100, 101, 300], -50.0)],
+)
+def test_stamps_that_do_not_fit_those_around_them_cost_their_rows_alone(rows, by):
+    """One wrong stamp among a thousand moved what followed behind it; one too early was sorted to a wrong place."""
     time = np.arange(500) * 0.01
     wrong = time.copy()
-    wrong[rows] += 1e17
+    wrong[rows] += by
+    wrong[400] += 2.0  # and one more, of another kind
     joined, said = join_clock_resets({"vx": (series(wrong, time),), "r": (series(time, time, "r"),)}, 0.1)
     kept = np.isfinite(joined["vx"][0].time)
-    np.testing.assert_array_equal(np.flatnonzero(~kept), rows)
+    np.testing.assert_array_equal(np.flatnonzero(~kept), [*rows, 400])
     np.testing.assert_array_equal(joined["vx"][0].time[kept], time[kept])
     np.testing.assert_array_equal(joined["r"][0].time, time)
-    assert said == (f"{len(rows)} stamps far ahead of all that follow were left out",)
+    assert said == (f"{len(rows) + 1} stamps that fit neither those before nor behind were left out",)
+
+
+def test_each_jump_is_told_by_its_own_size():
+    clock = np.arange(900) * 0.01
+    for row in (300, 600):
+        clock[row:] -= 0.5
+    _, said = join_clock_resets({"vx": (series(clock, clock),)}, 0.1)
+    assert [text.split(":")[0] for text in said] == ["the clock jumps back by 0.490 s"] * 2
+
+
+def test_two_clocks_by_turns_are_no_clock():
+    """Sorted by such stamps, the rows of both would lie between each other: v_x was wrong by 0.75 m/s rms."""
+    time = np.arange(1000) * 0.01
+    time[::2] += 0.5
+    with pytest.raises(LogError, match=r"goes back by more than 0\.1 s 500 times in 1000 rows"):
+        join_clock_resets({"vx": (series(time, time),)}, 0.1)

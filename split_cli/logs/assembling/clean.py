@@ -19,6 +19,8 @@ __all__ = [
 ]  # fmt: skip
 
 _RESET_WINDOW = 10
+_BACK_SHARE = 0.05
+"""Of a clock's stamps that may lie far before the one before [1]; judgement: two clocks by turns make a half."""
 _DUPLICATE_SHARE = 1e-3
 _FAR_OUT = 3.0
 """Times the range of nine tenths of a signal, by which no motion leaves its neighbours for two samples [1]."""
@@ -59,13 +61,13 @@ def join_clock_resets(
     """Move what follows a backward clock jump behind what was before it, all channels by the same time.
 
     A few samples out of order are no jump: they are sorted later. A jump leaves at least `_RESET_WINDOW` samples
-    behind the clock's highest reading. A few stamps far ahead of all that follow are no jump either: they are left
-    out.
+    behind the clock's highest reading. A few stamps that fit neither those before nor those behind are no jump
+    either: they are left out.
 
     Raises
     ------
     LogError
-        If channels do not agree on how often the clock jumped.
+        If channels do not agree on how often the clock jumped, or one jumps again and again.
     """
     series, said = _without_stray_stamps(series, largest_step_back)
     clocks = {id(part.time): part.time for parts in series.values() for part in parts}
@@ -90,14 +92,15 @@ def join_clock_resets(
         key: np.split(np.arange(len(series[key[0]][key[1]].time)), found) for key, found in boundaries.items()
     }
     times = {key: series[key[0]][key[1]].time.copy() for key in boundaries}
+    shift = 0.0
     for era in range(1, eras):
         end = max(np.nanmax(times[key][pieces[key][era - 1]]) for key in pieces)
         start = min(np.nanmin(times[key][pieces[key][era]]) for key in pieces)
-        shift = end - start + 1.0
+        back, shift = end - shift - start, end - start + 1.0
         for key in pieces:
             times[key][pieces[key][era]] += shift
         said.append(
-            f"the clock jumps back by {end - start:.3f} s: what follows was moved behind it, as a new segment"
+            f"the clock jumps back by {back:.3f} s: what follows was moved behind it, as a new segment"
         )
     joined = {
         channel: tuple(replace(part, time=times[channel, index]) for index, part in enumerate(parts))
@@ -109,28 +112,61 @@ def join_clock_resets(
 def _without_stray_stamps(
     series: Mapping[str, Sequence[RawSeries]], largest_step_back: float
 ) -> tuple[dict[str, tuple[RawSeries, ...]], list[str]]:
-    """Return the series without the few stamps that alone make a clock seem to jump, and what was left out."""
-    clocks = {id(part.time): part.time for parts in series.values() for part in parts}
-    said, cleaned = [], dict(clocks)
-    for key, time in clocks.items():
-        resets = clock_resets(time, largest_step_back)
-        if not resets:
-            continue
-        finite = np.where(np.isfinite(time), time, np.inf)
-        lowest_behind = np.minimum.accumulate(finite[::-1])[::-1]
-        ahead = np.isfinite(time) & (time > lowest_behind + largest_step_back)
-        stray = np.zeros(len(time), dtype=bool)
-        for first, last in _runs(ahead):
-            stray[first:last] = last - first < _RESET_WINDOW
-        without = np.where(stray, np.nan, time)
-        if len(clock_resets(without, largest_step_back)) < len(resets):
-            cleaned[key] = without
-            said.append(f"{np.count_nonzero(stray)} stamps far ahead of all that follow were left out")
+    """Return the series without the few stamps that do not fit those around them, and what was left out.
+
+    Raises
+    ------
+    LogError
+        If a clock goes back so often that its stamps are of several clocks.
+    """
+    clocks = {id(part.time): (part.time, part.source) for parts in series.values() for part in parts}
+    said, cleaned = set(), {}
+    for key, (time, source) in clocks.items():
+        stray = _stray_stamps(time, largest_step_back)
+        cleaned[key] = np.where(stray, np.nan, time) if stray.any() else time
+        if stray.any():
+            said.add(f"{np.count_nonzero(stray)} stamps that fit neither those before nor behind were left out")
+        kept = cleaned[key][np.isfinite(cleaned[key])]
+        back = int(np.count_nonzero(np.diff(kept) < -largest_step_back))
+        if back > _BACK_SHARE * len(kept):
+            raise LogError(
+                f"the clock goes back by more than {largest_step_back:g} s {back} times in {len(kept)} rows",
+                where=source,
+                advice="Devices with clocks of their own may have written it. Choose another clock.",
+            )
     new = {
         channel: tuple(replace(part, time=cleaned[id(part.time)]) for part in parts)
         for channel, parts in series.items()
     }
-    return new, sorted(set(said))
+    return new, sorted(said)
+
+
+def _stray_stamps(time: np.ndarray, largest_step_back: float) -> np.ndarray:
+    """Flag fewer stamps in a row than a jump has, at whose place the others leave room for just so many, shape (N,).
+
+    A late message leaves no room where it stands, since it is missing where it belongs. At the beginning, stamps
+    ahead of what follows are flagged.
+    """
+    stray = np.zeros(len(time), dtype=bool)
+    rows = np.flatnonzero(np.isfinite(time))
+    step = np.diff(time[rows])
+    if not np.any(step < -largest_step_back):
+        return stray
+    typical = float(np.median(step[step > 0.0])) if np.any(step > 0.0) else 0.0
+    breaks = np.flatnonzero((step < 0.0) | (step > typical + largest_step_back))
+    first, last = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(rows) - 1]])
+    long = last - first + 1 >= _RESET_WINDOW
+    first, last = first[long], last[long]
+    if not len(first):
+        return stray
+    at = time[rows]
+    stray[rows[: first[0]]] = at[: first[0]] > at[first[0]] + largest_step_back
+    between = first[1:] - last[:-1] - 1
+    away = at[first[1:]] - at[last[:-1]]
+    fits = (away > (between + 0.5) * typical) & (away < (between + 1) * typical + largest_step_back)
+    for index in np.flatnonzero(fits & (between > 0) & (between < _RESET_WINDOW)):
+        stray[rows[last[index] + 1 : first[index + 1]]] = True
+    return stray
 
 
 def newest_first(time: np.ndarray) -> bool:
