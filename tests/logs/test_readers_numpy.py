@@ -83,6 +83,18 @@ def test_a_folder_of_arrays_is_one_recording_as_comma2k19_and_tartandrive_write_
     assert draft.of("r").sources[0].endswith(("angular.z", "angular_velocity.z"))
 
 
+def test_a_state_of_six_numbers_is_no_imu(tmp_path):
+    """BARC's laps: progress, offset, angle, v_x, v_y, r; the first three are 9 m long on the median."""
+    t, v, r, *_ = motion()
+    zero = np.zeros_like(t)
+    np.savetxt(tmp_path / "x.txt", np.column_stack([0.5 * t, zero, zero, v, zero, r]))
+    np.savetxt(tmp_path / "t.txt", t)
+    np.savetxt(tmp_path / "k.txt", r / v)
+    found = read(open_recording(tmp_path))
+    assert set(found) == {"t", "k", *(f"x[{k}]" for k in range(6))}
+    np.testing.assert_allclose(found["x[3]"].values, v)
+
+
 def test_texts_of_one_number_a_line_are_the_columns_of_one_table(tmp_path):
     """One text for each channel, as MATLAB's `save -ascii` writes a workspace; a remark is left out."""
     t, v, r, *_ = motion()

@@ -20,7 +20,7 @@ __all__ = ["is_array_folder", "is_npz", "open_array_folder", "open_npy", "open_n
 _MAGIC = b"\x93NUMPY"
 _MOST_FILES = 2000
 """Of a folder, looked at [1]; judgement: a car has some hundred sensors."""
-_HEAD_BYTES = 1024
+_HEAD_BYTES = 4096
 _MOST_BLANK = 0.01
 """Of the lines of a text, that may be no numbers [1]: a title and a remark."""
 _NO_NUMBERS = "Save vectors of numbers by their names: np.savez('log.npz', t=t, vx=vx, r=r)."
@@ -85,7 +85,7 @@ def is_array_folder(folder: Path) -> bool:
     """Whether a folder has a file for each array: arrays of NumPy, or two texts with one number a line."""
     files = list(itertools.islice((f for f in folder.rglob("*") if f.is_file()), _MOST_FILES))
     arrays = sum(f.suffix.lower() in (".npy", "") and _begins(f, len(_MAGIC)) == _MAGIC for f in files)
-    texts = (f for f in files if f.suffix.lower() == ".txt" and f.parent == folder and _is_column(f))
+    texts = (f for f in files if f.suffix.lower() == ".txt" and f.parent == folder and _width(f) == 1)
     return arrays > 0 or sum(1 for _ in itertools.islice(texts, 2)) == 2
 
 
@@ -118,8 +118,8 @@ def open_array_folder(folder: Path) -> RawRecording:
                     raise _damaged(file, error) from error
             objects += values is None
             leaves += _leaves(name, values)
-        elif file.suffix.lower() == ".txt" and (column := _column_of_text(file)) is not None:
-            leaves.append((name, column))
+        elif file.suffix.lower() == ".txt" and (numbers := _numbers_of_text(file)) is not None:
+            leaves.append((name, numbers))
         else:
             unread += 1
     notes = _notes(folder, objects)
@@ -136,31 +136,32 @@ def _begins(file: Path, count: int) -> bytes:
         return b""
 
 
-def _column_of_text(file: Path) -> np.ndarray | None:
-    """Return the numbers of a text with one a line, shape (N, 1), NaN for other lines; None if it is none."""
-    if not _is_column(file):
+def _numbers_of_text(file: Path) -> np.ndarray | None:
+    """Return the numbers of a text, parted by blanks, shape (N, K), NaN for other lines; None if it has none."""
+    width = _width(file)
+    if width == 0:
         return None
-    lines = file.read_bytes().split(b"\n")
-    lines = lines[:-1] if not lines[-1].strip() else lines
+    lines = file.read_bytes().strip().split(b"\n")
     try:
-        return np.array(lines, dtype=np.float64).reshape(-1, 1)
+        return np.array([line.split() for line in lines], dtype=np.float64)
     except ValueError:
-        values = np.array([float(line) if _is_number(line) else np.nan for line in lines])
-    return values.reshape(-1, 1) if np.mean(np.isnan(values)) < _MOST_BLANK else None
+        rows = [line.split() for line in lines]
+    blank = [np.nan] * width
+    values = np.array([[float(c) for c in row] if _are_numbers(row, width) else blank for row in rows])
+    return values if np.mean(np.isnan(values[:, 0])) < _MOST_BLANK else None
 
 
-def _is_column(file: Path) -> bool:
-    """Whether the first lines of a text, but for one title, hold one number each."""
-    lines = _begins(file, _HEAD_BYTES).split(b"\n")[:-1][:20]
-    return len(lines) > 2 and all(_is_number(line) for line in lines[1:])
+def _width(file: Path) -> int:
+    """Return how many numbers, parted by blanks, the first lines of a text have, but for one title; 0 for none."""
+    rows = [line.split() for line in _begins(file, _HEAD_BYTES).split(b"\n")[1:-1][:20]]
+    return len(rows[0]) if len(rows) > 1 and all(_are_numbers(row, len(rows[0])) for row in rows) else 0
 
 
-def _is_number(text: bytes) -> bool:
+def _are_numbers(cells: list[bytes], width: int) -> bool:
     try:
-        float(text)
+        return len([float(cell) for cell in cells]) == width
     except ValueError:
         return False
-    return True
 
 
 def _array(stream: BinaryIO, size: int, where: str) -> np.ndarray | None:

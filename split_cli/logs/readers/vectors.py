@@ -170,25 +170,32 @@ def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
         yield name, values.ravel()
         return
     along = values if values.shape[0] >= values.shape[1] else values.T
-    titles = _layout(along)
+    titles = _layout(name, along)
     for index in range(min(along.shape[1], _MOST_COLUMNS)):
         yield name + (titles[index] if titles else f"[{index}]"), set_aside(along[:, index].copy())
 
 
-def _layout(values: np.ndarray) -> list[str]:
+def _layout(name: str, values: np.ndarray) -> list[str]:
     """Return names of the columns of a message of ROS that was saved as a matrix; empty where it is none.
 
     nav_msgs/Odometry has 13 numbers, of which a unit quaternion stands behind the position. sensor_msgs/Imu
-    without its quaternion has 6: the three that read gravity are the accelerations.
+    without its quaternion has 6, and is called so: the three that read gravity are the accelerations.
     """
     finite = values[np.isfinite(values).all(axis=1)]
     if len(finite) < 20:
         return []
-    size = {k: float(np.median(np.linalg.norm(finite[:, k : k + 3], axis=1))) for k in (0, 3)}
     turn, push = ([f".{of}.{axis}" for axis in "xyz"] for of in ("angular_velocity", "linear_acceleration"))
     if values.shape[1] == 13 and np.ptp(np.linalg.norm(finite[:, 3:7], axis=1) - 1.0) < _UNIT:
         place = [f".pose.position.{axis}" for axis in "xyz"] + [f".pose.orientation.{axis}" for axis in "xyzw"]
         return place + [f".twist.linear.{axis}" for axis in "xyz"] + [f".twist.angular.{axis}" for axis in "xyz"]
-    if values.shape[1] == 6 and max(size.values()) == min(max(size.values()), 1.3 * _GRAVITY) > 0.7 * _GRAVITY:
-        return turn + push if size[3] > size[0] else push + turn
+    if values.shape[1] == 6 and "imu" in name.lower():
+        of_first, of_last = (np.linalg.norm(finite[:, k : k + 3], axis=1) for k in (0, 3))
+        if _reads_gravity(of_first) != _reads_gravity(of_last):
+            return push + turn if _reads_gravity(of_first) else turn + push
     return []
+
+
+def _reads_gravity(size: np.ndarray) -> bool:
+    """Whether half of the sizes of three accelerations are within a quarter of gravity [m/s^2], shape (N,)."""
+    low, high = np.quantile(size, [0.25, 0.75])
+    return bool(low > 0.75 * _GRAVITY and high < 1.25 * _GRAVITY)
