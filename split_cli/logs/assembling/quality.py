@@ -161,6 +161,10 @@ def render_quality(report: QualityReport) -> str:
     return "\n".join(lines)
 
 
+_WORTH_TELLING = 0.03
+"""Of the logarithm of a ratio that should be 1, from which on it is shown [1]."""
+
+
 def _verdict(found: Consistency) -> list[str]:
     """Return what the checks came to, faults first."""
     if found.findings:
@@ -168,6 +172,9 @@ def _verdict(found: Consistency) -> list[str]:
     if not found.relations:
         return ["the channels could not be checked against each other"] if found.unjudged else []
     held = f"{len(found.relations)} relations hold" if len(found.relations) > 1 else "1 relation holds"
+    # A scale within the tolerance is no finding, and the reader may know better what his sensors are worth.
+    off = [r for r in found.relations if abs(np.log(r.slope.slope)) > _WORTH_TELLING]
+    held += f" ({', '.join(f'{r.name} {r.slope.slope:.2f}' for r in off)})" if off else ""
     return [f"the channels fit together: {held}, {len(found.unjudged)} could not be judged"]
 
 

@@ -127,6 +127,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
              "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate}  # fmt: skip
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
+    suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
     suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
     suggestions = _in_pairs(without_the_tilted(suggestions))
     suggestions = [
@@ -173,6 +174,18 @@ def _as_course(s: Suggestion, verdict: Consistency, trial: Trial, chosen: Mappin
     if "course" not in {m.channel for m in named}:
         return s
     return replace(s, status="open", reason="by its name the direction of travel: yaw plus sideslip, not yaw")
+
+
+def _with_sideslip(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
+    """Judge a v_y that nothing else judges by the side-slip angle that agrees with it: size, and one sign."""
+    slip = next((s for s in suggestions if s.channel == "sideslip" and s.status == "judged"), None)
+    agrees = slip is not None and "sign is turned" not in slip.reason
+    return [
+        replace(s, status="judged", reason="v_y/v_x is the side-slip angle")
+        if agrees and s.channel == "vy" and s.status == "assumed"
+        else s
+        for s in suggestions
+    ]
 
 
 def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo]) -> Suggestion:
