@@ -190,7 +190,7 @@ def test_ticks_of_ten_microseconds_are_told_as_the_clock_and_not_as_four_scales(
 
 def test_files_of_other_programs_are_named_with_the_way_out(tmp_path):
     for name, head, told in (("a.zip", b"PK\x03\x04", "zip"), ("a.xrk", b"<hCNF", "RaceStudio"),
-                             ("a.ld", b"@", "i2"), ("a.ibt", b"\x02", "iRacing")):  # fmt: skip
+                             ("a.ld", b"@", "i2"), ("a.ibt", b"\x02", "of iRacing")):  # fmt: skip
         (tmp_path / name).write_bytes(head + bytes(64))
         with pytest.raises(LogError, match=told):
             open_recording(tmp_path / name)

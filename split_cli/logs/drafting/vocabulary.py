@@ -47,7 +47,7 @@ _WORDS: dict[str, str] = {
         "throttle thr thrt gas accelerator app tps fahrpedal gaspedal accelerateur acelerador acceleratore 油门"
     ),
     "pedal": "pedal ped 踏板",
-    "engine": "engine eng motor mot vesc gearbox transmission getriebe kurbelwelle 发动机 电机",
+    "engine": "engine eng motor mot mgu vesc gearbox transmission getriebe kurbelwelle 发动机 电机",
     "current": "current curr strom",
     "drive": "drive drv antrieb antriebs total sum axle axles powertrain net gesamt summe 总 驱动",
     "slip": "slip sideslip beta schwimm bodyslip 侧偏",

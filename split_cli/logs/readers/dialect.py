@@ -19,7 +19,7 @@ __all__ = [
 ]  # fmt: skip
 
 KNOWN_FORMATS = (
-    "Known are MCAP, rosbag2, ROS 1 bag, CSV, JSON lines, VBO, Parquet, Feather, MAT, NumPy, MF4, "
+    "Known are MCAP, rosbag2, ROS 1 bag, CSV, JSON lines, VBO, Parquet, Feather, MAT, NumPy, iRacing, MF4, "
     "and with --dbc also BLF, ASC, TRC and candump."
 )
 EMPTY_CELLS = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--")

@@ -13,6 +13,7 @@ from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
 from split_cli.logs.readers.guard import GuardedRecording, guarded
+from split_cli.logs.readers.ibt import is_ibt, open_ibt
 from split_cli.logs.readers.json_rows import is_json, open_json
 from split_cli.logs.readers.messages import Container, MessageRecording
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
@@ -51,7 +52,6 @@ _FOREIGN_MAGIC = (
 _OTHERS = {
     **dict.fromkeys((".xrk", ".xrz", ".drk"), ("an AiM recording", "Export it from RaceStudio as CSV.")),
     ".ld": ("a MoTeC log", "Export it from i2 as CSV or MAT."),
-    ".ibt": ("an iRacing telemetry file", "Export it as CSV, for instance through MoTeC i2."),
     ".rcz": ("a RaceChrono session", "Export it from the app as CSV v3."),
     ".tdms": ("a TDMS file", "Export it as CSV or MAT."),
     ".erg": ("a result of CarMaker", "Export it as CSV or MAT."),
@@ -63,7 +63,7 @@ _OTHERS = {
 _BINARY_SUFFIXES = {
     ".mcap": "an MCAP file", ".bag": "a ROS 1 bag", ".db3": "a rosbag2 database", ".parquet": "a Parquet file",
     ".feather": "a Feather file", ".arrow": "an Arrow file", ".mf4": "an MDF file", ".dat": "an MDF file",
-    ".mdf": "an MDF file", ".mat": "a MAT file",
+    ".mdf": "an MDF file", ".mat": "a MAT file", ".ibt": "telemetry of iRacing",
 }  # fmt: skip
 
 
@@ -74,8 +74,8 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     ----------
     path : path-like
         MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Racelogic .vbo, Parquet, Feather, MAT (v4, v5,
-        v7.3), NumPy (.npz, .npy, a folder of arrays), MF4, and logs of CAN frames (BLF, ASC, candump, TRC, MF4 bus
-        logging).
+        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, MF4, and logs of CAN frames (BLF, ASC,
+        candump, TRC, MF4 bus logging).
     message_paths : sequence of path-like
         Folders of ``.msg`` files, for message types that the recording does not define, and CAN databases.
 
@@ -190,6 +190,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         from split_cli.logs.readers.numpy_arrays import is_npz, open_npz
 
         return open_npz(path) if is_npz(path, head) else None
+    if path.suffix.lower() == ".ibt" and is_ibt(path, head):
+        return open_ibt(path)
     if is_pi_toolbox(head):
         return open_pi_toolbox(path)
     if is_json(head):
