@@ -86,7 +86,7 @@ def test_two_laps_of_a_ring_are_driven_learned_and_written(tmp_path):
 
 @pytest.mark.parametrize("lost", ["ice", "solver"])
 def test_a_lap_that_is_lost_says_so_and_what_was_learned_is_kept(tmp_path, monkeypatch, lost):
-    drive, trained, whole = tmp_path / "ring.parquet", tmp_path / "ring.split", Race._lap
+    drive, trained, whole = tmp_path / "ring.parquet", tmp_path / "ring.split", Race.drive_lap
 
     def lap(self, number):
         if number == 1 and lost == "ice":
@@ -96,7 +96,7 @@ def test_a_lap_that_is_lost_says_so_and_what_was_learned_is_kept(tmp_path, monke
             monkeypatch.setattr(self.controller.programme, "solve", lambda data: none)
         whole(self, number)
 
-    monkeypatch.setattr(Race, "_lap", lap)
+    monkeypatch.setattr(Race, "drive_lap", lap)
     done = invoke(
         "race", "--vehicle", CAR, "--track", str(ring(tmp_path, 20.0, 12.0)), "--laps", "2", "--max-speed", "14",
         "-o", str(drive), "--set", str(trained),

@@ -101,10 +101,17 @@ def test_too_little_left_is_an_error_that_says_what_was_dropped():
 
 @pytest.mark.parametrize(
     ("rows", "by"),
-    [([0], 1e17), ([250], 1e17), ([100, 101, 102], 1e17), ([3, 250], 1e17), ([250], -1.0), ([100, 101, 300], -50.0)],
+    [
+        ([0], 1e17),
+        ([250], 1e17),
+        ([100, 101, 102], 1e17),
+        ([3, 250], 1e17),
+        ([250], -1.0),
+        ([100, 101, 300], -50.0),
+    ],
 )
 def test_stamps_that_do_not_fit_those_around_them_cost_their_rows_alone(rows, by):
-    """One wrong stamp among a thousand moved what followed behind it; one too early was sorted to a wrong place."""
+    """One wrong stamp moved all that followed behind it; one too early was sorted to a wrong place."""
     time = np.arange(500) * 0.01
     wrong = time.copy()
     wrong[rows] += by

@@ -99,9 +99,7 @@ def join_clock_resets(
         back, shift = end - shift - start, end - start + 1.0
         for key in pieces:
             times[key][pieces[key][era]] += shift
-        said.append(
-            f"the clock jumps back by {back:.3f} s: what follows was moved behind it, as a new segment"
-        )
+        said.append(f"the clock jumps back by {back:.3f} s: what follows was moved behind it, as a new segment")
     joined = {
         channel: tuple(replace(part, time=times[channel, index]) for index, part in enumerate(parts))
         for channel, parts in series.items()
@@ -142,10 +140,10 @@ def _without_stray_stamps(
 
 
 def _stray_stamps(time: np.ndarray, largest_step_back: float) -> np.ndarray:
-    """Flag fewer stamps in a row than a jump has, at whose place the others leave room for just so many, shape (N,).
+    """Flag a few wrong stamps in a row, fewer than a jump has, shape (N,).
 
-    A late message leaves no room where it stands, since it is missing where it belongs. At the beginning, stamps
-    ahead of what follows are flagged.
+    The stamps around them leave room for just as many samples. A late message leaves no room where it stands, since
+    it is missing where it belongs. At the beginning, stamps ahead of what follows are flagged.
     """
     stray = np.zeros(len(time), dtype=bool)
     rows = np.flatnonzero(np.isfinite(time))

@@ -206,14 +206,14 @@ class Race:
             )  # fmt: skip
         if self.begins_nominal:
             self.say("lap 0, nominal")
-            self._lap(0)
+            self.drive_lap(0)
             if s.learner != "none" and not self.ended:
                 self._start_learning()
         for number in range(1, s.laps + 1):
             if self.ended:
                 break
             self.say(f"lap {number}")
-            self._lap(number)
+            self.drive_lap(number)
             if self.undecided and number < s.laps and not self.ended:
                 self._choose_features()
 
@@ -283,7 +283,8 @@ class Race:
         told = told and self.exported is None  # what was exported is the whole residual, nothing is added to it
         self.learner.residual.rest_on(PeakShift(self.vehicle, self.header.features, grip) if told else None)
 
-    def _lap(self, number: int) -> None:
+    def drive_lap(self, number: int) -> None:
+        """Drive one lap, and keep what it taught."""
         controller = self.controller
         tally = Tally(number, len(self.world.rows) - 1, controller.limits.p_ellipse)
         self.learner.begin_lap(f"lap {number}", self.world.t)
