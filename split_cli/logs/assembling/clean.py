@@ -142,8 +142,8 @@ def _without_stray_stamps(
 def _stray_stamps(time: np.ndarray, largest_step_back: float) -> np.ndarray:
     """Flag a few wrong stamps in a row, fewer than a jump has, shape (N,).
 
-    The stamps around them leave room for just as many samples. A late message leaves no room where it stands, since
-    it is missing where it belongs. At the beginning, stamps ahead of what follows are flagged.
+    The stamps around them leave room for just as many samples. A late message leaves no room where it stands: it
+    is missing where it belongs. At the beginning, stamps ahead of what follows are flagged.
     """
     stray = np.zeros(len(time), dtype=bool)
     rows = np.flatnonzero(np.isfinite(time))
