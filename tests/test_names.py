@@ -7,12 +7,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent / "split_cli"
 
 
-def test_no_two_public_classes_share_a_name():
+def test_no_two_classes_share_a_name():
     """One name, one meaning: a reader who meets a class knows which one it is."""
     where: dict[str, list[str]] = {}
     for path in sorted(ROOT.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            if isinstance(node, ast.ClassDef):
                 where.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
     assert {name: places for name, places in where.items() if len(places) > 1} == {}
 
@@ -40,4 +40,11 @@ def test_no_test_patches_a_private_name():
             if isinstance(node, ast.Call) and getattr(node.func, "attr", "") in ("setattr", "setitem", "patch"):
                 names = [one.value for one in node.args[:2] if isinstance(one, ast.Constant)]
                 patched += [f"{path.name}: {one}" for one in names if "._" in f".{one}" and "__" not in str(one)]
+            for one in getattr(node, "targets", ()) if isinstance(node, ast.Assign) else ():
+                if (
+                    isinstance(one, ast.Attribute)
+                    and one.attr.startswith("_")
+                    and ast.unparse(one.value) != "self"
+                ):
+                    patched.append(f"{path.name}: {ast.unparse(one)}")
     assert not patched

@@ -109,7 +109,8 @@ class IolLearner(LabellingLearner):
         self.busy_until, self.skipped = -np.inf, 0
         self._pending = False
         self._offered: list[Labels] = []
-        self._costs = {n: printed_update_cost(n) for n in (50, 100, 200, 300, DICTIONARY)} if printed else {}
+        # Seconds that an update takes, by the number of points in the dictionary.
+        self.costs = {n: printed_update_cost(n) for n in (50, 100, 200, 300, DICTIONARY)} if printed else {}
 
     @property
     def size(self) -> int:
@@ -136,7 +137,7 @@ class IolLearner(LabellingLearner):
         slot = self.dictionary.offer(labels.z[0], labels.y[0], now)
         cost = time.thread_time() - start
         if self.printed:
-            cost = float(np.interp(self.size, list(self._costs), list(self._costs.values())))
+            cost = float(np.interp(self.size, list(self.costs), list(self.costs.values())))
         if slot < 0:
             # A rejected sample costs its own gain only, one product with the inverse that is kept.
             self.busy_until = now + (0.0 if self.printed else cost)

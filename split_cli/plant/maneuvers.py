@@ -38,7 +38,7 @@ class Maneuver:
 
 
 @dataclass(frozen=True)
-class _Setting:
+class _ManeuverCar:
     """What a test is built from: the car, its grip, the share asked for, seconds per full-size second."""
 
     car: CarParameters
@@ -78,7 +78,7 @@ def _steps(clock: np.ndarray, levels: tuple[float, ...], ramp: float) -> np.ndar
     return values
 
 
-def _step_steer(setting: _Setting) -> Maneuver:
+def _step_steer(setting: _ManeuverCar) -> Maneuver:
     """Steps of the steering left and right at constant speed (ISO 7401)."""
     speed = setting.speed(22.0)
     clock = setting.clock(36.0)
@@ -88,7 +88,7 @@ def _step_steer(setting: _Setting) -> Maneuver:
     return Maneuver("step_steer", Script(_free(clock), steer, np.full(len(clock), speed)), speed)
 
 
-def _sine_sweep(setting: _Setting) -> Maneuver:
+def _sine_sweep(setting: _ManeuverCar) -> Maneuver:
     """A sine of the steering whose frequency rises from 0.2 to 3 Hz (full size) at constant speed (ISO 7401)."""
     speed = setting.speed(20.0)
     clock = setting.clock(40.0)
@@ -100,7 +100,7 @@ def _sine_sweep(setting: _Setting) -> Maneuver:
     return Maneuver("sine_sweep", Script(_free(clock), steer, np.full(len(clock), speed)), speed)
 
 
-def _constant_radius(setting: _Setting, side: float = 1.0) -> Maneuver:
+def _constant_radius(setting: _ManeuverCar, side: float = 1.0) -> Maneuver:
     """A circle driven ever faster (ISO 4138)."""
     radius = side * 40.0 * setting.car.wheelbase / 2.7
     clock = setting.clock(45.0)
@@ -113,12 +113,12 @@ def _constant_radius(setting: _Setting, side: float = 1.0) -> Maneuver:
     return Maneuver(name, Script(_free(clock), _free(clock), speed), float(low), circle(radius))
 
 
-def _constant_radius_right(setting: _Setting) -> Maneuver:
+def _constant_radius_right(setting: _ManeuverCar) -> Maneuver:
     """The same circle to the right."""
     return _constant_radius(setting, -1.0)
 
 
-def _throttle_steps(setting: _Setting) -> Maneuver:
+def _throttle_steps(setting: _ManeuverCar) -> Maneuver:
     """Steps of driving torque with lift-offs between, straight ahead."""
     clock = setting.clock(30.0)
     most = min(setting.car.max_torque, setting.intensity * setting.grip.driving * setting.car.mass
@@ -127,7 +127,7 @@ def _throttle_steps(setting: _Setting) -> Maneuver:
     return Maneuver("throttle_steps", Script(torque, np.zeros(len(clock)), _free(clock)), setting.speed(10.0))
 
 
-def _brake_steps(setting: _Setting) -> Maneuver:
+def _brake_steps(setting: _ManeuverCar) -> Maneuver:
     """Steps of braking torque with rolling between, straight ahead."""
     clock = setting.clock(24.0)
     most = min(setting.car.max_brake_torque, setting.intensity * setting.grip.braking * setting.car.mass
@@ -136,14 +136,14 @@ def _brake_steps(setting: _Setting) -> Maneuver:
     return Maneuver("brake_steps", Script(torque, np.zeros(len(clock)), _free(clock)), setting.speed(36.0))
 
 
-def _coast_down(setting: _Setting) -> Maneuver:
+def _coast_down(setting: _ManeuverCar) -> Maneuver:
     """Rolling out in neutral, straight ahead (ISO 10521)."""
     clock = setting.clock(60.0)
     idle = np.zeros(len(clock))
     return Maneuver("coast_down", Script(idle, idle, _free(clock)), setting.speed(34.0))
 
 
-def _brake_in_turn(setting: _Setting) -> Maneuver:
+def _brake_in_turn(setting: _ManeuverCar) -> Maneuver:
     """A steady turn, then the brakes with the wheel held (ISO 7975)."""
     radius = 60.0 * setting.car.wheelbase / 2.7
     clock = setting.clock(12.0)
@@ -161,7 +161,7 @@ def _brake_in_turn(setting: _Setting) -> Maneuver:
     )
 
 
-def _throttle_in_turn(setting: _Setting) -> Maneuver:
+def _throttle_in_turn(setting: _ManeuverCar) -> Maneuver:
     """A steady turn, then power on and lift-off in turn with the wheel held (ISO 9816)."""
     radius = 60.0 * setting.car.wheelbase / 2.7
     clock = setting.clock(16.0)
@@ -176,7 +176,7 @@ def _throttle_in_turn(setting: _Setting) -> Maneuver:
     return Maneuver("throttle_in_turn", script, float(speed), circle(radius))
 
 
-_BUILDERS: dict[str, Callable[[_Setting], Maneuver]] = {
+_BUILDERS: dict[str, Callable[[_ManeuverCar], Maneuver]] = {
     "step_steer": _step_steer,
     "sine_sweep": _sine_sweep,
     "constant_radius": _constant_radius,
@@ -211,7 +211,7 @@ def build_maneuver(name: str, car: CarParameters, intensity: float = 0.35) -> Ma
         raise SplitError(f"no maneuver is called {name!r}", where="--maneuver", advice=advice)
     if not 0.0 < intensity <= 1.0:
         raise SplitError(f"intensity must lie above 0 and not above 1, got {intensity:g}")
-    return _BUILDERS[name](_Setting(car, grip_of(car), intensity, float(np.sqrt(car.wheelbase / 2.7))))
+    return _BUILDERS[name](_ManeuverCar(car, grip_of(car), intensity, float(np.sqrt(car.wheelbase / 2.7))))
 
 
 def run_maneuver(

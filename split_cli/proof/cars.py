@@ -193,7 +193,7 @@ def _polished(
             yaw_inertia=vehicle.yaw_inertia * values[7],
         )
 
-    def misfit(values: np.ndarray) -> np.ndarray:
+    def residuals(values: np.ndarray) -> np.ndarray:
         delay = [SteerDelay({"delay": 1e-3 * (values[8] - 1.0)})]
         return np.concatenate([(window_errors(run, changed(values), delay) / noise).ravel() for run in runs])
 
@@ -203,7 +203,7 @@ def _polished(
     most[8] = 11.0
     least = np.where(np.arange(9) == 8, -9.0, 0.5)
     start = np.minimum(np.ones(9), 0.99 * most)
-    values = least_squares(misfit, start, bounds=(least, most), diff_step=1e-4, max_nfev=8).x
+    values = least_squares(residuals, start, bounds=(least, most), diff_step=1e-4, max_nfev=8).x
     return changed(values), Alignment(alignment.torque, alignment.steer + 1e-3 * float(values[8] - 1.0))
 
 

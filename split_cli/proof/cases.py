@@ -134,7 +134,7 @@ def build_case(plan: CasePlan) -> Case:
 
 
 @dataclass(frozen=True)
-class _Setting:
+class _CaseSetting:
     """Where and in what a case takes place: the calibrated car, its world without the effects, and three trips."""
 
     source: CarOfProof
@@ -146,7 +146,7 @@ class _Setting:
     base_severity: float
 
 
-def _setting(plan: CasePlan, rng: np.random.Generator) -> _Setting:
+def _setting(plan: CasePlan, rng: np.random.Generator) -> _CaseSetting:
     base = "bare" if rng.random() < 0.6 else "rich"
     simulation = "nominal" if base == "bare" and plan.kind != "null" and rng.random() < 0.6 else "plant"
     if "yaw_moment_differential" in plan.terms:
@@ -169,7 +169,7 @@ def _setting(plan: CasePlan, rng: np.random.Generator) -> _Setting:
     base_severity = _base_severity(without, trips[0], source)
     if base_severity > _BARE_ENOUGH:
         simulation = "plant"
-    return _Setting(source, base, simulation, without, concealed, trips, base_severity)
+    return _CaseSetting(source, base, simulation, without, concealed, trips, base_severity)
 
 
 def _build(plan: CasePlan, rng: np.random.Generator) -> Case:

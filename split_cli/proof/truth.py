@@ -160,7 +160,7 @@ def fit_effective(
     nominal = window_errors(exact.columns, vehicle, ())
     goal = exact.error / noise
 
-    def misfit(values: np.ndarray) -> np.ndarray:
+    def residuals(values: np.ndarray) -> np.ndarray:
         parameters = {**given, **dict(zip(free, values.tolist(), strict=True))}
         gain = nominal - window_errors(exact.columns, vehicle, [kind(parameters, variant)])
         return np.nan_to_num((goal - gain[: len(goal)] / noise).ravel(), nan=1e6, posinf=1e6, neginf=-1e6)
@@ -172,5 +172,5 @@ def fit_effective(
     unit = np.array([scale.get(name, 1.0) for name in free])
     guess = np.array([_GUESSES[name] for name in free])
     guess = np.where(np.isin(free, ["length", "cg_height"]), guess * vehicle.wheelbase / 2.7, guess)
-    solution = least_squares(misfit, guess, x_scale=0.1 * unit, diff_step=1e-4, max_nfev=40)
+    solution = least_squares(residuals, guess, x_scale=0.1 * unit, diff_step=1e-4, max_nfev=40)
     return {**given, **dict(zip(free, (float(v) for v in solution.x), strict=True))}

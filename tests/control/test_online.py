@@ -157,7 +157,7 @@ def test_the_dictionary_in_the_loop_is_the_dense_process(drive, empty):
 
 def test_a_slow_dictionary_skips_what_comes_while_it_works(drive, empty):
     fast, slow = IolLearner(empty, printed=False), IolLearner(empty, printed=True)
-    slow._costs = {1: 0.5, 400: 0.5}  # half a second an update: ten intervals of 50 ms
+    slow.costs = {1: 0.5, 400: 0.5}  # half a second an update: ten intervals of 50 ms
     everything, some = driven(fast, drive), driven(slow, drive)
     assert slow.skipped > 200
     # After each update nine or ten intervals pass unseen, so that 30 s hold no more than 60 updates.

@@ -198,7 +198,7 @@ class MarginalLikelihood:
     def of_witnesses(self, rows: np.ndarray) -> np.ndarray:
         """Return rows (R, ...) of what a recording knows twice, less the mean of each witness.
 
-        A bias of an accelerometer wanders, and a road that leans is one: only what varies tells an instrument.
+        A bias of an accelerometer drifts, and a road that leans is one: only what varies tells an instrument.
         """
         sizes = [len(one.begin) for one in self.kinematics if len(one.begin)]  # a short manoeuvre may have none
         own = np.split(rows[len(rows) - sum(sizes) :], np.cumsum(sizes)[:-1]) if sizes else []

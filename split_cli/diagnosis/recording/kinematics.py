@@ -76,8 +76,8 @@ class KinematicResiduals:
         return np.stack([self._integral(velocity[:, 2]), self._integral(velocity[:, 0])], axis=1)
 
     @cached_property
-    def wandering_or_late(self) -> np.ndarray:
-        """Return what a sensor would leave whose angle wanders [m s], or whose v_y is late [m/s], shape (W, 2).
+    def drifting_or_late(self) -> np.ndarray:
+        """Return what a sensor would leave whose angle drifts [m s], or whose v_y is late [m/s], shape (W, 2).
 
         A fault is no noise: were it counted in the spread, a large one would hide itself.
         """
@@ -130,7 +130,7 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
     plain = KinematicResiduals(
         series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit
     )
-    left, causes = plain.left(()), np.hstack([plain.causes, plain.wandering_or_late])
+    left, causes = plain.left(()), np.hstack([plain.causes, plain.drifting_or_late])
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9
     return replace(plain, scale=scale)

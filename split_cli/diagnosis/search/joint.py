@@ -138,7 +138,7 @@ def _prior(candidate: Candidate, deviations: float) -> dict[str, Prior]:
 
 
 @dataclass(frozen=True)
-class _Block:
+class _PartColumns:
     """Which of all parameters belong to a part, and which of them vanish with it."""
 
     part: Part
@@ -147,7 +147,7 @@ class _Block:
     distance: np.ndarray
 
 
-def _blocks(parts: Sequence[Part]) -> list[_Block]:
+def _blocks(parts: Sequence[Part]) -> list[_PartColumns]:
     blocks, first = [], 0
     for part in parts:
         neutral = CATALOGUE[part.candidate.term].neutral
@@ -159,7 +159,7 @@ def _blocks(parts: Sequence[Part]) -> list[_Block]:
             if neutral.get(name) is not None
         ]
         columns = first + np.arange(len(names))
-        blocks.append(_Block(part, columns, columns[has_neutral], np.array(distance)))
+        blocks.append(_PartColumns(part, columns, columns[has_neutral], np.array(distance)))
         first += len(names)
     return blocks
 
@@ -179,7 +179,7 @@ def _not_needless(explore: Explorer, parts: Sequence[Part], curvature: np.ndarra
 
 
 def _worth(
-    explore: Explorer, blocks: Sequence[_Block], curvature: np.ndarray, moved: np.ndarray
+    explore: Explorer, blocks: Sequence[_PartColumns], curvature: np.ndarray, moved: np.ndarray
 ) -> list[tuple[float, np.ndarray]]:
     """Return for each block what its leaving costs beyond its price, and how all parameters then move."""
     here = np.concatenate([one.columns for one in blocks])

@@ -241,7 +241,7 @@ def _is_unexplained(
     autocorrelation: ResidualAutocorrelation,
     outcome: SearchOutcome,
 ) -> bool:
-    """Return whether what is left is structured and large, or wanders."""
+    """Return whether what is left is structured and large, or autocorrelated."""
     policy = outcome.structure.objective.policy
     least, selection = policy.allowances.unnamed, policy.selection
     large = max(

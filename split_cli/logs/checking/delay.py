@@ -277,8 +277,8 @@ def _least_squares(edges, groups, free: list[str]) -> tuple[dict[str, float], di
     solution = covariance @ (design.T @ (weight**2 * target))
     # Identities that contradict each other tell that their errors are larger than the blocks show.
     spare = len(edges) - len(free)
-    misfit = float(np.sum((weight * (target - design @ solution)) ** 2)) / spare if spare > 0 else 1.0
-    errors = np.sqrt(np.diag(covariance) * max(1.0, misfit))
+    reduced = float(np.sum((weight * (target - design @ solution)) ** 2)) / spare if spare > 0 else 1.0
+    errors = np.sqrt(np.diag(covariance) * max(1.0, reduced))
     return dict(zip(free, solution, strict=True)), dict(zip(free, errors, strict=True))
 
 

@@ -115,7 +115,7 @@ def course_of(stretches: Sequence[Stretch]) -> Direction | None:
     -----
     A constant, a line and a step are fitted by least squares weighted by duration; the Bayesian information
     criterion decides. Where neighbours around the best of them are alike (lag-1 correlation above 0.5), the
-    direction wanders, and its knots are the straights averaged with their neighbours.
+    direction drifts, and its knots are the straights averaged with their neighbours.
     """
     if not stretches:
         return None

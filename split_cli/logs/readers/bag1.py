@@ -31,7 +31,7 @@ _SIZE = struct.Struct("<I")
 _INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
 
 
-class _DamageError(Exception):
+class _BagDamageError(Exception):
     """A record that cannot be what it says."""
 
 
@@ -92,7 +92,7 @@ class Bag1Container:
         try:
             for header, start, stop in _records(self._file, len(BAG1_MAGIC), len(self._file)):
                 self._take_in(header, start, stop)
-        except _DamageError as damage:
+        except _BagDamageError as damage:
             self._note(f"the file is cut off or damaged at byte {damage.args[0]}: read up to there")
             if len(damage.args) > 1:
                 start, compression = damage.args[1:]
@@ -140,7 +140,7 @@ class Bag1Container:
                     yield _number(header, b"conn"), sec * 1_000_000_000 + nanosec, content[start:stop]
                 elif kind == _CONNECTION:
                     self._add_connection(header, bytes(content[start:stop]))
-        except (_DamageError, KeyError, struct.error):
+        except (_BagDamageError, KeyError, struct.error):
             if chunk.whole:
                 where = f"{self.path.name}, chunk at byte {chunk.start}"
                 note_once(self.notes, ReadNote("records cut off or damaged: read up to there", where))
@@ -158,17 +158,17 @@ def _records(content: Any, start: int, stop: int) -> Iterator[tuple[dict[bytes, 
     headers = _Headers()
     while position < stop:
         if position + 8 > stop:
-            raise _DamageError(position)
+            raise _BagDamageError(position)
         header_stop = position + 4 + _SIZE.unpack_from(content, position)[0]
         if header_stop + 4 > stop:
-            raise _DamageError(position)
+            raise _BagDamageError(position)
         header = headers.fields(content, position + 4, header_stop)
         begin = header_stop + 4
         end = begin + _SIZE.unpack_from(content, header_stop)[0]
         if end > stop:
             if header.get(b"op") == bytes([_CHUNK]):
-                raise _DamageError(position, begin, header.get(b"compression", b"none"))
-            raise _DamageError(position)
+                raise _BagDamageError(position, begin, header.get(b"compression", b"none"))
+            raise _BagDamageError(position)
         yield header, begin, end
         position = end
 
@@ -201,13 +201,13 @@ def _fields(content: Any, start: int, stop: int) -> dict[bytes, bytes]:
     fields = {}
     while start < stop:
         if start + 4 > stop:
-            raise _DamageError(start)
+            raise _BagDamageError(start)
         end = start + 4 + _SIZE.unpack_from(content, start)[0]
         if end > stop:
-            raise _DamageError(start)
+            raise _BagDamageError(start)
         name, equals, value = bytes(content[start + 4 : end]).partition(b"=")
         if not equals:
-            raise _DamageError(start)
+            raise _BagDamageError(start)
         fields[name] = value
         start = end
     return fields
@@ -221,7 +221,7 @@ def _operation(header: dict[bytes, bytes]) -> int:
 def _number(header: dict[bytes, bytes], name: bytes) -> int:
     value = header.get(name, b"")
     if len(value) != 4:
-        raise _DamageError(0)
+        raise _BagDamageError(0)
     return _SIZE.unpack(value)[0]
 
 
@@ -231,11 +231,11 @@ def _decompressed(packed: memoryview, compression: bytes, most: int) -> Any:
         if compression == b"none":
             return packed
         if most == 0:
-            raise _DamageError(0)
+            raise _BagDamageError(0)
         if compression == b"bz2":
             return bz2.BZ2Decompressor().decompress(packed, max_length=most)
         if compression == b"lz4":
             return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most)
     except (OSError, EOFError, RuntimeError, ValueError, MemoryError) as error:
-        raise _DamageError(0) from error
-    raise _DamageError(0)
+        raise _BagDamageError(0) from error
+    raise _BagDamageError(0)

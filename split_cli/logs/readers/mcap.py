@@ -43,7 +43,7 @@ _HIGHEST_OPCODE = 0x0F
 _PARSE_ERRORS = (McapError, struct.error, ValueError, MemoryError, OverflowError)
 
 
-class _DamageError(Exception):
+class _McapDamageError(Exception):
     """A record that cannot be what its header says."""
 
 
@@ -157,7 +157,7 @@ class McapContainer:
                     statistics = record
                 elif isinstance(record, records.ChunkIndex):
                     indexes.append(record)
-        except _DamageError:
+        except _McapDamageError:
             return None
         return self._contents_of_index(contents, statistics, indexes, summary)
 
@@ -212,7 +212,7 @@ class McapContainer:
                     contents.segments.append(outside)
                     outside = _Segment(end, end, False)
                     let_go()
-        except _DamageError as damage:
+        except _McapDamageError as damage:
             position, opcode = damage.args
             self._note(f"the file is cut off or damaged at byte {position}: read up to there")
             closed = True
@@ -263,12 +263,12 @@ class McapContainer:
             return memoryview(self._file)[segment.start : segment.stop]
         try:
             if self._file[segment.start - _RECORD.size] != Opcode.CHUNK:
-                raise _DamageError("its header is damaged")
+                raise _McapDamageError("its header is damaged")
             most = self._unfolded.most(segment.start, segment.stop - segment.start)
             plain = _decompressed(memoryview(self._file)[segment.start : segment.stop], most)
             self._unfolded.add(segment.start, len(plain))
             return plain
-        except _DamageError as damage:
+        except _McapDamageError as damage:
             note_once(self.notes, ReadNote(f"chunk left out: {damage}", f"{self.path.name}, byte {segment.start}"))
             return b""
 
@@ -284,10 +284,10 @@ class McapContainer:
                 start = position + _RECORD.size
                 stop = start + length
                 if stop > size or opcode == 0:
-                    raise _DamageError
+                    raise _McapDamageError
                 if opcode == Opcode.MESSAGE:
                     if length < _MESSAGE_BYTES:
-                        raise _DamageError
+                        raise _McapDamageError
                     yield channel, log_time, publish_time, start + _MESSAGE_BYTES, stop
                 elif contents is not None and opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     contents.add(_parse(opcode, bytes(content[start:stop])))
@@ -296,7 +296,7 @@ class McapContainer:
             if contents is not None and position < size:
                 for opcode, start, stop in _walk_records(content, position, size):
                     contents.add(_parse(opcode, bytes(content[start:stop])))
-        except _DamageError:
+        except _McapDamageError:
             where = f"{self.path.name}, {'chunk at ' if segment.chunk else ''}byte {segment.start}"
             note_once(self.notes, ReadNote("records cut off or damaged: read up to there", where))
 
@@ -306,11 +306,11 @@ def _walk_records(content: Any, start: int, stop: int) -> Iterator[tuple[int, in
     position = start
     while position < stop:
         if position + _RECORD.size > stop:
-            raise _DamageError(position, 0)
+            raise _McapDamageError(position, 0)
         opcode, length = _RECORD.unpack_from(content, position)
         begin = position + _RECORD.size
         if opcode == 0 or begin + length > stop:
-            raise _DamageError(position, opcode)
+            raise _McapDamageError(position, opcode)
         yield opcode, begin, begin + length
         position = begin + length
 
@@ -331,7 +331,7 @@ def _parse(opcode: int, content: bytes) -> Any:
     try:
         return kind.read(ReadDataStream(BytesIO(content)))
     except _PARSE_ERRORS as error:
-        raise _DamageError(0, opcode) from error
+        raise _McapDamageError(0, opcode) from error
 
 
 def _read_all(reader: Any, most: int) -> bytes:
@@ -350,11 +350,11 @@ def _read_all(reader: Any, most: int) -> bytes:
 def _decompressed(content: memoryview, most: int) -> bytes | memoryview:
     """Return the records of a chunk's content, `most` bytes; of a chunk that was cut off, those that are whole."""
     if len(content) < _CHUNK.size:
-        raise _DamageError("it is cut off")
+        raise _McapDamageError("it is cut off")
     _, _, plain_size, crc, name_length = _CHUNK.unpack_from(content)
     start = _CHUNK.size + name_length + 8
     if start > len(content) or plain_size > most:
-        raise _DamageError(
+        raise _McapDamageError(
             "its header is damaged, or claims more than a chunk, or a file, of so few bytes can hold"
         )
     compression = bytes(content[_CHUNK.size : start - 8])
@@ -371,11 +371,11 @@ def _decompressed(content: memoryview, most: int) -> bytes | memoryview:
         elif compression == b"lz4":
             plain = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=plain_size + 1)
         else:
-            raise _DamageError(f"its compression {compression[:20]!r} is not lz4 or zstd")
+            raise _McapDamageError(f"its compression {compression[:20]!r} is not lz4 or zstd")
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError, ValueError) as error:
-        raise _DamageError("it cannot be decompressed") from error
+        raise _McapDamageError("it cannot be decompressed") from error
     if cut:
         return plain
     if len(plain) != plain_size or (crc and zlib.crc32(plain) != crc):
-        raise _DamageError("its checksum does not match")
+        raise _McapDamageError("its checksum does not match")
     return plain

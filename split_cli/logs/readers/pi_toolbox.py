@@ -76,7 +76,7 @@ def open_pi_toolbox(path: Path) -> RawRecording:
 
 
 @dataclass(frozen=True)
-class _Block:
+class _TextBlock:
     """Titles of one block, and where its rows stand in the file."""
 
     titles: list[str]
@@ -84,7 +84,7 @@ class _Block:
     dialect: Dialect
 
 
-def _blocks(path: Path) -> Iterator[_Block]:
+def _blocks(path: Path) -> Iterator[_TextBlock]:
     """Yield the blocks of an export that have two columns and a row or more."""
     columns = 0
     inside, comma, first = False, False, 0
@@ -94,7 +94,7 @@ def _blocks(path: Path) -> Iterator[_Block]:
         while True:
             line = stream.readline(LONGEST_LINE)
             if (not line or line[0] == _BRACE) and len(titles) > 1 and width:
-                yield _Block(titles, width, Dialect("\t", "," if comma else ".", "utf-8", first, end=end))
+                yield _TextBlock(titles, width, Dialect("\t", "," if comma else ".", "utf-8", first, end=end))
             if not line:
                 return
             begin, end = end, end + len(line)
