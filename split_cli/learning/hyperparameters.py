@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -128,8 +129,6 @@ def fit_kernel(
     section 2.7, for correlated residuals; the exponential is the first-order process of eq. B.31). It counts as
     noise of the kernel that is returned.
     """
-    from scipy.optimize import minimize
-
     from split_cli.learning._compiled import blocks_likelihood
 
     z, y, t, blocks = _blocks_to_fit(z, y, grid, times)
@@ -147,27 +146,13 @@ def fit_kernel(
 
     def objective(theta: np.ndarray) -> tuple[float, np.ndarray]:
         value, gradient = blocks_likelihood(z_blocks, t_blocks, y_blocks, offsets, *_parts(theta, dimension))
-        # K fails to factor only where the noise is some 1e-16 of the signal: a wall, should the search touch it.
-        if not np.isfinite(value):
+        if not np.isfinite(value):  # K does not factor, with noise of 1e-16 of the signal: a wall
             return 1e25, np.zeros_like(theta)
         return value / points, gradient[: len(theta)] / points
 
-    dimension, found = z.shape[1], []
-    for factor in (1.0, 4.0):
-        share = 1.0 if times is None else 0.5  # of the noise that is white where the search begins
-        begin = _pack(Kernel(factor * start.length_scales, start.signal_variance, share * start.noise_variance))
-        if times is not None:
-            middle = interval * np.sqrt(np.prod(MEMORY_BOUNDS))
-            begin = np.concatenate([begin, np.log(0.5 * start.noise_variance), [np.log(middle)]])
-        one = minimize(
-            objective,
-            np.clip(begin, low, high),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=list(zip(low, high, strict=True)),
-            options={"maxiter": 100, "ftol": 1e-8, "gtol": 1e-5},
-        )
-        found.append(one)
+    dimension = z.shape[1]
+    lasting_from = interval if times is not None else None
+    found = _searched(objective, [_begin(start, one, lasting_from) for one in (1.0, 4.0)], low, high)
     best = min(found, key=lambda one: float(one.fun))
     at_low, at_high = (np.isclose(best.x, bound, atol=1e-6) for bound in (low, high))
     if longest < LENGTH_BOUNDS[1]:  # asked for: neither the labels nor the search are at fault
@@ -183,6 +168,33 @@ def fit_kernel(
         lasting_variance=lasting,
         memory=memory if times is not None else 0.0,
     )
+
+
+def _begin(start: Kernel, factor: float, interval: float | None) -> np.ndarray:
+    """Return where a search begins; with an interval between labels [s], half of the noise lasts."""
+    share = 1.0 if interval is None else 0.5
+    begin = _pack(Kernel(factor * start.length_scales, start.signal_variance, share * start.noise_variance))
+    if interval is None:
+        return begin
+    middle = interval * np.sqrt(np.prod(MEMORY_BOUNDS))
+    return np.concatenate([begin, np.log(0.5 * start.noise_variance), [np.log(middle)]])
+
+
+def _searched(
+    objective: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    begins: Sequence[np.ndarray],
+    low: np.ndarray,
+    high: np.ndarray,
+) -> list[Any]:
+    """Return what a bounded quasi-Newton search finds from each beginning."""
+    from scipy.optimize import minimize
+
+    bounds = list(zip(low, high, strict=True))
+    options = {"maxiter": 100, "ftol": 1e-8, "gtol": 1e-5}
+    return [
+        minimize(objective, np.clip(one, low, high), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        for one in begins
+    ]
 
 
 def _blocks_to_fit(
