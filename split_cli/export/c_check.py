@@ -40,12 +40,8 @@ class CCheck:
     predictions: PredictionCheck
     # Largest error of step, Runge-Kutta step and linearisation, relative; None when there is no step.
     step_error: float | None
-    # seconds_predict, seconds_jacobian: processor time of one query [s], for mean and variance, and for all three.
-    seconds_predict: float
-    seconds_jacobian: float
-    # code_bytes, constant_bytes: as compiled here.
-    code_bytes: int | None
-    constant_bytes: int | None
+    seconds_predict: float  # processor time of one query, mean and variance [s]
+    code_bytes: int | None  # as compiled here
     compiler: str
 
 
@@ -167,14 +163,12 @@ def check_c(
     (folder / f"{source.name}_selftest.c").write_text(selftest or selftest_source(source, oracle))
     run_selftest(compiler, folder, source.name)
     inside = oracle.z[np.isfinite(oracle.z).all(axis=1) & (np.abs(oracle.z) < 1e4).all(axis=1)]
-    code_bytes, constant_bytes = section_bytes(folder / f"{source.name}.o") or (None, None)
+    sizes = section_bytes(folder / f"{source.name}.o")
     return CCheck(
         predictions,
         step_error,
         driver.seconds_per_query(inside),
-        driver.seconds_per_query(inside, with_jacobian=True),
-        code_bytes,
-        constant_bytes,
+        sizes[0] if sizes else None,
         compiler.version,
     )
 

@@ -99,12 +99,11 @@ class Driver:
             )
         return np.frombuffer(done.stdout, dtype=self.dtype).reshape(-1, width).astype(float)
 
-    def seconds_per_query(self, queries: np.ndarray, with_jacobian: bool = False) -> float:
+    def seconds_per_query(self, queries: np.ndarray) -> float:
         """Return processor time of one prediction [s], the mean over `queries`."""
         content: np.ndarray = np.ascontiguousarray(queries, dtype=self.dtype)
         width = 6 + 3 * content.shape[1]
-        command = [str(self.program), "10" if with_jacobian else "9"]
-        command += [str(len(content)), str(content.shape[1]), str(width)]
+        command = [str(self.program), "9", str(len(content)), str(content.shape[1]), str(width)]
         done = run_program(command, content.tobytes(), "the exported C")
         if done.returncode:
             raise ExportError(f"the exported C stopped with {done.returncode} while it was timed")

@@ -87,7 +87,6 @@ class TargetResult:
     check: PredictionCheck | None  # None when the C could not be compiled here
     step_error: float | None  # largest relative error of the model step
     seconds_per_query: float | None  # mean and variance of one query [s]
-    seconds_with_jacobian: float | None
     table_bytes: int  # constants, as the target stores them
     code_bytes: int | None  # compiled code, where there is some
     note: str  # compiler, or why something was not verified
@@ -179,7 +178,7 @@ def write_export(
             files = write_ggv(limits_over_speed(training_set.vehicle, training_set.region), folder, plan.name)
             size = sum((folder / file).stat().st_size for file in files)
             note = "limits of the vehicle file over speed; nothing learned is in them"
-            results.append(TargetResult("ggv", files, None, None, None, None, size, None, note))
+            results.append(TargetResult("ggv", files, None, None, None, size, None, note))
         else:
             document = document_of(training_set, provenance, tables)
             result = _write_document(document, plan, oracle, target, folder, document_check)
@@ -225,11 +224,11 @@ def _write_c(
     )
     if compiler is None:
         note = f"{missing}not compiled, hence not verified: there is no C compiler here"
-        return TargetResult("c", tuple(written), None, None, None, None, source.table_bytes, None, note)
+        return TargetResult("c", tuple(written), None, None, None, source.table_bytes, None, note)
     with ScratchFolder() as scratch:
         found = check_c(source, graph, training_set, oracle, compiler, scratch, written[f"{plan.name}_selftest.c"])
     return TargetResult(
-        "c", tuple(written), found.predictions, found.step_error, found.seconds_predict, found.seconds_jacobian,
+        "c", tuple(written), found.predictions, found.step_error, found.seconds_predict,
         source.table_bytes, found.code_bytes, f"{missing}{plan.real}, {found.compiler}",
     )  # fmt: skip
 
@@ -304,7 +303,7 @@ def _write_casadi(
         functions.predict(query)
     seconds = (perf_counter() - begin) / len(inside)
     size = (folder / written[0]).stat().st_size
-    return TargetResult("casadi", tuple(written), check, step_error, seconds, None, size, code, note)
+    return TargetResult("casadi", tuple(written), check, step_error, seconds, size, code, note)
 
 
 def _write_document(
@@ -327,7 +326,7 @@ def _write_document(
         (folder / written[1]).write_text(schema_text(), encoding="utf-8")
     require_equal(document, found, target)
     check = check or check_predictions(document_answer(found), oracle, "double", target)
-    return TargetResult(target, tuple(written), check, None, None, None, path.stat().st_size, None, "numbers only")
+    return TargetResult(target, tuple(written), check, None, None, path.stat().st_size, None, "numbers only")
 
 
 def _write_check_points(oracle: Oracle, drives: Drives | None, intervals: Intervals | None, path: Path) -> None:
