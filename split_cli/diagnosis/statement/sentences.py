@@ -184,15 +184,17 @@ def summarise(
         )
     parts = ["Simulation and reality differ."]
     parts += reasons
+    # Of one finding the two statements are one; of several, what the simulation lacks follows all of them.
+    alone = "; the simulation lacks this effect" if len(findings) == 1 and findings[0].exported else ""
     for finding in findings:
         statement = statement_for(finding.term, finding.variant, finding.parameters, vehicle)
         others = " or ".join(term_with_id(one) for one in finding.alternatives)
-        parts.append(f"{statement}." + (f" These data are explained as well by {others}." if others else ""))
+        parts.append(f"{statement}{alone}." + (f" These data are explained as well by {others}." if others else ""))
         parts.append("" if finding.combination is None else _only_together(finding.combination))
     lacking = sum(finding.exported for finding in findings)
     lacks = (
         "",
-        "The simulation lacks this effect.",
+        "" if alone else "The simulation lacks one of these effects.",
         "The simulation lacks both effects.",
         "The simulation lacks all of these effects.",
     )

@@ -84,7 +84,7 @@ const Charts = (() => {
     /* host: element to fill. options:
        label(): text for readers of screens; height(width): px; x, y: axis titles; zoom: "x" or "xy";
        domain(view): {x, y} shown when view is null, or y for a given x when zoom is "x"; limit: never beyond it;
-       equal: one metre is as long in x as in y; rows: names of rows instead of a y axis;
+       equal: one metre is as long in x as in y; digits: room for numbers beside the y axis, at least; rows: names of rows instead of a y axis;
        draw(layer, plot); hover(x, y, plot): {x, y, lines} or null; gone(): the pointer left; zoomed(view). */
     constructor(host, options) {
       Object.assign(this, { host, options, view: null, drag: null, marked: null });
@@ -176,7 +176,7 @@ const Charts = (() => {
       const room = Math.max(6, Math.floor(((paper ? 0.46 : 0.36) * width) / TEXT));
       const cut = (text) => (text.length > room ? `${text.slice(0, room - 1)}\u2026` : text);
       const names = options.rows && options.rows.map((text, k) => ({ value: options.rows.length - 1 - k, text: cut(text) }));
-      this.left = (names ? longest(names) : longest(ticks(...this.y, count))) * TEXT + (options.y ? 30 : 10);
+      this.left = Math.max(options.digits || 0, names ? longest(names) : longest(ticks(...this.y, count))) * TEXT + (options.y ? 30 : 10);
       this.inner = width - this.left - 12;
       if (options.equal) this.equalise();
       const yTicks = names || ticks(...this.y, count);

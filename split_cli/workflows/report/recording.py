@@ -34,7 +34,7 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
     facts = [
         ("Length", f"{number(seconds)} s", f"{len(drive):,} rows at {drive.rate:g} Hz"),
         ("Segments", f"{len(drive.segments())}", "without a gap"),
-        ("Checks", f"{held} of {held + open_}", "relations between channels that could be judged"),
+        ("Checks", f"{held} of {held + open_}", "relations between channels were judged"),
         ("Channels", f"{len(drive.columns) - 1}", ", ".join(name for name in drive.columns if name != "t")),
     ]
     body = (

@@ -136,6 +136,7 @@
       name: told.name,
       zoom: strips || rows ? "x" : "xy",
       equal: told.equal,
+      digits: strips ? 6 : 0, // one moment stands at one place in all strips
       rows,
       height: (width) => (rows ? 62 + Math.max(26, 20 * visible().length) * rows.length : told.wide ? between(0.24 * width, 170, 250) : between(0.74 * width, 220, told.equal ? 430 : 330)),
       x: () => (along && strips ? told.other_x : told.x),
