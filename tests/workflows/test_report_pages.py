@@ -67,6 +67,9 @@ def test_a_recording_is_drawn_as_it_was_measured(drive, car):
     rows = np.searchsorted(drive["t"], measured.x[np.isfinite(measured.x)] - 1e-9)
     np.testing.assert_allclose(measured.y[np.isfinite(measured.y)], drive["vx"][rows])
     assert {"tire-front", "tire-rear", "force-x", "gg"} <= set(charts)
+    (torque,) = charts["strip-T"].series  # of the recording alone, at its times and places
+    for axis in ("x", "along"):
+        np.testing.assert_array_equal(getattr(torque, axis), getattr(measured, axis))
 
 
 def test_the_command_writes_it_whole(drive, car, tmp_path):

@@ -71,7 +71,7 @@ def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) ->
         f"Models run open loop on the recorded inputs and restart from the measurement every {FREE_SECONDS:g} s."
         * modelled
     )
-    recorded = [(one, one.drive) for one in subjects if one.vehicle is None]
+    recorded = [(one, motion) for one, motion in moving if one.vehicle is None]
     charts = []
     for channel, title, axis in (*_CHANNELS, *_INPUTS):
         drawn = recorded if (channel, title, axis) in _INPUTS else moving
