@@ -207,8 +207,8 @@ def _mark(one) -> str:
 
 
 def _print_report(report) -> None:
-    for line in report.verdicts:
-        click.echo(f"{line}\n")
+    if report.verdicts:
+        click.echo("\n".join(report.verdicts) + "\n")
     tested = sum(drive.tested for drive in report.drives)
     valid = sum(drive.tested_valid for drive in report.drives)
     click.echo(f"{report.vehicle}, protocol {report.settings.protocol}, h = {report.settings.horizon:g} s")

@@ -141,6 +141,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
     tested = sum(drive.tested for drive in report.drives)
     trust = " / ".join(f"{100 * v:.0f}" for v in run.sets[0].trust.share) + "\u00a0%"
     facts = [
+        *([("Predictor", comparisons[0].name, "the headline is its verdict")] if comparisons else []),
         ("Test samples", f"{tested:,}", f"{percent(valid / max(tested, 1))} of them in the valid region"),
         (
             "Points of the set",
