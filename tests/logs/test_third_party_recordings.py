@@ -57,7 +57,8 @@ def test_columns_without_names_are_known_by_the_motion_that_ties_them(tmp_path):
     rows = np.column_stack([c["v"], vy, c["r"], other, c["yaw"], x, y])
     rows[-40:] *= 1e9
     np.savez(tmp_path / "a.npz", states=rows, inputs=np.column_stack([np.sin(c["t"]), c["r"] / c["v"]]))
-    draft = draft_map(open_recording(tmp_path / "a.npz"), row_rate=50.0)
+    draft = draft_map(open_recording(tmp_path / "a.npz"))
+    assert float(draft.time.split("period: ")[1].split("}")[0]) == pytest.approx(0.02, rel=0.01)
     found = {s.channel: s.sources[0] for s in draft.suggestions if s.channel != "delta"}
     assert found == {"vx": "states[0]", "vy": "states[1]", "r": "states[2]", "yaw": "states[4]", "X": "states[5]",
                      "Y": "states[6]"}  # fmt: skip

@@ -392,17 +392,19 @@ def row_rate_from_yaw(yaw: np.ndarray, r: np.ndarray) -> float | None:
     return _row_rate(np.unwrap(yaw[good]), r[good])
 
 
-def row_rate_from_path(X: np.ndarray, Y: np.ndarray, vx: np.ndarray) -> float | None:
+def row_rate_from_path(X: np.ndarray, Y: np.ndarray, vx: np.ndarray, vy: np.ndarray | None = None) -> float | None:
     """Return the rows a second at which the path grows as v_x says [Hz]; None where the two do not go together.
 
     Parameters
     ----------
-    X, Y, vx : ndarray, shape (N,)
-        [m], [m/s], one value a row. Columns that hold their values over several rows are allowed.
+    X, Y, vx, vy : ndarray, shape (N,)
+        [m], [m/s], one value a row. Columns that hold their values over several rows are allowed. Without v_y a
+        sliding car's path is longer than v_x says.
     """
-    good = np.isfinite(X) & np.isfinite(Y) & np.isfinite(vx)
+    speed = np.abs(vx) if vy is None else np.hypot(vx, vy)
+    good = np.isfinite(X) & np.isfinite(Y) & np.isfinite(speed)
     steps = np.hypot(np.diff(X[good]), np.diff(Y[good]))
-    return _row_rate(np.concatenate([[0.0], np.cumsum(steps)]), np.abs(vx[good]))
+    return _row_rate(np.concatenate([[0.0], np.cumsum(steps)]), speed[good])
 
 
 def row_rate_from_speed(vx: np.ndarray, ax: np.ndarray) -> float | None:

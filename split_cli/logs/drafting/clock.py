@@ -200,6 +200,11 @@ def _rate_from_motion(
     if rate is not None:
         return rate, "yaw turns as yaw rate says so"
     for row_rate, channels, how in (
+        (
+            row_rate_from_path,
+            ("X", "Y", "vx", "vy"),
+            "the path grows as v_x and v_y say so, a few per cent are open",
+        ),
         (row_rate_from_path, ("X", "Y", "vx"), "the path grows as v_x says so, a few per cent are open"),
         (row_rate_from_speed, ("vx", "ax"), "v_x changes as a_x says so, a few per cent are open"),
     ):
