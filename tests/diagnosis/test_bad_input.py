@@ -336,3 +336,29 @@ class TestWheelThatIsHeld:
         assert len(kept) == 6000 and notes == ()
         left, notes = cleaned(self.circle(0.2))
         assert len(left) < 200 and "delta stands still while the car turns" in notes[0]
+
+
+class TestSpeedThatIsHeld:
+    """A simulated car's controller holds its speed exactly; a frozen sensor does so while the path goes on."""
+
+    @staticmethod
+    def slalom(*, braking: bool) -> Drive:
+        """Return 40 s that begin at rest, with a v_x that stays at 6 m/s from 8 s on, and its path."""
+        t = 0.02 * np.arange(2000)
+        speed = np.clip(2.0 * (t - 5.0), 0.0, 6.0)
+        true = speed - (2.0 * np.sin(0.5 * t) ** 2 if braking else 0.0) * (t > 8.0)
+        rate = 0.8 * np.sin(2.0 * t) * (t > 5.0)
+        yaw = np.cumsum(rate) * 0.02
+        columns = {
+            "t": t, "vx": speed, "vy": -0.2 * rate, "r": rate, "T": np.sin(t), "delta": 0.3 * rate, "yaw": yaw,
+            "X": np.cumsum(true * np.cos(yaw)) * 0.02, "Y": np.cumsum(true * np.sin(yaw)) * 0.02,
+        }  # fmt: skip
+        return Drive("slalom", columns, np.zeros(len(t), dtype=np.int32), 0.02)
+
+    def test_what_the_path_confirms_is_kept_with_the_position_of_a_car_at_rest(self):
+        kept, notes = cleaned(self.slalom(braking=False))
+        assert notes == () and len(kept) == 2000 and kept.has_position
+
+    def test_what_the_path_contradicts_is_left_out(self):
+        left, notes = cleaned(self.slalom(braking=True))
+        assert len(left) < 600 and "vx stands still while the car turns" in notes[0]

@@ -219,6 +219,8 @@ def _stuck(drive: Drive, name: str, rules: Screening) -> np.ndarray:
             later = slice(rows.start + answer, rows.stop)
             if name == "delta" and _is_held(drive, later, rules):
                 continue
+            if name == "vx" and _path_is_as_steady(drive, rows, rules):
+                continue
             if any(
                 np.std(drive[other][later]) > rules.still_share * np.std(drive[other]) > 0.0
                 for other in _MOVES_WITH[name]
@@ -246,6 +248,17 @@ def _is_held(drive: Drive, rows: slice, rules: Screening) -> bool:
     return bool(np.std(left) < rules.turn_spread * np.mean(rate))
 
 
+def _path_is_as_steady(drive: Drive, rows: slice, rules: Screening) -> bool:
+    """Return whether the recorded path grows as evenly as a v_x that repeats itself: a controller holds the speed.
+
+    A simulation of one does so exactly. What the path may vary by is what a companion of a frozen channel may.
+    """
+    if not drive.has_position or not measures(drive, "vx", "X", "Y"):
+        return False
+    steps = np.hypot(np.diff(drive["X"][rows]), np.diff(drive["Y"][rows])) / drive.period
+    return bool(np.std(steps) <= rules.still_share * np.std(drive["vx"]))
+
+
 def _with_sound_position(drive: Drive, rules: Screening) -> tuple[Drive, tuple[str, ...]]:
     """Fill short gaps of position and yaw; leave them off where gaps are long, or where they stand still."""
     if not drive.has_position:
@@ -255,11 +268,12 @@ def _with_sound_position(drive: Drive, rules: Screening) -> tuple[Drive, tuple[s
     columns = dict(drive.columns)
     gaps = np.diff(np.flatnonzero(np.concatenate([[True], known, [True]])))
     still = (np.diff(drive["X"]) == 0.0) & (np.diff(drive["Y"]) == 0.0)
+    # Where the car stands, its position does too.
+    still &= drive["vx"][1:] * rules.stuck_seconds > 1.0
     standing = np.diff(np.flatnonzero(np.concatenate([[True], ~still, [True]])))
-    fast = np.median(drive["vx"]) * rules.stuck_seconds > 1.0
     if (gaps.max() - 1) * drive.period > rules.position_gap_seconds:
         reason = f"it is not known for {(gaps.max() - 1) * drive.period:.1f} s"
-    elif fast and (standing.max() - 1) * drive.period > rules.stuck_seconds:
+    elif (standing.max() - 1) * drive.period > rules.stuck_seconds:
         reason = f"it stands still for {(standing.max() - 1) * drive.period:.1f} s while the car drives"
     else:
         if not known.all():
