@@ -141,6 +141,24 @@ def test_steering_and_torque_late_by_the_same_join_into_late_sensors_and_by_unli
         assert (set(found.names) if found else None) == found_terms
 
 
+def test_late_sensors_join_where_another_part_made_up_for_the_difference():
+    delayed = partial(behind, delay=0.05)
+    heavy = CATALOGUE["yaw_inertia"]({"scale": 1.12})
+    explore = explorer(
+        noisy_objective(driven(22, [heavy], steer=delayed, torque=delayed), 6),
+        *ACTUATORS,
+        "yaw_inertia",
+        "tire_relaxation",
+    )
+    late_inputs = {"steer_delay": {"delay": 0.06}, "drive_delay": {"delay": 0.05}}
+    wrong = fitted(explore, **late_inputs, tire_relaxation={"length": 0.1})
+    rival = fitted(explore, **late_inputs, yaw_inertia={"scale": 1.1})
+    assert set(joined(explore, nothing(explore.objective), wrong, (True,) * 3, [rival]).names) == {
+        "sensor_delay",
+        "yaw_inertia",
+    }
+
+
 def test_late_sensors_split_into_a_lag_and_a_delay_where_that_is_what_acts():
     objective = noisy_objective(driven(21, steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12)), 5)
     explore = explorer(objective, *ACTUATORS)

@@ -1,17 +1,22 @@
 """All terms at once: what a search one by one misses is found, and linear costs are those of refits."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, Prior, fit_parts, fit_with_prior
 from split_cli.diagnosis.search.joint import (
+    _Block,
     _blocks,
     _everything_from,
+    _leaving,
     _worth,
     all_at_once,
     cheapest_first,
     promised_by_all,
+    promised_without_several,
     without_needless,
 )
 from split_cli.diagnosis.search.selection import nothing
@@ -79,6 +84,32 @@ def test_linear_costs_of_leaving_are_those_of_refits(explore):
     told[list(TRUE).index("yaw_inertia")] *= 1.15**2
     assert told == pytest.approx(refitted, rel=0.1)
     assert without_needless(explore, fit).names == fit.names
+
+
+def test_two_that_share_an_effect_are_each_worth_their_price_and_leave_together():
+    """By closed form, all of a quadratic cost: (d^T H d)/V of those that leave, the rest refitted, less prices."""
+    H, d = np.array([[50.0, 49.0, 0.3], [49.0, 50.0, -0.2], [0.3, -0.2, 40.0]]), np.array([2.1, -2.1, 3.0])
+    part = SimpleNamespace(candidate=SimpleNamespace(complexity=1.0))
+    blocks = [_Block(part, np.array([k]), np.array([k]), d[k : k + 1]) for k in range(3)]
+    told = SimpleNamespace(variance_inflation=1.0, rules=SimpleNamespace(price=8.0))
+
+    def cost(gone: list[int]) -> float:
+        return float(d[gone] @ np.linalg.solve(np.linalg.inv(H)[np.ix_(gone, gone)], d[gone])) - 8.0 * len(gone)
+
+    assert min(cost([0]), cost([1]), cost([2])) > 0.0 > cost([0, 1])
+    (first, _), (second, _) = gone = _leaving(told, blocks, H)
+    assert {k for _, k in gone} == {0, 1} and first > 0.0
+    assert first + second == pytest.approx(cost([0, 1]), rel=1e-6)
+
+
+def test_what_leaves_together_is_a_refit_away(explore):
+    by_term = {one.term: one for one in reversed(explore.candidates)}
+    values = {**TRUE, "rolling_resistance": {"force": 20.0}, "steer_gain": {"gain": 1.001}}
+    fit = fit_parts(explore.objective, [Part(by_term[term], dict(given)) for term, given in values.items()])
+    promised, gone = promised_without_several(explore, fit)
+    rest = fit_parts(explore.objective, [part for k, part in enumerate(fit.parts) if k not in gone], known=fit)
+    assert set(rest.names) == set(TRUE)
+    assert promised == pytest.approx(explore.price(rest) - explore.price(fit), abs=0.3)
 
 
 def test_a_prior_holds_what_the_rows_do_not_tell(explore):

@@ -10,10 +10,10 @@ import numpy as np
 from split_cli.diagnosis.parallel import together
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fits_without, sensitivity_of, tangent
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
 from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
-from split_cli.diagnosis.search.joint import promised_without, without_needless
+from split_cli.diagnosis.search.joint import promised_without, promised_without_several, without_needless
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -109,11 +109,12 @@ def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
 
 
 def relieved(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | None:
-    """Return the best of an explanation and its rivals with one part less, where none of these is better.
+    """Return the best of an explanation and its rivals with one part less, or of it with several less.
 
-    Two terms may imitate one that is not among them. Beside either of them the one saves little, and takes no
-    place. Where it makes the other needless, it takes both. Of explanations that are as good, the one with fewer
-    terms stays. Straight lines tell what is worth a fit.
+    None is returned where the explanation or a rival is better. Two terms may imitate one that is not among them.
+    Beside either of them the one saves little, and takes no place. Where it makes the other needless, it takes
+    both. Where it came beside both, they share what is left, and leave together. Of explanations that are as good,
+    the one with fewer terms stays. Straight lines tell what is worth a fit.
 
     Parameters
     ----------
@@ -124,32 +125,53 @@ def relieved(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | Non
     limit = min(explore.price(chosen) - rules.tie, *(explore.price(fit) + rules.tie for fit in rivals or [chosen]))
     for fit in (chosen, *rivals) if len(chosen.parts) > 1 else ():
         others = len(fit.parts) - (fit is not chosen)
-        for k, dearer in enumerate(promised_without(explore, fit)[:others]):
+        leaving = [(dearer, (k,)) for k, dearer in enumerate(promised_without(explore, fit)[:others])]
+        if fit is chosen:
+            leaving.append(promised_without_several(explore, fit))
+        for dearer, gone in leaving:
             if explore.price(fit) + dearer < limit:
-                promising.append((explore.price(fit) + dearer, fit, k))
+                promising.append((explore.price(fit) + dearer, fit, gone))
     best, least = None, limit
-    for _, fit, k in sorted(promising, key=lambda one: one[0])[: rules.considered]:
-        (rest,) = fits_without(explore.objective, fit, [k])
+    for _, fit, gone in sorted(promising, key=lambda one: one[0])[: rules.considered]:
+        kept = [part for k, part in enumerate(fit.parts) if k not in gone]
+        rest = fit_parts(explore.objective, kept, known=fit)
         if explore.price(rest) < least:
             best, least = rest, explore.price(rest)
     return best
 
 
-def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+def joined(
+    explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], rivals: Sequence[Fit] = ()
+) -> Fit | None:
     """Return the best explanation with two parts replaced by the one term that is both, where that is no dearer.
 
-    Steering and torque that are late by the same are sensors that are late.
+    Steering and torque that are late by the same are sensors that are late. Where they are late by unlike, what
+    makes up for the difference is another term than the true one: then both changes at once cost less, and neither
+    alone.
+
+    Parameters
+    ----------
+    rivals : sequence of Fit
+        The same with another term in the place of one, best first.
     """
     best, least = None, explore.price(chosen)
     for one in explore.candidates:
         pairs = {frozenset(terms.split("+")) for terms in exact_mimics(one.term, one.variant) if "+" in terms}
-        own = [part for part in chosen.parts if any(part.candidate.term in pair for pair in pairs)]
-        if not one.starts or frozenset(part.candidate.term for part in own) not in pairs:
-            continue
-        others = [part for part in chosen.parts if part not in own]
-        fit = fit_parts(explore.objective, (*others, Part(one, nearest_start(one, own[0]))), known=chosen)
-        if explore.price(fit) < least:
-            best, least = fit, explore.price(fit)
+        several = [
+            (fit, [p for p in fit.parts if any(p.candidate.term in pair for pair in pairs)])
+            for fit in (chosen, *rivals)
+        ]
+        both = [
+            (fit, own)
+            for fit, own in several
+            if frozenset(part.candidate.term for part in own) in pairs and one.term not in fit.names
+        ]
+        for fit, own in both[: explore.rules.full_fits] if one.starts else ():
+            others = [part for part in fit.parts if part not in own]
+            parts = (*others, Part(one, nearest_start(one, own[0])))
+            trial = fit_parts(explore.objective, parts, known=fit)
+            if explore.price(trial) < least:
+                best, least = trial, explore.price(trial)
     return best
 
 
@@ -222,7 +244,10 @@ def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
 def said_of(before: Fit, after: Fit) -> str:
     """Return a move in words, for the history."""
     come, gone = sorted(set(after.names) - set(before.names)), sorted(set(before.names) - set(after.names))
-    return f"{' and '.join(come) or 'another variant'} in place of {' and '.join(gone)}"
+    kept = {part.candidate.label for part in after.parts} <= {part.candidate.label for part in before.parts}
+    if kept and gone:
+        return f"without {' and '.join(gone)}"
+    return f"{' and '.join(come) or 'another variant'} in place of {' and '.join(gone) or 'nothing'}"
 
 
 def _siblings(own: Candidate, candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -27,7 +28,10 @@ from split_cli.diagnosis.search.fitting import (
 )
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["all_at_once", "cheapest_first", "promised_by_all", "promised_without", "without_needless"]
+__all__ = [
+    "all_at_once", "cheapest_first", "promised_by_all", "promised_without", "promised_without_several",
+    "without_needless",
+]  # fmt: skip
 
 _NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
 _NO_EFFECT = 1e-12  # curvature, in chi squared by a step, of what changes nothing
@@ -107,6 +111,22 @@ def promised_without(explore: Explorer, fit: Fit) -> np.ndarray:
     return np.array([one for one, _ in worth])
 
 
+def promised_without_several(explore: Explorer, fit: Fit) -> tuple[float, tuple[int, ...]]:
+    """Return what leaving some parts of a fit costs beyond their price, and which, where that is least.
+
+    The cheapest leaves first, then the cheapest of the rest, down to one: of all sets on this way the best. Two
+    terms that share an effect may each be worth its price alone, and not both be once a third is found.
+    """
+    steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
+    slopes = sensitivity_of(explore.objective, fit) * steps
+    gone = _leaving(explore, _blocks(fit.parts), slopes.T @ slopes)
+    if not gone:
+        return 0.0, ()
+    costs = np.cumsum([cost for cost, _ in gone])
+    count = int(np.argmin(costs)) + 1
+    return float(costs[count - 1]), tuple(k for _, k in gone[:count])
+
+
 def _fit_from(
     objective: MarginalLikelihood, begin: tuple[Sequence[Part], Sequence[Mapping[str, Prior]]]
 ) -> tuple[Fit, np.ndarray]:
@@ -166,16 +186,22 @@ def _blocks(parts: Sequence[Part]) -> list[_PartColumns]:
 
 def _not_needless(explore: Explorer, parts: Sequence[Part], curvature: np.ndarray) -> tuple[Part, ...]:
     """Return the parts that cost more than their price, by linear costs, the cheapest taken away one by one."""
-    blocks = _blocks(parts)
+    gone = _leaving(explore, _blocks(parts), curvature)
+    needless = {k for _, k in takewhile(lambda one: one[0] <= 0.0, gone)}
+    return tuple(part for k, part in enumerate(parts) if k not in needless)
+
+
+def _leaving(explore: Explorer, blocks: Sequence[_Block], curvature: np.ndarray) -> list[tuple[float, int]]:
+    """Return what each part costs beyond its price as it leaves, the cheapest first, and its number; one stays."""
+    left, out = list(range(len(blocks))), []
     moved = np.zeros(len(curvature))  # of the parameters that stay, as others leave
-    while len(blocks) > 1:
-        worth = _worth(explore, blocks, curvature, moved)
+    while len(left) > 1:
+        here = [blocks[k] for k in left]
+        worth = _worth(explore, here, curvature, moved)
         least = int(np.argmin([one for one, _ in worth]))
-        if worth[least][0] > 0.0:
-            break
-        moved[np.concatenate([one.columns for one in blocks])] += worth[least][1]
-        blocks.pop(least)
-    return tuple(one.part for one in blocks)
+        moved[np.concatenate([one.columns for one in here])] += worth[least][1]
+        out.append((worth[least][0], left.pop(least)))
+    return out
 
 
 def _worth(

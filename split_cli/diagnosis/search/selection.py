@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -219,7 +219,8 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
         # Until none is better, only those are of use that are.
         selection = _with_rivals(explore, _compared(explore, base, better.fit), better=True)
         all_known = False
-    for move in (merged, joined, split):
+    best_first = sorted((rival for several in selection.rivals for rival in several), key=lambda one: one.excess)
+    for move in (merged, partial(joined, rivals=[rival.fit for rival in best_first]), split):
         other = move(explore, selection.base, selection.chosen, selection.named)
         if other is not None:
             history.append(said_of(selection.chosen, other))
