@@ -189,7 +189,9 @@ def summarise(
     for finding in findings:
         statement = statement_for(finding.term, finding.variant, finding.parameters, vehicle)
         others = " or ".join(term_with_id(one) for one in finding.alternatives)
-        parts.append(f"{statement}{alone}." + (f" These data are explained as well by {others}." if others else ""))
+        parts.append(
+            f"{statement}{alone}." + (f" These data are explained as well by {others}." if others else "")
+        )
         parts.append("" if finding.combination is None else _only_together(finding.combination))
     lacking = sum(finding.exported for finding in findings)
     lacks = (
