@@ -90,7 +90,7 @@ def test_a_lap_that_is_lost_says_so_and_what_was_learned_is_kept(tmp_path, monke
 
     def lap(self, number):
         if number == 1 and lost == "ice":
-            self.world._around = Surroundings(friction=0.1)
+            self.world.surroundings = Surroundings(friction=0.1)
         elif number == 1:
             none = SimpleNamespace(solved=False, seconds=0.0)
             monkeypatch.setattr(self.controller.programme, "solve", lambda data: none)

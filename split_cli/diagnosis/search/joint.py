@@ -191,7 +191,7 @@ def _not_needless(explore: Explorer, parts: Sequence[Part], curvature: np.ndarra
     return tuple(part for k, part in enumerate(parts) if k not in needless)
 
 
-def _leaving(explore: Explorer, blocks: Sequence[_Block], curvature: np.ndarray) -> list[tuple[float, int]]:
+def _leaving(explore: Explorer, blocks: Sequence[_PartColumns], curvature: np.ndarray) -> list[tuple[float, int]]:
     """Return what each part costs beyond its price as it leaves, the cheapest first, and its number; one stays."""
     left, out = list(range(len(blocks))), []
     moved = np.zeros(len(curvature))  # of the parameters that stay, as others leave

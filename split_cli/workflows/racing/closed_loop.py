@@ -77,7 +77,7 @@ class World:
                 for channel, spec in sensor.channels.items():
                     specs.setdefault(channel, spec)
         self.noise = np.array([0.0 if self.seed is None else specs[name].noise for name in _MEASURED])
-        self._around = Surroundings(friction=self.friction)
+        self.surroundings = Surroundings(friction=self.friction)
         self._record(np.zeros(2))
 
     def _record(self, specific_force: np.ndarray) -> None:
@@ -105,7 +105,7 @@ class World:
             steer = self.steer + 0.5 * rates[1] * SAMPLE_PERIOD
             # The ramp's middle: actuators lag by several times a sample, and see no more of it.
             self.state, outputs = advance(
-                self.car, self.state, torque, steer, SAMPLE_PERIOD, surroundings=self._around
+                self.car, self.state, torque, steer, SAMPLE_PERIOD, surroundings=self.surroundings
             )
             self.torque += rates[0] * SAMPLE_PERIOD
             self.steer += rates[1] * SAMPLE_PERIOD
