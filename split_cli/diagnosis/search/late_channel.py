@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit, Part, tangent
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.search.term_tests import witnessed_p
+from split_cli.vehicle.calibration.least_squares import solve
 from split_cli.vehicle.effects import CATALOGUE
 
 __all__ = ["late_by_witnesses", "with_late_channel"]
@@ -99,9 +99,14 @@ def _fitted(objective: MarginalLikelihood, candidate: Candidate) -> Part:
 
     starts = [np.array([start[name] for name in names]) for start in candidate.starts]
     begin = min(starts, key=lambda x: float(np.sum(left(x) ** 2)))
-    step = np.array([candidate.ranges[name].step for name in names])
-    found = least_squares(left, begin, bounds=(lower, upper), x_scale=begin, diff_step=step / begin)
-    return Part(candidate, dict(zip(names, found.x.tolist(), strict=True)))
+    steps = np.diag([candidate.ranges[name].step for name in names])
+
+    def with_slopes(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        here = left(x)
+        return here, np.stack([(left(x + step) - here) / step.sum() for step in steps], axis=1)
+
+    found = solve(with_slopes, begin, lower, upper, scale=np.inf)  # squares, however large
+    return Part(candidate, dict(zip(names, found.parameters.tolist(), strict=True)))
 
 
 def _saved_along(objective: MarginalLikelihood, candidate: Candidate, before: np.ndarray) -> float:
