@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from split_cli.plots.style import PALETTE, STATES, legend_below, line_styles, new_figure, quiet
+from split_cli.plots.style import PALETTE, STATES, headed, legend_below, line_styles, new_figure, quiet
 from split_cli.scoring.run import EvaluationRun
 
 __all__ = ["draw_reliability"]
@@ -15,7 +15,7 @@ def draw_reliability(run: EvaluationRun) -> Figure:
     """Draw observed against promised coverage of central intervals, a panel a state."""
     scored = {key: tally for key, tally in run.tallies.items() if tally.probability is not None}
     styles = line_styles(scored)
-    first = next(key for key in scored if key[1])
+    first = headed(scored, run.report.settings.predictors)
     figure = new_figure(5.2)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     for state, axis in enumerate(axes):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from split_cli.plots.style import STATES, legend_below, line_styles, model_name, new_figure, quiet
+from split_cli.plots.style import STATES, headed, legend_below, line_styles, model_name, new_figure, quiet
 from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.run import EvaluationRun
 
@@ -43,7 +43,7 @@ def draw_rollouts(run: EvaluationRun) -> Figure:
 
 def _finding(run: EvaluationRun, step: float) -> str:
     nominal = run.rollouts[NOMINAL, ""]
-    corrected = next((key for key in run.rollouts if key[1]), None)
+    corrected = headed(run.rollouts, run.report.settings.predictors)
     starts = f"{nominal.count} starts" + (f", {nominal.diverged} more diverged" if nominal.diverged else "")
     if corrected is None or not nominal.count:
         return f"Rollouts with recorded inputs from {starts}"

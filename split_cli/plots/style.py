@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from split_cli.scoring.evaluation import LABEL_PERSISTENCE, NOMINAL, VELOCITY_PERSISTENCE
 
 __all__ = [
-    "EMPTY", "HELD_OUT", "LABEL_UNITS", "PALETTE", "STATES", "legend_below", "line_styles", "model_name",
-    "new_figure", "quiet", "save",
+    "EMPTY", "HELD_OUT", "LABEL_UNITS", "PALETTE", "STATES", "headed", "legend_below", "line_styles",
+    "model_name", "new_figure", "quiet", "save",
 ]  # fmt: skip
 
 #: Okabe and Ito (2008), which the common forms of colour blindness can tell apart.
@@ -62,6 +62,12 @@ def model_name(key: tuple[str, str]) -> str:
     """Return how a legend calls a contestant, a pair of name and features."""
     name, features = key
     return f"{name} on {features}" if features else name
+
+
+def headed(keys: Iterable[tuple[str, str]], asked: Collection[str]) -> tuple[str, str] | None:
+    """Return which predictor the title of a figure tells of: one that was asked for, as it is applied."""
+    named = [key for key in keys if key[1]]
+    return next((key for key in named if key[0] in asked), named[0] if named else None)
 
 
 def line_styles(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, str], dict]:

@@ -18,6 +18,7 @@ from split_cli.plots.growth import draw_growth, kept_over_time
 from split_cli.plots.reliability import draw_reliability
 from split_cli.plots.rollouts import draw_rollouts
 from split_cli.plots.sizes import draw_sizes
+from split_cli.plots.style import headed
 from split_cli.plots.time_series import draw_error_over_time
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.scoring.run import EvaluationRun
@@ -238,3 +239,9 @@ def test_what_cannot_be_drawn_is_left_out_with_a_reason(run):
     assert "z2 only" in told["coverage.png"]
     assert "z2 only" in told["labels_r.png"]
     assert "error_over_time.png" in told
+
+
+def test_a_title_tells_of_a_predictor_as_it_is_applied():
+    keys = [("nominal", ""), ("bcm, full trust", "z2"), ("bcm", "z2"), ("bcm, running trust", "z2")]
+    assert headed(keys, ("bcm",)) == ("bcm", "z2")
+    assert headed(keys[:2], ("bcm",)) == keys[1] and headed(keys[:1], ("bcm",)) is None
