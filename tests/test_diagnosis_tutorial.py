@@ -39,7 +39,7 @@ def test_the_pair_is_diagnosed_as_the_page_says(followed):
     (finding,) = findings(folder, "diagnosis")
     assert finding["term"] == "drive_gain"
     assert "mass+friction_scale+yaw_inertia" in finding["alternatives"]
-    # "14.6 % too weak", and the vehicle file's excerpt.
+    # "14.8 % too weak", and the vehicle file's excerpt.
     assert finding["parameters"]["brake_gain"]["value"] == pytest.approx(0.854, abs=0.01)
     (effect,) = yaml.safe_load((folder / "diagnosis" / "vehicle_corrected.yaml").read_text())["effects"]
     assert effect["term"] == "drive_gain"
