@@ -24,7 +24,6 @@ from split_cli.learning.training_set import read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.plant.cars import F1TENTH_CAR, ROAD_CAR
-from split_cli.plant.dynamics import Surroundings
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
@@ -86,26 +85,27 @@ def test_two_laps_of_a_ring_are_driven_learned_and_written(tmp_path):
 
 @pytest.mark.parametrize("lost", ["ice", "solver"])
 def test_a_lap_that_is_lost_says_so_and_what_was_learned_is_kept(tmp_path, monkeypatch, lost):
-    drive, trained, whole = tmp_path / "ring.parquet", tmp_path / "ring.split", Race.drive_lap
+    drive, trained = tmp_path / "ring.parquet", tmp_path / "ring.split"
 
-    def lap(self, number):
-        if number == 1 and lost == "ice":
-            self.world.surroundings = Surroundings(friction=0.1)
-        elif number == 1:
+    def say(text: str) -> None:
+        if text == "lap 1" and lost == "ice":
+            slippery = replace(ROAD_CAR.rear_tire, p_dy1=0.1, p_dx1=0.1)
+            race.world.car = replace(ROAD_CAR, front_tire=slippery, rear_tire=slippery)
+        elif text == "lap 1":
             none = SimpleNamespace(solved=False, seconds=0.0)
-            monkeypatch.setattr(self.controller.programme, "solve", lambda data: none)
-        whole(self, number)
+            monkeypatch.setattr(race.controller.programme, "solve", lambda data: none)
 
-    monkeypatch.setattr(Race, "drive_lap", lap)
-    done = invoke(
-        "race", "--vehicle", CAR, "--track", str(ring(tmp_path, 20.0, 12.0)), "--laps", "2", "--max-speed", "14",
-        "-o", str(drive), "--set", str(trained),
-    )  # fmt: skip
-    assert done.exit_code == 0, done.output
+    settings = RaceSettings(track=str(ring(tmp_path, 20.0, 12.0)), laps=2, max_speed=14.0)
+    race = Race(settings, read_vehicle(CAR), trained, say)
+    race.begin()
+    race.run()
+    race.write(drive)
+    result = race.result(drive)
     no_plan = "10 quadratic programmes in a row had no solution"
     what = f"the car spun|the car left the track|{no_plan}" if lost == "ice" else no_plan
-    assert re.search(rf"lap 1 was not finished: ({what}) at \d+ m", done.output)
-    assert "Learning did not help" in done.output and "\n  2 " not in done.output
+    assert [lap.number for lap in result.laps] == [0, 1] and result.laps[1].time is None
+    assert re.fullmatch(rf"({what}) at \d+ m", result.laps[1].ended)
+    assert "Learning did not help" in result.verdict
     assert read_set(trained).size > 20 and len(read_drive(drive)["t"]) > 400
 
 
