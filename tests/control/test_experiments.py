@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from split_cli.cli.experiments import command
 from split_cli.errors import SplitError
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.experiments import PLAN
@@ -92,3 +94,18 @@ def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sam
     page.write_text("<!-- table: nothing -->\n<!-- end -->\n")
     with pytest.raises(SplitError, match="nothing"):
         fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [(None, "no such page"), (b"\xff\xfe", "UTF-8"), (b"# No marks\n", "no table"),
+     (b"<!-- table: nothing -->\n<!-- end -->\n", "which no experiment makes")],
+)  # fmt: skip
+def test_a_page_that_cannot_be_filled_is_told_before_an_hour_of_races(tmp_path, sample_logs, content, says):
+    page = tmp_path / "page.md"
+    if content is not None:
+        page.write_bytes(content)
+    words = ["--vehicle", str(sample_logs / "road_car.yaml"), "--page", str(page), "-o", str(tmp_path / "out")]
+    told = CliRunner().invoke(command, words)
+    assert isinstance(told.exception, SplitError) and says in str(told.exception)
+    assert not (tmp_path / "out").exists()

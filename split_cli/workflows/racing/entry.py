@@ -93,7 +93,7 @@ def _check_numbers(settings: RaceSettings) -> None:
     positive.append(("--p-long", limits.p_long))
     for name, value in positive:
         if not 0.0 < value < 1e6:
-            raise SplitError(f"is {value:g}, a positive number was expected", where=name)
+            raise SplitError(f"is {value:g}, a positive number below 1e6 was expected", where=name)
     if settings.max_speed <= SLOWEST:
         raise SplitError(
             f"is {settings.max_speed:g} m/s, where the controller's model is not valid; more than {SLOWEST:g} m/s "

@@ -10,7 +10,7 @@ import numpy as np
 
 from split_cli.control.scenarios import build_scenario
 from split_cli.errors import SplitError
-from split_cli.files import atomic_path, atomic_write_text
+from split_cli.files import atomic_path, atomic_write_text, read_text
 from split_cli.plots.closed_loop import (
     ManeuverPicture,
     RacePicture,
@@ -24,7 +24,11 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 from split_cli.workflows.racing.experiments import PAST_FEATURES, PLAN
 
-__all__ = ["fill_page", "tables"]
+__all__ = ["fill_page", "read_page", "tables"]
+
+_TABLE = re.compile(r"<!-- table: ([\w-]+) -->\n.*?<!-- end -->", re.S)
+_LARGEST_PAGE = 4 << 20
+"""Of the page [bytes]; judgement: that of this project has 20 kB."""
 
 
 def fill_page(
@@ -44,29 +48,41 @@ def fill_page(
     SplitError
         If the page is missing or asks for a table that is not there.
     """
-    page = Path(page)
-    if not page.is_file():
-        raise SplitError("no such page", where=str(page), advice="Name the page with --page.")
-    text, made = page.read_text(encoding="utf-8"), tables(results)
-    known = {"maneuvers", "timing"}
-    known |= {f"{kind}-{e.group}" for kind in ("times", "race") for e in PLAN.experiments}
+    page, made = Path(page), tables(results)
 
     def put(found: re.Match) -> str:
         name = found.group(1)
-        if name in known and name not in made:
-            return found.group(0)
-        if name not in made:
-            raise SplitError(
-                f"asks for the table {name!r}, which no experiment makes",
-                where=str(page),
-                advice="Remove the marks of that table from the page.",
-            )
-        return f"<!-- table: {name} -->\n{made[name]}\n<!-- end -->"
+        return f"<!-- table: {name} -->\n{made[name]}\n<!-- end -->" if name in made else found.group(0)
 
-    text = re.sub(r"<!-- table: ([\w-]+) -->\n.*?<!-- end -->", put, text, flags=re.S)
+    text = _TABLE.sub(put, read_page(page))
     figures = _figures(results, vehicle, page.parent / "figures")
     atomic_write_text(page, text)
     return figures, [name for name in made if f"<!-- table: {name} -->" not in text]
+
+
+def read_page(page: Path) -> str:
+    """Return the text of a page whose tables can be put in; to be asked for before the experiments, too.
+
+    Raises
+    ------
+    SplitError
+        If the page is missing, is no text, or asks for a table that no experiment makes.
+    """
+    if not page.is_file():
+        raise SplitError("no such page", where=str(page), advice="Name the page with --page.")
+    try:
+        text = read_text(page, _LARGEST_PAGE)
+    except UnicodeDecodeError as error:
+        raise SplitError("is no text in UTF-8", where=str(page), advice="Name a page in Markdown.") from error
+    known = {"maneuvers", "timing"}
+    known |= {f"{kind}-{e.group}" for kind in ("times", "race") for e in PLAN.experiments}
+    asked = [found.group(1) for found in _TABLE.finditer(text)]
+    if not asked or not known.issuperset(asked):
+        unknown = next((name for name in asked if name not in known), None)
+        what = f"asks for the table {unknown!r}, which no experiment makes" if asked else "asks for no table"
+        advice = f"A table stands between <!-- table: NAME --> and <!-- end -->; there are {', '.join(sorted(known))}."
+        raise SplitError(what, where=str(page), advice=advice)
+    return text
 
 
 def tables(results: dict[str, dict]) -> dict[str, str]:

@@ -170,7 +170,7 @@ def _check(settings: ManeuverSettings) -> None:
     positive += [(name, value) for name, value in optional if value is not None]
     for name, value in positive:
         if not 0.0 < value < 1e6:
-            raise SplitError(f"is {value:g}, a positive number was expected", where=name)
+            raise SplitError(f"is {value:g}, a positive number below 1e6 was expected", where=name)
     share = settings.p_ellipse
     if share is not None and not 0.0 < share < 1.0:
         raise SplitError(
