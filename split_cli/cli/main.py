@@ -278,6 +278,10 @@ def _leave_stopped(came: list[int]) -> None:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
+    if "multiprocessing.util" in sys.modules:
+        # Locks of worker processes that are still held here: Python's tracker would tell of each.
+        with contextlib.suppress(Exception):
+            sys.modules["multiprocessing.util"]._run_finalizers(0)
     os._exit(130)
 
 

@@ -95,6 +95,24 @@ sys.meta_path.insert(0, Late())
     assert err.strip() == "split: stopped; what was being written is left as it was before"
 
 
+def test_a_stop_with_a_lock_of_workers_in_hand_says_one_line():
+    """Python's tracker of such locks told of each that was left when the process ended."""
+    program = """
+import importlib, multiprocessing, os, signal, click
+lock = multiprocessing.get_context("spawn").Lock()
+main = importlib.import_module("split_cli.cli.main")
+def stop(**_):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:
+        raise click.exceptions.Abort from None
+main.group.main = stop
+main.main([])
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert run.returncode == 130 and run.stderr.count("\n") == 1
+
+
 def handles(process: int, number: int) -> bool:
     """Tell whether a process has a handler of its own for a signal."""
     status = Path(f"/proc/{process}/status").read_text()
