@@ -454,9 +454,23 @@ def test_two_nuisances_that_share_an_effect_become_one_name():
     both = fit_parts(objective, [Part(one, dict(one.starts[0])) for one in (lag, delay)])
     shared = selecting._examined(explore, base, both)
     history: list[str] = []
-    alone = selecting._without_sharers(explore, replace(shared, named=(False, False)), history)
+    alone = selecting._settled_nuisances(explore, replace(shared, named=(False, False)), history)
     assert named(alone) == {"steer_lag"} and "steer_delay gives way" in history[0]
-    assert selecting._without_sharers(explore, alone, []) is alone
+    assert selecting._settled_nuisances(explore, alone, []) is alone
+
+
+def test_a_name_that_is_none_without_a_nuisance_leaves_with_it(pair):
+    parts = [Part(one, dict(one.starts[0])) for one in candidates_of(pair, *NAMES[:4])]
+    explore, base = Explorer(pair, tuple(part.candidate for part in parts), VARIANCE_INFLATION), nothing(pair)
+    true = [part.candidate.term in ("yaw_inertia", "aero_drag") for part in parts]
+    leaning = tuple(part.candidate.term != "rolling_resistance" for part in parts)
+    selection, history = selecting._examined(explore, base, fit_parts(pair, parts)), []
+    settled = selecting._settled_nuisances(explore, replace(selection, named=leaning), history)
+    assert named(settled) == set(settled.chosen.names) == {"yaw_inertia", "aero_drag"}
+    assert history == ["rolling_resistance leaves with steer_gain, of no name without it"]
+    # Names that need none of the nuisances keep these.
+    whole = replace(selection, named=tuple(true))
+    assert selecting._settled_nuisances(explore, whole, []) is whole
 
 
 def test_size_of_a_term_is_told_with_the_others_in_place(pair, chosen_pair):

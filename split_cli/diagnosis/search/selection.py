@@ -153,7 +153,7 @@ def select_terms(
             break
         history += grown.history
         selection = _examined(explore, base, _turned_over(explore, grown.chosen, history))
-    selection = _without_sharers(explore, selection, history)
+    selection = _settled_nuisances(explore, selection, history)
     # Last: whatever were added to it again, or took its place, would be part of the explanation that it replaced.
     single = alone(explore, base, selection.chosen, selection.named)
     if single is not None:
@@ -230,21 +230,39 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
     return selection, selection.chosen is not before
 
 
-def _without_sharers(explore: Explorer, selection: Selection, history: list[str]) -> Selection:
-    """Return a selection without nuisances beside which terms lose the names that they have without, and say so.
+def _settled_nuisances(explore: Explorer, selection: Selection, history: list[str]) -> Selection:
+    """Return a selection in which the nuisance that costs least to leave takes no name and lends none, and say so.
 
     Two terms may share an effect, each too small to be named beside the other, while either alone is sure. That is
-    one name with an alternative, and not two nuisances: the one that costs less to leave goes.
+    one name with an alternative, and not two nuisances. Or they cancel each other, and together bend to what
+    neither of them is: a further name that is none without a nuisance, which is no more than the model-form error
+    of the others, leaves with it.
     """
     while not all(selection.named) and len(selection.named) > 1:
+        chosen, own = selection.chosen, {term.id for term in selection.terms}
         unnamed = [k for k, named in enumerate(selection.named) if not named]
         k = min(unnamed, key=lambda k: explore.price(selection.without[k]))
-        trial = _compared(explore, selection.base, selection.without[k])
-        if sum(trial.named) <= sum(selection.named):
+        trial, label = _compared(explore, selection.base, selection.without[k]), chosen.parts[k].candidate.label
+        lent = own - {term.id for term in trial.terms}
+        if sum(trial.named) > len(own):
+            history.append(f"{label} gives way: another is named without it")
+        elif lent and own - lent and _lends(explore, selection, k):
+            others = [part for part in trial.chosen.parts if part.candidate.term not in lent]
+            trial = _compared(explore, selection.base, fit_parts(explore.objective, others, known=trial.chosen))
+            if {term.id for term in trial.terms} != own - lent:
+                break
+            history.append(f"{label} leaves with {' and '.join(sorted(lent))}, of no name without it")
+        else:
             break
-        history.append(f"{selection.chosen.parts[k].candidate.label} gives way: another is named without it")
         selection = _with_rivals(explore, trial)
     return selection
+
+
+def _lends(explore: Explorer, selection: Selection, k: int) -> bool:
+    """Return whether a nuisance is refused beside the others, and no bias that any sound recording has."""
+    own = selection.chosen.parts[k]
+    everyday = own.candidate.is_everyday(own.values)
+    return not everyday and _refused_last(explore, selection.without[k], selection.chosen, k)
 
 
 def _exchanged_beside_form_error(
