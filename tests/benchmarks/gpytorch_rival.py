@@ -1,5 +1,6 @@
 """GPyTorch's exact process beside ours: its query, and an update followed by a query."""
 
+import gc
 import resource
 import time
 
@@ -61,6 +62,7 @@ def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) 
         cached += [spent(lambda at=q, to=model: ask(to, at[None])) for q in stream.queries[:SLOW_QUERIES]]
         answers.append(ask(model, stream.queries))
         del model
+        gc.collect()  # a model and its caches refer to each other
         anew += [spent(lambda at=q, of=outputs: ask(fresh(of), at[None])) for q in stream.queries[:few]]
     mean, variance = (np.concatenate(part, axis=1) for part in zip(*answers, strict=True))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0 if alone else None
