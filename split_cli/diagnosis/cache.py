@@ -1,11 +1,13 @@
-"""A cache of the last few results, for values that a search comes back to."""
+"""A cache of the last few results for a search, and the way to return freed memory to the system."""
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
-__all__ = ["Recent"]
+__all__ = ["Recent", "give_back"]
 
 _Made = TypeVar("_Made")
 
@@ -41,3 +43,15 @@ class Recent(Generic[_Made]):
                 self._known.pop(oldest, None)
         self._known[key] = found
         return found
+
+
+def give_back() -> None:
+    """Return freed memory to the system where the C library can; elsewhere nothing happens.
+
+    A library that allocates keeps what lies between arrays in use, and a search frees arrays of all lengths: of a
+    recording of eleven minutes half as much stayed as was in use.
+    """
+    if sys.platform.startswith("linux"):
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc alone
+        if trim is not None:
+            trim(0)

@@ -61,6 +61,19 @@ def test_the_cost_is_that_of_the_dense_gaussian(behind, delay):
     assert costs_beside_form_error(behind, [delay]) == pytest.approx([left @ left], rel=1e-9)
 
 
+def test_products_summed_over_stretches_are_those_of_whole_columns(behind, delay, lag):
+    """With three directions that the simulation left open."""
+    seen = np.array([0.3, 0.9, 0.999])
+    open_to = np.linalg.qr(np.random.default_rng(2).standard_normal((len(behind.weight), 3)))[0] * np.sqrt(seen)
+    taught = replace(behind, basis=open_to, root=1.0 / (1.0 + np.sqrt(1.0 - seen)))
+    parts, residuals = [(delay.terms, 0), (lag.terms, 0)], np.stack([delay.residuals, lag.residuals], axis=1)
+    whole = module._columns(taught, parts)
+    assert len(taught.evidence[0].at) > 2 * module._ROWS_AT_ONCE
+    told = module._products(taught, parts, residuals)
+    for here, there in zip(told, (whole.T @ whole, whole.T @ residuals), strict=True):
+        assert here == pytest.approx(there, rel=1e-9, abs=1e-9 * np.abs(there).max())
+
+
 def test_without_a_term_nothing_is_free(behind):
     base = nothing(behind)
     assert costs_beside_form_error(behind, [base]) == [base.cost]
@@ -172,7 +185,9 @@ def test_a_further_term_is_sought_beyond_the_form_error_of_the_others():
     }
     clean = noisy_objective(driven(41, **commands), 3)
     (one,), delay = clean.evidence, fitted(clean, "steer_delay")
-    wrong = clean.stack([one.whitener(module._variations(one, delay.terms, (), False))])
+    wrong = clean.stack(
+        [one.whitener(module._varied_by(one, one.left(()) - one.left(delay.terms), False, module._functions(one)))]
+    )
     # Only a size that is small beside the delay's in another channel would be in doubt.
     policy = clean.policy.altered("selection", considered=1, form_error_across=0.0)
     objective = replace(clean, offset=clean.offset - 0.4 * wrong[:, 12], policy=policy)

@@ -68,10 +68,10 @@ def test_products_of_functions_tell_the_size_of_any_sum_of_them():
     rng = np.random.default_rng(3)
     errors, weights = rng.standard_normal((40, 3, 5)), rng.standard_normal(5)
     series = SimpleNamespace(stated_noise=SIGMA)
-    products = products_over_noise(series, errors)
+    products = products_over_noise(series, [errors])
     told = np.sqrt(products @ weights @ weights)
     np.testing.assert_allclose(told, rms_over_noise(series, errors @ weights), rtol=1e-12)
-    assert not products_over_noise(series, errors[:0]).any()  # a recording of which no row is compared
+    assert not products_over_noise(series, [errors[:0]]).any()  # a recording of which no row is compared
 
 
 class TestFlexibleFit:
@@ -93,12 +93,14 @@ class TestFlexibleFit:
         objective = SimpleNamespace(posterior=None, evidence=(one,), keep=(every >= 0,), policy=policy)
         factor = np.linalg.cholesky(columns.T @ columns * (1.0 + module._RIDGE_SHARE * self.rows)).T
         groups = ("a", "a", "b", "b", "b", "c")
-        return Structure(objective, columns, (products_over_noise(series, windows),), groups, factor)
+        return Structure(
+            objective, (columns[:, :4], columns[:, 4:]), (products_over_noise(series, [windows]),), groups, factor
+        )
 
     def test_saving_freedom_and_effect_to_noise_by_hand(self):
         one = self.structure()
         weights = np.array([40.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        fit = one.fit(one.columns @ weights, 1.0)
+        fit = one.fit(np.hstack(one.blocks) @ weights, 1.0)
         shrink = 1.0 / (1.0 + module._RIDGE_SHARE * self.rows)
         assert fit.saved == pytest.approx(shrink * 1600.0)
         assert fit.freedom == pytest.approx(shrink * self.columns)
@@ -116,7 +118,7 @@ class TestFlexibleFit:
         for level in (0.01, 0.05, 0.2):
             assert np.mean(p < level) <= level + 3.0 * np.sqrt(level * (1.0 - level) / REPLICATES)
         # And not because it never says anything: four parameters' worth of noise is seen.
-        assert one.fit(one.columns[:, 0] * 12.0 + rng.standard_normal(self.rows), 1.0).p_value < 1e-6
+        assert one.fit(one.blocks[0][:, 0] * 12.0 + rng.standard_normal(self.rows), 1.0).p_value < 1e-6
 
 
 def test_effects_to_noise_of_a_constant_rate_by_hand(nominal_series):
@@ -189,7 +191,7 @@ def test_a_symmetric_loss_is_found_at_the_operating_point(discrepancy):
 def test_the_fit_is_ridge_regression(nominal_objective, nominal_structure):
     """Against one augmented least squares problem."""
     rng = np.random.default_rng(9)
-    columns = nominal_structure.columns
+    columns = np.hstack(nominal_structure.blocks)
     residuals = rng.standard_normal(len(columns)) + columns @ rng.standard_normal(columns.shape[1]) * 0.02
     penalty = np.sqrt(module._RIDGE_SHARE * len(columns))
     stacked = np.concatenate([columns, penalty * np.eye(columns.shape[1])])

@@ -42,6 +42,18 @@ def test_costs_are_those_of_the_dense_gaussian():
     np.testing.assert_allclose(np.sum(rows**2), z.ravel() @ np.linalg.solve(covariance, z.ravel()), rtol=1e-10)
 
 
+def test_stretches_one_after_the_other_are_the_whole():
+    rng = np.random.default_rng(8)
+    begins = np.zeros(40, dtype=bool)
+    begins[[0, 23]] = True
+    group = np.repeat([0, 1, 2, 3, 4, 5, -1, 6, 7], [5, 5, 5, 5, 3, 4, 3, 5, 5])
+    whitener = build_whitener(jacobians(41, rng), PERIOD, NOISE, DISTURBANCE, begins, group)
+    z, estimate = rng.standard_normal((40, 3, 2)), np.zeros((3, 2))
+    pieces = [one(z[at], estimate) for at, _, one in whitener.stretches(3)]
+    assert [len(piece) for piece in pieces] == [3, 3, 2]
+    np.testing.assert_array_equal(np.concatenate(pieces), whitener(z))
+
+
 def test_a_gap_makes_two_recordings_of_one():
     rng = np.random.default_rng(5)
     A = jacobians(30, rng)

@@ -64,8 +64,13 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     discrepancy = build_shared_discrepancy(vehicle, (by_role["sim"] or by_role["real"])[0])
     simulated = together(lambda one: gather_evidence(vehicle, one, discrepancy, rules=rules), by_role["sim"])
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
-    real = together(lambda one: gather_evidence(vehicle, one, discrepancy, least, rules), by_role["real"])
-    holdout = together(lambda one: gather_evidence(vehicle, one, discrepancy, least, rules), by_role["holdout"])
+
+    def gathered(one: Series) -> Evidence:
+        own = gather_evidence(vehicle, one, discrepancy, least, rules)
+        # Nothing is shared with a nominal model.
+        return own if simulated else replace(own, discrepancy=np.empty((*own.plain.shape, 0)))
+
+    real, holdout = (together(gathered, by_role[role]) for role in ("real", "holdout"))
     noise = np.median([one.series.stated_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [graded_as(one, noise, disturbance, discrepancy) for one in simulated]

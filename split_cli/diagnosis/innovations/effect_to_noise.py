@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -11,11 +11,12 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
 __all__ = [
-    "effect_to_noise", "effects_to_noise", "effects_to_noise_of", "products_over_noise", "rms_over_noise",
-    "windowed",
+    "effect_to_noise", "effects_to_noise", "effects_to_noise_of", "products_of", "products_over_noise",
+    "rms_over_noise", "windowed",
 ]  # fmt: skip
 
 _HORIZON = 0.05
+_ROWS_AT_ONCE = 8192
 
 
 def effect_to_noise(series: Series, defect: np.ndarray) -> float:
@@ -49,13 +50,26 @@ def rms_over_noise(series: Series, errors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.mean(errors**2, axis=0)) / (np.sqrt(2.0) * series.stated_noise)
 
 
-def products_over_noise(series: Series, errors: np.ndarray) -> np.ndarray:
-    """Return mean products of prediction errors (W, 3, Q) over the variance of a difference, shape (3, Q, Q).
+def products_over_noise(series: Series, errors: Sequence[np.ndarray]) -> np.ndarray:
+    """Return mean products of prediction errors over the variance of a difference, shape (3, Q, Q).
 
-    With weights w of the columns, w^T (products) w is the square of what `rms_over_noise` makes of `errors @ w`.
+    The Q columns come a few at a time, shape (W, 3, c) each. With weights w of them, w^T (products) w is the
+    square of what `rms_over_noise` makes of `errors @ w`.
     """
-    products = np.stack([column.T @ column for column in np.moveaxis(errors, 1, 0)])
-    return products / (2.0 * max(len(errors), 1) * series.stated_noise[:, None, None] ** 2)
+    products = np.stack([products_of([some[:, i] for some in errors]) for i in range(3)])
+    return products / (2.0 * max(len(errors[0]), 1) * series.stated_noise[:, None, None] ** 2)
+
+
+def products_of(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the products of columns that come a few at a time, (R, c) each, shape (Q, Q).
+
+    Rows are joined some at a time: all of them at once would be in memory twice.
+    """
+    total = 0.0
+    for begin in range(0, max(len(blocks[0]), 1), _ROWS_AT_ONCE):
+        rows = np.hstack([some[begin : begin + _ROWS_AT_ONCE] for some in blocks])
+        total = total + rows.T @ rows
+    return total
 
 
 def effects_to_noise_of(

@@ -8,6 +8,7 @@ them is prediction-error estimation over every horizon at once.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,16 +31,41 @@ class Whitener:
     count: np.ndarray  # (G,): transitions a row
     log_determinant: float  # sum of the logarithms of the innovations' covariance determinants
 
-    def __call__(self, defect: np.ndarray) -> np.ndarray:
+    def __call__(self, defect: np.ndarray, estimate: np.ndarray | None = None) -> np.ndarray:
         """Return whitened rows, shape (G, 3, C), of defects (N - 1, 3, C), or (G, 3) of (N - 1, 3).
 
         Rows are sums of successive innovations over the root of their count: still white and of unit variance;
         what they leave out is faster than the rows.
+
+        Parameters
+        ----------
+        defect : ndarray
+        estimate : ndarray, shape (3, C), optional
+            Of the last sample's noise before the first defect, for columns; gets that before the next one. 0 where
+            a recording begins.
         """
-        whiten = _whiten_one if defect.ndim == 2 else _whiten
         defect = np.ascontiguousarray(defect)
-        rows = whiten(defect, self.gain, self.root, self.carry, self.begins, self.group, len(self.count))
+        filtered = defect, self.gain, self.root, self.carry, self.begins, self.group, len(self.count)
+        if defect.ndim == 2:
+            rows = _whiten_one(*filtered)
+        else:
+            rows = _whiten(*filtered, np.zeros((3, defect.shape[2])) if estimate is None else estimate)
         return rows / np.sqrt(self.count).reshape(-1, *(1,) * (rows.ndim - 1))
+
+    def stretches(self, length: int) -> Iterator[tuple[slice, slice, Whitener]]:
+        """Yield transitions, rows and the whitener of one stretch after the other, of so many rows or less."""
+        begin = 0
+        for first in range(0, len(self.count), length):
+            rows = slice(first, min(first + length, len(self.count)))
+            last = rows.stop == len(self.count)
+            end = len(self.group) if last else int(np.argmax(self.group == rows.stop))
+            at = slice(begin, end)
+            group = np.where(self.group[at] >= 0, self.group[at] - first, -1)
+            yield at, rows, replace(
+                self, gain=self.gain[at], root=self.root[at], carry=self.carry[at], begins=self.begins[at],
+                group=group, count=self.count[rows],
+            )  # fmt: skip
+            begin = end
 
     def of_every_sample(self) -> Whitener:
         """Return the whitener that makes a row of every transition."""
@@ -156,10 +182,9 @@ def _gains(carry, onward, R, Q, begins):
 
 
 @njit(cache=True, nogil=True)
-def _whiten(z, gain, root, carry, begins, group, rows):
+def _whiten(z, gain, root, carry, begins, group, rows, estimate):
     n, _, columns = z.shape
     out = np.zeros((rows, 3, columns))
-    estimate = np.zeros((3, columns))
     innovation = np.empty((3, columns))
     for k in range(n):
         if begins[k]:

@@ -50,9 +50,7 @@ def residual_autocorrelation(structure: Structure, residuals: np.ndarray) -> Res
     The long-run variance over the plain one (Newey and West, 1987). A flexible fit takes slow parts with it, so
     that white rows give less than 1. Rows quieter than noise, of a simulation without any, count as noisy ones.
     """
-    score = structure.columns.T @ residuals
-    weights = np.linalg.solve(structure.factor, np.linalg.solve(structure.factor.T, score))
-    left = residuals - structure.columns @ weights
+    left = structure.left(residuals)
     rows = sum(int(mask.sum()) for mask in structure.objective.keep)
     left = left[: 3 * rows].reshape(rows, 3)  # kinematic rows come last
     width = max(min(LAG_ROWS, rows // 4), 2)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, scaled_features, spread
 from split_cli.diagnosis.innovations.effect_to_noise import windowed
 from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence, integrated
-from split_cli.diagnosis.parallel import together
+from split_cli.diagnosis.parallel import cores, together
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["FlexibleRows", "flexible_rows", "left_out"]
+__all__ = ["FlexiblePiece", "flexible_rows", "left_out"]
 
 _HARMONICS = 8
 _KNOTS = 9
@@ -24,16 +24,18 @@ _BESIDE_SECONDS = 0.09  # of samples on either side of what is left out, through
 
 
 @dataclass(frozen=True)
-class FlexibleRows:
-    """What each function adds to a recording, row by row."""
+class FlexiblePiece:
+    """What a few functions of one group add to a recording, row by row."""
 
-    whitened: np.ndarray  # (G, 3, Q)
-    windows: np.ndarray  # (G, 3, Q): prediction errors over 0.05 s about each row
-    groups: tuple[str, ...]  # group of each function
+    whitened: np.ndarray  # (G, 3, c)
+    windows: np.ndarray  # (G, 3, c): prediction errors over 0.05 s about each row
+    group: str
 
 
-def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy, *, uncompared: bool = False) -> FlexibleRows:
-    """Return the functions' rows; some at a time, since the rates of all of them fill memory.
+def flexible_rows(
+    one: Evidence, discrepancy: SharedDiscrepancy, *, uncompared: bool = False
+) -> Iterator[FlexiblePiece]:
+    """Yield the functions' rows a few functions at a time: all of them at once fill memory.
 
     Parameters
     ----------
@@ -46,26 +48,21 @@ def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy, *, uncompared: 
     if uncompared:
         series = replace(series, smooth=left_out(series))
     groups = {
-        "operating point": lambda: discrepancy.blocks(series),
-        "left against right": lambda: _asymmetric(series, vehicle),
-        "memory": lambda: _memory(series, vehicle),
-        "time": lambda: _time(series, vehicle),
-        "place": lambda: _place(series, vehicle),
+        "operating point": discrepancy.blocks(series),
+        "left against right": _asymmetric(series, vehicle),
+        "memory": _memory(series, vehicle),
+        "time": _time(series, vehicle),
+        "place": _place(series, vehicle),
     }
 
-    def pieces(name: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        defects = (integrated(series, block) for block in groups[name]())
-        pairs = [(one.whitener(some), windowed(series, some, one.at)) for some in defects]
-        return [whitened for whitened, _ in pairs], [windows for _, windows in pairs]
+    def piece(asked: tuple[str, np.ndarray]) -> FlexiblePiece:
+        group, block = asked
+        defects = integrated(series, block)
+        return FlexiblePiece(one.whitener(defects), windowed(series, defects, one.at), group)
 
-    found = together(pieces, groups)
-    names = [(name,) * sum(some.shape[2] for some in own[0]) for name, own in zip(groups, found, strict=True)]
-    # The pieces of either kind go as soon as they are joined.
-    whitened = np.concatenate([some for own in found for some in own[0]], axis=2)
-    for own in found:
-        own[0].clear()
-    windows = np.concatenate([some for own in found for some in own[1]], axis=2)
-    return FlexibleRows(whitened, windows, tuple(name for several in names for name in several))
+    for group, blocks in groups.items():
+        while some := list(islice(blocks, cores())):
+            yield from together(piece, [(group, block) for block in some])
 
 
 def left_out(series: Series) -> np.ndarray:

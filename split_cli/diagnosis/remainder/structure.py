@@ -7,16 +7,16 @@ named terms left something behind.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise, products_over_noise
+from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise, products_of, products_over_noise
 from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
-from split_cli.diagnosis.remainder.flexible import FlexibleRows
+from split_cli.diagnosis.remainder.flexible import FlexiblePiece
 
 __all__ = [
     "FlexibleFit", "Structure", "build_structure", "minimum_effect_p", "term_allowances",
@@ -42,17 +42,33 @@ class Structure:
     """Whitened columns of the flexible fit on an objective's rows."""
 
     objective: MarginalLikelihood
-    columns: np.ndarray  # (R, Q): whitened, the shared discrepancy's part that is still free taken out
+    # (R, c) each, Q in all: whitened, the shared discrepancy's part that is still free taken out.
+    blocks: tuple[np.ndarray, ...]
     # (3, Q, Q): mean products of what any two functions add over 0.05 s about the compared rows of a recording,
     # over the variance of noise, of v_x, v_y and r: quadratic forms of the squared effect-to-noise ratios [1].
     sizes: tuple[np.ndarray, ...]
     groups: tuple[str, ...]  # group of each column
     factor: np.ndarray
 
+    def score(self, residuals: np.ndarray) -> np.ndarray:
+        """Return the columns' products with whitened residuals (R,), shape (Q,)."""
+        return np.concatenate([some.T @ residuals for some in self.blocks])
+
+    def weights(self, score: np.ndarray) -> np.ndarray:
+        """Return the weights of the columns that a fit with this score has, shape (Q,)."""
+        return np.linalg.solve(self.factor, np.linalg.solve(self.factor.T, score))
+
+    def left(self, residuals: np.ndarray) -> np.ndarray:
+        """Return what a fit leaves of whitened residuals, shape (R,)."""
+        weights, left = self.weights(self.score(residuals)), residuals
+        for some, own in zip(self.blocks, _split_like(weights, self.blocks), strict=True):
+            left = left - some @ own
+        return left
+
     def fit(self, residuals: np.ndarray, variance_inflation: float) -> FlexibleFit:
         """Fit whitened residuals, shape (R,)."""
-        score = self.columns.T @ residuals
-        weights = np.linalg.solve(self.factor, np.linalg.solve(self.factor.T, score))
+        score = self.score(residuals)
+        weights = self.weights(score)
         saved = float(score @ weights)
         inverse = np.linalg.inv(self.factor)
         freedom = float(len(score) - _RIDGE_SHARE * len(residuals) * np.sum(inverse**2))
@@ -89,21 +105,37 @@ class Structure:
         return tuple(sorted(out, key=lambda pair: -pair[1]))
 
 
-def build_structure(objective: MarginalLikelihood, rows: Sequence[FlexibleRows]) -> Structure:
-    """Set up the flexible fit on an objective's rows, from the functions' rows of every recording."""
-    columns = objective.whiten(objective.stack([one.whitened for one in rows]))
-    scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-12
-    # A ridge: sums of nearly collinear columns hold little beside the noise of the smoothed states, which is also
-    # in the residuals and would look like structure.
-    scale = np.where(scale > 1e-9, scale, np.inf)
-    columns /= scale
-    penalty = _RIDGE_SHARE * len(columns)
-    factor = np.linalg.cholesky(columns.T @ columns + penalty * np.eye(columns.shape[1])).T
+def build_structure(objective: MarginalLikelihood, pieces: Sequence[Iterable[FlexiblePiece]]) -> Structure:
+    """Set up the flexible fit on an objective's rows, from the functions' rows of every recording.
+
+    Parameters
+    ----------
+    pieces : sequence of iterable of FlexiblePiece
+        Of each recording, the same functions in the same order. They are taken one at a time, and only what is
+        kept of them stays in memory.
+    """
+    blocks, windows, groups = [], [[] for _ in objective.evidence], []
+    for several in zip(*pieces, strict=True):
+        some = objective.whiten(objective.stack([one.whitened for one in several]))
+        # A ridge: sums of nearly collinear columns hold little beside the noise of the smoothed states, which is
+        # also in the residuals and would look like structure.
+        scale = np.sqrt(np.mean(some**2, axis=0)) + 1e-12
+        scale = np.where(scale > 1e-9, scale, np.inf)
+        blocks.append(some / scale)
+        for own, one, mask in zip(windows, several, objective.keep, strict=True):
+            own.append(one.windows[mask] / scale)
+        groups += [several[0].group] * len(scale)
+    penalty = _RIDGE_SHARE * len(objective.weight)
+    factor = np.linalg.cholesky(products_of(blocks) + penalty * np.eye(len(groups))).T
     sizes = tuple(
-        products_over_noise(one.series, part.windows[mask]) / (scale[:, None] * scale)
-        for one, part, mask in zip(objective.evidence, rows, objective.keep, strict=True)
+        products_over_noise(one.series, own) for one, own in zip(objective.evidence, windows, strict=True)
     )
-    return Structure(objective, columns, sizes, rows[0].groups, factor)
+    return Structure(objective, tuple(blocks), sizes, tuple(groups), factor)
+
+
+def _split_like(values: np.ndarray, blocks: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return values (Q,) in pieces, one for each block of columns."""
+    return np.split(values, np.cumsum([some.shape[1] for some in blocks])[:-1])
 
 
 def _discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:

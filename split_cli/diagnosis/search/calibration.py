@@ -27,7 +27,7 @@ from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
-from split_cli.diagnosis.remainder.flexible import FlexibleRows, flexible_rows
+from split_cli.diagnosis.remainder.flexible import FlexiblePiece, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.parts_of_drive import most_saved
@@ -133,7 +133,7 @@ def self_test(
         graded, posterior, discrepancy, all_rows, [one for _, one in positions], policy=policy
     )
     offers = _offers(objective.with_fixed_baseline() if posterior else objective, candidates)
-    rows = tuple(flexible_rows(one, discrepancy) for one in graded)
+    rows = tuple(tuple(flexible_rows(one, discrepancy)) for one in graded)
     sides = _Sides(
         tuple(graded), positions, rows, discrepancy, variance_inflation, reach, posterior is not None, policy
     )
@@ -219,7 +219,7 @@ class _Sides:
 
     graded: tuple[Evidence, ...]
     positions: tuple[tuple[int, KinematicResiduals | Witness], ...]
-    rows: tuple[FlexibleRows, ...]
+    rows: tuple[tuple[FlexiblePiece, ...], ...]
     discrepancy: SharedDiscrepancy
     variance_inflation: float
     reach: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -125,7 +126,13 @@ def relieved(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | Non
     limit = min(explore.price(chosen) - rules.tie, *(explore.price(fit) + rules.tie for fit in rivals or [chosen]))
     for fit in (chosen, *rivals) if len(chosen.parts) > 1 else ():
         others = len(fit.parts) - (fit is not chosen)
-        leaving = [(dearer, (k,)) for k, dearer in enumerate(promised_without(explore, fit)[:others])]
+        # Leaving a part saves no more than its price.
+        most = rules.price * max(part.candidate.complexity for part in fit.parts[:others])
+        if fit is not chosen and explore.price(fit) - most >= limit:
+            continue
+        # A sensitivity that a rival had forgotten goes with its copy.
+        asked = fit if fit is chosen else replace(fit)
+        leaving = [(dearer, (k,)) for k, dearer in enumerate(promised_without(explore, asked)[:others])]
         if fit is chosen:
             leaving.append(promised_without_several(explore, fit))
         for dearer, gone in leaving:

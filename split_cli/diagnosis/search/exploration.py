@@ -11,6 +11,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.parallel import apart_with, together
 from split_cli.diagnosis.policy import SelectionRules
+from split_cli.diagnosis.recent import give_back
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
     Fit,
@@ -38,8 +39,8 @@ class Explorer:
     variance_inflation: float
     # Residuals and sensitivities that are held at once [bytes], the newest. Older ones are worked out anew where
     # they are asked for, so this decides memory and time; of a result, what forward differences leave open.
-    # Judgement: a quarter of the gigabyte that two drives of three minutes may take.
-    held: int = 2**28
+    # Judgement: an eighth of the gigabyte that a diagnosis may take.
+    held: int = 2**27
     # Explanations, the costs that were asked for, and fits beside each: to compare, and before they were followed.
     _explored: list[tuple[Fit, float, list[Fit], list[Fit]]] = field(
         default_factory=list, init=False, repr=False, compare=False
@@ -72,6 +73,7 @@ class Explorer:
         fits = self._followed(first)
         self._explored.append((current, worth, fits, first))
         self._forget_oldest()
+        give_back()
         return fits
 
     def close(self) -> None:

@@ -154,7 +154,7 @@ def fit_with_prior(
     Returns
     -------
     Fit
-        With the residuals' cost alone.
+        With the residuals' cost alone, its sensitivity forgotten.
     ndarray, shape (P, P)
         Half the curvature of the cost with the priors, in steps of the parameters.
     """
@@ -170,8 +170,9 @@ def fit_with_prior(
     shift = objective.shift([part.term for part in parts]) if altering else np.zeros(len(objective.weight))
     fit = _fit(objective, parts, shift, _JOINT_ITERATIONS, pulls)
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
-    slopes = fit.sensitivity * steps
-    return fit, slopes.T @ slopes + np.diag(pulls[1])
+    curvature = np.outer(steps, steps) * (fit.sensitivity.T @ fit.sensitivity) + np.diag(pulls[1])
+    fit.forget()
+    return fit, curvature
 
 
 def _fit(
@@ -218,6 +219,8 @@ def _fit(
 
     def linearise(x: np.ndarray, state: tuple, shared: Mapping[int, np.ndarray] = MappingProxyType({})) -> Slopes:
         here, _ = state
+        if len(x) and not shared:
+            return slopes_of(objective.whiten(_slopes(residual_at, here, x, upper, range(len(x)))), x, state)
         jacobian = np.empty((len(here), len(x)))
         for p, column in shared.items():
             jacobian[:, p] = column
@@ -240,9 +243,10 @@ def _fit(
         linearise, x, lower, upper, enough=lambda gained, _: gained < _LEAST_GAIN, iterations=iterations,
         known=begun, follow=None if pulls is not None or placed else follow,
     )  # fmt: skip
-    residuals = found.state[1]
+    residuals, jacobian = found.state[1], found.slopes.jacobian
     parts = _with(parts, names, found.parameters * steps)
-    return Fit(parts, float(residuals @ residuals), residuals, found.slopes.jacobian / steps)
+    # In its place: of all terms at once it is the largest array of a search.
+    return Fit(parts, float(residuals @ residuals), residuals, np.divide(jacobian, steps, out=jacobian))
 
 
 def _followed(slopes: Slopes, step: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, float]:
@@ -298,14 +302,14 @@ def _slopes(
 
     `here` is the residual at x.
     """
-    columns = []
-    for p in own:
+    out = np.empty((len(here), len(own)))
+    for column, p in zip(out.T, own, strict=True):
         # Away from a bound; one step is small against what matters, large against rounding.
         direction = -1.0 if x[p] + 1.0 > upper[p] else 1.0
         moved = x.copy()
         moved[p] += direction
-        columns.append((residual_at(moved) - here) * direction)
-    return np.stack(columns, axis=1)
+        np.multiply(residual_at(moved) - here, direction, out=column)
+    return out
 
 
 @dataclass(frozen=True)

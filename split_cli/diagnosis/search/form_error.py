@@ -26,6 +26,7 @@ __all__ = [
     "moved_between_load_laws", "residuals_beside_form_error", "saved_beside_form_error",
 ]  # fmt: skip
 
+_ROWS_AT_ONCE = 512  # of the columns of all parts together
 _DISCREPANCY = "varied discrepancy"  # what is remembered of the shared discrepancy's columns, before whitening
 
 
@@ -40,8 +41,47 @@ def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) 
     are the residuals left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
     L L^T = I + M^T M.
     """
-    form_error = _columns(objective, [(fit.terms, k) for fit in fits for k in range(len(fit.parts))])
-    return _costs(form_error, [fit.residuals for fit in fits])
+    parts = [(fit.terms, k) for fit in fits for k in range(len(fit.parts))]
+    if not parts:
+        return [fit.cost for fit in fits]
+    residuals = np.stack([fit.residuals for fit in fits], axis=1)
+    normal, scores = _products(objective, parts, residuals)
+    explained = np.sum(scores * np.linalg.solve(np.eye(len(normal)) + normal, scores), axis=0)
+    return [float(one @ one - part) for one, part in zip(residuals.T, explained, strict=True)]
+
+
+def _products(
+    objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], residuals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return M^T M and M^T of whitened residuals (R, K), summed over stretches of time: M itself may fill memory.
+
+    Parameters
+    ----------
+    parts : sequence
+        As for `_columns`, whose result M is, shape (R, Q).
+
+    Notes
+    -----
+    With X the rows before `MarginalLikelihood.whiten`, W = I - V D V^T what that applies, and W^2 = I - V V^T:
+    M^T M = X^T X - (V^T X)^T (V^T X) and M^T e = X^T e - (V^T X)^T D V^T e, times the policy's share.
+    """
+    count, share = 18 * len(parts), objective.policy.selection.form_error_share
+    basis = objective.basis
+    normal, scores = np.zeros((count, count)), np.zeros((count, residuals.shape[1]))
+    seen, end = np.zeros((basis.shape[1], count)), 0
+    for one, keep in zip(objective.evidence, objective.keep, strict=True):
+        effects, functions = [_effect(one, *part) for part in parts], _functions(one)
+        estimate = np.zeros((3, count))
+        for at, rows, whitener in one.whitener.stretches(_ROWS_AT_ONCE):
+            varied = [_varied_by(one, effect[at], by_axle, functions[at]) for effect, by_axle in effects]
+            x = whitener(np.concatenate(varied, axis=2), estimate)[keep[rows]].reshape(-1, count)
+            here = slice(end, end + len(x))
+            x *= share * objective.weight[here, None]
+            normal += x.T @ x
+            scores += x.T @ residuals[here]
+            seen += basis[here].T @ x
+            end = here.stop
+    return normal - seen.T @ seen, scores - seen.T @ (objective.root[:, None] * (basis.T @ residuals))
 
 
 def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: Fit) -> float:
@@ -201,7 +241,7 @@ def _columns_of_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
         weights, rows = objective.posterior.weights, []
         for one in objective.evidence:
             shared = integrated(one.series, objective.discrepancy.rates(one.series, weights))
-            rows.append(one.whitener(_varied_by(one, shared, by_axle=True)))
+            rows.append(one.whitener(_varied_by(one, shared, True, _functions(one))))
         objective.memo[_DISCREPANCY] = objective.stack(rows)
     return objective.policy.selection.form_error_share * objective.whiten(objective.memo[_DISCREPANCY])
 
@@ -217,21 +257,26 @@ def _costs(form_error: np.ndarray, residuals: Sequence[np.ndarray]) -> list[floa
 
 def _varied(objective: MarginalLikelihood, terms: tuple[Term, ...], k: int) -> np.ndarray:
     """Return what one term adds, piece by piece and times each function, as residuals, shape (R, 18)."""
+    effects = [_effect(one, terms, k) for one in objective.evidence]
+    return objective.stack(
+        [
+            one.whitener(_varied_by(one, *effect, _functions(one)))
+            for one, effect in zip(objective.evidence, effects, strict=True)
+        ]
+    )
+
+
+def _effect(one: Evidence, terms: tuple[Term, ...], k: int) -> tuple[np.ndarray, bool]:
+    """Return the defects that term k takes off beyond the others, (N - 1, 3), and whether it errs by axle."""
     others = terms[:k] + terms[k + 1 :]
     # A heavier car goes up the curves of its tyres: what asks them for other forces errs with them.
     by_axle = (terms[k].through_tires or alters_body(terms[k])) and not alters_inputs(terms[k])
-    return objective.stack([one.whitener(_variations(one, terms, others, by_axle)) for one in objective.evidence])
+    return one.left(others) - one.left(terms), by_axle
 
 
-def _variations(one: Evidence, terms: Sequence[Term], others: Sequence[Term], by_axle: bool) -> np.ndarray:
-    """Return the defects that terms take off beyond others, varied, shape (N - 1, 3, 18)."""
-    return _varied_by(one, one.left(others) - one.left(terms), by_axle)
-
-
-def _varied_by(one: Evidence, effect: np.ndarray, by_axle: bool) -> np.ndarray:
-    """Return an effect (N - 1, 3), piece by piece and times each function, shape (N - 1, 3, 18)."""
+def _varied_by(one: Evidence, effect: np.ndarray, by_axle: bool, functions: np.ndarray) -> np.ndarray:
+    """Return an effect (N - 1, 3), piece by piece and times each of six functions, shape (N - 1, 3, 18)."""
     pieces = _by_force(effect, one.vehicle) if by_axle else effect[:, :, None] * np.eye(3)
-    functions = _functions(one)
     return (pieces[:, :, :, None] * functions[:, None, None, :]).reshape(len(effect), 3, -1)
 
 
