@@ -41,7 +41,13 @@ def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) 
     are the residuals left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
     L L^T = I + M^T M.
     """
-    parts = [(fit.terms, k) for fit in fits for k in range(len(fit.parts))]
+    return _costs_beside(objective, [(fit.terms, k) for fit in fits for k in range(len(fit.parts))], fits)
+
+
+def _costs_beside(
+    objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], fits: Sequence[Fit]
+) -> list[float]:
+    """Return the costs of fits with a share of the effects of parts free, each terms and the number of one."""
     if not parts:
         return [fit.cost for fit in fits]
     residuals = np.stack([fit.residuals for fit in fits], axis=1)
@@ -97,9 +103,15 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
     With P = (I + M M^T)^-1 as in `costs_beside_form_error` and the columns V of `_other_load_laws`, each cost is
     the least of (e - V u)^T P (e - V u) with u from 0, the variant that was chosen, to 1, another.
     """
-    form_error = np.hstack([form_error_columns(objective, before), _columns_of_discrepancy(objective)])
+    laws, shared = _other_load_laws(objective, before), _columns_of_discrepancy(objective)
+    if not laws.shape[1] and not shared.shape[1]:
+        parts = [(before.terms, k) for k in range(len(before.parts))]
+        here, there = _costs_beside(objective, parts, [before, after])
+        return here - there
+    form_error = form_error_columns(objective, before)
+    if shared.shape[1]:
+        form_error = np.hstack([form_error, shared])
     here, there = _costs(form_error, [before.residuals, after.residuals])
-    laws = _other_load_laws(objective, before)
     if not laws.shape[1]:
         return here - there
     best = [_bounded_fit(form_error, laws, one.residuals, np.zeros(laws.shape[1]))[1] for one in (before, after)]
@@ -207,7 +219,7 @@ def free_to_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     """Return N, shape (R, 18 a part), with N N^T = I - (I + M M^T)^-1, see `costs_beside_form_error`."""
     form_error = form_error_columns(objective, fit)
     lower = np.linalg.cholesky(np.eye(form_error.shape[1]) + form_error.T @ form_error)
-    return solve_triangular(lower, form_error.T, lower=True).T
+    return solve_triangular(lower, form_error.T, lower=True, overwrite_b=True).T
 
 
 def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
