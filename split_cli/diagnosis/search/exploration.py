@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from split_cli.diagnosis.cache import give_back
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.parallel import apart_with, together
 from split_cli.diagnosis.policy import SelectionRules
-from split_cli.diagnosis.recent import give_back
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
     Fit,

@@ -13,6 +13,7 @@ from itertools import takewhile
 
 import numpy as np
 
+from split_cli.diagnosis.cache import give_back
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import apart_with
 from split_cli.diagnosis.search.candidates import Candidate
@@ -74,10 +75,12 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
     placed = tuple(part for part in current.parts if part.candidate.located)
     begun = fit_parts(explore.objective, placed) if placed else nothing
     begins = [_everything_from(explore, one) for one in (begun, current)]
+    give_back()  # derivatives by all terms at once are the largest arrays of a search
     (fit, curvature), (beside, its_curvature) = apart_with(explore.objective, _fit_from, begins)
     if beside.cost < fit.cost - explore.rules.price * explore.variance_inflation:
         fit, curvature = beside, its_curvature
     kept = _not_needless(explore, fit.parts, curvature)
+    give_back()
     if not kept:
         return current
     return without_needless(explore, fit_parts(explore.objective, kept))
