@@ -220,7 +220,9 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
         selection = _with_rivals(explore, _compared(explore, base, better.fit), better=True)
         all_known = False
     best_first = sorted((rival for several in selection.rivals for rival in several), key=lambda one: one.excess)
-    for move in (merged, partial(joined, rivals=[rival.fit for rival in best_first]), split):
+    moves: tuple[Callable[[Explorer, Fit, Fit, Sequence[bool]], Fit | None], ...]
+    moves = (merged, partial(joined, rivals=[rival.fit for rival in best_first]), split)
+    for move in moves:
         other = move(explore, selection.base, selection.chosen, selection.named)
         if other is not None:
             history.append(said_of(selection.chosen, other))
@@ -244,7 +246,7 @@ def _settled_nuisances(explore: Explorer, selection: Selection, history: list[st
         k = min(unnamed, key=lambda k: explore.price(selection.without[k]))
         trial, label = _compared(explore, selection.base, selection.without[k]), chosen.parts[k].candidate.label
         lent = own - {term.id for term in trial.terms}
-        if sum(trial.named) > len(own):
+        if sum(trial.named) > len(own) and _shares(explore, selection, trial, own):
             history.append(f"{label} gives way: another is named without it")
         elif lent and own - lent and _lends(explore, selection, k):
             others = [part for part in trial.chosen.parts if part.candidate.term not in lent]
@@ -258,11 +260,24 @@ def _settled_nuisances(explore: Explorer, selection: Selection, history: list[st
     return selection
 
 
+def _shares(explore: Explorer, selection: Selection, trial: Selection, names: set[str]) -> bool:
+    """Return whether what is named without a nuisance lacks no more than a fair share of what it then saves."""
+    lacking = trial.chosen.cost - selection.chosen.cost
+    saved = [
+        without.cost - trial.chosen.cost
+        for part, without, named in zip(trial.chosen.parts, trial.without, trial.named, strict=True)
+        if named and part.candidate.term not in names
+    ]
+    return lacking < explore.rules.fair_share * min(saved, default=0.0)
+
+
 def _lends(explore: Explorer, selection: Selection, k: int) -> bool:
-    """Return whether a nuisance is refused beside the others, and no bias that any sound recording has."""
-    own = selection.chosen.parts[k]
-    everyday = own.candidate.is_everyday(own.values)
-    return not everyday and _refused_last(explore, selection.without[k], selection.chosen, k)
+    """Return whether a nuisance is refused beside others, saves little and is no bias that all sensors have."""
+    chosen, without, own = selection.chosen, selection.without[k], selection.chosen.parts[k]
+    much = explore.rules.form_error_cost * (selection.base.cost - chosen.cost)
+    if own.candidate.is_everyday(own.values) or without.cost - chosen.cost > much:
+        return False
+    return _refused_last(explore, without, chosen, k)
 
 
 def _exchanged_beside_form_error(
