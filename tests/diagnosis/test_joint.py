@@ -8,10 +8,10 @@ import pytest
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, Prior, fit_parts, fit_with_prior
 from split_cli.diagnosis.search.joint import (
-    _Block,
     _blocks,
     _everything_from,
     _leaving,
+    _PartColumns,
     _worth,
     all_at_once,
     cheapest_first,
@@ -90,7 +90,7 @@ def test_two_that_share_an_effect_are_each_worth_their_price_and_leave_together(
     """By closed form, all of a quadratic cost: (d^T H d)/V of those that leave, the rest refitted, less prices."""
     H, d = np.array([[50.0, 49.0, 0.3], [49.0, 50.0, -0.2], [0.3, -0.2, 40.0]]), np.array([2.1, -2.1, 3.0])
     part = SimpleNamespace(candidate=SimpleNamespace(complexity=1.0))
-    blocks = [_Block(part, np.array([k]), np.array([k]), d[k : k + 1]) for k in range(3)]
+    blocks = [_PartColumns(part, np.array([k]), np.array([k]), d[k : k + 1]) for k in range(3)]
     told = SimpleNamespace(variance_inflation=1.0, rules=SimpleNamespace(price=8.0))
 
     def cost(gone: list[int]) -> float:

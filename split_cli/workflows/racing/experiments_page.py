@@ -80,7 +80,9 @@ def read_page(page: Path) -> str:
     if not asked or not known.issuperset(asked):
         unknown = next((name for name in asked if name not in known), None)
         what = f"asks for the table {unknown!r}, which no experiment makes" if asked else "asks for no table"
-        advice = f"A table stands between <!-- table: NAME --> and <!-- end -->; there are {', '.join(sorted(known))}."
+        advice = (
+            f"A table stands between <!-- table: NAME --> and <!-- end -->; there are {', '.join(sorted(known))}."
+        )
         raise SplitError(what, where=str(page), advice=advice)
     return text
 
