@@ -127,8 +127,7 @@ class SelectionRules:
     sure: float = number(
         15.0,
         "standard errors",
-        "size of a term in a part of the drive, from scores block by block, from which on it need not save in "
-        "enough blocks of time",
+        "size of a term, from scores block by block, from which on it need not save in enough blocks of time",
         CHOSEN,
     )
     plain: float = number(

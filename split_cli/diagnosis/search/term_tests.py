@@ -41,6 +41,8 @@ def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rul
     if seldom or block_z(objective, fit, without) > objective.policy.comparison.deviations:
         return True
     agree = blocks_p(objective, fit, without) < objective.policy.comparison.level
+    # Where one block outweighs the others the sandwich has no tail to speak of: then it has to be small by far.
+    agree |= block_t(objective, fit, without) > rules.sure
     return agree or term_size(objective, fit, k) > rules.plain
 
 
