@@ -68,7 +68,7 @@ def _values(content: Any, expected: Sequence[str], key: str, where: str) -> list
     values = []
     for name in expected:
         value = content[name]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < float("inf"):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e300:
             raise SetError(f"{key}.{name} is {value!r}, a positive number was expected", where=where)
         values.append(float(value))
     return values

@@ -7,8 +7,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from split_cli.errors import MapError, nearest_names
 from split_cli.logs.map_entries import (
     CONVERSIONS,
@@ -349,7 +347,7 @@ def _number(value: Any, where: str, what: str) -> float:
     above, _, below = value.partition("/") if isinstance(value, str) else ("", "", "")
     with suppress(ValueError, ZeroDivisionError):
         value = float(above) / float(below) if below else value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
         raise MapError(
             f"{what} is {value!r}, a finite number was expected",
             where=where,

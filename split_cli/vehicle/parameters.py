@@ -260,10 +260,10 @@ def _finite_number(key: str, value: Any, where: str) -> float:
             value = float(value)
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**300:
         raise VehicleError(f"{key} has more than 300 digits, a finite number was expected", where=where)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
         unit = _VALUES_OF_CARS.get(key.rpartition(".")[2], (0.0, 0.0, ""))[2]
-        told = f"{key} is {value!r}, a finite number{f' in {unit}' if unit else ''} was expected"
-        raise VehicleError(told, where=where, advice=f"Write `{key.rpartition('.')[2]}: NUMBER`.")
+        what = f"{key} is {value!r}, a finite number{f' in {unit}' if unit else ''} was expected"
+        raise VehicleError(what, where=where, advice=f"Write `{key.rpartition('.')[2]}: NUMBER`.")
     return float(value)
 
 

@@ -1,6 +1,7 @@
 """`split verify` on every file of ours: what is whole passes, each kind of damage fails the check it concerns."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -84,6 +85,17 @@ def test_yaml(folder):
     text = (folder / "vehicle-1.yaml").read_text()
     (folder / "vehicle-1.yaml").write_text(text.replace("mass", "maas", 1))
     with pytest.raises(SplitError, match="mass"):
+        verify(folder / "vehicle-1.yaml")
+    for entry, says in {
+        "{term: __class__, parameters: {x: 1}}": "unknown term",
+        "{term: drive_gain, parameters: {}}": "lacks",
+    }.items():
+        bare = text.partition("effects:")[0]
+        (folder / "vehicle-1.yaml").write_text(f"{bare}effects:\n  - {entry}\n")
+        with pytest.raises(SplitError, match=says):
+            verify(folder / "vehicle-1.yaml")
+    (folder / "vehicle-1.yaml").write_text(re.sub(r"max_torque:.*", "max_torque: 1" + 30 * "0", text))
+    with pytest.raises(SplitError, match="max_torque"):
         verify(folder / "vehicle-1.yaml")
     (folder / "hyperparameters-1.yaml").write_text("length_scales: {alpha_f: -1}\n")
     with pytest.raises(SplitError):

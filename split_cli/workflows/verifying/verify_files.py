@@ -18,6 +18,7 @@ from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import CHANNELS
+from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.parameters import physics_as_written, read_vehicle
 from split_cli.workflows.verifying.relabelled import labels_against_drive
 from split_cli.workflows.verifying.verification import VerifiedItem, item
@@ -166,6 +167,8 @@ def _vehicle(path: Path) -> tuple[VerifiedItem, ...]:
     told = f"{car.name}: every value within what vehicles have, physics {car.digest()[:12]}"
     written = physics_as_written(path.read_text(encoding="utf-8"))
     items = [VerifiedItem("values", True, told)]
+    if car.effects:
+        items.append(VerifiedItem("effects", True, f"{len(build_terms(car))} terms of the catalogue, complete"))
     if written is not None:
         same = written == car.digest()
         items.append(item("as written", same, "no value was changed since", "values were changed since, by hand"))

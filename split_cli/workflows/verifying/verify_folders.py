@@ -11,6 +11,7 @@ from typing import Any
 from split_cli.errors import SplitError
 from split_cli.files import DIGESTS, parse_json, sha256_of_file
 from split_cli.logs.drive import metadata_of_drive
+from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.parameters import physics_as_written, read_vehicle
 from split_cli.workflows.ingesting.ingest_manifest import IngestManifest
 from split_cli.workflows.report.payload import shown_digest
@@ -99,6 +100,7 @@ def _effects(path: Path, told: dict[str, Any]) -> str:
     written = physics_as_written(path.read_text(encoding="utf-8"))
     if written is not None and written != car.digest():
         raise SplitError("its values were changed since it was written")
+    build_terms(car)  # refuses what no term is, or lacks
     named = 0
     for finding in told["findings"]:
         values = {name: p["value"] for name, p in finding["parameters"].items()}
