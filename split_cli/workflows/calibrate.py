@@ -15,7 +15,7 @@ from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.calibration.calibrate import Calibration, CalibrationSettings, calibrate_vehicle
 from split_cli.vehicle.calibration.samples import MotionRun
 from split_cli.vehicle.converters import Conversion, convert_parameters
-from split_cli.vehicle.foreign import ForeignParameters, foreign_parameters
+from split_cli.vehicle.parameter_export import ForeignParameters, foreign_parameters
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 
 __all__ = ["DriveUse", "calibrate_files", "convert_files", "motion_runs", "write_foreign"]

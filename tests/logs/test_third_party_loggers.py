@@ -5,9 +5,9 @@ import pytest
 from scipy.io import savemat
 
 from split_cli.errors import LogError
-from split_cli.logs.drafting.alone import read_sideslip
 from split_cli.logs.drafting.draft import Draft, Suggestion
 from split_cli.logs.drafting.naming import meanings
+from split_cli.logs.drafting.single_channel import read_sideslip
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.dialect import sniff

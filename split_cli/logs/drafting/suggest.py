@@ -14,22 +14,12 @@ from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.gather import fitting_presets
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
-from split_cli.logs.drafting.alone import (
-    read_acceleration,
-    read_pedal,
-    read_sideslip,
-    read_torque,
-    read_wheel,
-    read_yaw_rate,
-    without_the_tilted,
-)
 from split_cli.logs.drafting.axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_of_a_command
-from split_cli.logs.drafting.form import hints_on_the_form
-from split_cli.logs.drafting.hand import what_tells_left, without_a_side
+from split_cli.logs.drafting.handedness import what_tells_left, without_a_side
 from split_cli.logs.drafting.multiples import with_units_of_multiples
 from split_cli.logs.drafting.nameless import is_of_a_state, named_by_motion
 from split_cli.logs.drafting.naming import (
@@ -42,9 +32,19 @@ from split_cli.logs.drafting.naming import (
     stated_unit,
     words_of,
 )
+from split_cli.logs.drafting.single_channel import (
+    read_acceleration,
+    read_pedal,
+    read_sideslip,
+    read_torque,
+    read_wheel,
+    read_yaw_rate,
+    without_the_tilted,
+)
 from split_cli.logs.drafting.steering import read_steering
+from split_cli.logs.drafting.table_layout import hints_on_the_form
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
-from split_cli.logs.drafting.triples import along_the_car, names_of_triples, side_by_gravity
+from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheels import PARTS, note_on_engine, sums_of_torques, torques_alike
 from split_cli.logs.raw import (

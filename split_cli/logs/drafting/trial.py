@@ -14,7 +14,7 @@ from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
-from split_cli.logs.drafting.hand import certain_of
+from split_cli.logs.drafting.handedness import certain_of
 from split_cli.logs.drive import Drive
 from split_cli.logs.raw import RawSignal
 from split_cli.signals import REQUIRED_CHANNELS, find_unit

@@ -31,7 +31,7 @@ def report_page(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
         all_sections(diagnosis, charts),
         charts,
         chart_numbers(diagnosis),
-        [package.joinpath(name).read_text("utf-8") for name in ("where.js", "help.js")],
+        [package.joinpath(name).read_text("utf-8") for name in ("where.js", "held_out_errors.js")],
     )
 
 

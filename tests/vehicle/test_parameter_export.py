@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from split_cli.cli.main import group
 from split_cli.errors import VehicleError
 from split_cli.vehicle.converters import convert_parameters
-from split_cli.vehicle.foreign import foreign_parameters
+from split_cli.vehicle.parameter_export import foreign_parameters
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.tire import lateral_force
 from tests.factories import road_car

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from split_cli.logs.drafting.draft import Suggestion
-from split_cli.logs.drafting.hand import NOT_UP
+from split_cli.logs.drafting.handedness import NOT_UP
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawSignal
 from split_cli.signals import find_unit
