@@ -38,11 +38,23 @@ def test_the_signal_map_of_the_docs_is_a_map():
     assert len(read.channel("T").sources) == 3
 
 
+def anchors(page: Path) -> set[str]:
+    """Return what a link to a place on a page may name: its titles as GitHub writes them, and anchors of HTML."""
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.S)
+    text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text)
+    titles = re.findall(r"^#+ (.*)$", text, flags=re.M)
+    named = {re.sub(r"[^\w\s-]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+    return named | set(re.findall(r'id="([^"]+)"', text))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_between_pages_lead_somewhere(page):
-    for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text()):
+    for target, place in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", page.read_text()):
         if "://" not in target:
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+            other = page.parent / target if target else page
+            assert other.exists(), f"{page.name} links to {target}"
+            if place and other.suffix == ".md":
+                assert place in anchors(other), f"{page.name} links to {target}#{place}"
 
 
 def test_commits_that_pages_name_are_in_the_history():

@@ -160,3 +160,9 @@ def test_a_time_of_too_few_digits_is_told(tmp_path):
     lines = [f"7.700000E+14,{20 + np.sin(n / 30):.4f},{np.cos(n / 30):.4f}" for n in range(400)]
     (tmp_path / "a.csv").write_text("Timestamp (us),speed [m/s],gyro_z [rad/s]\n" + "\n".join(lines) + "\n")
     assert "Timestamp has 1 different values in 400 rows" in draft_map(open_recording(tmp_path / "a.csv")).time
+
+
+def test_a_time_of_few_rows_is_not_said_to_stand_still(tmp_path):
+    (tmp_path / "a.csv").write_text("t,vx,r\n0,10,0.1\n0.01,10,0.1\n")
+    time = draft_map(open_recording(tmp_path / "a.csv")).time
+    assert "2 rows are too few to see whether t counts time" in time and "does not rise" not in time

@@ -33,6 +33,8 @@ _COUNTED = 1e-3
 """Of the step: what a logger counts for itself, not measures, keeps its step that closely [1]."""
 _LOST_ROW = 0.5
 """Of the step, beyond which a row is missing: one period would hide the gap [1]."""
+_FEWEST_STEPS = 10
+"""Between rows, up to which nothing says whether a column counts [1]; judgement."""
 
 
 def clock_of_rows(
@@ -117,6 +119,9 @@ def _why_no_clock(found: RawChannelInfo | None, signals: Mapping[str, RawSignal]
     if not len(values):
         return ""
     kept = len(np.unique(values[np.isfinite(values)]))
+    if len(values) <= _FEWEST_STEPS + 1:
+        few = f"{len(values)} rows are too few to see whether {found.name} counts time"
+        return f"# time: {{period: SECONDS}}   # {few}"
     remark = f"{found.name} has {kept} different values in {len(values)} rows: too few digits to be the clock"
     remark = remark if 2 * kept < len(values) else f"{found.name} does not rise from row to row"
     return f"# time: {{period: SECONDS}}   # {remark}. Export it again, or state the period here"
@@ -154,12 +159,12 @@ def _usual_step(values: np.ndarray) -> float:
 
 def _rises(values: np.ndarray) -> bool:
     step = np.diff(values[np.isfinite(values)])
-    return len(step) > 10 and np.mean(step > 0) > 0.95
+    return len(step) > _FEWEST_STEPS and np.mean(step > 0) > 0.95
 
 
 def _never_falls(values: np.ndarray) -> bool:
     step = np.diff(values[np.isfinite(values)])
-    return np.count_nonzero(step > 0) > 10 and not np.any(step < 0)
+    return np.count_nonzero(step > 0) > _FEWEST_STEPS and not np.any(step < 0)
 
 
 def _counts(values: np.ndarray) -> bool:
