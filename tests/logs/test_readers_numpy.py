@@ -47,9 +47,17 @@ def test_a_structured_array_is_a_table(tmp_path):
     assert draft.time == "time: {source: t, unit: s}"
     assert draft.of("vx").status == "judged" and draft.of("r").sources == ("yaw_rate",)
     stamps = np.datetime64("2024-04-23T13:15:46") + (t * 1e9).astype("timedelta64[ns]")
+    stamps[7] = "NaT"
     np.savez(tmp_path / "b.npz", stamp=stamps, vx=v)
     moved = read(open_recording(tmp_path / "b.npz"))["stamp"].values
+    t[7] = np.nan
     np.testing.assert_allclose(moved - moved[0], t, atol=1e-6)
+
+
+def test_what_is_no_vector_and_columns_beyond_the_most_are_counted(tmp_path):
+    np.savez(tmp_path / "a.npz", image=np.zeros((9, 8, 8)), scan=np.ones((200, 70)), vx=np.arange(200.0))
+    recording = open_recording(tmp_path / "a.npz")
+    assert [note.count for note in recording.notes] == [1, 6] and len(recording.channels()) == 65
 
 
 def test_a_folder_of_arrays_is_one_recording_as_comma2k19_and_tartandrive_write_it(tmp_path):

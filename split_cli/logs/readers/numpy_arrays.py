@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import zipfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -18,11 +19,12 @@ from split_cli.logs.readers.vectors import is_time, recording_of_vectors
 __all__ = ["is_array_folder", "is_npz", "open_array_folder", "open_npy", "open_npz"]
 
 _MAGIC = b"\x93NUMPY"
-_MOST_FILES = 2000
-"""Of a folder, looked at [1]; judgement: a car has some hundred sensors."""
+_MOST_FILES = 20_000
+"""Of a folder, looked at [1]; judgement: ten minutes of a camera beside the arrays."""
 _HEAD_BYTES = 4096
+"""Of a text, from which its columns are counted; judgement: room for 20 lines."""
 _MOST_BLANK = 0.01
-"""Of the lines of a text, that may be no numbers [1]: a title and a remark."""
+"""Of the lines of a text, that may be no numbers [1]; judgement: a title and a remark."""
 _NO_NUMBERS = "Save vectors of numbers by their names: np.savez('log.npz', t=t, vx=vx, r=r)."
 _OBJECTS = "arrays of Python objects, left out: to read them would run what they hold"
 
@@ -83,10 +85,9 @@ def open_npy(path: Path) -> RawRecording:
 
 def is_array_folder(folder: Path) -> bool:
     """Whether a folder has a file for each array: arrays of NumPy, or two texts with one number a line."""
-    files = list(itertools.islice((f for f in folder.rglob("*") if f.is_file()), _MOST_FILES))
-    arrays = sum(f.suffix.lower() in (".npy", "") and _begins(f, len(_MAGIC)) == _MAGIC for f in files)
+    files = _files(folder)
     texts = (f for f in files if f.suffix.lower() == ".txt" and f.parent == folder and _width(f) == 1)
-    return arrays > 0 or sum(1 for _ in itertools.islice(texts, 2)) == 2
+    return any(map(_is_array, files)) or sum(1 for _ in itertools.islice(texts, 2)) == 2
 
 
 def open_array_folder(folder: Path) -> RawRecording:
@@ -100,17 +101,17 @@ def open_array_folder(folder: Path) -> RawRecording:
     LogError
         If one is damaged, or none holds numbers.
     """
-    files = sorted(f for f in itertools.islice(folder.rglob("*"), _MOST_FILES) if f.is_file())
+    files = sorted(_files(folder))
+    held = Counter(file.parent for file in files)
     leaves: list[tuple[str, np.ndarray]] = []
     objects, unread = 0, 0
     for file in files:
-        beside = [f for f in files if f.parent == file.parent]
         parts = list(file.relative_to(folder).with_suffix("").parts)
-        if len(parts) > 1 and len(beside) == 2 and not is_time(parts[-1]):
+        if len(parts) > 1 and held[file.parent] == 2 and not is_time(parts[-1]):
             # The only signal of its folder is called like it.
             parts[-1] = "value"
         name = ".".join(parts).replace(" ", "_")
-        if _begins(file, len(_MAGIC)) == _MAGIC:
+        if _is_array(file):
             with file.open("rb") as stream:
                 try:
                     values = _array(stream, file.stat().st_size, file.name)
@@ -125,7 +126,17 @@ def open_array_folder(folder: Path) -> RawRecording:
     notes = _notes(folder, objects)
     if unread:
         notes.append(ReadNote("files that are no arrays, left out", folder.name, unread))
+    if len(files) == _MOST_FILES:
+        notes.append(ReadNote(f"more than {_MOST_FILES} files: the others were not looked at", folder.name))
     return recording_of_vectors(folder, leaves, notes, _NO_NUMBERS)
+
+
+def _files(folder: Path) -> list[Path]:
+    return list(itertools.islice((f for f in folder.rglob("*") if f.is_file()), _MOST_FILES))
+
+
+def _is_array(file: Path) -> bool:
+    return file.suffix.lower() in (".npy", "") and _begins(file, len(_MAGIC)) == _MAGIC
 
 
 def _begins(file: Path, count: int) -> bytes:
@@ -191,7 +202,8 @@ def _leaves(name: str, values: np.ndarray | None) -> Iterator[tuple[str, np.ndar
             yield from _leaves(f"{name}.{field}" if name else field, values[field])
         return
     if values.dtype.kind == "M":
-        values = values.astype("datetime64[ns]").astype(np.int64) * 1e-9
+        since = values.astype("datetime64[ns]").astype(np.int64) * 1e-9
+        values = np.where(np.isnat(values), np.nan, since)
     elif values.dtype.kind == "m":
         values = values / np.timedelta64(1, "s")
     if values.dtype.kind in "biuf":

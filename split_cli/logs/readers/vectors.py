@@ -20,16 +20,21 @@ from split_cli.logs.raw import (
 )
 from split_cli.logs.scratch import set_aside
 
-__all__ = ["TITLED_FIELDS", "VALUE_FIELDS", "is_time", "recording_of_vectors"]
+__all__ = ["VALUE_FIELDS", "is_time", "recording_of_vectors"]
 
 _MOST_COLUMNS = 64
+"""Of a matrix, that become channels [1]; judgement: a state of a car has fewer."""
 _TIME_NAMES = ("time", "Time", "t", "tout")
 _TIME_FIELD = re.compile(r"(?:t|time|timestamps?|stamp|tout)(?:_?(s|sec|ms|us|ns))?", re.IGNORECASE)
-TITLED_FIELDS = (".Value", ".Values", ".value", ".values")
-VALUE_FIELDS = (*TITLED_FIELDS, ".data", ".Data")
+_TITLED_FIELDS = (".Value", ".Values", ".value", ".values")
+VALUE_FIELDS = (*_TITLED_FIELDS, ".data", ".Data")
 _UNIT = 1e-3
-"""By which the length of a unit quaternion may vary [1]: it is saved in four digits or more."""
+"""By which the length of a unit quaternion may vary [1]; judgement: it is saved in four digits or more."""
 _GRAVITY = 9.80665  # m/s^2
+_NEAR_GRAVITY = 0.25
+"""Of gravity, by which half of the sizes of three accelerations may be off [1]; judgement: a car mostly rolls."""
+_FEWEST_ROWS = 20
+"""From which on the layout of a matrix is looked for [1]; judgement."""
 _VALUE_NAMES = ("signals.values", "values", "data", "Data")
 
 
@@ -82,6 +87,12 @@ def recording_of_vectors(
     scalars = sum(values.size <= 1 for _, values in leaves)
     if scalars:
         note_once(notes, ReadNote("variables of a single value, not listed", path.name, scalars))
+    deep = sum(values.size > 1 and values.ndim > 2 for _, values in leaves)
+    if deep:
+        note_once(notes, ReadNote("arrays of three dimensions or more, left out", path.name, deep))
+    wide = sum(max(min(values.shape) - _MOST_COLUMNS, 0) for values in arrays.values() if values.ndim == 2)
+    if wide:
+        note_once(notes, ReadNote(f"columns beyond {_MOST_COLUMNS} of a matrix, left out", path.name, wide))
     if not signals:
         raise LogError("holds no vector of numbers", where=path.name, advice=empty)
     return TableRecording(path.name, path, signals, type_name=kind, notes=notes)
@@ -94,7 +105,7 @@ def _of_one_value(arrays: dict[str, np.ndarray], clocks: dict[str, np.ndarray]) 
         fields.setdefault(name.split(" [")[0].rpartition(".")[0], []).append(name)
     titles: dict[str, str | None] = {}
     for structure, names in fields.items():
-        value = next((name for name in names if name.split(" [")[0].endswith(TITLED_FIELDS)), None)
+        value = next((name for name in names if name.split(" [")[0].endswith(_TITLED_FIELDS)), None)
         if structure and value in clocks and len(names) == 2:
             unit = value.partition(" [")[2]
             titles |= {name: f"{structure} [{unit}" if unit and name == value else None for name in names}
@@ -182,7 +193,7 @@ def _layout(name: str, values: np.ndarray) -> list[str]:
     without its quaternion has 6, and is called so: the three that read gravity are the accelerations.
     """
     finite = values[np.isfinite(values).all(axis=1)]
-    if len(finite) < 20:
+    if len(finite) < _FEWEST_ROWS:
         return []
     turn, push = ([f".{of}.{axis}" for axis in "xyz"] for of in ("angular_velocity", "linear_acceleration"))
     if values.shape[1] == 13 and np.ptp(np.linalg.norm(finite[:, 3:7], axis=1) - 1.0) < _UNIT:
@@ -196,6 +207,6 @@ def _layout(name: str, values: np.ndarray) -> list[str]:
 
 
 def _reads_gravity(size: np.ndarray) -> bool:
-    """Whether half of the sizes of three accelerations are within a quarter of gravity [m/s^2], shape (N,)."""
-    low, high = np.quantile(size, [0.25, 0.75])
-    return bool(low > 0.75 * _GRAVITY and high < 1.25 * _GRAVITY)
+    """Whether half of the sizes of three accelerations [m/s^2], shape (N,), are near gravity."""
+    off = np.abs(np.quantile(size, [0.25, 0.75]) / _GRAVITY - 1.0)
+    return bool(np.all(off < _NEAR_GRAVITY))
