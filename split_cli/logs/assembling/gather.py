@@ -14,6 +14,7 @@ import numpy as np
 from split_cli.errors import ClockError, LogError, MapError, nearest_names
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
+from split_cli.logs.checking.plausible import DAMAGED
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
 from split_cli.logs.presets import preset_names
 from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column, turned, unit_of_time
@@ -419,10 +420,6 @@ def row_rate_from_speed(vx: np.ndarray, ax: np.ndarray) -> float | None:
     return _row_rate(vx[good], ax[good])
 
 
-_EXPLODED = 10.0
-"""Times what nine of ten changes keep within [1]."""
-
-
 def _row_rate(grown: np.ndarray, rate: np.ndarray) -> float | None:
     """Return the rows a second at which `grown` grows by `rate` a second [Hz]; None where it does not."""
     if len(rate) < 200:
@@ -432,7 +429,7 @@ def _row_rate(grown: np.ndarray, rate: np.ndarray) -> float | None:
     step = max(len(grown) // 50, 2)
     a, b = grown[step:] - grown[:-step], summed[step:] - summed[:-step]
     # What explodes at the end of a log tells no rate.
-    sound = np.all([np.abs(v) <= _EXPLODED * np.quantile(np.abs(v), 0.9) for v in (a, b)], axis=0)
+    sound = np.all([np.abs(v) <= DAMAGED * np.quantile(np.abs(v), 0.9) for v in (a, b)], axis=0)
     a, b = a[sound], b[sound]
     if np.std(a) == 0.0 or np.std(b) == 0.0 or abs(np.corrcoef(a, b)[0, 1]) < 0.98:
         return None

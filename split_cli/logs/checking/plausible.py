@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["NO_CAR_EXCEEDS", "is_damaged", "reach_of"]
+__all__ = ["DAMAGED", "NO_CAR_EXCEEDS", "is_damaged", "reach_of"]
 
 NO_CAR_EXCEEDS = {
     "vx": (130.0, "m/s"),
@@ -14,7 +14,7 @@ NO_CAR_EXCEEDS = {
     "ay": (70.0, "m/s^2"),
 }
 """99 % quantiles of |channel| that no car on wheels reaches, from 1:43 models to dragsters."""
-_DAMAGED = 10.0
+DAMAGED = 10.0
 """Times the 90 % quantile of a channel, beyond which a few samples are damaged, not moved [1]."""
 _FARTHEST = 1e5
 """From the middle of a drive, beyond which and far beyond all others a position is none [m]."""
@@ -37,7 +37,7 @@ def reach_of(values: np.ndarray, raw: np.ndarray) -> float:
     What stands far out of nearly all samples is damaged; a wrong unit changes all of them.
     """
     most, reach = float(np.nanquantile(np.abs(raw), 0.9)), float(np.nanquantile(np.abs(values), 0.99))
-    return most if most > 0.0 and reach > _DAMAGED * most else reach
+    return most if most > 0.0 and reach > DAMAGED * most else reach
 
 
 def is_damaged(channel: str, values: np.ndarray) -> np.ndarray:
@@ -54,6 +54,6 @@ def is_damaged(channel: str, values: np.ndarray) -> np.ndarray:
         return np.zeros(len(values), dtype=bool)
     if channel in ("X", "Y"):
         size = np.abs(values - np.median(values))
-        return size > max(_FARTHEST, _DAMAGED * float(np.quantile(size, 0.9)))
+        return size > max(_FARTHEST, DAMAGED * float(np.quantile(size, 0.9)))
     size = np.abs(values)
-    return size > max(NO_CAR_EXCEEDS[channel][0], _DAMAGED * float(np.quantile(size, 0.9)))
+    return size > max(NO_CAR_EXCEEDS[channel][0], DAMAGED * float(np.quantile(size, 0.9)))

@@ -9,23 +9,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.logs.checking.plausible import DAMAGED
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawRecording
 
 __all__ = ["has_no_name", "is_of_a_state", "named_by_motion"]
 
 _NAMELESS = re.compile(r"(column|col|field[._]?data|data|value|.*\[)_?\d+\]?", re.IGNORECASE)
-_MOST_COLUMNS = 24
-"""That are compared [1]; judgement: a state vector has 6 to 12 numbers."""
+# All numbers below are judgement, tried on public matrices of states (docs/ingest.md). Where one is wrong nothing
+# is named, or the checks of the draft leave the name open.
+_NEEDED = ("X", "Y", "yaw", "vx", "r")
+"""What ties itself together; without one of them nothing is named."""
+_MOST_LISTED, _MOST_COLUMNS = 200, 24
+"""Columns without names of a log, and those of them that are compared [1]: a state vector has 6 to 12 numbers."""
 _ROWS = (4, 16, 64, 256)
 """Over which changes are taken, since the rate is not known [1]."""
-_WINDOWS = 4000
+_FEWEST_CHANGES, _MOST_CHANGES = 40, 4000
+"""That are compared [1]: fewer go together by chance, and more only take time."""
 _TIED = 0.9
 """Correlation of a change with the sum of what it should be the integral of, from which on it counts [1]."""
+_STEERS = 0.8
+"""The same of steering with the bend of the path, less by lags and slip angles [1]."""
 _SAME_STEP = 1.2
 """Ratio of the steps between rows that yaw and the path tell, up to which they tell the same [1]."""
-_BEYOND = 10.0
-"""Times the range of nine tenths, beyond which a value is none of the motion [1]."""
+_MOVES = 0.2
+"""Of the changes of place that one in twenty exceeds, below which a direction of travel is noise [1]."""
 _ALONG = 0.8
 """Length of the mean direction of travel across yaw, from which on a path is one of this yaw [1]: 1 without
 sideslip, 0 where nothing ties them."""
@@ -61,16 +69,16 @@ def named_by_motion(recording: RawRecording, infos: Sequence[RawChannelInfo]) ->
     checks judge it further, as what names say.
     """
     names = [i.name for i in infos if i.type_name != "text" and has_no_name(i.name)]
-    if not 5 <= len(names) <= 200:
+    if not len(_NEEDED) <= len(names) <= _MOST_LISTED:
         return []
     read = recording.read(names)
     longest = max(len(read[name].values) for name in names)
     columns = {n: read[n].values for n in names if len(read[n].values) == longest}
     columns = {n: v for n, v in columns.items() if np.isfinite(v).all() and np.ptp(v) > 0.0}
     columns = dict(itertools.islice(columns.items(), _MOST_COLUMNS))
-    if len(columns) < 5:
+    if len(columns) < len(_NEEDED):
         return []
-    found = [_tied(columns, rows) for rows in _ROWS if longest > 40 * rows]
+    found = [_tied(columns, rows) for rows in _ROWS if longest > _FEWEST_CHANGES * rows]
     best = max((f for f in found if f is not None), key=lambda f: f.score, default=None)
     if best is None:
         return []
@@ -84,11 +92,11 @@ def _tied(columns: Mapping[str, np.ndarray], rows: int) -> _Found | None:
     values = np.stack([_unwrapped(columns[name]) for name in names])
     low, middle, high = np.quantile(values, [0.05, 0.5, 0.95], axis=1)[:, :, None]
     # Of a log that explodes at its end the rest counts.
-    sound = (np.abs(values - middle) <= _BEYOND * (high - low)).all(axis=0)
+    sound = (np.abs(values - middle) <= DAMAGED * (high - low)).all(axis=0)
     values = values[:, sound]
-    if values.shape[1] < 40 * rows:
+    if values.shape[1] < _FEWEST_CHANGES * rows:
         return None
-    begin = np.arange(0, values.shape[1] - rows, max(rows // 2, values.shape[1] // _WINDOWS, 1))
+    begin = np.arange(0, values.shape[1] - rows, max(rows // 2, values.shape[1] // _MOST_CHANGES, 1))
     change = values[:, begin + rows] - values[:, begin]
     summed = np.concatenate([np.zeros((len(names), 1)), np.cumsum(values, axis=1)], axis=1)
     mean = (summed[:, begin + rows] - summed[:, begin]) / rows
@@ -98,19 +106,19 @@ def _tied(columns: Mapping[str, np.ndarray], rows: int) -> _Found | None:
     best: _Found | None = None
     for yaw, rate in zip(*np.nonzero(of_yaw > _TIED), strict=True):
         for pair, speed in zip(*np.nonzero(of_path > _TIED), strict=True):
-            if yaw == rate or len({yaw, rate, speed, *pairs[pair]}) < 5:
+            if yaw == rate or len({yaw, rate, speed, *pairs[pair]}) < len(_NEEDED):
                 continue
             steps = [_ratio(change[yaw], mean[rate]), _ratio(lengths[pair], mean[speed])]
             if not max(steps) < _SAME_STEP * min(steps):
                 continue
             for x, y in (pairs[pair], pairs[pair][::-1]):
                 across = np.exp(1j * (np.arctan2(change[y], change[x]) - mean[yaw]))
-                moving = lengths[pair] > 0.2 * np.quantile(lengths[pair], 0.95)
+                moving = lengths[pair] > _MOVES * np.quantile(lengths[pair], 0.95)
                 along = float(np.real(np.mean(across[moving])))
                 score = along * float(of_yaw[yaw, rate]) * float(of_path[pair, speed])
                 if along < _ALONG or (best is not None and score <= best.score):
                     continue
-                chosen = {"X": x, "Y": y, "yaw": yaw, "vx": speed, "r": rate}
+                chosen = dict(zip(_NEEDED, (x, y, yaw, speed, rate), strict=True))
                 side = change[y] * np.cos(mean[yaw]) - change[x] * np.sin(mean[yaw])
                 left = [k for k in range(len(names)) if k not in chosen.values()]
                 chosen |= _rest(left, mean, side, steps[1], mean[rate] / np.where(moving, mean[speed], np.nan))
@@ -134,7 +142,7 @@ def _rest(
         found["vy"] = vy
     steers = {k: float(_correlations(bend[None, known], mean[k][None, known])[0, 0]) for k in left if k != vy}
     delta = max(steers, key=lambda k: abs(steers[k]), default=None)
-    if delta is not None and abs(steers[delta]) > 0.8:
+    if delta is not None and abs(steers[delta]) > _STEERS:
         found["delta"] = delta
     return found
 
