@@ -10,7 +10,7 @@ from typing import Any as _Any
 
 from split_cli.compiled_code import provide_cache as _provide_cache
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Before anything imports numba: it looks for a folder when it is imported, and fails where there is none.
 CACHE_NOTE = _provide_cache(_dirname(__file__))

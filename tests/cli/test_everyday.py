@@ -121,7 +121,7 @@ class TestSettings:
         assert run("explain", "skill", "--json", "--config", "x").exit_code == 2
 
 
-class TestVoice:
+class TestVerbosity:
     def test_quiet_lets_through_what_is_wrong(self):
         stream = io.StringIO()
         quiet = Quiet(stream)

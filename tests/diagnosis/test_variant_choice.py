@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import split_cli.diagnosis.search.variant_choice as running
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors
 from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import Structure, build_structure
+from split_cli.diagnosis.search import variant_choice
 from split_cli.diagnosis.search.candidates import Range
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
@@ -63,7 +63,7 @@ def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(objective, 
         squared = {name: (4.0 if name == "0" else 9.0) * floor for name in stages}
         return RolloutErrors(HORIZONS, np.arange(7.0), squared, floor)
 
-    monkeypatch.setattr(running, "roll_out_stages", errors)
+    monkeypatch.setattr(variant_choice, "roll_out_stages", errors)
     np.testing.assert_allclose(
         free_running_errors(objective, [nothing(objective), nothing(objective)]), [2.0, 3.0]
     )
@@ -85,7 +85,7 @@ def test_where_nothing_is_left_without_a_name_one_step_decides(objective, struct
 def test_a_variant_that_runs_as_well_takes_no_place(structure, variants, wrong, monkeypatch):
     for error, taken in ((0.95, False), (0.85, True)):
         monkeypatch.setattr(
-            running, "free_running_errors", lambda objective, fits, e=error: [1.0, *[e] * len(fits[1:])]
+            variant_choice, "free_running_errors", lambda objective, fits, e=error: [1.0, *[e] * len(fits[1:])]
         )
         found = with_variants_that_run(structure, variants, wrong, VARIANCE_INFLATION)
         assert (found is not wrong) == taken
