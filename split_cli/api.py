@@ -268,8 +268,8 @@ def diagnose(
     groups = [(one,) if isinstance(one, Drive) else tuple(one) for one in (real, simulated, holdout)]
     correct = RecordingCorrection(vehicle)
     measured, held = ([correct.sensors(drive) for drive in groups[k]] for k in (0, 2))
-    told = diagnose_drives(measured, vehicle, list(groups[1]), held)
-    return DiagnosisResult(told, vehicle, groups[0], groups[1])
+    diagnosis = diagnose_drives(measured, vehicle, list(groups[1]), held)
+    return DiagnosisResult(diagnosis, vehicle, groups[0], groups[1])
 
 
 def charts(drive: Drive, vehicle: Vehicle | None = None) -> Mapping[str, Chart]:

@@ -45,7 +45,7 @@ def sample_logs() -> Path:
 _LONGEST = (
     "workflows/test_cluster.py",
     "diagnosis/test_engine.py",
-    "proof/test_multibody.py",
+    "proof/test_multibody_faults.py",
     "trust/test_killed_runs.py",
     "trust/test_bombs.py",
     "test_types.py",

@@ -48,3 +48,17 @@ def test_no_test_patches_a_private_name():
                 ):
                     patched.append(f"{path.name}: {ast.unparse(one)}")
     assert not patched
+
+
+def test_words_that_mean_nothing_are_no_names():
+    """What is "told" is a finding, a note, a remark, a document or what labels taught: a name says which."""
+    named = []
+    for path in sorted(ROOT.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [getattr(node, word, None) for word in ("id", "arg", "attr", "name")]
+            named += [
+                f"{path.name}: {one}"
+                for one in names
+                if isinstance(one, str) and {"told", "stranger", "strangers"} & set(one.lower().split("_"))
+            ]
+    assert not named

@@ -20,7 +20,7 @@ from split_cli.cli.verbosity import StepBar, print_notes
 
 __all__ = ["command"]
 
-_MOST_TOLD = 6
+_MOST_SHOWN = 6
 
 
 def _limits(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, float]:
@@ -89,10 +89,10 @@ def _code(compared, exit_code: bool, limits: dict[str, float]) -> int:
         if most is not None and not one.rmse <= most:
             what = f"{one.state} of {first.name} after {longest:g} s"
             shut.append(f"{what} is {one.rmse:.3g} {one.unit}, over {most:g}")
-    for text in shut[:_MOST_TOLD]:
+    for text in shut[:_MOST_SHOWN]:
         click.echo(f"split: gate: {text}", err=True)
-    if len(shut) > _MOST_TOLD:
-        click.echo(f"split: gate: and {len(shut) - _MOST_TOLD} more, in --json and the report", err=True)
+    if len(shut) > _MOST_SHOWN:
+        click.echo(f"split: gate: and {len(shut) - _MOST_SHOWN} more, in --json and the report", err=True)
     return 3 if shut else 0
 
 

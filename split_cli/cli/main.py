@@ -295,8 +295,8 @@ def _refuse_undecodable(arguments: list[str]) -> None:
                 name = os.fsencode(argument).decode("utf-8")
             except UnicodeError:
                 _fail(f"the name {ascii(argument)} is not valid UTF-8. Rename the file", 1)
-            told = f"Python reads names as {sys.getfilesystemencoding()} here, so that {ascii(name)} is no text"
-            _fail(f"{told}. Set PYTHONUTF8=1", 1)
+            problem = f"Python reads names as {sys.getfilesystemencoding()} here, so that {ascii(name)} is no text"
+            _fail(f"{problem}. Set PYTHONUTF8=1", 1)
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:

@@ -36,8 +36,8 @@ def read_centerline(path: str | FilePath) -> Path:
     """
     path = FilePath(path)
     if not path.is_file():
-        told = "is a folder" if path.is_dir() else "there is no such file, and no track of that name"
-        raise SplitError(told, where=str(path), advice=_ADVICE)
+        problem = "is a folder" if path.is_dir() else "there is no such file, and no track of that name"
+        raise SplitError(problem, where=str(path), advice=_ADVICE)
     try:
         lines = read_text(path, _MOST_BYTES).removeprefix("\ufeff").splitlines()
     except UnicodeDecodeError as error:
@@ -77,18 +77,18 @@ def _parts(line: str) -> list[str]:
     return [part.strip().strip('"') for part in parts]
 
 
-def _row(parts: list[str], names: tuple[str, ...], told: str, path: FilePath) -> list[float]:
+def _row(parts: list[str], names: tuple[str, ...], row_text: str, path: FilePath) -> list[float]:
     """Return x, y and the widths to the right and to the left of one row [m]."""
     try:
         values = [float(part) for part in parts]
     except ValueError:
         values = []
     if len(values) != len(names) or not np.isfinite(values).all():
-        raise SplitError(f"{told}, where {len(names)} numbers were expected", where=str(path), advice=_ADVICE)
+        raise SplitError(f"{row_text}, where {len(names)} numbers were expected", where=str(path), advice=_ADVICE)
     chosen = [values[names.index(name)] for name in _COLUMNS]
     if min(chosen[2:]) <= 0.0:
         raise SplitError(
-            f"{told}: a width is not positive", where=str(path), advice="Give both widths in metres, above 0."
+            f"{row_text}: a width is not positive", where=str(path), advice="Give both widths in metres, above 0."
         )
     return chosen
 
@@ -130,9 +130,9 @@ def _checked_length(table: np.ndarray, numbers: list[int], where: str) -> float:
         )  # fmt: skip
     back = np.flatnonzero((steps * np.roll(steps, 1, axis=0)).sum(axis=1) < 0.0)
     if len(back):
-        told = f"turns back on itself at row {numbers[back[0]]}" if back[0] else "ends beyond its first point"
+        problem = f"turns back on itself at row {numbers[back[0]]}" if back[0] else "ends beyond its first point"
         raise SplitError(
-            told, where=where,
+            problem, where=where,
             advice="Sort the points along the track, leave out what was driven twice, or smooth the line.",
         )  # fmt: skip
     return length

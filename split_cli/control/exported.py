@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.control.generated import Batch, compiled
 from split_cli.control.grip import learned_grip
-from split_cli.control.policy import TOLD
+from split_cli.control.policy import LEAST_KNOWN
 from split_cli.control.residual import Residual, ResidualValues
 from split_cli.errors import ExportError, SetError
 from split_cli.export.verify import read_manifest
@@ -103,5 +103,5 @@ class ExportedResidual(Residual):
         pairs = np.meshgrid(angles, angles)
         z[:, names.index("alpha_f")], z[:, names.index("alpha_r")] = (one.ravel() for one in pairs)
         found = self.of_data(z)
-        known = (found.knowledge[:, 1:] > TOLD).all(axis=1)
+        known = (found.knowledge[:, 1:] > LEAST_KNOWN).all(axis=1)
         return learned_grip(vehicle, self.features, z[known], found.mean[known])

@@ -26,7 +26,7 @@ def tells_peaks(vehicle: Vehicle, features: FeatureSet) -> bool:
 
 
 def learned_grip(
-    vehicle: Vehicle, features: FeatureSet, z: np.ndarray, y: np.ndarray, told: float = 1.0
+    vehicle: Vehicle, features: FeatureSet, z: np.ndarray, y: np.ndarray, assumed: float = 1.0
 ) -> np.ndarray:  # fmt: skip
     """Return the peak of front and rear over the vehicle file's, shape (2,) [1].
 
@@ -35,37 +35,37 @@ def learned_grip(
     z : ndarray, shape (N, D)
     y : ndarray, shape (N, 3)
         Labels: rates left out of v_x, v_y [m/s^2] and r [rad/s^2].
-    told : float
+    assumed : float
         What the peaks are taken for without labels [1].
 
     Returns
     -------
     ndarray, shape (2,)
-        `told` where the labels do not contradict it: where no axle came near its peak, or where `tells_peaks` is
-        false.
+        `assumed` where the labels do not contradict it: where no axle came near its peak, or where `tells_peaks`
+        is false.
 
     Notes
     -----
     The labels are forces, m dv_y' = dF_f + dF_r and I_z dr' = l_f dF_f - l_r dF_r (SPLIT paper, the invariant
     matrix, inverted). An axle's whole force D sin(C atan(B alpha)) + dF is compared with
     s D sin(C atan(B alpha/s)), which keeps the slope that gentle tests know and moves the peak. Of all s that fit
-    within `GRIP_DOUBT` of the best by least squares, the one nearest to `told` is taken: below their peaks tyres
-    tell little of them, and the range of s that fits is wide.
+    within `GRIP_DOUBT` of the best by least squares, the one nearest to `assumed` is taken: below their peaks
+    tyres tell little of them, and the range of s that fits is wide.
     """
     names = features.names
     if not len(z) or not tells_peaks(vehicle, features):
-        return np.full(2, told)
+        return np.full(2, assumed)
     if "torque_ratio" in names:
         light = np.abs(z[:, names.index("torque_ratio")]) < GRIP_TORQUE
         z, y = z[light], y[light]
     if not len(z):
-        return np.full(2, told)
+        return np.full(2, assumed)
     m, inertia, l_f, l_r = vehicle.mass, vehicle.yaw_inertia, vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle
     front = (l_r * m * y[:, 1] + inertia * y[:, 2]) / (l_f + l_r)
     missing = front, m * y[:, 1] - front
     tires = vehicle.front_tire, vehicle.rear_tire
     alphas = z[:, names.index("alpha_f")], z[:, names.index("alpha_r")]
-    return np.array([_scale(*one, told) for one in zip(tires, alphas, missing, strict=True)])
+    return np.array([_scale(*one, assumed) for one in zip(tires, alphas, missing, strict=True)])
 
 
 class PeakShift:
@@ -111,14 +111,14 @@ class PeakShift:
         return mean, slope
 
 
-def _scale(tire, alpha: np.ndarray, missing: np.ndarray, told: float) -> float:
-    """Return the scale of one axle's peak, of those that fit the one nearest to `told`."""
+def _scale(tire, alpha: np.ndarray, missing: np.ndarray, assumed: float) -> float:
+    """Return the scale of one axle's peak, of those that fit the one nearest to `assumed`."""
     force = lateral_force(tire.B, tire.C, tire.D, alpha) + missing
     scales = np.round(np.arange(GRIP_RANGE[0], GRIP_RANGE[1] + 0.5 * GRIP_STEP, GRIP_STEP), 6)
     curves = np.array([s * lateral_force(tire.B / s, tire.C, tire.D, alpha) for s in scales])
     squares = np.square(curves - force).sum(axis=1)
     likely = scales[squares <= squares.min() * (1.0 + GRIP_DOUBT / len(alpha))]
-    return float(likely[np.argmin(np.abs(likely - told))])
+    return float(likely[np.argmin(np.abs(likely - assumed))])
 
 
 def _as_filed(vehicle: Vehicle) -> bool:

@@ -9,16 +9,16 @@ from __future__ import annotations
 __all__ = [
     "ALPHA_MAX", "ANEW", "ATTEMPTS", "DALPHA_MAX", "DEVIATION_KEPT", "DICTIONARY", "ELLIPSE_SLACK", "FAR",
     "FEASIBLE", "FIRST_DEVIATION", "FIRST_STEPS", "FREE", "GRIP_DOUBT", "GRIP_RANGE", "GRIP_STEP", "GRIP_TORQUE",
-    "LEAST_SIDE", "MARGIN", "MAX_STEER", "OPEN_ELLIPSE", "PAST", "PATIENCE", "PROGRESS_ACCELERATION", "PROXIMAL",
-    "P_ELLIPSE", "P_LONG", "RACE_P_LONG", "RETURN_SHARE", "ROOM_SHARE", "SATURATED", "SETTLED", "SHARE_LEARNED",
-    "SHARE_NOMINAL", "SHARE_STEP", "SIZE", "SLIP_DIFFERENCE_SLACK", "SLOWEST", "STEER_RATE", "TOLD", "TORQUE_RATE",
-    "TRACK_SLACK", "WIDER",
+    "LEAST_KNOWN", "LEAST_SIDE", "MARGIN", "MAX_STEER", "OPEN_ELLIPSE", "PAST", "PATIENCE",
+    "PROGRESS_ACCELERATION", "PROXIMAL", "P_ELLIPSE", "P_LONG", "RACE_P_LONG", "RETURN_SHARE", "ROOM_SHARE",
+    "SATURATED", "SETTLED", "SHARE_LEARNED", "SHARE_NOMINAL", "SHARE_STEP", "SIZE", "SLIP_DIFFERENCE_SLACK",
+    "SLOWEST", "STEER_RATE", "TORQUE_RATE", "TRACK_SLACK", "WIDER",
 ]  # fmt: skip
 
 # What may be asked of the tyres and of the actuators.
 
 P_LONG, P_ELLIPSE = 0.9, 0.95
-"""Shape of the force ellipse [1]: design.md, section 3; the SPLIT paper leaves them open."""
+"""Shape of the force ellipse [1]; judgement: the SPLIT paper leaves them open."""
 
 SHARE_NOMINAL, SHARE_LEARNED, RACE_P_LONG = 0.85, 0.95, 1.2
 """Shares of the peak that races use with the nominal model and with what was learned, and the shape of the ellipse
@@ -142,7 +142,7 @@ side for another reason."""
 GRIP_DOUBT = 4.0
 """By how much, times the labels' variance, a sum of squares may exceed the least [1]: two standard deviations."""
 
-TOLD = 0.5
+LEAST_KNOWN = 0.5
 """Share of what there is to know from which an exported function tells an axle's force [1]: it knows more than it
 lacks."""
 

@@ -66,7 +66,7 @@ class Memory:
         ]
         return (*states, *past)
 
-    def told(self) -> dict[str, Any]:
+    def to_mapping(self) -> dict[str, Any]:
         """Return what manifests and documents say of it."""
         return {
             "states": list(self.labels),

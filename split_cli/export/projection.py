@@ -71,7 +71,7 @@ def projection_data(predictor: ProjectedPredictor, real: str = "double") -> Proj
     places = known.points * kernel.length_scales
     reference = (0.5 * (places.min(axis=0) + places.max(axis=0))).astype(precision).astype(float)
     lower = np.linalg.cholesky(known.inverse)
-    half = np.linalg.solve(lower, known.inverse + known.told)
+    half = np.linalg.solve(lower, known.inverse + known.learned)
     spread = np.linalg.solve(lower, half.transpose(0, 2, 1))
     rows, columns = np.tril_indices(len(lower))
     reals = {

@@ -45,7 +45,9 @@ class Provenance:
     predictor: str
     version: str = __version__  # of split
     reservations: tuple[str, ...] = ()  # where the correction may do harm, `scoring.export_warnings`
-    memory: dict[str, Any] | None = None  # states of the step beyond the first eight, as `Memory.told` has it
+    memory: dict[str, Any] | None = (
+        None  # states of the step beyond the first eight, as `Memory.to_mapping` has it
+    )
 
     @property
     def conventions(self) -> dict[str, str]:

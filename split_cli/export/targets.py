@@ -144,7 +144,7 @@ def write_export(
     step = training_set.horizon if plan.step is None else plan.step
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features, step)
     if graph.memory is not None:
-        provenance = replace(provenance, memory=graph.memory.told())
+        provenance = replace(provenance, memory=graph.memory.to_mapping())
     require_usable(training_set)
     if plan.predictor == "table":
         say("filling the table")

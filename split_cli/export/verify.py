@@ -201,12 +201,12 @@ def verify_against_set(folder: Path, training_set: TrainingSet) -> tuple[Verifie
     readers = {"npz": read_npz, "json": read_json}
     for target in (one for one in readers if one in manifest["targets"]):
         others = other_than_set(readers[target](folder / f"{name}.{target}"), training_set)
-        told = f"{', '.join(others)} differ from those of the set" if others else "those of the set, bit for bit"
-        items.append(VerifiedItem(f"{target}: points", not others, told))
+        text = f"{', '.join(others)} differ from those of the set" if others else "those of the set, bit for bit"
+        items.append(VerifiedItem(f"{target}: points", not others, text))
 
     def answers(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        told = reference.predict(z)
-        return told.mean, told.variance
+        predicted = reference.predict(z)
+        return predicted.mean, predicted.variance
 
     try:
         reference = reference_of(make_predictor(manifest["predictor"], training_set))

@@ -360,12 +360,12 @@ def _describe(training_set: TrainingSet) -> dict[str, Any]:
 
 
 def _described_source(source: SetSource) -> dict[str, Any]:
-    told = {**asdict(source), "rejected": dict(source.rejected), "faults": list(source.faults)}
-    return told if source.faults else {name: value for name, value in told.items() if name != "faults"}
+    content = {**asdict(source), "rejected": dict(source.rejected), "faults": list(source.faults)}
+    return content if source.faults else {name: value for name, value in content.items() if name != "faults"}
 
 
-def _source_from(told: Mapping[str, Any]) -> SetSource:
-    return SetSource(**{**told, "faults": tuple(map(str, told.get("faults", ())))})
+def _source_from(content: Mapping[str, Any]) -> SetSource:
+    return SetSource(**{**content, "faults": tuple(map(str, content.get("faults", ())))})
 
 
 def _finite(value: float) -> float | None:

@@ -173,7 +173,7 @@ class Drive:
 def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
     """Read a drive: a Parquet that `split ingest` wrote, or a plain Parquet or CSV with a drive's columns.
 
-    Headers may carry units (``vx(km/h)``); without units SI is taken, as the contract for drive files says.
+    Headers may carry units (``vx(km/h)``); without units SI is taken, as docs/formats.md says.
     Inputs named in `held` keep their value between samples, whatever the file says of them.
 
     Raises

@@ -61,7 +61,7 @@ class DriveMetadata:
 
     sources: tuple[Source, ...] = ()  # the recordings it was made of
     vehicle: str = ""  # name of the vehicle file it was made with; empty if none
-    # For a channel, ``command``, ``measured`` or ``derived: how``; ``T_is`` and ``delta_is`` of the contract.
+    # For a channel, ``command``, ``measured`` or ``derived: how``.
     kinds: Mapping[str, str] = field(default_factory=dict)
     # The map as applied, channel by channel, with what was assumed.
     signal_map: Mapping[str, object] = field(default_factory=dict)

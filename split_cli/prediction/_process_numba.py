@@ -48,12 +48,12 @@ def _correlate(z: ndarray, points: ndarray, count: int, correlations: ndarray) -
 @compiled(cache=True, fastmath=_FASTMATH)
 def absorb(
     z: ndarray, y: ndarray, count: int, signal: ndarray, ratio: ndarray, threshold: float, points: ndarray,
-    inverse: ndarray, weights: ndarray, told: ndarray, unspanned: ndarray,
+    inverse: ndarray, weights: ndarray, learned: ndarray, unspanned: ndarray,
 ) -> int:  # fmt: skip
     """Absorb one label `y` (3,) at the scaled features `z` (D,) in place; return how many points span now.
 
-    Parameters as `OnlineProcess` has them; `told` (3, U, U) is what data have added to the prior's covariance, and
-    `unspanned` (2, 3) the sums that tell how much of the gains is in the labels.
+    Parameters as `OnlineProcess` has them; `learned` (3, U, U) is what data have added to the prior's covariance,
+    and `unspanned` (2, 3) the sums that tell how much of the gains is in the labels.
     """
     room = len(points)
     c, e, s = np.zeros(room), np.zeros(room), np.zeros(room)
@@ -77,7 +77,7 @@ def absorb(
         spanned, gain = 1.0, 0.0
     for o in range(3):
         s[:n] = 0.0
-        _times(told[o], c, n, s)
+        _times(learned[o], c, n, s)
         known, error = 0.0, y[o]
         for i in range(n):
             known += c[i] * s[i]
@@ -90,14 +90,14 @@ def absorb(
         unspanned[1, o] += gain * gain / (total * total)
         for i in range(n):
             weights[o, i] += error / total * s[i]
-        _add_square(told[o], s, -1.0 / total, n)
+        _add_square(learned[o], s, -1.0 / total, n)
     return n
 
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def answer(
-    z: ndarray, count: int, points: ndarray, inverse: ndarray, weights: ndarray, told: ndarray, threshold: float,
-    absent: ndarray, certainty: bool,
+    z: ndarray, count: int, points: ndarray, inverse: ndarray, weights: ndarray, learned: ndarray,
+    threshold: float, absent: ndarray, certainty: bool,
 ) -> tuple[ndarray, ndarray, ndarray]:  # fmt: skip
     """Return mean (N, 3), variance over signal variance (N, 3) and Jacobian by scaled features (N, 3, D).
 
@@ -125,7 +125,7 @@ def answer(
                     slope[i, o, d] += share * (points[j, d] - z[i, d])
             if certainty:
                 s[:count] = 0.0
-                _times(told[o], c, count, s)
+                _times(learned[o], c, count, s)
                 for j in range(count):
                     spread[i, o] += s[j] * c[j]
                 # What is spanned stays: rounding may not make it negative.

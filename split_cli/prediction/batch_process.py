@@ -16,7 +16,7 @@ MOST_INDUCING = 2000
 _CHUNK = 2048
 #: Points of smaller gain span nothing of their own in double precision: K_uu then keeps half its digits.
 _REDUNDANT = 1e-8
-_UNTOLD = 1e-5
+_UNINFORMED = 1e-5
 #: Largest set whose correlation matrix is made whole: 6,000 squared numbers are 288 MB.
 _WHOLE_MATRIX = 6000
 
@@ -65,8 +65,8 @@ class BatchProcess:
         damped = values[:, None] + ratio
         self._weights = turn.T @ (vectors.T @ right / damped)
         # As sum t_e^2 <= 1, directions of a share below 1e-5 change the known share by less than that.
-        told = values > _UNTOLD * ratio.min()
-        self._turn, self._shares = np.ascontiguousarray(turn[told]), (values[:, None] / damped)[told]
+        informed = values > _UNINFORMED * ratio.min()
+        self._turn, self._shares = np.ascontiguousarray(turn[informed]), (values[:, None] / damped)[informed]
 
     def mean_and_known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean (N, 3) and the share of the signal variance that is known (N, 3), 0 at the prior."""

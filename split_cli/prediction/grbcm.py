@@ -77,7 +77,7 @@ class GrbcmPredictor(Predictor):
         s, kernel = self.training_set, self.training_set.kernel
         common = s.z[self.shared]
         factor = cholesky(kernel.correlation(common, common), ratio)
-        told = solve_triangular(factor, s.y[np.ix_(self.shared, outputs)], lower=True)
+        whitened = solve_triangular(factor, s.y[np.ix_(self.shared, outputs)], lower=True)
         own = np.ones(s.size, dtype=bool)
         own[self.shared] = False
         cells = np.repeat(np.arange(s.cell_count), np.diff(s.offsets))
@@ -90,9 +90,9 @@ class GrbcmPredictor(Predictor):
             away = (s.z[rows][:, :, None] - s.z[rows][:, None]) / kernel.length_scales
             left = np.exp(-0.5 * np.square(away).sum(axis=-1)) - leaning @ leaning.transpose(0, 2, 1)
             inverse = np.linalg.inv(left + ratio * np.eye(count))
-            surprise = s.y[rows][:, :, outputs] - leaning @ told
+            surprise = s.y[rows][:, :, outputs] - leaning @ whitened
             experts.append(_Experts(rows, inverse, inverse @ surprise, leaning))
-        return ratio, factor, told, experts
+        return ratio, factor, whitened, experts
 
     def predict(self, z: np.ndarray) -> Prediction:
         return self._answer(z, slopes=False)[0]
@@ -126,13 +126,13 @@ class GrbcmPredictor(Predictor):
         Sums are relative to the shared points: the precision is 1/v_c + sum b_i (1/v_i - 1/v_c), and the mean
         mu_c + sum b_i (mu_i - mu_c)/v_i over it, so that nothing large cancels.
         """
-        (ratio, factor, told, experts), n = known, cross.shape[1]
+        (ratio, factor, whitened, experts), n = known, cross.shape[1]
         lean = solve_triangular(factor, cross[self.shared], lower=True)
         lean_slopes = [solve_triangular(factor, c[self.shared], lower=True) for c in directions]
         floor = ratio / (len(cross) + ratio)
         v_c = np.maximum(1.0 - np.square(lean).sum(axis=0), floor)
         dv_c = [-2.0 * (lean * slope).sum(axis=0) for slope in lean_slopes]
-        precision, top = 1.0 / v_c, np.zeros((n, told.shape[1]))
+        precision, top = 1.0 / v_c, np.zeros((n, whitened.shape[1]))
         d_precision = [-dv / v_c**2 for dv in dv_c]
         d_top = [np.zeros_like(top) for _ in lean_slopes]
         first = True
@@ -160,9 +160,9 @@ class GrbcmPredictor(Predictor):
                 d_top[k] += np.einsum("cn,cno->no", db / v - b * dv / v**2, shift)
                 d_top[k] += np.einsum("cn,cno->no", b / v, d_shift)
             first = False
-        mean = lean.T @ told + top / precision[:, None]
+        mean = lean.T @ whitened + top / precision[:, None]
         slopes = [
-            slope.T @ told + (dt - top / precision[:, None] * dp[:, None]) / precision[:, None]
+            slope.T @ whitened + (dt - top / precision[:, None] * dp[:, None]) / precision[:, None]
             for slope, dt, dp in zip(lean_slopes, d_top, d_precision, strict=True)
         ]
         return mean, 1.0 / precision, slopes

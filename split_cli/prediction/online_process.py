@@ -35,7 +35,7 @@ class ProcessState:
 
     points: np.ndarray  # (U, D): in length scales
     inverse: np.ndarray  # (U, U): Q, the inverse of the points' correlations
-    told: np.ndarray  # (3, U, U): T, what data have added to the prior's covariance
+    learned: np.ndarray  # (3, U, U): T, what data have added to the prior's covariance
     weights: np.ndarray  # (3, U)
     absent: np.ndarray  # (3,): 1 - kappa
     threshold: float
@@ -83,14 +83,14 @@ class OnlineProcess:
         self._threshold = max(float(self._ratio.min()) if threshold is None else threshold, _REDUNDANT)
         self.count = 0
         self._points = np.zeros((most, len(self._scales)))
-        self._inverse, self._told = np.zeros((most, most)), np.zeros((3, most, most))
+        self._inverse, self._learned = np.zeros((most, most)), np.zeros((3, most, most))
         self._weights, self._unspanned = np.zeros((3, most)), np.zeros((2, 3))
         self._signal = np.ascontiguousarray(kernel.signal_variance, dtype=float)
 
     @property
     def nbytes(self) -> int:
         """Memory [bytes], whatever it has learned."""
-        return self._points.nbytes + self._inverse.nbytes + self._told.nbytes + self._weights.nbytes
+        return self._points.nbytes + self._inverse.nbytes + self._learned.nbytes + self._weights.nbytes
 
     @property
     def unspanned_share(self) -> np.ndarray:
@@ -109,12 +109,12 @@ class OnlineProcess:
     def known(self) -> ProcessState:
         """Return a copy of what has been learned so far, its matrices whole."""
         n = self.count
-        inverse, *told = (
+        inverse, *learned = (
             np.tril(matrix) + np.tril(matrix, -1).T
-            for matrix in (self._inverse[:n, :n], *(part[:n, :n] for part in self._told))
+            for matrix in (self._inverse[:n, :n], *(part[:n, :n] for part in self._learned))
         )
         return ProcessState(
-            self._points[:n].copy(), inverse, np.array(told), self._weights[:, :n].copy(),
+            self._points[:n].copy(), inverse, np.array(learned), self._weights[:, :n].copy(),
             1.0 - self.unspanned_share, self._threshold,
         )  # fmt: skip
 
@@ -136,7 +136,7 @@ class OnlineProcess:
         for at, label in zip(z / self._scales, np.asarray(y, dtype=float), strict=True):
             self.count = absorb(
                 at, label, self.count, self._signal, self._ratio, self._threshold, self._points, self._inverse,
-                self._weights, self._told, self._unspanned,
+                self._weights, self._learned, self._unspanned,
             )  # fmt: skip
 
     def along(self, z: np.ndarray, certainty: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -146,7 +146,7 @@ class OnlineProcess:
         """
         mean, spread, slope = answer(
             np.ascontiguousarray(z / self._scales), self.count, self._points, self._inverse, self._weights,
-            self._told, self._threshold, 1.0 - self.unspanned_share, certainty,
+            self._learned, self._threshold, 1.0 - self.unspanned_share, certainty,
         )  # fmt: skip
         return mean, spread * self.kernel.signal_variance, slope / self._scales
 

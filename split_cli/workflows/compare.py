@@ -177,13 +177,13 @@ def _run_on(
     found = []
     for time, step in zip(horizons, steps, strict=True):
         ends = {name: one[kept, step - 1] for name, one in errors.items()}
-        asked = _told(time, step * window * drive.period)
+        asked = _horizon_as_asked(time, step * window * drive.period)
         parts = held[kept, step - 1], measured[kept, step - 1], block[starts[kept]]
         found.append(RunErrors(asked, ends, *parts))
     return found, int((~kept).sum())
 
 
-def _told(asked: float, made: float) -> float:
+def _horizon_as_asked(asked: float, made: float) -> float:
     """Return the horizon as it was asked for, where whole samples come within 1 % of it, else as it is."""
     return asked if abs(made - asked) <= 0.01 * asked else made
 
@@ -216,8 +216,8 @@ def _notes(models: Sequence[ComparedModel], drives: Sequence[Drive], parts: Sequ
             for drive in drives
             if drive.sha256 and drive.sha256 in known
         ]
-    told = {name for name, *_ in parts}
-    missing = [drive.name for drive in drives if drive.name not in told]
+    scored = {name for name, *_ in parts}
+    missing = [drive.name for drive in drives if drive.name not in scored]
     notes += [f"{name} has no stretch that is long and fast enough" for name in missing]
     return tuple(notes)
 

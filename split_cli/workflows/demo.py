@@ -86,9 +86,9 @@ def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:
 def closing_words(output: Path) -> str:
     """Return what the diagnosis said, what had been concealed, and where the report lies."""
     folder = output / DIAGNOSIS
-    told = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
-    names = [finding["term"] for finding in told["findings"]] or ["nothing by name"]
+    document = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    names = [finding["term"] for finding in document["findings"]] or ["nothing by name"]
     return (
-        f"Verdict: {told['verdict']}; found: {', '.join(names)}. What had been put into that drive stands in "
+        f"Verdict: {document['verdict']}; found: {', '.join(names)}. What had been put into that drive stands in "
         f"sample_logs/README.md.\nOpen the report: {(folder / 'report.html').resolve().as_uri()}"
     )

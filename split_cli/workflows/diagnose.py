@@ -112,8 +112,8 @@ def read_and_diagnose(
     inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))
     correct = RecordingCorrection(vehicle)
     measured, holdouts = ([correct.sensors(drive) for drive in drives[role]] for role in ("real", "holdout"))
-    told = diagnose(measured, vehicle, drives["sim"], holdouts, inputs=inputs, progress=progress)
-    return told, vehicle, drives["real"]
+    diagnosis = diagnose(measured, vehicle, drives["sim"], holdouts, inputs=inputs, progress=progress)
+    return diagnosis, vehicle, drives["real"]
 
 
 def _long(drives: Sequence[Drive]) -> tuple[str, ...]:

@@ -99,14 +99,14 @@ class _Processes:
         self._count = count
         self._pool: ProcessPoolExecutor | None = None
         self._context = multiprocessing.get_context("spawn")
-        self._told, self._alive = self._context.Pipe(duplex=False)
+        self._lifeline, self._alive = self._context.Pipe(duplex=False)
 
     def apply(self, function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
         if len(items) < 2:
             return map(function, items)
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
-                self._count, mp_context=self._context, initializer=_start_worker, initargs=(self._told,)
+                self._count, mp_context=self._context, initializer=_start_worker, initargs=(self._lifeline,)
             )
         return self._results(self._pool, partial(_work, function), items)
 
@@ -134,7 +134,7 @@ class _Processes:
                 self._pool.shutdown(cancel_futures=True)
         finally:
             self._alive.close()
-            self._told.close()
+            self._lifeline.close()
 
 
 @contextlib.contextmanager
@@ -153,10 +153,10 @@ def _interrupts_wait() -> Iterator[None]:
 _stopped = threading.Event()  # of a worker: it begins nothing more
 
 
-def _start_worker(told: Connection) -> None:
+def _start_worker(lifeline: Connection) -> None:
     """Let the parent decide about interrupts; one thread each, since there is a process a core.
 
-    The other end of `told` closes when the parent stops its workers, or ends.
+    The other end of `lifeline` closes when the parent stops its workers, or ends.
     """
 
     def stop(number: int, frame: object) -> None:
@@ -164,7 +164,7 @@ def _start_worker(told: Connection) -> None:
         sys.exit(128 + number)
 
     def listen() -> None:
-        told.poll(None)
+        lifeline.poll(None)
         os.kill(os.getpid(), signal.SIGTERM)
         # A main thread that waits for what a killed sibling holds never comes to the signal.
         time.sleep(_FAREWELL)

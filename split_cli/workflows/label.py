@@ -143,12 +143,15 @@ def _label_one(job: tuple[str, str | Path, Path, Mapping[str, Any]]) -> LabelRes
 def drive_notes(drive: Drive) -> tuple[str, ...]:
     """Return what a reader of labels should know of a drive's channels, in words."""
     found = stored_findings(drive.metadata.quality)
-    told = (f"{drive.name}: ingest found that {'; '.join(found)}",) if found else ()
+    notes = (f"{drive.name}: ingest found that {'; '.join(found)}",) if found else ()
     if drive.metadata.lateral_velocity_is_integrated:
-        told = (
-            *told,
+        notes = (
+            *notes,
             f"{drive.name}: v_y is integrated from a_y; its label repeats a_y and errors of the integral",
         )
     if drive.metadata.torque_follows_motion:
-        return (*told, f"{drive.name}: T is {drive.metadata.kinds['T']}; the longitudinal label then says nothing")
-    return told
+        return (
+            *notes,
+            f"{drive.name}: T is {drive.metadata.kinds['T']}; the longitudinal label then says nothing",
+        )
+    return notes

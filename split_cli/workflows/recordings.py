@@ -36,12 +36,12 @@ class RecordingCorrection:
         self._wheelbase = vehicle.wheelbase
         self._first: tuple[str, str] | None = None
         self._reference: TrackReference | None = None
-        self._told: dict[str, None] = {}
+        self._notes: dict[str, None] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of results should know of it."""
-        return tuple(self._told)
+        return tuple(self._notes)
 
     def __call__(self, drive: Drive) -> Drive:
         """Return a drive corrected; the first one given is that which s counts along."""
@@ -51,10 +51,10 @@ class RecordingCorrection:
             key = drive.name, drive.sha256
             if self._first is None:
                 self._first, self._reference = key, build_reference(drive, self._wheelbase)
-                self._told[f"s, which effects of place act on, counts along {drive.name}"] = None
+                self._notes[f"s, which effects of place act on, counts along {drive.name}"] = None
             columns["s"], kind = track_position(drive, self._reference, first=key == self._first)
             if kind != "position":
-                self._told[f"{drive.name} has no position: its s is the distance driven"] = None
+                self._notes[f"{drive.name} has no position: its s is the distance driven"] = None
             drive = replace(drive, columns=columns)
         return self.sensors(drive)
 
@@ -81,7 +81,7 @@ def vehicle_doubts(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool 
     DriveError
         If a drive is of another vehicle: its geometry, grip or mass contradict the file by more than a factor 2.5.
     """
-    told = []
+    doubts = []
     for drive in drives:
         shown = belonging(drive, vehicle)
         wrong = "; ".join(shown.contradictions())
@@ -92,6 +92,6 @@ def vehicle_doubts(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool 
                 advice="Check vehicle file, units and signs with `split info`, or go on with --any-vehicle.",
             )
         if wrong:
-            told.append(f"WARNING: {drive.name} is not of the vehicle {vehicle.name!r}: {wrong}")
-        told += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in shown.doubts()]
-    return tuple(told)
+            doubts.append(f"WARNING: {drive.name} is not of the vehicle {vehicle.name!r}: {wrong}")
+        doubts += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in shown.doubts()]
+    return tuple(doubts)

@@ -326,13 +326,13 @@ def _joined(
         start = float(columns["t"][-1][-1]) + _PAUSE_BETWEEN_TESTS
     kinds = {channel: "measured" for channel in parts[0] if channel != "t"}
     kinds |= {"T": "command", "delta": "command"}
-    told = {"tests": list(CALIBRATION_TESTS)} if len(parts) == len(CALIBRATION_TESTS) else {}
+    quality = {"tests": list(CALIBRATION_TESTS)} if len(parts) == len(CALIBRATION_TESTS) else {}
     if effects:
-        told["effects"] = list(effects)
+        quality["effects"] = list(effects)
     return Drive(
         name=name,
         columns={channel: np.concatenate(values) for channel, values in columns.items()},
         segment=np.concatenate(segment),
         period=1.0 / TABLE_RATE,
-        metadata=DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise, quality=told, between=_BETWEEN),
+        metadata=DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise, quality=quality, between=_BETWEEN),
     )

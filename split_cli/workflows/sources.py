@@ -57,7 +57,7 @@ class SourceFile:
         if not is_remote(self.address):
             return sha256_of_file(self.address)
         system, path = _system(self.address)
-        with _told(self.address):
+        with _in_one_line(self.address):
             info = system.info(path)
         known = {key: str(info[key]) for key in sorted(info) if key.lower() in _IDENTITY}
         return "remote:" + hashlib.sha256(repr(known).encode()).hexdigest()
@@ -71,7 +71,7 @@ class SourceFile:
         system, path = _system(self.address)
         with ScratchFolder() as folder:
             target = folder / self.name
-            with _told(self.address), system.open(path, "rb") as remote, target.open("wb") as copy:
+            with _in_one_line(self.address), system.open(path, "rb") as remote, target.open("wb") as copy:
                 shutil.copyfileobj(remote, copy, _COPY_BYTES)
             yield target
 
@@ -98,12 +98,12 @@ def _system(address: str) -> tuple[Any, str]:
         raise SplitError(
             "needs the package fsspec", where=address, advice="Install it with `pip install 'split-cli[cluster]'`."
         ) from error
-    with _told(address):
+    with _in_one_line(address):
         return fsspec.core.url_to_fs(_text(address))
 
 
 @contextlib.contextmanager
-def _told(address: str) -> Iterator[None]:
+def _in_one_line(address: str) -> Iterator[None]:
     """Turn what a file system raises into one line that names the address."""
     try:
         yield
@@ -186,7 +186,7 @@ def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = Non
         text = _text(address)
         if is_remote(text):
             system, path = _system(text)
-            with _told(text):
+            with _in_one_line(text):
                 below = system.find(path) if not glob.has_magic(path) and system.isdir(path) else []
             others = [name for name in below if not name.lower().endswith(LOG_SUFFIXES)]
             places = [PurePosixPath(name.removeprefix(path).lstrip("/")) for name in others]
@@ -281,7 +281,7 @@ def _is_bag(path: Path) -> bool:
 
 def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     system, path = _system(text)
-    with _told(text):
+    with _in_one_line(text):
         if glob.has_magic(path):
             base, hits = _before_magic(path), system.glob(path)
         elif system.isdir(path):

@@ -46,11 +46,11 @@ def test_peaks_are_recovered_from_labels_near_them():
 
 def test_what_is_told_of_a_road_is_believed_as_far_as_labels_allow():
     # Of the peaks that fit the same labels the one nearest to the told one is taken, from either side.
-    from_above, from_below = (learned_grip(CAR, Z2, *labels(0.08), told=told) for told in (1.0, 0.5))
+    from_above, from_below = (learned_grip(CAR, Z2, *labels(0.08), assumed=assumed) for assumed in (1.0, 0.5))
     assert (from_below < from_above - 0.02).all()
     assert from_below == pytest.approx([0.86, 0.94], abs=0.025) and (from_above > [0.86, 0.94]).all()
     z, y = labels(0.08)
-    assert learned_grip(CAR, Z2, z[:0], y[:0], told=0.5).tolist() == [0.5, 0.5]
+    assert learned_grip(CAR, Z2, z[:0], y[:0], assumed=0.5).tolist() == [0.5, 0.5]
 
 
 def test_gentle_driving_leaves_the_file_as_it_is():

@@ -364,7 +364,7 @@ def test_numbers_tell_of_the_memory_and_fit_their_schema(tmp_path):
     jsonschema = needed("jsonschema")
     training_set = silent_set(CASES["steer_delay+steer_lag"])
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features, STEP)
-    provenance = replace(provenance_of(training_set, "bcm"), memory=graph.memory.told())
+    provenance = replace(provenance_of(training_set, "bcm"), memory=graph.memory.to_mapping())
     document = document_of(training_set, provenance)
     write_json(document, tmp_path / "car.json")
     require_equal(document, read_json(tmp_path / "car.json"), "json")

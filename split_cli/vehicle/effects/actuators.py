@@ -16,9 +16,7 @@ __all__ = [
 ]  # fmt: skip
 
 _RATIO = "judgement: steering ratios of road cars lie within 12 and 20, so a wrong one is off by less than 1.8"
-_UNTOLD = (
-    100.0  # [%] within which a torque may be off that a drive does not show, as braking on a drive without any
-)
+_NOT_SHOWN = 100.0  # [%] within which a torque may be off that a drive does not show, as without any braking
 _PLAY = "judgement: six degrees at the wheel, the worst linkage of a model car"
 _ZERO = "judgement: six degrees at the wheel, 90 at a steering wheel, would be seen by any driver"
 
@@ -74,7 +72,7 @@ class DriveGain(Term):
         # What differs comes first; of the other half the data only say how little it can differ.
         (wrong,) = set(gains) - set(right)
         most = 100.0 * max(abs(limit - 1.0) for limit in gains[right[0]][0].interval_95)
-        if most >= _UNTOLD:
+        if most >= _NOT_SHOWN:
             return f"{wrong} torque arrives {gains[wrong][1]}; of {right[0]} torque the drive tells nothing"
         return (
             f"{wrong} torque arrives {gains[wrong][1]}, while {right[0]} torque is as it should be, "

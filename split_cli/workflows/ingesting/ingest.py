@@ -308,7 +308,7 @@ def _ingest_together(
     try:
         made = _assemble_recording(recording, paths[0], signal_map, vehicle, settings, {})
     except SplitError as error:
-        raise _told_of(error, recording) from error
+        raise _with_notes(error, recording) from error
     write_drive(made.drive, output)
     return _result(Path(recording.name), output, made)
 
@@ -359,17 +359,17 @@ def _assemble(
     try:
         return _assemble_recording(recording, path, signal_map, vehicle, settings, topics)
     except SplitError as error:
-        raise _told_of(error, recording) from error
+        raise _with_notes(error, recording) from error
 
 
-def _told_of(error: SplitError, recording: RawRecording) -> SplitError:
+def _with_notes(error: SplitError, recording: RawRecording) -> SplitError:
     """Return the error with the recording's name, and with what reading it had to leave out."""
     where, advice = error.where or "", error.advice or ""
     if recording.name not in str(error):
         where = f"{recording.name}, {where}" if where else recording.name
     if isinstance(error, LogError) and recording.notes:
-        told = "; ".join(f"{note.what} ({note.count} times)" for note in recording.notes[:3])
-        advice = f"{advice.rstrip('.')}{'. ' if advice else ''}Found while reading: {told}."
+        noted = "; ".join(f"{note.what} ({note.count} times)" for note in recording.notes[:3])
+        advice = f"{advice.rstrip('.')}{'. ' if advice else ''}Found while reading: {noted}."
     return type(error)(error.what, where=where, advice=advice or None)
 
 

@@ -85,13 +85,13 @@ def identify_cases(
     tasks = [(case, results) for case in open_]
     with contextlib.ExitStack() as stack:
         if cluster is not None:
-            told = cluster.map(_identify, tasks)
+            identified = cluster.map(_identify, tasks)
         else:
             context, threads = multiprocessing.get_context("spawn"), (1,) if jobs > 1 else (0,)
             # concurrent.futures can hang when it replaces workers (Python 3.11), this pool does not.
             pool = context.Pool(jobs, use_threads, threads, maxtasksperchild=_CASES_OF_A_PROCESS)
-            told = stack.enter_context(pool).imap_unordered(_identify, tasks)
-        for done, _ in enumerate(told, len(cases) - len(open_) + 1):
+            identified = stack.enter_context(pool).imap_unordered(_identify, tasks)
+        for done, _ in enumerate(identified, len(cases) - len(open_) + 1):
             if report:
                 report(done, len(cases))
     return seal
@@ -107,9 +107,9 @@ def _identify(task: tuple[ShownCase, Path]) -> None:
 
     began, failure = time.perf_counter(), ""
     try:
-        told, *_ = read_and_diagnose([case.real], case.vehicle, simulated=[case.sim] if case.sim else [])
+        diagnosis, *_ = read_and_diagnose([case.real], case.vehicle, simulated=[case.sim] if case.sim else [])
         (results / case.name).mkdir(exist_ok=True)
-        atomic_write_text(results / case.name / "diagnosis.json", diagnosis_to_text(told))
+        atomic_write_text(results / case.name / "diagnosis.json", diagnosis_to_text(diagnosis))
     except SplitError as error:
         failure = str(error)
     except Exception as error:

@@ -91,10 +91,10 @@ def prove_recording(
 def _promised(folder: Path) -> Mapping[tuple[str, str], float]:
     """Return the sizes that a diagnosis promises to name, by term and parameter."""
     path = folder / "diagnosis" / "diagnosis.json"
-    told = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"detectable": []}
+    document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"detectable": []}
     values = {
         (one["term"], name): each["value"]
-        for one in told["detectable"]
+        for one in document["detectable"]
         for name, each in one["parameters"].items()
     }
     return {key: value for key, value in values.items() if value is not None}
@@ -123,7 +123,7 @@ def diagnose_pair(folder: Path, vehicle_path: Path, reference: Drive, faulted: D
     write_drive(replace(reference, name="sim.parquet"), folder / "sim.parquet")
     write_drive(replace(faulted, name="real.parquet"), folder / "real.parquet")
     try:
-        told = diagnosis_to_mapping(
+        document = diagnosis_to_mapping(
             diagnose_files(
                 [folder / "real.parquet"], vehicle_path, folder / "diagnosis", simulated=[folder / "sim.parquet"]
             )
@@ -133,7 +133,7 @@ def diagnose_pair(folder: Path, vehicle_path: Path, reference: Drive, faulted: D
     except Exception as error:
         # A fault of the diagnosis is a result too; the other faults are still tried.
         return Statement("undecided"), f"failed: {type(error).__name__}: {error}"
-    said = statement_of(told)
+    said = statement_of(document)
     return said, words_of(said)
 
 

@@ -279,9 +279,10 @@ class Race:
     def _take_grip(self, grip: np.ndarray) -> None:
         """Give the peaks to the slip limits, and to the residual as its prior mean."""
         self.controller.grip = grip
-        told = self.mpcc.limits.guarded and tells_peaks(self.vehicle, self.header.features)
-        told = told and self.exported is None  # what was exported is the whole residual, nothing is added to it
-        self.learner.residual.rest_on(PeakShift(self.vehicle, self.header.features, grip) if told else None)
+        # What was exported is the whole residual, nothing is added to it.
+        may_add = self.exported is None and self.mpcc.limits.guarded
+        informed = may_add and tells_peaks(self.vehicle, self.header.features)
+        self.learner.residual.rest_on(PeakShift(self.vehicle, self.header.features, grip) if informed else None)
 
     def drive_lap(self, number: int) -> None:
         """Drive one lap, and keep what it taught."""
@@ -376,8 +377,8 @@ class Race:
             # Lags and delays of the vehicle file settle over what was driven before the interval.
             begin = first - self.learner.run_up_rows(first - record.first, world.period)
             name = f"lap {record.number}"
-            told = len(record.learned) % MOTION_EVERY == 0
-            exact = world.recording(begin, name=name, exact=True) if told else None
+            due = len(record.learned) % MOTION_EVERY == 0
+            exact = world.recording(begin, name=name, exact=True) if due else None
             record.learned.append(
                 self.learner.learn(world.recording(begin, name=name), begin - record.first, exact)
             )

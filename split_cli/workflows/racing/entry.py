@@ -221,10 +221,10 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
             where=str(where), advice="Check the recordings it was trained on with `split evaluate`.",
         )  # fmt: skip
     if not any(training_set.trust.share):
-        told = "its drives were too short to judge it" if training_set.trust.origin == "unjudged" else (
+        reason = "its drives were too short to judge it" if training_set.trust.origin == "unjudged" else (
             "it helped no output on held-out driving")  # fmt: skip
         raise SetError(
-            f"holds a correction that is not to be trusted: {told}. The nominal model alone would drive",
+            f"holds a correction that is not to be trusted: {reason}. The nominal model alone would drive",
             where=str(where), advice="Train on longer or harder drives, or leave out --start-set.",
         )  # fmt: skip
 

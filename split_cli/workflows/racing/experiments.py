@@ -236,7 +236,7 @@ def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callabl
         keeps = settings.learner != "none"
         result = run_race(settings, vehicle, set_output=trained if keeps else None, progress=say)
         traces |= {f"lap{lap.number}": trace for lap, trace in zip(result.laps, result.traces, strict=True)}
-        told = asdict(result.summary())
+        record = asdict(result.summary())
     else:
         if settings.start_set is not None:
             origin = folder / f"{settings.start_set}.split"
@@ -248,12 +248,12 @@ def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callabl
         learns = experiment.model.startswith("nominal") and settings.scenario == "iso3888-1"
         result = run_maneuvers(settings, vehicle, set_output=trained if learns else None)
         traces |= {f"run{k}": run.trace for k, run in enumerate(result.runs)}
-        told = asdict(result.summary())
-    told = {"name": experiment.name, "group": experiment.group, "model": experiment.model, "result": told}
-    told["settings"] = asdict(experiment.settings)
+        record = asdict(result.summary())
+    record = {"name": experiment.name, "group": experiment.group, "model": experiment.model, "result": record}
+    record["settings"] = asdict(experiment.settings)
     with atomic_path(folder / f"{experiment.name}.npz") as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **traces)
-    atomic_write_text(folder / f"{experiment.name}.json", json.dumps(told, default=_plain, indent=1) + "\n")
+    atomic_write_text(folder / f"{experiment.name}.json", json.dumps(record, default=_plain, indent=1) + "\n")
 
 
 def _plain(value):

@@ -123,11 +123,11 @@ def _times_table(group: list[dict]) -> str:
     models = _by_model(group)
     rows = []
     for number in sorted({lap["number"] for race in group for lap in race["result"]["laps"]}):
-        told = []
+        times = []
         for races in models.values():
             found = [lap for race in races.values() for lap in race["result"]["laps"] if lap["number"] == number]
-            told.append(" / ".join(map(_time, found)) or "-")
-        rows.append([str(number), *told])
+            times.append(" / ".join(map(_time, found)) or "-")
+        rows.append([str(number), *times])
     return _markdown(["lap", *models], rows)
 
 
@@ -148,11 +148,11 @@ def _falls(race: dict, reference: dict | None) -> list[str]:
 
     Errors grow with the pace, so all models are compared with the file's errors on one drive.
     """
-    own, told = _motion(race), None if reference is None else _motion(reference)
-    if own is None or told is None:
+    own, given = _motion(race), None if reference is None else _motion(reference)
+    if own is None or given is None:
         return ["-"] * 3
     return [
-        f"{100.0 * (1.0 - a / b):.0f}" for a, b in zip(own["motion_after"], told["motion_before"], strict=True)
+        f"{100.0 * (1.0 - a / b):.0f}" for a, b in zip(own["motion_after"], given["motion_before"], strict=True)
     ]
 
 
@@ -198,8 +198,8 @@ def _race_table(group: list[dict], races: list[dict]) -> str:
             cells.append(f"{max(lap['max_lateral'] for lap in laps):.2f}")
             cells += [str(laps[-1]["size"] or "-"), str(laps[-1]["cells"] or "-")]
             columns.append([*cells, *_falls(race, models.get("split", {}).get(seed))])
-        told = [" / ".join(cells) for cells in zip(*columns, strict=True)]
-        rows.append([model, *("-" if set(cell) <= set("- /") else cell for cell in told)])
+        joined = [" / ".join(cells) for cells in zip(*columns, strict=True)]
+        rows.append([model, *("-" if set(cell) <= set("- /") else cell for cell in joined)])
     header = ["model", "clean laps", "best clean s", "gain %", "median clean s", "gain %", "max a_y g", "points",
               "cells", "v_x falls by %", "v_y", "r"]  # fmt: skip
     return _markdown(header, rows)
@@ -219,8 +219,8 @@ def _sweep_table(sweeps: list[dict]) -> str:
     for (scenario, grip, model), results in sorted(alike.items(), key=lambda pair: (pair[0][0], -pair[0][1])):
         highest = (result["highest_passed"] for result in results)
         best = " / ".join("none" if speed is None else f"{speed:g}" for speed in highest)
-        told = ", ".join(f"{run['speed']:g}: {_ended(run)}" for run in results[0]["runs"])
-        rows.append([scenario, f"{grip:g}", model, best, told])
+        hits = ", ".join(f"{run['speed']:g}: {_ended(run)}" for run in results[0]["runs"])
+        rows.append([scenario, f"{grip:g}", model, best, hits])
     header = ["manoeuvre", "grip", "model", "highest speed passed m/s", "cones hit at each entry speed, seed 0"]
     return _markdown(header, rows)
 

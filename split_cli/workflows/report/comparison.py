@@ -142,7 +142,7 @@ def _table(scores: Sequence[ModelScore], name: str) -> str:
             if one.is_best:
                 best.append((k, len(cells)))
             ratio, low, high = one.to_best
-            told = "best" if one.is_best else f"{ratio:.2f} ({low:.2f} to {high:.2f})"
-            cells += [number(one.rmse), f"{one.fit:.1f}", f"{one.skill:.3f}", told]
+            relation = "best" if one.is_best else f"{ratio:.2f} ({low:.2f} to {high:.2f})"
+            cells += [number(one.rmse), f"{one.fit:.1f}", f"{one.skill:.3f}", relation]
         rows.append(cells)
     return plain_table(heads, rows, name, best)

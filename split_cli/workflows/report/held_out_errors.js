@@ -104,11 +104,11 @@
       },
       hover(x) {
         const one = help.rollouts.reduce((best, other) => (Math.abs(other.horizon - x) < Math.abs(best.horizon - x) ? other : best));
-        const told = LINES.map(([stage, text]) => {
+        const errors = LINES.map(([stage, text]) => {
           const ends = interval(one, stage);
           return `${text}: ${short(value(one, stage))} ${label}${ends ? ` (${short(ends[0])} to ${short(ends[1])})` : ""}`;
         });
-        return { x: one.horizon, y: between(value(one, "before"), ...plot.y), lines: [`${short(one.horizon)} s ahead`, ...told, `noise floor: ${short(one.floor[channel])} ${label}`] };
+        return { x: one.horizon, y: between(value(one, "before"), ...plot.y), lines: [`${short(one.horizon)} s ahead`, ...errors, `noise floor: ${short(one.floor[channel])} ${label}`] };
       },
     });
     plot.redraw();

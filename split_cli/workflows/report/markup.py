@@ -31,11 +31,11 @@ def verdict(kind: str, said: str, body: str, before: str = "") -> str:
 
 def facts_list(facts: Iterable[tuple[str, str, str]]) -> str:
     """Return facts (what, value, note) as a list, escaped here."""
-    told = "".join(
+    entries = "".join(
         f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
         for what, value, note in facts
     )
-    return f'<dl class="facts">{told}</dl>'
+    return f'<dl class="facts">{entries}</dl>'
 
 
 def items(texts: Iterable[str]) -> str:

@@ -48,8 +48,8 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
 def _findings(found: Mapping[str, Any]) -> list[str]:
     """Return what the consistency checks found, in words."""
     checked = found.get("consistency") or {}
-    told = [str(one["text"]) for one in checked.get("findings") or () if one.get("text")]
-    return told + [str(text) for text in found.get("contradictions") or ()]
+    findings = [str(one["text"]) for one in checked.get("findings") or () if one.get("text")]
+    return findings + [str(text) for text in found.get("contradictions") or ()]
 
 
 def _short(text: str) -> str:
@@ -85,12 +85,12 @@ def _channels(found: Mapping[str, Any]) -> str:
 def _open(found: Mapping[str, Any]) -> str:
     """Return what the checks could not judge, and what was assumed; nothing where there is neither."""
     checked = found.get("consistency") or {}
-    told = [f"Not judged: {one['check']}: {one['reason']}." for one in checked.get("unjudged") or ()]
-    told += [f"Assumed: {text}." for text in found.get("assumed") or ()]
-    told += [f"{str(text).rstrip('.')}." for text in found.get("warnings") or ()]
-    return section("open", "Not judged and assumed", f"<ul>{items(told)}</ul>") if told else ""
+    points = [f"Not judged: {one['check']}: {one['reason']}." for one in checked.get("unjudged") or ()]
+    points += [f"Assumed: {text}." for text in found.get("assumed") or ()]
+    points += [f"{str(text).rstrip('.')}." for text in found.get("warnings") or ()]
+    return section("open", "Not judged and assumed", f"<ul>{items(points)}</ul>") if points else ""
 
 
 def _done(drive: Drive) -> str:
-    told = (*drive.metadata.conversions, *drive.metadata.reported_kinds)
-    return section("done", "What was converted, measured and derived", f"<ul>{items(told)}</ul>") if told else ""
+    steps = (*drive.metadata.conversions, *drive.metadata.reported_kinds)
+    return section("done", "What was converted, measured and derived", f"<ul>{items(steps)}</ul>") if steps else ""

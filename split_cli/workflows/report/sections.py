@@ -353,7 +353,7 @@ def _would_show(diagnosis: Diagnosis) -> str:
 
 
 def _size(one: Detectable) -> str:
-    sizes = [f"{escape(name.replace('_', ' '))} {quantity(*told)}" for name, told in one.parameters.items()]
+    sizes = [f"{escape(name.replace('_', ' '))} {quantity(*size)}" for name, size in one.parameters.items()]
     return ", ".join(sizes) or "at no size"
 
 

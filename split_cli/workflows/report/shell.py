@@ -88,14 +88,14 @@ def chart_payload(chart: Chart) -> dict[str, Any]:
 
 
 def _series(one: ChartLine) -> dict[str, Any]:
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "name": readable(one.name), "role": one.role, "kind": one.kind, "shown": one.shown,
         "x": packed(one.x), "y": packed(one.y), "emphasis": list(one.emphasis),
     }  # fmt: skip
     for name in ("low", "high", "along"):
         values = getattr(one, name)
-        told[name] = None if values is None else packed(values)
-    return told
+        fields[name] = None if values is None else packed(values)
+    return fields
 
 
 def _palette() -> str:

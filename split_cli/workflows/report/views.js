@@ -1,7 +1,7 @@
 /* Charts told by numbers alone: lines, points, bars and bands, series that can be switched off, two kinds of x. */
 (() => {
   const { Plot, shape, element, path, short, between, unpack, csv } = Charts;
-  const told = JSON.parse(document.getElementById("numbers").textContent).charts || [];
+  const charts = JSON.parse(document.getElementById("numbers").textContent).charts || [];
   const DASHES = { nominal: "6 3", corrected: "10 3", other: "2 3" };
   const plots = {};
   const choice = document.getElementById("along");
@@ -17,23 +17,23 @@
     return [low - more, high + more];
   }
 
-  function chart(told) {
-    const host = document.querySelector(`#chart-${told.name} .canvas`);
+  function chart(spec) {
+    const host = document.querySelector(`#chart-${spec.name} .canvas`);
     if (!host) return;
-    const series = told.series.map((one) => ({
+    const series = spec.series.map((one) => ({
       ...one, x: unpack(one.x), y: unpack(one.y), low: one.low && unpack(one.low), high: one.high && unpack(one.high), along: one.along && unpack(one.along), color: `var(--${one.role})`,
     }));
     const visible = () => series.filter((one) => one.shown);
     const across = (one) => (along && one.along ? one.along : one.x);
-    const rows = told.rows.length ? told.rows : null;
-    const strips = Boolean(told.other_x);
+    const rows = spec.rows.length ? spec.rows : null;
+    const strips = Boolean(spec.other_x);
 
     function reach(view) {
       const lists = visible();
       if (rows) {
         const ends = lists.flatMap((one) => [one.x, one.low || [], one.high || []]);
         const zero = lists.some((one) => one.kind === "bars") ? [[0]] : [];
-        const at = told.reference === null ? [] : [[told.reference]];
+        const at = spec.reference === null ? [] : [[spec.reference]];
         return { x: view ? view.x : spread([...ends, ...zero, ...at]), y: [-0.6, rows.length - 0.4] };
       }
       if (view && !strips) return view;
@@ -43,13 +43,13 @@
         const kept = (values) => values.filter((_, i) => at[i] >= x[0] && at[i] <= x[1]);
         return [kept(one.y), ...(one.low ? [kept(one.low), kept(one.high)] : [])];
       });
-      const bands = told.bands.map((band) => [band.low, band.high]);
+      const bands = spec.bands.map((band) => [band.low, band.high]);
       return { x, y: spread([...inside, ...bands], 0.06) };
     }
 
     function drawRows(layer, plot) {
       const shown = visible();
-      if (told.reference !== null) layer.append(shape("line", { x1: plot.sx(told.reference), x2: plot.sx(told.reference), y1: plot.top, y2: plot.top + plot.tall, stroke: "var(--soft)", "stroke-dasharray": "4 3" }));
+      if (spec.reference !== null) layer.append(shape("line", { x1: plot.sx(spec.reference), x2: plot.sx(spec.reference), y1: plot.top, y2: plot.top + plot.tall, stroke: "var(--soft)", "stroke-dasharray": "4 3" }));
       const thick = Math.min(16, (plot.tall / rows.length / Math.max(shown.length, 1)) * 0.62);
       const step = (plot.tall / rows.length) * 0.78 / Math.max(shown.length, 1);
       shown.forEach((one, k) => one.y.forEach((row, i) => {
@@ -74,7 +74,7 @@
     }
 
     function draw(layer, plot) {
-      for (const band of told.bands) {
+      for (const band of spec.bands) {
         const [top, low] = [plot.sy(band.high), plot.sy(band.low)];
         layer.append(shape("rect", { x: plot.left, y: top, width: plot.inner, height: Math.max(low - top, 1), fill: "var(--noise)" }));
       }
@@ -118,7 +118,7 @@
         let [near, far] = [-1, Infinity];
         for (let i = 0; i < at.length; i++) {
           const dx = (plot.sx(at[i]) - plot.sx(x)) / plot.inner;
-          const dy = one.kind === "points" || told.equal ? (plot.sy(one.y[i]) - plot.sy(y)) / plot.tall : 0;
+          const dy = one.kind === "points" || spec.equal ? (plot.sy(one.y[i]) - plot.sy(y)) / plot.tall : 0;
           const off = dx * dx + dy * dy;
           if (off < far) [near, far] = [i, off];
         }
@@ -129,49 +129,49 @@
         if (off < best) [best, mark] = [off, { x: at[near], y: one.y[near] }];
       }
       if (!mark || !Number.isFinite(mark.y)) return null;
-      return { x: mark.x, y: between(mark.y, ...plot.y), lines: [`${along && strips ? told.other_x : told.x}: ${short(mark.x)}`, ...lines] };
+      return { x: mark.x, y: between(mark.y, ...plot.y), lines: [`${along && strips ? spec.other_x : spec.x}: ${short(mark.x)}`, ...lines] };
     }
 
     const plot = new Plot(host, {
-      name: told.name,
+      name: spec.name,
       zoom: strips || rows ? "x" : "xy",
-      equal: told.equal,
+      equal: spec.equal,
       digits: strips ? 6 : 0, // one moment stands at one place in all strips
       rows,
-      height: (width) => (rows ? 62 + Math.max(26, 20 * visible().length) * rows.length : told.wide ? between(0.24 * width, 170, 250) : between(0.74 * width, 220, told.equal ? 430 : 330)),
-      x: () => (along && strips ? told.other_x : told.x),
-      y: () => told.y,
-      label: () => `${told.title}: ${visible().map((one) => one.name).join(", ")}.`,
+      height: (width) => (rows ? 62 + Math.max(26, 20 * visible().length) * rows.length : spec.wide ? between(0.24 * width, 170, 250) : between(0.74 * width, 220, spec.equal ? 430 : 330)),
+      x: () => (along && strips ? spec.other_x : spec.x),
+      y: () => spec.y,
+      label: () => `${spec.title}: ${visible().map((one) => one.name).join(", ")}.`,
       domain: reach,
       limit: () => (rows ? null : { x: reach(null).x }),
       draw, hover,
       keys: () => visible().map(({ color, name }) => ({ color, text: name })),
-      csv: () => csv([["series", told.x, told.other_x || "-", told.y || "row", "low", "high"], ...series.flatMap((one) => Array.from(one.x, (x, i) => [
+      csv: () => csv([["series", spec.x, spec.other_x || "-", spec.y || "row", "low", "high"], ...series.flatMap((one) => Array.from(one.x, (x, i) => [
         one.name, x, one.along ? one.along[i] : "", rows ? rows[one.y[i]] : one.y[i], one.low ? one.low[i] : "", one.high ? one.high[i] : ""]))]),
       zoomed(view) {
-        if (!told.group) return;
+        if (!spec.group) return;
         for (const other of Object.values(plots)) {
-          if (other === plot || other.group !== told.group) continue;
+          if (other === plot || other.group !== spec.group) continue;
           other.view = view && { x: view.x, y: other.y };
           if (other.group !== "strips" && view) other.view.y = other.options.domain(null).y;
           other.redraw();
         }
       },
     });
-    plot.group = told.group;
-    plots[told.name] = plot;
-    legend(host.parentElement.querySelector(".legend"), series, told, plot);
+    plot.group = spec.group;
+    plots[spec.name] = plot;
+    legend(host.parentElement.querySelector(".legend"), series, spec, plot);
     plot.redraw();
   }
 
   /* One switch a series; a chart with one series has a name, not a switch. */
-  function legend(place, series, told, plot) {
+  function legend(place, series, spec, plot) {
     if (!place) return;
     // The axis of a single row of bars says what they are.
     const drawn = series.length === 1 && series[0].kind === "bars" ? [] : series;
     const parts = drawn.map((one) => {
       const mark = one.kind === "points"
-        ? shape("circle", { cx: 11, cy: 6, r: 4, fill: one.color, "fill-opacity": told.rows.length ? 1 : 0.5 })
+        ? shape("circle", { cx: 11, cy: 6, r: 4, fill: one.color, "fill-opacity": spec.rows.length ? 1 : 0.5 })
         : shape("line", { x1: 0, x2: 22, y1: 6, y2: 6, stroke: one.color, "stroke-width": one.kind === "bars" ? 8 : 3, "stroke-dasharray": DASHES[one.role] || "none" });
       const inside = [shape("svg", { width: 22, height: 12, "aria-hidden": "true" }, mark), one.name];
       if (series.length < 2) return element("span", { class: "key" }, ...inside);
@@ -183,14 +183,14 @@
       });
       return button;
     });
-    const bands = told.bands.map((band) => element("span", { class: "key" }, shape("svg", { width: 22, height: 12, "aria-hidden": "true" }, shape("rect", { width: 22, height: 12, fill: "var(--noise)" })), band.name));
+    const bands = spec.bands.map((band) => element("span", { class: "key" }, shape("svg", { width: 22, height: 12, "aria-hidden": "true" }, shape("rect", { width: 22, height: 12, fill: "var(--noise)" })), band.name));
     place.replaceChildren(...parts, ...bands);
     // On paper a row of charts with one legend shows it once.
     const before = place.closest("figure")?.previousElementSibling?.querySelector(".legend");
     place.classList.toggle("same", Boolean(before) && before.textContent === place.textContent);
   }
 
-  told.forEach(chart);
+  charts.forEach(chart);
   /* Mark a moment and a place in charts with two kinds of x; null for none. */
   Charts.markStrips = (time, place) => {
     for (const plot of Object.values(plots)) if (plot.group === "strips") plot.mark(along ? place : time);

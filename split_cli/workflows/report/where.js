@@ -165,9 +165,9 @@
         if (!cell) return null;
         const lines = [`${TITLES[AXES[state.axes][0]]}: ${short(cell.x)}`, `${TITLES[AXES[state.axes][1]]}: ${short(cell.y)}`];
         if (gap && cell.compared) {
-          const told = (k) => `${unit(cell.mean[k], cell.error[k] || 1)} \u00b1 ${short(cell.error[k])}`;
-          lines.push(`gap: ${told(0)}`);
-          if (numbers.named) lines.push(`with the physics: ${told(1)}`);
+          const force = (k) => `${unit(cell.mean[k], cell.error[k] || 1)} \u00b1 ${short(cell.error[k])}`;
+          lines.push(`gap: ${force(0)}`);
+          if (numbers.named) lines.push(`with the physics: ${force(1)}`);
         }
         lines.push(`${cell.compared} of ${cell.all} samples compared`);
         return { x: cell.x, y: cell.y, lines };

@@ -188,7 +188,7 @@ def _try(
         )
     share, rmse = relative_error(np.concatenate(errors), np.concatenate(nominal), np.concatenate(blocks))
     points, cells = np.mean(sizes, axis=0)
-    told = replace(
+    scored = replace(
         candidate, rmse=rmse, points=float(points), cells=float(cells), microseconds=1e6 * float(np.median(times))
     )
-    return told, share
+    return scored, share

@@ -27,7 +27,7 @@ _HELD = ((), ("T",), ("delta",), ("T", "delta"))
 
 
 @dataclass(frozen=True)
-class _Told:
+class _StoredLabels:
     """What a file says of some rows of one drive: features z, shape (N, D), and labels y, shape (N, 3)."""
 
     row: np.ndarray
@@ -50,8 +50,8 @@ def points_against_drives(trained: TrainingSet, path: Path) -> tuple[VerifiedIte
         if not source.sha256 or not mine.any() or correct.counts_places or not _is_the(drive, source.sha256):
             continue
         how = trained.features, trained.region, source.horizon or trained.horizon, trained.plain
-        told = _Told(trained.row[mine], trained.z[mine], trained.y[mine], *how)
-        items.append(_compared(f"points of {source.name}", drive, told, trained.vehicle, correct))
+        stored = _StoredLabels(trained.row[mine], trained.z[mine], trained.y[mine], *how)
+        items.append(_compared(f"points of {source.name}", drive, stored, trained.vehicle, correct))
     return tuple(items)
 
 
@@ -64,8 +64,8 @@ def labels_against_drive(labels: Labels, path: Path) -> tuple[VerifiedItem, ...]
     correct = RecordingCorrection(vehicle)
     used = labels.accepted
     how = labels.features, labels.region, labels.horizon, labels.plain
-    told = _Told(labels.row[used], labels.z[used], labels.y[used], *how)
-    return (_compared(f"labels of {labels.drive}", drive, told, vehicle, correct),) if used.any() else ()
+    stored = _StoredLabels(labels.row[used], labels.z[used], labels.y[used], *how)
+    return (_compared(f"labels of {labels.drive}", drive, stored, vehicle, correct),) if used.any() else ()
 
 
 def _is_the(path: Path, digest: str) -> bool:
@@ -80,29 +80,31 @@ def _vehicles(folder: Path) -> Iterable[Vehicle]:
             continue
 
 
-def _compared(check: str, path: Path, told: _Told, vehicle: Vehicle, correct: RecordingCorrection) -> VerifiedItem:
+def _compared(
+    check: str, path: Path, stored: _StoredLabels, vehicle: Vehicle, correct: RecordingCorrection
+) -> VerifiedItem:
     # Whether inputs were taken as held is not stored: some reading must give what the file says.
-    worst = min(_largest_error(path, told, vehicle, correct, held) for held in _HELD)
-    text = f"{len(told.row)} differ by at most {worst:.2g} from those computed again, {TOLERANCE:g} is allowed"
+    worst = min(_largest_error(path, stored, vehicle, correct, held) for held in _HELD)
+    text = f"{len(stored.row)} differ by at most {worst:.2g} from those computed again, {TOLERANCE:g} is allowed"
     return item(check, worst <= TOLERANCE, text, text)
 
 
 def _largest_error(
-    path: Path, told: _Told, vehicle: Vehicle, correct: RecordingCorrection, held: tuple[str, ...]
+    path: Path, stored: _StoredLabels, vehicle: Vehicle, correct: RecordingCorrection, held: tuple[str, ...]
 ) -> float:
     try:
         drive = correct(open_drive(path, held))
         again = compute_labels(
-            drive, vehicle, told.features, told.region, horizon=told.horizon, stride=1, plain=told.plain
+            drive, vehicle, stored.features, stored.region, horizon=stored.horizon, stride=1, plain=stored.plain
         )
     except SplitError:
         return np.inf
-    at = np.searchsorted(again.row, told.row)
-    if (at >= len(again)).any() or (again.row[at] != told.row).any():
+    at = np.searchsorted(again.row, stored.row)
+    if (at >= len(again)).any() or (again.row[at] != stored.row).any():
         return np.inf
     errors = [
         np.abs(ours[at] - theirs) / (1.0 + np.abs(theirs))
-        for ours, theirs in ((again.z, told.z), (again.y, told.y))
+        for ours, theirs in ((again.z, stored.z), (again.y, stored.y))
     ]
     worst = max(float(error.max()) for error in errors)
     return worst if np.isfinite(worst) else np.inf

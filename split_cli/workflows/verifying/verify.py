@@ -113,15 +113,17 @@ def _set_of_export(folder: Path, whole: bool) -> tuple[VerifiedItem, ...]:
     """
     from split_cli.export.verify import read_manifest, verify_against_set
 
-    told = read_manifest(folder).get("set")
-    name, digest = (str(told.get("name", "")), told.get("sha256")) if isinstance(told, dict) else ("", None)
+    exported = read_manifest(folder).get("set")
+    name, digest = (
+        (str(exported.get("name", "")), exported.get("sha256")) if isinstance(exported, dict) else ("", None)
+    )
     beside = [p / Path(name).name for p in (folder, folder.parent) if (p / Path(name).name).is_file()]
     if not name or not digest or not beside:
         return ()
     same = [path for path in beside if sha256_of_file(path) == digest]
     good = f"{name} beside it is the one that was exported"
-    told = _item("trained set", bool(same), good, f"{name} beside it is another one: export it again")
-    return (told, *(verify_against_set(folder, read_set(same[0])) if same and whole else ()))
+    item = _item("trained set", bool(same), good, f"{name} beside it is another one: export it again")
+    return (item, *(verify_against_set(folder, read_set(same[0])) if same and whole else ()))
 
 
 def _is_arrow(path: Path) -> bool:

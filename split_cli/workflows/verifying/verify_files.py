@@ -164,9 +164,9 @@ def verify_yaml(path: Path) -> tuple[str, tuple[VerifiedItem, ...]]:
 
 def _vehicle(path: Path) -> tuple[VerifiedItem, ...]:
     car = read_vehicle(path)
-    told = f"{car.name}: every value within what vehicles have, physics {car.digest()[:12]}"
+    text = f"{car.name}: every value within what vehicles have, physics {car.digest()[:12]}"
     written = physics_as_written(path.read_text(encoding="utf-8"))
-    items = [VerifiedItem("values", True, told)]
+    items = [VerifiedItem("values", True, text)]
     if car.effects:
         items.append(VerifiedItem("effects", True, f"{len(build_terms(car))} terms of the catalogue, complete"))
     if written is not None:

@@ -39,52 +39,52 @@ def verify_diagnosis(folder: Path) -> tuple[VerifiedItem, ...]:
     """
     path = folder / "diagnosis.json"
     try:
-        told = parse_json(path.read_text(encoding="utf-8"))
+        document = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise SplitError(f"is no JSON ({error})", where=str(path)) from error
-    if not isinstance(told, dict) or told.get("schema") != "split-diagnosis/1":
+    if not isinstance(document, dict) or document.get("schema") != "split-diagnosis/1":
         raise SplitError("is no diagnosis of this version", where=str(path))
-    items = [*_digests(folder), _checked("document", lambda: _document(told))]
-    inputs = told.get("inputs")
+    items = [*_digests(folder), _checked("document", lambda: _document(document))]
+    inputs = document.get("inputs")
     inputs = [i for i in inputs if isinstance(i, dict)] if isinstance(inputs, list) else []
     named = [(str(i.get("name")), str(i.get("sha256"))) for i in inputs]
     items += compare_sources((folder, folder.absolute().parent), named)
     report = folder / "report.html"
     if report.is_file():
-        items.append(_checked("report against document", lambda: _report(folder, told)))
+        items.append(_checked("report against document", lambda: _report(folder, document)))
     else:
         items.append(VerifiedItem("report against document", False, "report.html is missing"))
     for name in ("vehicle_corrected.yaml", "vehicle_rejected.yaml"):
         if (folder / name).is_file():
-            items.append(_checked(name, lambda name=name: _effects(folder / name, told)))
+            items.append(_checked(name, lambda name=name: _effects(folder / name, document)))
     if (folder / "gap.parquet").is_file():
-        items.append(_checked("gap.parquet", lambda: _gap(folder / "gap.parquet", told)))
+        items.append(_checked("gap.parquet", lambda: _gap(folder / "gap.parquet", document)))
     return tuple(items)
 
 
-def _document(told: dict[str, Any]) -> str:
-    if told.get("verdict") not in _VERDICTS:
-        raise SplitError(f"its verdict is {told.get('verdict')!r}")
-    findings = told["findings"]
-    if findings and told["verdict"] != "mismatch":
-        raise SplitError(f"{len(findings)} findings beside the verdict {told['verdict']}")
+def _document(document: dict[str, Any]) -> str:
+    if document.get("verdict") not in _VERDICTS:
+        raise SplitError(f"its verdict is {document.get('verdict')!r}")
+    findings = document["findings"]
+    if findings and document["verdict"] != "mismatch":
+        raise SplitError(f"{len(findings)} findings beside the verdict {document['verdict']}")
     for finding in findings:
         for name, estimate in finding["parameters"].items():
             low, high = estimate["interval_95"]
             if not low <= estimate["value"] <= high:
                 raise SplitError(f"{finding['term']}.{name} lies outside its own interval")
-    return f"{told['verdict']}, {len(findings)} findings, every value within its interval"
+    return f"{document['verdict']}, {len(findings)} findings, every value within its interval"
 
 
-def _report(folder: Path, told: dict[str, Any]) -> str:
+def _report(folder: Path, document: dict[str, Any]) -> str:
     """Return what of the document the page shows."""
     page = (folder / "report.html").read_text("utf-8")
-    wanted = [*(f["term"] for f in told["findings"]), *(i["sha256"] for i in told["inputs"])]
+    wanted = [*(f["term"] for f in document["findings"]), *(i["sha256"] for i in document["inputs"])]
     absent = [text for text in wanted if text not in page]
     if absent:
         raise SplitError(f"the page does not show {', '.join(absent[:3])}: it is of another diagnosis")
     _require_shown(folder, "diagnosis.json")
-    return f"shows all {len(told['findings'])} findings and the digests of {len(told['inputs'])} inputs"
+    return f"shows all {len(document['findings'])} findings and the digests of {len(document['inputs'])} inputs"
 
 
 def _require_shown(folder: Path, name: str) -> None:
@@ -94,7 +94,7 @@ def _require_shown(folder: Path, name: str) -> None:
         raise SplitError(f"the page shows the numbers of another {name}")
 
 
-def _effects(path: Path, told: dict[str, Any]) -> str:
+def _effects(path: Path, document: dict[str, Any]) -> str:
     """Return what the vehicle of a diagnosis has of its findings; faults of sensors are none of the car's."""
     car = read_vehicle(path)
     written = physics_as_written(path.read_text(encoding="utf-8"))
@@ -102,7 +102,7 @@ def _effects(path: Path, told: dict[str, Any]) -> str:
         raise SplitError("its values were changed since it was written")
     build_terms(car)  # refuses what no term is, or lacks
     named = 0
-    for finding in told["findings"]:
+    for finding in document["findings"]:
         values = {name: p["value"] for name, p in finding["parameters"].items()}
         same_term = [dict(effect.parameters) for effect in car.effects if effect.term == finding["term"]]
         if same_term and values not in same_term:
@@ -111,9 +111,9 @@ def _effects(path: Path, told: dict[str, Any]) -> str:
     return f"reads as {car.name}, with the values of {named} findings"
 
 
-def _gap(path: Path, told: dict[str, Any]) -> str:
+def _gap(path: Path, document: dict[str, Any]) -> str:
     text, drives = read_gap(path)
-    strange = drives - {one["name"] for one in told["inputs"]}
+    strange = drives - {one["name"] for one in document["inputs"]}
     if strange:
         raise SplitError(f"is of {', '.join(sorted(strange))}, which the document does not name")
     return text
@@ -219,6 +219,6 @@ def verify_drives_folder(folder: Path, inner: Sequence[Path] = (), *, alone: boo
 
 def _is_made_of(drive: Path, source: str) -> bool:
     """Tell whether a drive names the source that a manifest has for it; that of a remote one is no digest."""
-    told = metadata_of_drive(drive)
-    digests = [s.sha256 for s in told.sources if s.sha256] if told is not None else []
+    metadata = metadata_of_drive(drive)
+    digests = [s.sha256 for s in metadata.sources if s.sha256] if metadata is not None else []
     return len(digests) != 1 or len(source) != 64 or digests == [source]
