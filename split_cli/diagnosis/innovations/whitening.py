@@ -39,7 +39,8 @@ class Whitener:
 
         Parameters
         ----------
-        defect : ndarray
+        defect : ndarray, shape (N - 1, 3, C) or (N - 1, 3)
+            Of v_x, v_y [m/s] and r [rad/s], transition by transition.
         estimate : ndarray, shape (3, C), optional
             Of the last sample's noise before the first defect, for columns; gets that before the next one. 0 where
             a recording begins.

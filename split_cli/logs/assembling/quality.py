@@ -162,7 +162,7 @@ def render_quality(report: QualityReport) -> str:
 
 
 _WORTH_TELLING = 0.03
-"""Of the logarithm of a ratio that should be 1, from which on it is shown [1]."""
+"""Of the logarithm of a ratio that should be 1, from which on it is shown [1]; judgement."""
 
 
 def _verdict(found: Consistency) -> list[str]:

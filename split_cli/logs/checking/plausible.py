@@ -15,9 +15,10 @@ NO_CAR_EXCEEDS = {
 }
 """99 % quantiles of |channel| that no car on wheels reaches, from 1:43 models to dragsters."""
 DAMAGED = 10.0
-"""Times the 90 % quantile of a channel, beyond which a few samples are damaged, not moved [1]."""
+"""Times the 90 % quantile of a channel, beyond which a few samples are damaged, not moved [1]; judgement."""
 _FARTHEST = 1e5
-"""From the middle of a drive, beyond which and far beyond all others a position is none [m]."""
+"""From the middle of a drive, beyond which and far beyond all others a position is none [m]; judgement:
+no drive leads that far."""
 _BODY = ("vx", "r")
 """What the car's inertia keeps from jumping; accelerometers do reach more, by vibration."""
 

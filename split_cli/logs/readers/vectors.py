@@ -54,6 +54,7 @@ def recording_of_vectors(
     Parameters
     ----------
     leaves : sequence of (str, ndarray)
+        Names, and vectors (N,), (N, 1), (1, N) or matrices (N, K), in the units of their names.
     notes : list of ReadNote
         What was lost so far; what is found here is added.
     empty : str
