@@ -17,7 +17,7 @@ def first_order(rows: int, rho: float, rng: np.random.Generator) -> np.ndarray:
 
 def without_columns(rows: int) -> Structure:
     objective = SimpleNamespace(keep=(np.ones(rows, dtype=bool),))
-    return Structure(objective, np.zeros((3 * rows, 1)), (), ("none",), np.eye(1))
+    return Structure(objective, (np.zeros((3 * rows, 1)),), (), ("none",), np.eye(1))
 
 
 def test_the_ratio_is_the_long_run_variance_of_a_first_order_process():
