@@ -68,6 +68,7 @@ EXAMPLES = {
     ("mass", "loaded"): {"scale": 1.15},
     ("yaw_inertia", ""): {"scale": 1.2},
     ("sensor_delay", ""): {"delay": 0.06},
+    ("steer_signal_delay", ""): {"delay": 0.06},
     ("sensor_lever_arm", ""): {"dx": 0.3},
     ("sensor_lever_arm", "unit"): {"dx": 0.3},
     ("sensor_misalignment", ""): {"angle": 0.02},

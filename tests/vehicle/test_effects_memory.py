@@ -156,12 +156,26 @@ def test_sensor_delay_reads_as_both_actuators_late():
         np.testing.assert_array_equal(a, b)
 
 
+def test_steering_that_is_logged_late_acts_as_it_was_before_the_log():
+    t = np.arange(500) * PERIOD
+    torque, steer = inputs(t)
+    clock = Recording.single(PERIOD, 500)
+    velocity = (20.0 + 0.0 * t, 0.1 * np.sin(t), 0.2 * np.cos(t))
+    late = term("steer_signal_delay", delay=3 * PERIOD)
+    logged = late.corrupt({"delta": steer}, clock)["delta"]
+    one = SingleTrack(CAR, [late]).velocity_derivative(*velocity, torque, logged, recording=clock)
+    other = SingleTrack(CAR, []).velocity_derivative(*velocity, torque, steer, recording=clock)
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a[:-4], b[:-4], rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "model",
     [
         term("sensor_lever_arm", dx=0.4),
         term("sensor_misalignment", angle=0.03),
         term("sensor_delay", delay=0.02),
+        term("steer_signal_delay", delay=0.02),
     ],
     ids=lambda model: model.id,
 )
@@ -178,7 +192,7 @@ def test_correcting_undoes_what_the_sensor_did(model):
     }
     clock = Recording.single(PERIOD, 300)
     bad = model.corrupt(columns, clock)
-    assert any(np.abs(bad[n] - columns[n]).max() > 1e-3 for n in ("vx", "vy"))
+    assert any(np.abs(bad[n] - columns[n]).max() > 1e-3 for n in ("vx", "vy", "delta"))
     good = model.correct(bad, clock)
     for name in columns:
         # A delay of whole samples is undone exactly but for what was pushed off the ends.

@@ -12,9 +12,10 @@ from split_cli.vehicle.effects.recording import Recording, shifted
 from split_cli.vehicle.effects.search import Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, late
+from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["SensorDelay", "SensorLeverArm", "SensorMisalignment"]
+__all__ = ["SensorDelay", "SensorLeverArm", "SensorMisalignment", "SteerSignalDelay"]
 
 _COMMANDS = ("t", "T", "delta", "s")
 # Overhangs of a body before the front axle and behind the rear one, in wheelbases.
@@ -160,3 +161,47 @@ class SensorDelay(Delayed):
             name: values if name in _COMMANDS else shifted(values, delay, recording)
             for name, values in columns.items()
         }
+
+
+class SteerSignalDelay(Delayed):
+    """The recorded steering is late relative to all other channels by `delay`.
+
+    This is a `steer_delay` to the other side. There the wheels follow what is logged; here the log follows the
+    wheels, as where the angle comes by a slower bus. The model takes delta(t + delay) and no channel is corrected.
+    Source: a transport delay.
+    """
+
+    id = "steer_signal_delay"
+    late_inputs = ("delta",)
+    family = "clock"
+    on_command_clock = True
+    exported = False
+    mimics: ClassVar = (
+        Mimic("yaw_inertia", "gentle transients: a body that turns more easily", "steer steps at two speeds"),
+    )
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        return f"against all other channels the recorded steering is {late(p['delay'])}"
+
+    @property
+    def input_delays(self) -> Mapping[str, float]:
+        """Delay [s] by channel, negative: what is logged later acts now."""
+        return {"delta": -self.parameters["delay"]}
+
+    def actuate(self, flow: Flow) -> None:
+        """Take the steering of later."""
+        flow.delta = self.delayed(flow, flow.delta, -self.parameters["delay"])
+
+    def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Move the steering earlier."""
+        return self._moved(columns, -self.parameters["delay"], recording)
+
+    def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Move the steering later."""
+        return self._moved(columns, self.parameters["delay"], recording)
+
+    @staticmethod
+    def _moved(columns: Mapping[str, np.ndarray], delay: float, recording: Recording) -> dict[str, np.ndarray]:
+        moved = {"delta": shifted(columns["delta"], delay, recording)} if "delta" in columns else {}
+        return {**columns, **moved}

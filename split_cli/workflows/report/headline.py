@@ -36,6 +36,7 @@ _PARTS = {
     "load_transfer": "Load moves between the axles", "aero_downforce": "Downforce",
     "yaw_moment_differential": "Locked differential", "road_grade": "Road slopes along",
     "road_bank": "Road slopes across", "wind": "Wind", "sensor_delay": "Sensors late",
+    "steer_signal_delay": "Steering logged late",
     "channel_delay": "One sensor late", "sensor_lever_arm": "Velocity sensor off its place",
     "sensor_misalignment": "Velocity sensor turned", "velocity_bias": "Lateral velocity biased",
     "acceleration_bias": "Acceleration biased", "yaw_rate_bias": "Yaw rate biased",
