@@ -113,7 +113,11 @@ def diagnose(
         ]
         return _undecided(reasons, share, record)
     candidates = identifiable(
-        build_candidates(vehicle, case.real[0].series), [one.series for one in case.real], vehicle, policy
+        build_candidates(vehicle, case.real[0].series),
+        [one.series for one in case.real],
+        vehicle,
+        policy,
+        [one.series for one in case.simulated],
     )
     reach = settings.far_reach if is_far else settings.reach
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)

@@ -268,9 +268,11 @@ def test_the_rates_of_simulation_and_reality_need_not_agree(simulated):
     assert diagnosis.compared_share > 0.5
 
 
-def names_of(drive: Drive) -> set[str]:
-    series = build_series(drive, "real", np.cumsum(drive["vx"]) * drive.period)
-    several = identifiable(build_candidates(road_car(), series), [series], road_car())
+def names_of(drive: Drive, *simulated: Drive) -> set[str]:
+    series, *others = (
+        build_series(one, "real", np.cumsum(one["vx"]) * one.period) for one in (drive, *simulated)
+    )
+    several = identifiable(build_candidates(road_car(), series), [series], road_car(), simulated=others)
     return {one.label for one in several}
 
 
@@ -282,6 +284,15 @@ def test_places_and_wind_are_told_with_position_only(real):
     assert {label.split()[0] for label in lost} == places | known_by_position
     assert "road_bank" in without_it
     assert "sensor_misalignment" in without_it
+
+
+def test_scales_are_told_without_position_where_both_recordings_have_a_y(real, simulated):
+    scales = {"speed_scale", "speed_scale (vx)", "yaw_rate_scale"}
+    here, there = (without(one, "X", "Y") for one in (real, simulated))
+    felt, also = (altered(one, ay=one["vx"] * one["r"]) for one in (here, there))
+    assert scales <= names_of(felt, also)
+    for pair in ((felt,), (felt, there), (here, also)):
+        assert not scales & names_of(*pair)
 
 
 def test_derived_torque_tells_nothing_along_the_car(real, simulated):

@@ -74,9 +74,12 @@ class Candidate:
 
     def is_everyday(self, values: Mapping[str, float]) -> bool:
         """Return whether no value lies beyond what any sound recording may have; most ranges allow for nothing."""
+        return all(away < self.ranges[name].everyday for name, away in self.away(values).items())
+
+    def away(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return how far values are from no effect; those that no effect leaves open are left out."""
         neutral = CATALOGUE[self.term].neutral
-        sizes = [name for name in self.ranges if neutral.get(name) is not None]
-        return all(abs(values[name] - neutral[name]) < self.ranges[name].everyday for name in sizes)
+        return {name: abs(values[name] - neutral[name]) for name in self.ranges if neutral.get(name) is not None}
 
     def without_witness(self) -> Candidate:
         """Return the candidate where no position tells a sensor from the car: what sound ones do is no fault."""

@@ -138,7 +138,7 @@ def _smallest(
         if candidate.is_everyday(values):
             # As large as this it is seen, and yet no fault.
             factor *= min(
-                limit.everyday / abs(values[name]) for name, limit in candidate.ranges.items() if values[name]
+                candidate.ranges[name].everyday / away for name, away in candidate.away(values).items() if away
             )
             values, everyday = candidate.moved(start, factor), True
         if not candidate.allows(values):

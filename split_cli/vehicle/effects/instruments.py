@@ -22,6 +22,8 @@ _TURNED = "judgement: a mounting that is off by more than nine degrees is seen"
 _WANDER = "judgement: what turns by half a degree in a second is no sensor of a direction"
 _TILTED = "judgement: an accelerometer tilted by eleven degrees measures a fifth of gravity"
 _CROSSFALL = 0.025 * 9.81  # [m/s^2] gravity across a road that sheds water (AASHTO, 1.5 to 2.5 %): any road does
+# [1] judgement: a body that leans by some 4.6 degrees at 1 g, more than most cars do; g sin(roll) is felt across.
+_ROLLS = 0.08
 _GYRO = "judgement: three degrees a second, beyond any gyroscope that was switched on at rest"
 _WORN = "judgement: wheels wear and gyroscopes age by a few per cent, 15 % is another unit"
 _UNALIGNED = "judgement: filters, buses and clocks that nobody aligned make a channel late by up to 0.6 s"
@@ -201,17 +203,21 @@ class YawRateBias(_Instrument):
 
 
 class _Scale(_Instrument):
-    """Channels recorded as `scale` times what is true."""
+    """Channels recorded as `scale` times what is true.
+
+    Without position, a_y tells v_x r of the simulation from that of reality. A body that rolls on its springs
+    tilts the accelerometer, so that a_y reads up to a tenth too much there, and a smaller scale is no fault.
+    """
 
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
-    needs: ClassVar = frozenset({"measured position"})
+    needs: ClassVar = frozenset({"scale witness"})
     channels: ClassVar[tuple[str, ...]]
     subject: ClassVar[str]
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"scale": Range(0.85, 1.15, 0.001, _WORN)}, ({"scale": 0.99},))
+        return Search({"scale": Range(0.85, 1.15, 0.001, _WORN, unwitnessed=_ROLLS)}, ({"scale": 0.99},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -232,7 +238,7 @@ class SpeedScale(_Scale):
     By default one sensor measures both.
 
     Variant ``vx``: v_x alone is scaled, as with a worn wheel and another source of v_y. Source: v = omega r_e
-    with a wrong radius. Witness: the distance between positions.
+    with a wrong radius. Witness: the distance between positions, or a_y, which follows v_x r.
     """
 
     id = "speed_scale"
@@ -250,7 +256,8 @@ class SpeedScale(_Scale):
 class YawRateScale(_Scale):
     """The recorded yaw rate has a scale error: it is `scale` times the true one.
 
-    Source: the usual model of a rate gyroscope. Witness: the rate of the recorded yaw angle.
+    Source: the usual model of a rate gyroscope. Witness: the rate of the recorded yaw angle, or a_y, which
+    follows v_x r.
     """
 
     id = "yaw_rate_scale"

@@ -99,7 +99,8 @@ class Term:
         (not derived from velocities), ``measured velocities`` (not derived from position), ``torque`` (logged, not
         derived from how the car moved), ``torque changes``,
         ``lateral velocity`` (not integrated from a_y), ``hard turns`` (beyond the nearly linear part of the tyres'
-        curves), ``ax`` or ``ay`` (measured), ``witness`` (measured position or acceleration to the left).
+        curves), ``ax`` or ``ay`` (measured), ``witness`` (measured position or acceleration to the left),
+        ``scale witness`` (measured position, or acceleration to the left in simulation and reality).
     variant_needs : mapping of str to frozenset of str
         What a variant needs beside that.
     moves_samples : bool
