@@ -139,7 +139,10 @@ def _would_be_named(
 
 
 def _big(one: Candidate, share: float) -> list[tuple[str, float, dict[str, float]]]:
-    """Return each size of a term of the car, its value on the way to its nearer bound, and all values."""
+    """Return each size of a term of the car, its value on the way to its nearer bound, and all values.
+
+    A ratio counts to either side, as x and 1/x: nobody knows to which side a hidden one would be.
+    """
     kind = CATALOGUE[one.term]
     if one.located or not kind.exported or kind.family in ("time", "air", "place"):
         return []
@@ -150,5 +153,8 @@ def _big(one: Candidate, share: float) -> list[tuple[str, float, dict[str, float
             ends = [end for end in (limits.lower, limits.upper) if end != kind.neutral[name]]
             nearer = min(ends, key=lambda end: abs(end - kind.neutral[name]))
             value = kind.neutral[name] + share * (nearer - kind.neutral[name])
-            found.append((name, value, {**start, name: value}))
+            both = (value, 1.0 / value) if kind.neutral[name] == 1.0 else (value,)
+            found += [
+                (name, each, {**start, name: each}) for each in both if limits.lower <= each <= limits.upper
+            ]
     return found
