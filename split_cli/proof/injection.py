@@ -59,6 +59,7 @@ class FaultKind:
 
 FAULTS: dict[str, FaultKind] = {
     "steering late": FaultKind("steer_delay", "delay", (0.16, 0.08, 0.04)),
+    "steering logged late": FaultKind("steer_signal_delay", "delay", (0.16, 0.08, 0.04)),
     "steering scaled": FaultKind("steer_gain", "gain", (0.80, 0.90, 0.95)),
     "steering offset": FaultKind("steer_offset", "offset", (0.020, 0.010, 0.005)),
     "velocity rotated": FaultKind("sensor_misalignment", "angle", (0.04, 0.02, 0.01)),
