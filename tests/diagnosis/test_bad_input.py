@@ -269,9 +269,7 @@ def test_the_rates_of_simulation_and_reality_need_not_agree(simulated):
 
 
 def names_of(drive: Drive, *simulated: Drive) -> set[str]:
-    series, *others = (
-        build_series(one, "real", np.cumsum(one["vx"]) * one.period) for one in (drive, *simulated)
-    )
+    series, *others = (build_series(one, "real", np.cumsum(one["vx"]) * one.period) for one in (drive, *simulated))
     several = identifiable(build_candidates(road_car(), series), [series], road_car(), simulated=others)
     return {one.label for one in several}
 

@@ -154,7 +154,5 @@ def _big(one: Candidate, share: float) -> list[tuple[str, float, dict[str, float
             nearer = min(ends, key=lambda end: abs(end - kind.neutral[name]))
             value = kind.neutral[name] + share * (nearer - kind.neutral[name])
             both = (value, 1.0 / value) if kind.neutral[name] == 1.0 else (value,)
-            found += [
-                (name, each, {**start, name: each}) for each in both if limits.lower <= each <= limits.upper
-            ]
+            found += [(name, each, {**start, name: each}) for each in both if limits.lower <= each <= limits.upper]
     return found
