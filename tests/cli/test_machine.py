@@ -99,6 +99,7 @@ def test_a_stop_with_a_lock_of_workers_in_hand_says_one_line():
     """Python's tracker of such locks told of each that was left when the process ended."""
     program = """
 import importlib, multiprocessing, os, signal, click
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job begins without one
 lock = multiprocessing.get_context("spawn").Lock()
 main = importlib.import_module("split_cli.cli.main")
 def stop(**_):

@@ -79,7 +79,7 @@ def test_what_acts_for_a_while_is_no_match(simulation):
 
     drive = noisy(driven(82, runs=8, seconds=8.0, spaced=9.0, steer=steer), 582, position=0.01)
     found = diagnose([drive], road_car(), [simulation])
-    assert found.verdict == "mismatch" and found.p_value < 1e-6
+    assert found.verdict == "mismatch" and found.p_value < STANDARD.comparison.level
     assert not found.findings and found.unexplained
     assert "it looks like steer gain (steer_gain) with gain = 0.9" in found.summary
     begin, end = re.search(r"Between (\d+(?:\.\d+)?) and (\d+(?:\.\d+)?) s", found.summary).groups()
