@@ -218,6 +218,8 @@ def test_a_sure_name_lends_its_sureness_to_no_other(restless):
         (["steer_offset"], 1e-4, [], 1.0, ""),
         (["steer_offset", "tire_stiffness"], 1e-4, ["steer_offset"], 1e-3, "steer_offset"),  # each name by itself
         (["steer_offset", "tire_stiffness"], 1e-4, ["tire_stiffness"], 1e-3, ""),
+        (["tire_stiffness", "steer_gain?"], 1e-4, ["steer_gain"], 1e-3, "second"),  # both have it, one unnamed
+        (["tire_stiffness", "road_bank?"], 1e-4, ["steer_gain"], 1e-3, ""),
     ],
 )
 def test_the_surer_search_is_believed(restless, first, first_p, second, second_p, expected):
@@ -225,10 +227,11 @@ def test_the_surer_search_is_believed(restless, first, first_p, second, second_p
     objective = fixed_objective(restless)
 
     def outcome(names, p_value) -> SearchOutcome:
-        parts = tuple(Part(candidates[name], dict(candidates[name].starts[0])) for name in names)
+        own = [candidates[name.rstrip("?")] for name in names]  # a mark behind what has no name
+        parts = tuple(Part(one, dict(one.starts[0])) for one in own)
         chosen = Fit(parts, 1.0, np.zeros(0), np.zeros((0, 0)))
-        every = tuple(() for _ in names)
-        selection = Selection(chosen, chosen, (), every, every, tuple(True for _ in names), first_p=p_value)
+        every, named = tuple(() for _ in names), tuple("?" not in name for name in names)
+        selection = Selection(chosen, chosen, (), every, every, named, first_p=p_value)
         return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
 
     one, other = outcome(first, first_p), outcome(second, second_p)

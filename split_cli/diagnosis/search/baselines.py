@@ -106,7 +106,8 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
 
     What the second brings back to where the simulation has been is believed; with the values of the first where
     that named it, too, and is as sure. What the first names in doubt and the second does not confirm has no name,
-    each name by itself: a sure one lends the others nothing. Nor has what would need more than a car has, see
+    each name by itself: a sure one lends the others nothing. Where none is left, what the second names is believed
+    if the first has it unnamed beside what is refused. Nor has what would need more than a car has, see
     `ends_beyond`; then the second is returned, which found it.
     """
     marginalised, fixed = first.selection, again.selection
@@ -122,6 +123,9 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
         shared = _ids(fixed) if brought_back else set()
         both = [part.candidate.term in shared for part in marginalised.chosen.parts]
         kept = replace(first, selection=_only_named(marginalised, both))
+        explained = {part.candidate.term for part in marginalised.chosen.parts}
+        # Both searches need it; beside what is refused it was too small to be named.
+        kept = again if brought_back and not any(kept.selection.named) and _ids(fixed) <= explained else kept
     elif len(marginalised.terms) > 1:
         kept = replace(first, selection=_only_named(marginalised, _undoubted(first, _ids(fixed), rules)))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
