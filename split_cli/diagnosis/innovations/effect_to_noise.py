@@ -16,7 +16,7 @@ __all__ = [
 ]  # fmt: skip
 
 _HORIZON = 0.05
-_ROWS_AT_ONCE = 8192  # that are joined for a product; decides memory alone
+_ROWS_AT_ONCE = 8192  # [rows] that are joined for a product; decides memory alone
 
 
 def effect_to_noise(series: Series, defect: np.ndarray) -> float:

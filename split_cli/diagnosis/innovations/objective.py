@@ -31,7 +31,8 @@ _LEAST_INFORMED = 2e-3
 _REMEMBERED = 64
 #: Shifts of the CG in wheelbases between which the shared discrepancy runs in straight lines.
 _SHIFTS = 0.02
-_BLOCK_SECONDS = 2.0  # stretches of a recording over which rows are counted as one, for errors of sums
+#: Length [s] of stretches over which rows count as one, for errors of sums. Judgement: longer than transients last.
+_BLOCK_SECONDS = 2.0
 
 __all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
 

@@ -26,7 +26,7 @@ __all__ = [
     "moved_between_load_laws", "residuals_beside_form_error", "saved_beside_form_error",
 ]  # fmt: skip
 
-_ROWS_AT_ONCE = 512  # of the columns of all parts together
+_ROWS_AT_ONCE = 512  # [rows] of all parts' columns that are whitened at a time; decides memory alone
 _DISCREPANCY = "varied discrepancy"  # what is remembered of the shared discrepancy's columns, before whitening
 
 

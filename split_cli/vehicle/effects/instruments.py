@@ -206,7 +206,7 @@ class _Scale(_Instrument):
     """Channels recorded as `scale` times what is true.
 
     Without position, a_y tells v_x r of the simulation from that of reality. A body that rolls on its springs
-    tilts the accelerometer, so that a_y reads up to a tenth too much there, and a smaller scale is no fault.
+    tilts the accelerometer, so that a_y reads up to 8 % too much there, and a smaller scale is no fault.
     """
 
     units: ClassVar = {"scale": "1"}

@@ -124,7 +124,36 @@ class SensorMisalignment(Term):
         return {**columns, "vx": cosine * vx - sine * vy, "vy": sine * vx + cosine * vy}
 
 
-class SensorDelay(Delayed):
+class _LateChannels(Delayed):
+    """Recorded channels that are late by `delay` relative to the others: corrected, they move earlier."""
+
+    family = "clock"
+    on_command_clock = True
+    exported = False
+
+    @staticmethod
+    def is_late(channel: str) -> bool:
+        """Return whether the term moves a recorded channel."""
+        raise NotImplementedError
+
+    def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Move the late channels earlier."""
+        return self._moved(columns, -self.parameters["delay"], recording)
+
+    def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Move the late channels later."""
+        return self._moved(columns, self.parameters["delay"], recording)
+
+    def _moved(
+        self, columns: Mapping[str, np.ndarray], delay: float, recording: Recording
+    ) -> dict[str, np.ndarray]:
+        return {
+            name: shifted(values, delay, recording) if self.is_late(name) else values
+            for name, values in columns.items()
+        }
+
+
+class SensorDelay(_LateChannels):
     """Every measured channel is late by `delay` relative to the commands.
 
     There are two ways to account for it, and only one is used at a time. Either the recording is corrected
@@ -134,10 +163,7 @@ class SensorDelay(Delayed):
 
     id = "sensor_delay"
     late_inputs = ("T", "delta")
-    family = "clock"
     needs: ClassVar = frozenset({"torque"})
-    on_command_clock = True
-    exported = False
     mimics: ClassVar = (
         Mimic("steer_delay+drive_delay", "two equal delays give the same recording", exact=True),
         Mimic("steer_delay", "torque that hardly changes", "a torque step"),
@@ -147,23 +173,13 @@ class SensorDelay(Delayed):
     def statement(cls, p: Estimates, variant: str = "") -> str:
         return f"against the commands every measured channel is {late(p['delay'])}"
 
-    def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Move measured channels earlier."""
-        return self._moved(columns, -self.parameters["delay"], recording)
-
-    def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Move measured channels later."""
-        return self._moved(columns, self.parameters["delay"], recording)
-
     @staticmethod
-    def _moved(columns: Mapping[str, np.ndarray], delay: float, recording: Recording) -> dict[str, np.ndarray]:
-        return {
-            name: values if name in _COMMANDS else shifted(values, delay, recording)
-            for name, values in columns.items()
-        }
+    def is_late(channel: str) -> bool:
+        """Return whether a channel is measured."""
+        return channel not in _COMMANDS
 
 
-class SteerSignalDelay(Delayed):
+class SteerSignalDelay(_LateChannels):
     """The recorded steering is late relative to all other channels by `delay`.
 
     This is a `steer_delay` to the other side. There the wheels follow what is logged; here the log follows the
@@ -173,9 +189,6 @@ class SteerSignalDelay(Delayed):
 
     id = "steer_signal_delay"
     late_inputs = ("delta",)
-    family = "clock"
-    on_command_clock = True
-    exported = False
     mimics: ClassVar = (
         Mimic("yaw_inertia", "gentle transients: a body that turns more easily", "steer steps at two speeds"),
     )
@@ -193,15 +206,7 @@ class SteerSignalDelay(Delayed):
         """Take the steering of later."""
         flow.delta = self.delayed(flow, flow.delta, -self.parameters["delay"])
 
-    def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Move the steering earlier."""
-        return self._moved(columns, -self.parameters["delay"], recording)
-
-    def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Move the steering later."""
-        return self._moved(columns, self.parameters["delay"], recording)
-
     @staticmethod
-    def _moved(columns: Mapping[str, np.ndarray], delay: float, recording: Recording) -> dict[str, np.ndarray]:
-        moved = {"delta": shifted(columns["delta"], delay, recording)} if "delta" in columns else {}
-        return {**columns, **moved}
+    def is_late(channel: str) -> bool:
+        """Return whether a channel is the steering."""
+        return channel == "delta"
