@@ -31,7 +31,7 @@ _LEAST_INFORMED = 2e-3
 _REMEMBERED = 64
 #: Shifts of the CG in wheelbases between which the shared discrepancy runs in straight lines.
 _SHIFTS = 0.02
-#: Length [s] of stretches over which rows count as one, for errors of sums. Judgement: longer than transients last.
+#: Length [s] of stretches over which rows count as one, for errors of sums. Judgement: longer than transients.
 _BLOCK_SECONDS = 2.0
 
 __all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
