@@ -147,6 +147,16 @@ def test_every_term_and_variant_has_an_example():
 
 
 @pytest.mark.parametrize(("name", "variant"), EXAMPLES)
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_limits_of_a_file_give_finite_rates(name, variant, side):
+    """At both ends of what a file may hold; what the program itself finds lies within."""
+    limits = CATALOGUE[name].limits(CAR)
+    ends = {p: min(limits[p][side], 1e6) for p in CATALOGUE[name].parameter_units(variant)}
+    (built,) = build_terms(CAR.with_effects(EffectSpec(name, ends, variant)))
+    assert np.isfinite(rates(driving(), built)).all()
+
+
+@pytest.mark.parametrize(("name", "variant"), EXAMPLES)
 def test_neutral_parameters_leave_the_nominal_model(name, variant):
     kind, at = CATALOGUE[name], driving()
     parameters = {
@@ -414,6 +424,8 @@ def test_a_vehicle_file_names_terms_and_their_variants_parameters():
     spec = EffectSpec("road_bank", {"amplitude": 0.03, "wavelength": 80.0, "phase": 0.0}, "wave")
     (built,) = build_terms(CAR.with_effects(spec))
     assert built.parameters["wavelength"] == 80.0
+    with pytest.raises(VehicleError, match="drive_gain.brake_gain is 1e.30, beyond any car's: 0.075 to 10"):
+        build_terms(CAR.with_effects(EffectSpec("drive_gain", {"drive_gain": 1.0, "brake_gain": 1e30})))
     with pytest.raises(VehicleError, match="lacks amplitude, phase"):
         build_terms(CAR.with_effects(EffectSpec("road_bank", {"wavelength": 80.0}, "wave")))
     with pytest.raises(VehicleError, match="no parameter 'angel'"):

@@ -14,7 +14,7 @@ from importlib import import_module
 from split_cli.errors import VehicleError, nearest_names
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.effects.term import Mimic, Term
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import EffectSpec, Vehicle
 
 __all__ = ["CATALOGUE", "Mimic", "Recording", "Term", "build_terms", "find_terms"]
 
@@ -40,7 +40,7 @@ def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:
     Raises
     ------
     VehicleError
-        If a term is unknown, or a parameter is unknown or missing.
+        If a term is unknown, or a parameter is unknown, missing, or beyond what the term's `limits` allow.
     """
     terms = []
     for effect in vehicle.effects:
@@ -72,5 +72,20 @@ def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:
                 where=where,
                 advice="Add it under `parameters`; docs/catalogue.md tells what each term needs.",
             )
+        _refuse_beyond(kind, effect, vehicle, where)
         terms.append(kind(dict(effect.parameters), effect.variant))
     return tuple(terms)
+
+
+def _refuse_beyond(kind: type[Term], effect: EffectSpec, vehicle: Vehicle, where: str) -> None:
+    units, limits = kind.parameter_units(effect.variant), kind.limits(vehicle)
+    for name, value in effect.parameters.items():
+        low, high = limits[name]
+        rounding = 1e-9 * max(abs(low), abs(value))  # of a value that was found at a limit
+        if not low - rounding <= value <= high + rounding:
+            unit = "" if units[name] == "1" else f" {units[name]}"
+            raise VehicleError(
+                f"{effect.term}.{name} is {value:g}{unit}, beyond any car's: {low:.3g} to {high:.3g}{unit}",
+                where=where,
+                advice="Is it in SI units? docs/catalogue.md tells what each parameter means.",
+            )

@@ -171,6 +171,11 @@ class CgShift(Term):
         return Search({"dx": Range(min(lower, -0.02), max(upper, 0.02), 0.002, _PLACE)}, ({"dx": 0.005},))
 
     @classmethod
+    def limits(cls, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
+        """Return where both axles still carry something: a hundredth short of them."""
+        return {"dx": (-0.99 * vehicle.cg_to_rear_axle, 0.99 * vehicle.cg_to_front_axle)}
+
+    @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         return f"the centre of gravity lies {amount(p['dx'], more='further forward', less='further back')}"
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from split_cli.vehicle.effects.search import LAG_SEARCH
 from split_cli.vehicle.effects.term import Term
 from split_cli.vehicle.flow import Flow
+from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["FeatureLag"]
 
@@ -26,6 +28,12 @@ class FeatureLag(Term):
     order = 9
     states = ("alpha_f", "alpha_r", "torque")
     state_units: ClassVar = {"alpha_f": "rad", "alpha_r": "rad", "torque": "N m"}
+
+    @classmethod
+    def limits(cls, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
+        """Return those of a lag of an actuator."""
+        slowest = LAG_SEARCH.ranges["tau"].widened(0.0)
+        return {"tau": (slowest.lower, slowest.upper)}
 
     def fastest_rate(self, speed: float) -> float:
         """Return 1/tau."""

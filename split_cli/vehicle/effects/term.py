@@ -171,6 +171,22 @@ class Term:
         return None
 
     @classmethod
+    def limits(cls, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
+        """Return between which values a file may have each parameter: as far as a diagnosis follows it at most.
+
+        That is some four times what a real car has, in any variant, on a drive of at least a second and a metre.
+        """
+        limits: dict[str, tuple[float, float]] = {}
+        courses = (Course(1.0, 1.0), Course(np.inf, np.inf))
+        searches = [cls.search(vehicle, course, variant) for variant in cls.variants for course in courses]
+        for search in (one.times(cls.sizes(vehicle)) for one in searches if one is not None):
+            for name, found in search.ranges.items():
+                wide = found.widened(cls.neutral[name]) if name in cls.neutral else found
+                low, high = limits.get(name, (np.inf, -np.inf))
+                limits[name] = min(low, wide.lower), max(high, wide.upper)
+        return limits
+
+    @classmethod
     def everywhere(cls, variant: str) -> tuple[Term, float]:
         """Return a located term that acts all along the road, and by how much its size differs from none."""
         raise NotImplementedError(f"{cls.id} has no place")
