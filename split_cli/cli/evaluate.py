@@ -207,8 +207,6 @@ def _mark(one) -> str:
 
 
 def _print_report(report) -> None:
-    if report.verdicts:
-        click.echo("\n".join(report.verdicts) + "\n")
     tested = sum(drive.tested for drive in report.drives)
     valid = sum(drive.tested_valid for drive in report.drives)
     click.echo(f"{report.vehicle}, protocol {report.settings.protocol}, h = {report.settings.horizon:g} s")
@@ -244,6 +242,9 @@ def _print_report(report) -> None:
              *map(_shares, (s.coverage_50, s.coverage_90, s.coverage_95)))
             for s in report.intervals
         ])  # fmt: skip
+    if report.verdicts:
+        # What is read last is the verdict on the predictor that is named first: a terminal shows the end.
+        click.echo("\n" + "\n".join(reversed(report.verdicts)))
 
 
 def _score_row(score) -> list:

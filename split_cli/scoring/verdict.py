@@ -149,8 +149,14 @@ def does_harm(comparison: Comparison) -> bool:
     return low > 1.0 and ratio**2 > 1.0 + NEGLIGIBLE
 
 
-def verdict(comparisons: Sequence[Comparison]) -> str:
-    """Return in one sentence what the correction is worth, state by state, beyond chance.
+def verdict(comparisons: Sequence[Comparison], running: Sequence[Comparison] = ()) -> str:
+    """Return in a sentence what the correction is worth, state by state, beyond chance.
+
+    Parameters
+    ----------
+    comparisons, running : sequence of Comparison
+        With the stored trust, and the same with the running one. Where the stored one does harm, a second
+        sentence says what is left of it with the running one.
 
     Notes
     -----
@@ -186,7 +192,16 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
         if any("hardly" in part for part in parts)
         else "the correction changes nothing"
     )
-    return f"verdict: {head}: " + "; ".join(parts)
+    return f"verdict: {head}: " + "; ".join(parts) + (_left_while_driving(running) if harm else "")
+
+
+def _left_while_driving(running: Sequence[Comparison]) -> str:
+    """Return what harm a running trust leaves, as a sentence after another; nothing where there is none."""
+    if not running:
+        return ""
+    worst = max(filter(does_harm, running), key=lambda c: c.to_nominal[0], default=None)
+    left = f"{worst.state} is {_beside_one(worst.to_nominal[0])} times as wrong at most" if worst else "no state is worse"
+    return f". With a running trust (NAME_observe in an export) {left}"
 
 
 def _span(ratios: Sequence[float]) -> str:

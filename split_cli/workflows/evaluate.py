@@ -444,8 +444,7 @@ def _comparisons(
         return blocks[id(drive)]
 
     by_file = {id(held.drive): held for held in nominal}
-    comparisons: list[Comparison] = []
-    verdicts = []
+    found: dict[tuple[str, str], tuple[Comparison, ...]] = {}
     for key in dict.fromkeys((trace.name, trace.features) for trace in traces):
         parts: list[BlockErrors] = [
             one_step_errors(by_file[id(t.held.drive)], model, t.held, t.prediction.mean, block_of(t.held.drive))
@@ -458,10 +457,12 @@ def _comparisons(
             for seconds in settings.rollout
             if len(starts)
         ]
-        found = compare(*key, parts)
-        comparisons += found
-        verdicts.append(f"{' '.join(key)} {verdict(found)}")
-    return tuple(comparisons), tuple(verdicts)
+        found[key] = compare(*key, parts)
+    verdicts = tuple(
+        f"{name} {features} {verdict(own, found.get((name + RUNNING, features), ()))}"
+        for (name, features), own in found.items()
+    )
+    return tuple(comparison for own in found.values() for comparison in own), verdicts
 
 
 def _sizes(
