@@ -3,9 +3,9 @@
     split export my_car.split --target c --target casadi -o controller/
     python lane_change.py controller my_car [--speed 15] [--shift 3]
 
-Needs acados (its library, `acados_template` and ACADOS_SOURCE_DIR) and a C compiler. acados compiles
-`my_car_acados.c` as its discrete dynamics. The planned states are then followed with `my_car_step.casadi`, which
-knows nothing of acados, and the largest difference is printed.
+Needs a C compiler and acados: its library, `acados_template` and ACADOS_SOURCE_DIR, or the package that
+docs/export.md names. acados compiles `my_car_acados.c` as its discrete dynamics. The planned states are then followed
+with `my_car_step.casadi`, which knows nothing of acados, and the largest difference is printed.
 """
 
 from __future__ import annotations
@@ -42,11 +42,16 @@ def lane_change(folder: Path, name: str, speed: float, shift: float, scratch: Pa
 
     ocp = AcadosOcp()
     ocp.model = model
-    ocp.code_gen_options.code_export_directory = str(scratch / "c_generated_code")
-    ocp.code_gen_options.json_file = "lane_change.json"
+    recent = hasattr(ocp, "code_gen_options")  # before 2026 acados called these otherwise
+    written, compiled = (ocp.code_gen_options,) * 2 if recent else (ocp, ocp.solver_options)
+    written.code_export_directory = str(scratch / "c_generated_code")
     # The adapter includes CasADi's C, which lies beside it.
-    ocp.code_gen_options.ext_fun_compile_flags = f"-O2 -I{folder}"
-    ocp.solver_options.N_horizon, ocp.solver_options.tf = STEPS, STEPS * STEP
+    compiled.ext_fun_compile_flags = f"-O2 -I{folder}"
+    if recent:
+        ocp.code_gen_options.json_file, ocp.solver_options.N_horizon = "lane_change.json", STEPS
+    else:
+        ocp.dims.N = STEPS
+    ocp.solver_options.tf = STEPS * STEP
     ocp.solver_options.integrator_type = "DISCRETE"
     ocp.solver_options.hessian_approx = "GAUSS_NEWTON"
     ocp.solver_options.nlp_solver_type = "SQP"
