@@ -121,6 +121,8 @@ _MAKERS = {
     "esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff", "pf",
 }  # fmt: skip
 """Words in front that say which device measured."""
+_JUDGED = {"innovation", "innovations", "innov", "innovs", "variances", "ratios", "inconsistency"}
+"""Words of what an estimator says of measurements, whatever quantity its fields are called."""
 _COMMAND_WORDS = {"cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference"}
 COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")
 """Channels that a driver or a controller asks for: a command of any other one is no measurement of it."""
@@ -236,6 +238,8 @@ def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
     if (bare, stated_unit(info)) in _LETTERS:
         return (Meaning(_LETTERS[bare, stated_unit(info)], 2),)
     if info.name.startswith("/") and re.search("orientation|rotation|covariance|quaternion", info.name):
+        return ()
+    if _JUDGED & set(tokens_of(info.name)):
         return ()
     words = words_of(info.name)
     spellings = {"_".join(words)}

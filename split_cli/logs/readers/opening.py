@@ -9,6 +9,7 @@ from pathlib import Path
 from split_cli.errors import LogError, NoRecordingError, NoTableError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
+from split_cli.logs.readers import ulog
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
@@ -27,7 +28,6 @@ _MOST_LISTED = 2000
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _FOREIGN_MAGIC = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1", "Convert it with `rosbag fix` or `rosbag reindex`."),
-    (b"ULog\x01\x12\x35", "a PX4 ULog", "Convert it to CSV with ulog2csv."),
     (b"\x1f\x8b", "compressed with gzip", "Unpack it first."),
     (_ZSTD, "compressed with zstd", "Unpack it first with `zstd -d`."),
     (b"PK\x03\x04", "a zip archive or a spreadsheet", "Unpack it, or export it as CSV."),
@@ -74,8 +74,8 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     ----------
     path : path-like
         MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Racelogic .vbo, Parquet, Feather, MAT (v4, v5,
-        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, MF4, and logs of CAN frames (BLF, ASC,
-        candump, TRC, MF4 bus logging).
+        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, PX4's ULog, MF4, and logs of CAN frames (BLF,
+        ASC, candump, TRC, MF4 bus logging).
     message_paths : sequence of path-like
         Folders of ``.msg`` files, for message types that the recording does not define, and CAN databases.
 
@@ -192,6 +192,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_npz(path) if is_npz(path, head) else None
     if path.suffix.lower() == ".ibt" and is_ibt(path, head):
         return open_ibt(path)
+    if head.startswith(ulog.MAGIC):
+        return ulog.open_ulog(path)
     if is_pi_toolbox(head):
         return open_pi_toolbox(path)
     if is_json(head):
