@@ -3,8 +3,6 @@
 May import: workflows and all below. pandas is imported only where a table is asked for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property

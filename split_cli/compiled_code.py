@@ -3,8 +3,6 @@
 Imports numba when asked to compile, and nothing else.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 import sys

@@ -1,7 +1,5 @@
 """The one family of errors a user may see. Imports nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any

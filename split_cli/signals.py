@@ -4,8 +4,6 @@ Frames and signs are ISO 8855 at the centre of gravity: x forward, y left, z up,
 positive. A left turn has positive steer angle, yaw rate and lateral acceleration; driving torque is positive.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Reading the YAML files users write, with errors that name the line. Imports only `errors` and `files`."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

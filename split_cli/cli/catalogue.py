@@ -1,7 +1,5 @@
 """Terms and simulated effects as a page, generated from them: ``python -m split_cli.cli.catalogue``."""
 
-from __future__ import annotations
-
 import inspect
 
 import click

@@ -1,7 +1,5 @@
 """`split compare`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`split demo`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

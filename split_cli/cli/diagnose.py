@@ -1,7 +1,5 @@
 """`split diagnose`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 import sys
 
 import click

@@ -1,7 +1,5 @@
 """How many digits of a number a table shows: those that its standard error supports."""
 
-from __future__ import annotations
-
 import math
 
 __all__ = ["Printed", "known_to", "pair_known", "plausible", "three_digits", "two_digits"]

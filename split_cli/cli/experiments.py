@@ -1,7 +1,5 @@
 """`split experiments`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

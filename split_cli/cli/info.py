@@ -1,7 +1,5 @@
 """`split info`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 import click
 
 from split_cli.cli.options import existing_file, json_option, print_json

@@ -1,7 +1,5 @@
 """`split ingest`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`split init`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

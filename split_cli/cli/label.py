@@ -1,7 +1,5 @@
 """`split label`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 import click
 
 from split_cli.cli.options import (

@@ -1,7 +1,5 @@
 """The group of commands, loaded one by one, and the one place where an error becomes a line and an exit code."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os
@@ -236,7 +234,7 @@ def _stop_cleanly() -> list[int]:
 
     usual = sys.unraisablehook
 
-    def silent(unraisable: sys.UnraisableHookArgs) -> None:
+    def silent(unraisable) -> None:
         if not isinstance(unraisable.exc_value, _Interrupt):
             usual(unraisable)
 

@@ -1,7 +1,5 @@
 """The manual page of all commands, generated from the commands themselves."""
 
-from __future__ import annotations
-
 import click
 
 from split_cli import __version__

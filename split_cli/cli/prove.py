@@ -1,7 +1,5 @@
 """`split prove`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

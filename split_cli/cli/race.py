@@ -1,7 +1,5 @@
 """`split race`."""
 
-from __future__ import annotations
-
 import click
 
 from split_cli.cli.digits import three_digits

@@ -1,7 +1,5 @@
 """The command reference, generated from the commands themselves: ``python -m split_cli.cli.reference``."""
 
-from __future__ import annotations
-
 import click
 
 from split_cli.cli.main import COMMANDS, group

@@ -1,7 +1,5 @@
 """Default options from files: `split.yaml` in the current folder, one named by --config, or the user's own."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

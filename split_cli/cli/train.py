@@ -1,7 +1,5 @@
 """`split train`: its options, and how its result is printed."""
 
-from __future__ import annotations
-
 import click
 
 from split_cli.cli.digits import three_digits

@@ -1,7 +1,5 @@
 """How much a compressed or self-describing source may unfold into: bounds that no honest recording reaches."""
 
-from __future__ import annotations
-
 from split_cli.errors import LogError
 
 __all__ = [

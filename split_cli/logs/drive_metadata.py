@@ -1,7 +1,5 @@
 """What a drive's file says beside its samples: sources, noise, kinds of channels, how it was made."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field

@@ -1,7 +1,5 @@
 """Laps of a drive: by its own lap channel, else by where its path comes back to its start."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.errors import DriveError

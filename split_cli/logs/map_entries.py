@@ -1,7 +1,5 @@
 """What a signal map says, entry by entry; `signal_map` reads it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,7 +1,5 @@
 """What a reader hands over: named signals as recorded, each with its own clock, nothing converted."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ A recording of hours has columns of a hundred megabytes each. Whoever goes throu
 and works on with the array that it gets: pages come back when they are read.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import mmap

@@ -1,7 +1,5 @@
 """Signal maps are read: which recorded signal becomes which channel, in what unit, frame and place on the car."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path

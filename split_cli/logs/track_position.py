@@ -1,7 +1,5 @@
 """Track position: arc length along the first real drive, laps and other drives projected onto it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ other stands here in one file; the loops, which call what other files hold, tell
 The equations are documented where they are offered: `tire`, `dynamics`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

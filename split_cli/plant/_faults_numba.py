@@ -3,8 +3,6 @@
 Called by the loops of `_loops_numba` only. The equations are documented in `cars` and `faults`.
 """
 
-from __future__ import annotations
-
 import math
 
 from numba import njit

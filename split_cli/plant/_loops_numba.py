@@ -4,8 +4,6 @@ Numba keeps compiled code until the file of a function, its code or the values t
 not look at functions of other files. So both loops close over a digest of the files that they call.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from pathlib import Path

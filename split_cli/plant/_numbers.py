@@ -1,7 +1,5 @@
 """Conversion of parameter dataclasses into namedtuples of float64 for compiled code."""
 
-from __future__ import annotations
-
 from collections import namedtuple
 from dataclasses import fields, is_dataclass
 from functools import lru_cache

@@ -4,8 +4,6 @@ Every coefficient that physics could change between a simulation and a real car 
 changed car is ``dataclasses.replace(ROAD_CAR, cg_height=0.6)`` and nothing else.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from split_cli.errors import SplitError, nearest_names

@@ -6,8 +6,6 @@ profile with feed-forward torque; and eases off when wheels slip. Seeded wander 
 laps and drivers differ.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 from dataclasses import dataclass, replace
 from functools import lru_cache

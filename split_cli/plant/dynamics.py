@@ -20,8 +20,6 @@ References: Pacejka as above; Gillespie, Fundamentals of Vehicle Dynamics; Milli
 Dynamics, ch. 18 (lateral load transfer).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

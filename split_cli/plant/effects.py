@@ -1,7 +1,5 @@
 """Named changes of a car, its surroundings or its instruments, as ``NAME:parameter=value,...`` tells them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Faults of a car that no catalogue lists, so that a diagnosis meets physics it has no name for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from split_cli.errors import SplitError

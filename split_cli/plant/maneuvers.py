@@ -3,8 +3,6 @@
 Every test takes an intensity, the share of the car's grip it asks for: 0.35 is gentle enough for calibration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Logs of simulated drives as a real logger would have written them: MCAP with ROS 2 messages, CSV, Parquet."""
 
-from __future__ import annotations
-
 import heapq
 import io
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Another car in the states of a recorded one, piece by piece: paired runs without a driver."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.errors import SplitError

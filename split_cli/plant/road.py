@@ -1,7 +1,5 @@
 """What surrounds the car: friction, grade and bank along the road, friction and wind over time."""
 
-from __future__ import annotations
-
 from collections import namedtuple
 from dataclasses import dataclass, field
 

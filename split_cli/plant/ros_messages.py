@@ -3,8 +3,6 @@
 The standard interfaces are those of `nav_msgs`, `sensor_msgs`, `ackermann_msgs`; the torque messages are our own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

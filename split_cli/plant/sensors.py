@@ -1,7 +1,5 @@
 """What the sensors make of a run: their own clocks, latency, delay, bias, noise and resolution, all seeded."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """A run of the plant: a driver or a script at the wheel, the exact states as result."""
 
-from __future__ import annotations
-
 from collections import namedtuple
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The tyre of one wheel: a load-dependent Magic Formula with combined slip."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

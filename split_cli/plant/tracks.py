@@ -1,7 +1,5 @@
 """Closed tracks as smooth centrelines with heading and curvature."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

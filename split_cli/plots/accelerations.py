@@ -1,7 +1,5 @@
 """The GG diagram: which accelerations were driven, and which of them can be learned from."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 

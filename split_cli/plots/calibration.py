@@ -1,7 +1,5 @@
 """Figure of a calibration: force curves with what is known of them, over the samples behind them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib

@@ -1,7 +1,5 @@
 """A chart as numbers and words: drawn by the page of a report and by matplotlib alike."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

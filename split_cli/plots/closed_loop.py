@@ -1,7 +1,5 @@
 """Races and manoeuvres in closed loop: lap times, best laps, learning over laps, trajectories between cones."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Figures of a diagnosis: where the gap is, what explains it beside what does not, and whether that helps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A chart of a report as a matplotlib figure: the same numbers, names and colours."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg

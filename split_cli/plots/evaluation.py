@@ -1,7 +1,5 @@
 """All figures of an evaluation, written into one folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

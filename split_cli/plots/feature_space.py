@@ -1,7 +1,5 @@
 """Maps over alpha_f and alpha_r in slices of the torque ratio: labels beside the learned mean, and coverage."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

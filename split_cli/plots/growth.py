@@ -1,7 +1,5 @@
 """Growth of a trained set: points, cells and updates, drive by drive and over driving time."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

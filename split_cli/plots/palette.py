@@ -3,8 +3,6 @@
 `tests/plots/test_palette.py` computes the distances under simulated deficiencies and the contrast with the paper.
 """
 
-from __future__ import annotations
-
 __all__ = ["DARK", "DASHED", "LIGHT", "PAPER", "ROLES"]
 
 #: What a series is, in the order in which colours are handed out to further ones.

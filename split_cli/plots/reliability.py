@@ -1,7 +1,5 @@
 """Calibration of intervals: the share of labels inside, against the promised share."""
 
-from __future__ import annotations
-
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 

@@ -1,7 +1,5 @@
 """Errors of open-loop simulation over its duration."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 

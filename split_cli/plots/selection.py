@@ -1,7 +1,5 @@
 """Accuracy against cost: every candidate of `split evaluate --select`, the front, and the choice."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """Feature sets compared at equal size: error of a dense process on the most informative samples of each."""
 
-from __future__ import annotations
-
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 

@@ -1,7 +1,5 @@
 """What all figures of an evaluation share: colours, names with units, size, and how a figure is made and saved."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the nominal model gets wrong over time, with the prediction and its band where it was tested."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

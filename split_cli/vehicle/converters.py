@@ -4,8 +4,6 @@ Each format is recognised by its keys. What a format does not hold (wheel radius
 is assumed, marked so and said.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

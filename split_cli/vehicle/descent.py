@@ -1,7 +1,5 @@
 """The one bounded least-squares iteration of the project: Levenberg-Marquardt with an active set of bounds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar

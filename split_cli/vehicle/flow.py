@@ -1,7 +1,5 @@
 """Data that pass through the stages of the single track: everything that a term may read or change."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol

@@ -4,8 +4,6 @@ A term or model takes an `Operations` and uses nothing else beside + - * / ** an
 implementation lives in `export`, the only place besides control that knows CasADi.
 """
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy as np

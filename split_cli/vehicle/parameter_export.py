@@ -1,7 +1,5 @@
 """Writing vehicles as parameter files of other projects: the reverse of `converters`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

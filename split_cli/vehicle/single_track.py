@@ -4,8 +4,6 @@ One evaluation runs: actuate (what a command becomes), body (mass, inertia, CG),
 forces, tire (B, C, D of an axle), lateral forces, lateral (what becomes of them), external forces, balance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

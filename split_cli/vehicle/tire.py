@@ -1,7 +1,5 @@
 """The Magic Formula of a whole axle."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

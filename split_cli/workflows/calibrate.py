@@ -1,7 +1,5 @@
 """`split calibrate`: a vehicle file from gentle drives, or from another project's parameter file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

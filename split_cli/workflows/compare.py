@@ -1,7 +1,5 @@
 """Set models side by side on the same drives: vehicles, trained sets, predictors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

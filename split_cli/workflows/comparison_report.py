@@ -1,7 +1,5 @@
 """Write what a comparison found: the page and the table, both or none."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

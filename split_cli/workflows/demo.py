@@ -1,7 +1,5 @@
 """The whole path on the bundled samples: which commands, in which order, on which files."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import sysconfig

@@ -1,7 +1,5 @@
 """Diagnose a simulation against reality and write what was found."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 from collections.abc import Callable, Sequence

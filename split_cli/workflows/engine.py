@@ -1,7 +1,5 @@
 """Where work is done: in this process, in several on this machine, or on a Dask cluster: same results."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """`split evaluate`: score predictors and features beside the nominal model, persistence and the noise floor."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

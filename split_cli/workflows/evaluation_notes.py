@@ -1,7 +1,5 @@
 """What an evaluation says beside its scores: facts of each drive, and what to know before scores are believed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from split_cli.learning.training_set import TrainingSet

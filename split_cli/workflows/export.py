@@ -1,7 +1,5 @@
 """Write a trained set for controllers and for other programs, verified before it is there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

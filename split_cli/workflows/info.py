@@ -1,7 +1,5 @@
 """Describe a file: its kind, and what is in it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Label a drive: what the nominal model gets wrong, sample by sample, into a file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath

@@ -1,7 +1,5 @@
 """The charts of a report, from what a command has in hand; what cannot be drawn is left out and said."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np

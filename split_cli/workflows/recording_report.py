@@ -1,7 +1,5 @@
 """Writing of the HTML pages of a recording and of an evaluation, the latter with its figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from split_cli.files import atomic_write_text

@@ -1,7 +1,5 @@
 """Recordings prepared for a vehicle file with effects: sensor faults corrected, track position added."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

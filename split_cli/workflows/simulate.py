@@ -1,7 +1,5 @@
 """Drive the plant and write what its sensors recorded, and the truth where asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

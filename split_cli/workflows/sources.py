@@ -1,7 +1,5 @@
 """Where inputs are: files, folders, globs and addresses of other file systems (s3://, memory://, ...)."""
 
-from __future__ import annotations
-
 import contextlib
 import glob
 import hashlib

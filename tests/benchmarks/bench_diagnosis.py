@@ -4,8 +4,6 @@ Run ``python -m tests.benchmarks.bench_diagnosis``. Times are the least of many 
 each row is a ratio of two of them, so that neighbours on the machine count little.
 """
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")

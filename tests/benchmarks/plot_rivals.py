@@ -4,8 +4,6 @@ python -m tests.benchmarks.bench_rivals --streaming --sizes 100,1000,4151,20000,
 python -m tests.benchmarks.plot_rivals rows.json docs/figures/rivals-over-size.png
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What is kept of an explanation is what is worked out anew: results by key, velocities, flows and motion."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The running trust in C and CasADi: the same as Python's; it finds a planted share, with memory or without."""
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import replace
 

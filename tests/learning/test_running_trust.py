@@ -1,7 +1,5 @@
 """Running trust: against a slow reference that sums over all that was driven, and with planted truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize

@@ -1,7 +1,5 @@
 """Running width: the bound that holds for any labels, and intervals far too narrow that come to hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm

@@ -1,7 +1,5 @@
 """Telemetry of iRacing: files of its layout, written here field by field, come back; damaged ones are refused."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """NumPy arrays as recordings: what NumPy wrote comes back, and what is damaged or unsafe is refused."""
 
-from __future__ import annotations
-
 import zipfile
 
 import numpy as np

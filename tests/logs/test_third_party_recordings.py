@@ -1,7 +1,5 @@
 """What public recordings of cars brought that no other test has: their layout, with made-up motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

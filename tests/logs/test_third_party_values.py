@@ -1,7 +1,5 @@
 """Logs with one value a row and its signal's name beside it, and logs with other odd beginnings, planted."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A set that follows a drive: its shares are causal, do no harm on another car, and stay on a like one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

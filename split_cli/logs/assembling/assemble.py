@@ -1,7 +1,5 @@
 """One recording and a map to a drive: gathered, cleaned, put on one clock, moved to the CG, derived, judged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """Time stamps and samples made fit for resampling; whatever is dropped or moved is counted."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

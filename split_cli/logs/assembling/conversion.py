@@ -1,7 +1,5 @@
 """Raw signals to SI series of a channel's frame: units, curves, signs, quaternions, latitude and longitude."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ v_y' = a_y - v_x r drifts with whatever a_y reads too much: its bias, the road's
 car hardly turns its rear axle rolls where it points, and v_y is known without it. A smoother weighs both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a derivation is: the channels it needs and makes, and what it says of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Channels computed from others: only when asked for, and marked as derived."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 from split_cli.errors import MapError, nearest_names

@@ -1,7 +1,5 @@
 """Velocities, yaw rate and accelerations computed from other channels of the motion."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.errors import MapError, nearest_names

@@ -1,7 +1,5 @@
 """Wheel torque computed from how the car moved, from pedals or from a motor's current."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.errors import MapError, nearest_names

@@ -1,7 +1,5 @@
 """From a recording and a map to SI series, each on its own clock: sources found, units and signs converted."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence

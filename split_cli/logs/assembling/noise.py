@@ -1,7 +1,5 @@
 """Sensor noise from differences at full rate, and what remains of it on the drive's clock."""
 
-from __future__ import annotations
-
 from math import comb
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sensors that sit off the CG: what they would read at it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The quality report of a drive: what was recorded, what was dropped and why, what does not fit together."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """One uniform clock: continuous signals low-passed and interpolated, held ones held, gaps left as gaps."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

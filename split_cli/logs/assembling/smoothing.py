@@ -1,7 +1,5 @@
 """Evenly spaced samples smoothed as much as their own noise asks for, and their derivative."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["derivative", "smooth"]

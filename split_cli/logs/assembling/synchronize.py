@@ -1,7 +1,5 @@
 """Cleaned sources onto one clock: how each is resampled, which rows are covered, what noise is left."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

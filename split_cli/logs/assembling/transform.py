@@ -1,7 +1,5 @@
 """Frames, signs and places: vehicle and world frames to ISO 8855, sensors moved to the CG."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = [

@@ -1,7 +1,5 @@
 """Leaving out stretches of a recording by its time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

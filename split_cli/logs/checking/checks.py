@@ -1,7 +1,5 @@
 """Measurements on a drive that tell whether its channels fit together: ratios, magnitudes, biases, places."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Whether the channels of a drive fit together physically, and if not, what is wrong with which, in words."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 

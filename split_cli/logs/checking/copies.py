@@ -1,7 +1,5 @@
 """Channels that were copied or computed from others: nothing that is compared with them is a check."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """Whether velocities and accelerations are along the axes they should be: swapped, or along those of the world."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks

@@ -1,7 +1,5 @@
 """What accounts best for measured factors between channels: each relation by itself, weighed, several at once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Smoothed signals and their derivatives on a drive's clock, for the checks and the delay estimate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """At which lag one signal is best explained by others, to a fraction of a sample, with an error or a refusal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

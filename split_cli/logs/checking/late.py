@@ -1,7 +1,5 @@
 """Channels that are late by so much that a model would learn it: told without being asked, and not corrected."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The usual mistakes of unit, sign and source in a recording, each with its factor and its remedy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The path of X, Y beside yaw and v_y: another zero, a course instead of a yaw, a v_y that is mostly error."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks, Unjudged

@@ -1,7 +1,5 @@
 """Whether v_y, and X, Y from which it may be derived, are of the place where a_y is measured."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.logs.checking.checks import Checks, Unjudged

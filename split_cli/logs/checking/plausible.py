@@ -1,7 +1,5 @@
 """What no car on wheels reaches, and samples so far beyond all others that they are damaged."""
 
-from __future__ import annotations
-
 import numpy as np
 
 __all__ = ["DAMAGED", "NO_CAR_EXCEEDS", "is_damaged", "reach_of"]

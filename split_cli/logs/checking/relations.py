@@ -1,7 +1,5 @@
 """Measured relations between channels, what is found in them, and how a story accounts for them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Where a steering sensor has its zero: on straights, or between turns of both hands."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.logs.checking.kinematics import Kinematics, median_of

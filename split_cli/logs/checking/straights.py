@@ -4,8 +4,6 @@ On a straight a car has no sideslip, whatever its tyres. What v_y/v_x reads ther
 losing its heading, as satellite and inertial units do over minutes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

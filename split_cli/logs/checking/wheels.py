@@ -1,7 +1,5 @@
 """Speeds of the wheels of an axle: what turning adds to one of them it takes from the other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

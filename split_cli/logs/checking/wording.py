@@ -1,7 +1,5 @@
 """The best explanation of what does not fit together, put into findings with evidence, remedy and rivals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 May import: errors.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 __all__ = ["preset_abouts", "preset_names", "preset_path"]

@@ -1,7 +1,5 @@
 """A recording beside the motion of models: over time and distance, in the plane of accelerations, on the map."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

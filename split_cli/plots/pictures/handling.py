@@ -1,7 +1,5 @@
 """Understeer gradient and steering frequency response of real and simulated car."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

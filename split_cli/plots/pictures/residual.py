@@ -1,7 +1,5 @@
 """Whether what is left is noise, and whether intervals hold what they promise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Axle force against slip angle, and longitudinal force against torque: measured, nominal, corrected, learned."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

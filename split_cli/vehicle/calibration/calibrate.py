@@ -1,7 +1,5 @@
 """A calibration in its order: tyres, yaw inertia and torque splits, resistances; and the vehicle that results."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

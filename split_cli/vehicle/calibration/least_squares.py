@@ -1,7 +1,5 @@
 """Robust least squares with bounds, and uncertainty by resampling blocks of time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

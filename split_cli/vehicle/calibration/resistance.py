@@ -1,7 +1,5 @@
 """Drag and rolling resistance from the longitudinal balance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Yaw inertia and torque splits, from the turns and transients that show them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -3,8 +3,6 @@
 May import: nothing of the project.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 __all__ = ["library_names", "library_path"]

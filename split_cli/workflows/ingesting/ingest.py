@@ -1,7 +1,5 @@
 """From recordings to drives: open, assemble, write whole or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The first two files of a newcomer: a drafted map and a vehicle file to fill in."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass

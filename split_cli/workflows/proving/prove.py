@@ -3,8 +3,6 @@
 The diagnosis sees a case's folder and nothing else; the answers' seal is checked and told before it begins.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import multiprocessing

@@ -1,7 +1,5 @@
 """An independent multi-body car as reality, a gently calibrated single track as simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path

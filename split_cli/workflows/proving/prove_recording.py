@@ -1,7 +1,5 @@
 """Known faults in real recordings: put in, diagnosed on top of everything else that is real, and compared."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

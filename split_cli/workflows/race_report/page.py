@@ -1,7 +1,5 @@
 """Put the page of a race together: one HTML document with its style, its script and its numbers inside."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.resources import files
 from string import Template

@@ -1,7 +1,5 @@
 """What each lap of a drive added to a set: the paper's table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A new set before it learns: grid, kernel and trust, from the labels of its drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`split evaluate --select`: capacity, gain threshold, cell edge and features chosen on held-out blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

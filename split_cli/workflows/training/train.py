@@ -1,7 +1,5 @@
 """Train a set from drives, or go on training one."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Sequence
