@@ -2,16 +2,8 @@
 
 import click
 
+from split_cli.cli import options as shared
 from split_cli.cli.digits import pair_known, three_digits
-from split_cli.cli.options import (
-    OutputPath,
-    existing_file,
-    json_option,
-    list_of,
-    output_option,
-    print_json,
-    print_table,
-)
 from split_cli.cli.verbosity import print_notes
 
 __all__ = ["command"]
@@ -20,14 +12,14 @@ positive = click.FloatRange(0.0, min_open=True)
 
 
 @click.command("calibrate")
-@click.argument("files", nargs=-1, required=True, type=existing_file, metavar="DRIVE...")
-@click.option("--vehicle", "start", type=existing_file, metavar="FILE", help="Vehicle YAML to start from.")
-@output_option("Vehicle YAML to write.")
+@click.argument("files", nargs=-1, required=True, type=shared.existing_file, metavar="DRIVE...")
+@click.option("--vehicle", "start", type=shared.existing_file, metavar="FILE", help="Vehicle YAML to start from.")
+@shared.output_option("Vehicle YAML to write.")
 @click.option(
     "--fit",
     "parts",
     default="tires,drag,rolling",
-    callback=list_of(str),
+    callback=shared.list_of(str),
     metavar="LIST",
     help="What to fit: any of tires, drag, rolling, splits, inertia.",
 )
@@ -61,7 +53,7 @@ positive = click.FloatRange(0.0, min_open=True)
     metavar="SECONDS",
     help="Width of the smoothing kernel; by default from the wheelbase.",
 )
-@click.option("--figure", type=OutputPath("file"), metavar="FILE", help="Draw the curves (png, svg, pdf).")
+@click.option("--figure", type=shared.OutputPath("file"), metavar="FILE", help="Draw the curves (png, svg, pdf).")
 @click.option("--convert", is_flag=True, help="Convert a CommonRoad, F1TENTH or ForzaETH parameter file instead.")
 @click.option(
     "--to",
@@ -69,7 +61,7 @@ positive = click.FloatRange(0.0, min_open=True)
     type=click.Choice(["f1tenth", "forzaeth", "commonroad"]),
     help="With --convert: write a vehicle file as that project's parameters.",
 )
-@json_option
+@shared.json_option
 def command(files, start, output, parts, training_blocks, offsets, measured_ay, max_ax, max_ay, alpha_max, smooth,
             figure, convert, kind, as_json) -> None:  # fmt: skip
     """Fit a vehicle file to gentle drives, or convert another project's file.
@@ -120,7 +112,7 @@ def command(files, start, output, parts, training_blocks, offsets, measured_ay, 
 
 def _show_foreign(written, output, as_json) -> None:
     if as_json:
-        print_json(written)
+        shared.print_json(written)
         return
     front, rear = written.deviations
     click.echo(f"lateral forces differ by at most {front:.3g} N at the front axle and {rear:.3g} N at the rear")
@@ -133,7 +125,7 @@ def _show_calibration(calibration, used, output, as_json) -> None:
     if as_json:
         names = ("samples", "blocks", "curves", "resistance", "estimates", "remarks")
         values = {name: getattr(calibration, name) for name in names}
-        print_json({"vehicle": output, "drives": used, **values})
+        shared.print_json({"vehicle": output, "drives": used, **values})
         return
     if calibration.curves:
         header = ("axle", "B", "C", "D [N]", "determined", "stiffness [N/rad]", "+-", "covered to [rad]",
@@ -147,7 +139,7 @@ def _show_calibration(calibration, used, output, as_json) -> None:
             )
             for c in calibration.curves
         ]  # fmt: skip
-        print_table(header, rows)
+        shared.print_table(header, rows)
     if calibration.resistance is not None:
         found = calibration.resistance
         click.echo()
@@ -156,7 +148,7 @@ def _show_calibration(calibration, used, output, as_json) -> None:
             ("rolling [N]", *pair_known(found.rolling, found.rolling_error), _yes("rolling" in found.determined)),
             ("force per T/r_e [1]", *pair_known(*found.torque_gain), "check only"),
         ]
-        print_table(("resistance", "value", "+-", "determined"), rows)
+        shared.print_table(("resistance", "value", "+-", "determined"), rows)
         held = found.held_out
         click.echo(
             f"rms error of the longitudinal force, held out: {held.calibrated:.3g} N; with the given file "
@@ -165,7 +157,7 @@ def _show_calibration(calibration, used, output, as_json) -> None:
     if calibration.estimates:
         click.echo()
         rows = [(e.name, *pair_known(e.value, e.error), _yes(e.settled)) for e in calibration.estimates]
-        print_table(("from turning", "value", "+-", "determined"), rows)
+        shared.print_table(("from turning", "value", "+-", "determined"), rows)
     print_notes(calibration.remarks)
     click.echo(
         f"wrote {output} from {calibration.samples} samples in {calibration.blocks} blocks of time", err=True
@@ -186,11 +178,11 @@ def _stiffness(curve) -> tuple[float | str, float | str]:
 
 def _show_conversion(conversion, output, as_json) -> None:
     if as_json:
-        print_json({"vehicle": output, "kind": conversion.kind, "tires": conversion.tires,
+        shared.print_json({"vehicle": output, "kind": conversion.kind, "tires": conversion.tires,
                     "assumed": conversion.assumed})  # fmt: skip
         return
     rows = [(t.axle, t.law, t.peak, t.largest_deviation, t.at) for t in conversion.tires]
-    print_table(("axle", "in the source", "D [N]", "largest deviation [N]", "at [rad]"), rows)
+    shared.print_table(("axle", "in the source", "D [N]", "largest deviation [N]", "at [rad]"), rows)
     for text in conversion.assumed:
         click.echo(f"assumed: {text}", err=True)
     click.echo(f"wrote {output} from a {conversion.kind} parameter file", err=True)

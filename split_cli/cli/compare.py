@@ -5,15 +5,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import (
-    existing_file,
-    held_option,
-    json_option,
-    list_of,
-    output_option,
-    print_json,
-    print_table,
-)
+from split_cli.cli import options as shared
 from split_cli.cli.verbosity import StepBar, print_notes
 
 __all__ = ["command"]
@@ -37,17 +29,17 @@ def _limits(context: click.Context, parameter: click.Parameter, values: tuple[st
 
 @click.command("compare")
 @click.argument("models", nargs=-1, required=True, metavar="MODEL...")
-@click.option("--on", "drives", type=existing_file, multiple=True, required=True, metavar="DRIVE",
+@click.option("--on", "drives", type=shared.existing_file, multiple=True, required=True, metavar="DRIVE",
               help="Drive to run on; repeatable.")  # fmt: skip
-@click.option("--horizon", "horizons", default="0.05,0.5,2", callback=list_of(float), metavar="LIST",
+@click.option("--horizon", "horizons", default="0.05,0.5,2", callback=shared.list_of(float), metavar="LIST",
               help="Durations of the open-loop simulation [s].")  # fmt: skip
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if the first model is worse than another one.")
 @click.option("--most", "limits", multiple=True, callback=_limits, metavar="STATE=ERROR",
               help="Exit with code 3 if the first model's error at the longest horizon is larger than "
               "this.")  # fmt: skip
-@output_option("Folder for report.html and compare.csv.", required=False, folder=True)
-@held_option
-@json_option
+@shared.output_option("Folder for report.html and compare.csv.", required=False, folder=True)
+@shared.held_option
+@shared.json_option
 def command(models, drives, horizons, exit_code, limits, output, held, as_json) -> None:
     """Compare vehicle files, trained sets and predictors on the same drives.
 
@@ -71,7 +63,7 @@ def command(models, drives, horizons, exit_code, limits, output, held, as_json) 
         click.echo(f"split: report in {Path(output) / 'report.html'}", err=True)
     print_notes(compared.notes)
     if as_json:
-        print_json(compared)
+        shared.print_json(compared)
     else:
         _tell(compared)
     sys.exit(_code(compared, exit_code, limits))
@@ -112,4 +104,4 @@ def _tell(compared) -> None:
     heads = ["model", "after s"]
     for state in ("v_x", "v_y", "r"):
         heads += [state, "fit %", "skill"]
-    print_table([*heads, "of held"], rows)
+    shared.print_table([*heads, "of held"], rows)

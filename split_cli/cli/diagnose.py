@@ -4,16 +4,8 @@ import sys
 
 import click
 
+from split_cli.cli import options as shared
 from split_cli.cli.digits import pair_known
-from split_cli.cli.options import (
-    engine_options,
-    existing_file,
-    held_option,
-    json_option,
-    output_option,
-    print_table,
-    vehicle_option,
-)
 from split_cli.cli.verbosity import StepBar
 
 __all__ = ["command"]
@@ -32,20 +24,22 @@ _STAGES = {
 
 
 @click.command("diagnose")
-@click.option("--real", "real", type=existing_file, required=True, multiple=True, help="Real drive; repeatable.")
-@click.option("--sim", "simulated", type=existing_file, multiple=True, help="Simulated drive; repeatable.")
+@click.option(
+    "--real", "real", type=shared.existing_file, required=True, multiple=True, help="Real drive; repeatable."
+)
+@click.option("--sim", "simulated", type=shared.existing_file, multiple=True, help="Simulated drive; repeatable.")
 @click.option(
     "--holdout",
-    type=existing_file,
+    type=shared.existing_file,
     multiple=True,
     help="Real drive on which the improvement is measured; repeatable.",
 )
-@vehicle_option()
-@output_option("Folder to write into.", names=("--out",), folder=True)
+@shared.vehicle_option()
+@shared.output_option("Folder to write into.", names=("--out",), folder=True)
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if simulation and reality differ.")
-@held_option
-@engine_options(None, "threads")
-@json_option
+@shared.held_option
+@shared.engine_options(None, "threads")
+@shared.json_option
 def command(
     real, simulated, holdout, vehicle_path, output, exit_code, held, engine, scheduler, jobs, as_json
 ) -> None:
@@ -92,7 +86,7 @@ def _tell(result) -> None:
             for f in result.findings
             for name, p in f.parameters.items()
         ]
-        print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
+        shared.print_table(["term", "parameter", "value", "std error", "unit", "or"], rows)
     for lead in result.leads:
         click.echo(lead.sentence)
     if result.verdict == "match" and result.detectable:
@@ -103,7 +97,7 @@ def _tell(result) -> None:
             for name, (value, unit) in one.parameters.items()
         ]
         rows += [[one.term, "", "at no size", ""] for one in result.detectable if not one.parameters]
-        print_table(["term", "parameter", "from", "unit"], rows)
+        shared.print_table(["term", "parameter", "from", "unit"], rows)
     if result.improvement is not None and result.improvement.rollouts:
         last = result.improvement.rollouts[-1]
         named = ", ".join(one.name for one in result.inputs if one.role == "holdout")
@@ -112,7 +106,7 @@ def _tell(result) -> None:
             f"held out: {where}; rms error there after {last.horizon:g} s of open-loop simulation, 95 % intervals"
         )
         stages = [stage for stage in _STAGES if result.findings or stage not in ("physics", "after")]
-        print_table(["", *_CHANNELS], [[_STAGES[stage], *_with_intervals(last, stage)] for stage in stages])
+        shared.print_table(["", *_CHANNELS], [[_STAGES[stage], *_with_intervals(last, stage)] for stage in stages])
 
 
 def _chance(p_value: float) -> str:

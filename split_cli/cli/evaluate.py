@@ -2,18 +2,8 @@
 
 import click
 
+from split_cli.cli import options as shared
 from split_cli.cli.digits import three_digits
-from split_cli.cli.options import (
-    engine_options,
-    existing_file,
-    held_option,
-    json_option,
-    list_of,
-    output_option,
-    print_json,
-    print_table,
-    vehicle_option,
-)
 from split_cli.cli.verbosity import StepBar, print_notes
 
 __all__ = ["command"]
@@ -33,14 +23,16 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 
 
 @click.command("evaluate")
-@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE...")
-@vehicle_option(required=False)
-@click.option("--set", "set_path", type=existing_file, metavar="SET", help="Trained set to score on whole drives.")
+@click.argument("drives", nargs=-1, required=True, type=shared.existing_file, metavar="DRIVE...")
+@shared.vehicle_option(required=False)
+@click.option(
+    "--set", "set_path", type=shared.existing_file, metavar="SET", help="Trained set to score on whole drives."
+)
 @click.option(
     "--predictor",
     "predictors",
     default="projected,bcm",
-    callback=list_of(str),
+    callback=shared.list_of(str),
     metavar="LIST",
     help="Predictors to score: projected, bcm, rbcm, grbcm, local, weights, table, full, fitc, iol.",
 )
@@ -61,7 +53,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 )
 @click.option(
     "--sizes",
-    callback=list_of(_size),
+    callback=shared.list_of(_size),
     metavar="LIST",
     help="Set sizes at which feature sets are compared [default: 50,100,200,500,1000,all].",
 )
@@ -73,7 +65,7 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 @click.option(
     "--rollout",
     default="0.5,1,2",
-    callback=list_of(float),
+    callback=shared.list_of(float),
     metavar="LIST",
     help="Durations of the open-loop simulations (rollouts) [s].",
 )
@@ -94,26 +86,30 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     help="Choose capacity, gain threshold, cell edge and --features by their error on held-out blocks.",
 )
 @click.option(
-    "--capacities", default="5,10,20", callback=list_of(int), metavar="LIST", help="Capacities for --select."
+    "--capacities",
+    default="5,10,20",
+    callback=shared.list_of(int),
+    metavar="LIST",
+    help="Capacities for --select.",
 )
 @click.option(
     "--thresholds",
     default="0.001,0.01,0.1",
-    callback=list_of(float),
+    callback=shared.list_of(float),
     metavar="LIST",
     help="Gain thresholds for --select.",
 )
 @click.option(
     "--cell-edges",
     default="1,2",
-    callback=list_of(float),
+    callback=shared.list_of(float),
     metavar="LIST",
     help="Cell edges for --select, as multiples of the standard edge.",
 )
-@engine_options(1)
-@output_option("Folder for figures and report.html.", required=False, folder=True)
-@held_option
-@json_option
+@shared.engine_options(1)
+@shared.output_option("Folder for figures and report.html.", required=False, folder=True)
+@shared.held_option
+@shared.json_option
 def command(drives, vehicle_path, set_path, output, as_json, select, engine, scheduler, jobs, **settings) -> None:
     """Measure the error of predictors beside that of the nominal model.
 
@@ -163,7 +159,7 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
             click.echo(f"split: not drawn: {reason}", err=True)
     print_notes(run.report.notes)
     if as_json:
-        print_json(run.report)
+        shared.print_json(run.report)
     else:
         _print_report(run.report)
 
@@ -183,13 +179,13 @@ def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settin
 
         click.echo(f"split: figure in {output}: {write_selection(found, output)}", err=True)
     if as_json:
-        print_json(found)
+        shared.print_json(found)
         return
     click.echo(f"{found.vehicle}: {found.labels} labels on {found.blocks} held-out blocks, {found.folds} folds")
     click.echo("error: root mean over v_x, v_y, r of MSE/MSE of the nominal model; behind: of the mean square\n")
     header = ("", "features", "capacity", "threshold", "cell edge", "points", "cells", "us/query", "error",
               "behind", "+-", "v_x", "v_y", "r")  # fmt: skip
-    print_table(header, [
+    shared.print_table(header, [
         (_mark(one), one.features, one.capacity, one.threshold, one.cell_edge, one.points, one.cells,
          one.microseconds, one.error, one.behind, one.behind_error, *map(three_digits, one.rmse))
         for one in found.candidates
@@ -219,23 +215,23 @@ def _print_report(report) -> None:
     if floor.rms is not None:
         blank = [None, None, "", None, "", "", None]
         rows.append(["noise floor", "", None, three_digits(floor.norm), *map(three_digits, floor.rms), *blank])
-    print_table(header, rows)
+    shared.print_table(header, rows)
     if floor.reason:
         click.echo(f"noise floor: {floor.reason}")
     if report.sizes:
         click.echo("\nDense process on the most informative samples of each feature set")
         sizes = [("all" if s.size == 0 else str(s.size), *_score_row(s.score)[1:11]) for s in report.sizes]
-        print_table(("size", *header[1:11]), sizes)
+        shared.print_table(("size", *header[1:11]), sizes)
     if report.rollouts:
         click.echo("\nRollouts (open-loop simulation on the recorded inputs)")
         click.echo("rms errors of v_x, v_y [m/s], r [rad/s], position [m]\n")
-        print_table(("model", "features", "after s", "starts", "v_x", "v_y", "r", "position"), [
+        shared.print_table(("model", "features", "after s", "starts", "v_x", "v_y", "r", "position"), [
             (r.name, r.features, r.horizon, r.starts, *map(three_digits, r.rmse), _number(r.distance))
             for r in report.rollouts
         ])  # fmt: skip
     if report.intervals:
         click.echo("\nLabels inside intervals of v_x/v_y/r, within a length scale of the set's points and beyond")
-        print_table(("model", "features", "samples", "share", "in 50 %", "in 90 %", "in 95 %"), [
+        shared.print_table(("model", "features", "samples", "share", "in 50 %", "in 90 %", "in 95 %"), [
             (s.name, s.features, "within" if s.near else "beyond", f"{100 * s.share:.0f} %",
              *map(_shares, (s.coverage_50, s.coverage_90, s.coverage_95)))
             for s in report.intervals

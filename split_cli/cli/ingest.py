@@ -5,19 +5,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import (
-    OutputPath,
-    TimeSpan,
-    engine_options,
-    existing_file,
-    json_option,
-    log_options,
-    output_option,
-    print_json,
-    print_table,
-    tell_next,
-    vehicle_option,
-)
+from split_cli.cli import options as shared
 from split_cli.cli.verbosity import StepBar
 
 __all__ = ["command"]
@@ -44,8 +32,8 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
 
 
 @click.command("ingest")
-@click.argument("logs", nargs=-1, type=existing_file, metavar="LOG...")
-@vehicle_option(required=False)
+@click.argument("logs", nargs=-1, type=shared.existing_file, metavar="LOG...")
+@shared.vehicle_option(required=False)
 @click.option(
     "--map",
     "maps",
@@ -53,7 +41,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     metavar="MAP",
     help="Signal map: a YAML file or the name of a preset; repeatable. Logs that `split` wrote need none.",
 )
-@output_option("Drive to write, or a folder if there are several logs.", required=False)
+@shared.output_option("Drive to write, or a folder if there are several logs.", required=False)
 @click.option(
     "--clock", type=click.Choice(["log", "publish", "header"]), help="Which time stamp of a message to use."
 )
@@ -96,7 +84,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     metavar="NAME=/TOPIC",
     help="Use this topic where the map says NAME.",
 )
-@log_options
+@shared.log_options
 @click.option(
     "--start",
     type=float,
@@ -107,17 +95,22 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     "--end", type=float, metavar="S", help="Leave out everything after this time, counted from the first sample."
 )
 @click.option(
-    "--cut", "cuts", multiple=True, type=TimeSpan(), metavar="A:B", help="Leave out the time from A to B [s]."
+    "--cut",
+    "cuts",
+    multiple=True,
+    type=shared.TimeSpan(),
+    metavar="A:B",
+    help="Leave out the time from A to B [s].",
 )
 @click.option("--keep-going", is_flag=True, help="Continue with the other logs when one fails.")
 @click.option(
-    "--report", type=OutputPath("file"), metavar="FILE", help="Write an HTML report; for one drive only."
+    "--report", type=shared.OutputPath("file"), metavar="FILE", help="Write an HTML report; for one drive only."
 )
 @click.option("--list", "list_only", is_flag=True, help="List the channels of the logs and exit.")
 @click.option("--list-maps", is_flag=True, help="List the preset signal maps and exit.")
 @click.option("--suggest-map", is_flag=True, help="Print a draft signal map for the log and exit.")
-@engine_options(None)
-@json_option
+@shared.engine_options(None)
+@shared.json_option
 def command(logs, maps, vehicle_path, output, topics, message_paths, databases, as_json, **options) -> int:
     """Read recordings into drives: one uniform clock, SI units, ISO 8855 axes at the CG.
 
@@ -175,14 +168,14 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
     faulty = [str(result.drive_path) for result in run.results if result.faults]
     if faulty:
         names = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
-        tell_next(before=f"correct the map as `does not fit together` says of {names}, and ingest again")
+        shared.tell_next(before=f"correct the map as `does not fit together` says of {names}, and ingest again")
     elif drives:
         vehicle = vehicle_path or "VEHICLE.yaml"
         doubtful = any(result.quality.consistency.findings for result in run.results)
         before = "see to what does not fit together, then: " if doubtful else ""
         before += "" if vehicle_path else "describe the car in VEHICLE.yaml (`split init` drafts one), then: "
         taken = drives if len(drives) < 4 else [output]
-        tell_next(
+        shared.tell_next(
             ["split", "train", *taken, "--vehicle", vehicle, "-o", f"{Path(vehicle).stem}.split"], before=before
         )
 
@@ -198,7 +191,7 @@ def _write_report(run, vehicle_path, path: Path) -> None:
 
 def _show(run, as_json: bool) -> None:
     if as_json:
-        print_json([result.to_mapping() for result in run.results])
+        shared.print_json([result.to_mapping() for result in run.results])
     else:
         for result in run.results:
             click.echo(result.to_text())
@@ -228,7 +221,7 @@ def _list_maps(as_json: bool) -> int:
     from split_cli.workflows.ingesting.ingest import list_maps
 
     if as_json:
-        print_json(list_maps())
+        shared.print_json(list_maps())
         return 0
     for name, about in list_maps().items():
         click.echo(f"{name}: {about}")
@@ -256,9 +249,9 @@ def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
             continue
         log = " + ".join(map(str, log)) if isinstance(log, tuple) else log
         click.echo(f"{log}: {len(channels)} channels; clocks: {', '.join(clocks) or 'none, time is a column'}")
-        print_table(
+        shared.print_table(
             ["channel", "type", "count", "unit"], [[c.name, c.type_name, c.count, c.unit] for c in channels]
         )
     if as_json:
-        print_json(described if len(described) > 1 else described[0])
+        shared.print_json(described if len(described) > 1 else described[0])
     return 0

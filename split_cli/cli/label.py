@@ -2,26 +2,16 @@
 
 import click
 
-from split_cli.cli.options import (
-    engine_options,
-    existing_file,
-    held_option,
-    json_option,
-    label_options,
-    output_option,
-    print_json,
-    print_table,
-    vehicle_option,
-)
+from split_cli.cli import options as shared
 from split_cli.cli.verbosity import StepBar, print_notes
 
 __all__ = ["command"]
 
 
 @click.command("label")
-@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE|FOLDER...")
-@vehicle_option()
-@output_option("Label file to write (Parquet), or a folder if there are several drives.")
+@click.argument("drives", nargs=-1, required=True, type=shared.existing_file, metavar="DRIVE|FOLDER...")
+@shared.vehicle_option()
+@shared.output_option("Label file to write (Parquet), or a folder if there are several drives.")
 @click.option(
     "--features",
     default="z2",
@@ -29,10 +19,10 @@ __all__ = ["command"]
     help="Inputs of the correction: z2, z1, or a comma-separated list of signals.",
 )
 @click.option("--horizon", type=float, default=0.05, metavar="S", help="Label interval h.")
-@label_options
-@held_option
-@engine_options(None)
-@json_option
+@shared.label_options
+@shared.held_option
+@shared.engine_options(None)
+@shared.json_option
 def command(
     drives, vehicle_path, output, features, horizon, stride, plain, held, engine, scheduler, jobs, as_json
 ) -> None:
@@ -58,13 +48,13 @@ def command(
         results = (label_drive(drives[0], vehicle_path, output, **settings),)
     print_notes(dict.fromkeys(note for result in results for note in result.notes))
     if as_json:
-        print_json(list(results) if several else results[0])
+        shared.print_json(list(results) if several else results[0])
         return
     reasons = dict.fromkeys(name for result in results for name, _ in result.rejected)
     rows = [
         [r.drive, r.samples, r.accepted, *(dict(r.rejected).get(reason, 0) for reason in reasons)] for r in results
     ]
-    print_table(["drive", "samples", "accepted", *(f"rejected: {reason}" for reason in reasons)], rows)
+    shared.print_table(["drive", "samples", "accepted", *(f"rejected: {reason}" for reason in reasons)], rows)
     result = results[0]
     click.echo(f"\nhorizon {result.horizon:g} s, {result.window} samples")
     if result.rms and not several:

@@ -2,19 +2,8 @@
 
 import click
 
+from split_cli.cli import options as shared
 from split_cli.cli.digits import three_digits
-from split_cli.cli.options import (
-    OutputPath,
-    car_option,
-    existing_file,
-    grip_option,
-    json_option,
-    output_option,
-    print_json,
-    print_table,
-    sensor_options,
-    vehicle_option,
-)
 from split_cli.cli.verbosity import StepBar
 from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 
@@ -23,18 +12,18 @@ __all__ = ["command"]
 
 @click.command("maneuver")
 @click.argument("scenario")
-@vehicle_option()
+@shared.vehicle_option()
 @click.option(
     "--start-set",
-    type=existing_file,
+    type=shared.existing_file,
     metavar="PATH",
     help="Trained set to drive with, or a folder of `split export --target casadi`, whose function the "
     "controller evaluates; without one, the nominal model.",
 )
-@click.option("--predictor", default="auto", show_default=True, metavar="NAME",
+@click.option("--predictor", default="auto", metavar="NAME",
               help="Predictor that evaluates the set: auto is "
               "bcm for three features and projected for more.")  # fmt: skip
-@car_option
+@shared.car_option
 @click.option(
     "--speed",
     "speeds",
@@ -43,28 +32,28 @@ __all__ = ["command"]
     metavar="M/S",
     help="Entry speed; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid].",
 )
-@grip_option
+@shared.grip_option
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force that the "
               f"controller may use  [default: {SHARE_LEARNED} with a set, or if the vehicle file knows the "
               f"tyres' peaks from data; else {SHARE_NOMINAL}].")  # fmt: skip
-@click.option("--p-long", type=float, default=P_LONG, show_default=True, metavar="WEIGHT",
+@click.option("--p-long", type=float, default=P_LONG, metavar="WEIGHT",
               help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
-@click.option("--guarded/--unguarded", default=True, show_default=True, help="Use force limits that follow "
+@click.option("--guarded/--unguarded", default=True, help="Use force limits that follow "
               "load transfer, a torque limit and, with a set, the tyre peaks that its labels show.")  # fmt: skip
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
-@sensor_options
+@shared.sensor_options
 @click.option(
     "--set",
     "set_output",
-    type=OutputPath("file"),
+    type=shared.OutputPath("file"),
     metavar="FILE",
     help="Train a new set on the first run, and write it.",
 )
-@click.option("--features", default="z2", show_default=True, metavar="LIST",
+@click.option("--features", default="z2", metavar="LIST",
               help="Inputs of the correction that --set trains; see `split race`.")  # fmt: skip
-@output_option("Drive of the first run to write (Parquet, or MCAP with ROS 2 messages).", required=False)
-@json_option
+@shared.output_option("Drive of the first run to write (Parquet, or MCAP with ROS 2 messages).", required=False)
+@shared.json_option
 def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **options) -> None:
     """Drive SCENARIO between cones: iso3888-1, iso3888-2 or brake-avoid.
 
@@ -82,7 +71,7 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     with StepBar(max(len(settings.speeds), 1)) as bar:
         result = run_maneuvers(settings, vehicle_path, output=output, set_output=set_output, progress=bar)
     if as_json:
-        print_json(result.summary())
+        shared.print_json(result.summary())
         return
     click.echo(f"{result.scenario}, grip {result.grip:g}, car {result.width:.2f} m wide, {result.model}")
     header = ["speed m/s", "entry m/s", "exit m/s", "cones hit", "deviation m", "|ay| m/s^2", "failures", "ended"]
@@ -97,7 +86,7 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
         ]
         for run in result.runs
     ]
-    print_table(header, rows)
+    shared.print_table(header, rows)
     if len(result.runs) > 1:
         best = result.highest_passed
         click.echo(f"highest speed without a cone: {'none' if best is None else f'{best:g} m/s'}")

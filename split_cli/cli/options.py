@@ -169,15 +169,13 @@ def label_options(function: Callable) -> Callable:
 def car_option(function: Callable) -> Callable:
     """``--car``: the simulated car that a controller drives."""
     cars = "Simulated car: road_car, f1tenth_car or formula_car."
-    return click.option("--car", default="road_car", show_default=True, metavar="NAME", help=cars)(function)
+    return click.option("--car", default="road_car", metavar="NAME", help=cars)(function)
 
 
 def grip_option(function: Callable) -> Callable:
     """``--grip``: of the road that a controller drives on."""
     meaning = "Friction scale of the road: 1 dry, 0.5 wet."
-    return click.option("--grip", type=float, default=1.0, show_default=True, metavar="SCALE", help=meaning)(
-        function
-    )
+    return click.option("--grip", type=float, default=1.0, metavar="SCALE", help=meaning)(function)
 
 
 def sensor_options(function: Callable) -> Callable:
@@ -187,7 +185,7 @@ def sensor_options(function: Callable) -> Callable:
             "--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later."
         ),
         click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise."),
-        click.option("--seed", type=int, default=0, show_default=True, metavar="N",
+        click.option("--seed", type=int, default=0, metavar="N",
                      help="Random seed of the sensor noise."),
         click.option("--width", type=float, metavar="M",
                      help="Width of the car's body  [default: 1.15 times its track width]."),

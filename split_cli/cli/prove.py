@@ -5,15 +5,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import (
-    OutputPath,
-    engine_options,
-    existing_file,
-    json_option,
-    output_option,
-    print_json,
-    print_table,
-)
+from split_cli.cli import options as shared
 
 __all__ = ["command"]
 
@@ -48,8 +40,8 @@ def command() -> None:
     help="Kinds of cases; also hard-pair, set, nominal-set and whole-car.",
 )
 @click.option("--sets", is_flag=True, help="Short for --kinds set,nominal-set: sets of three to five effects.")
-@engine_options(1)
-@json_option
+@shared.engine_options(1)
+@shared.json_option
 def generate(folder, seed, cases, kinds, sets, engine, scheduler, jobs, as_json) -> None:
     """Write cases and their hidden answers.
 
@@ -66,8 +58,8 @@ def generate(folder, seed, cases, kinds, sets, engine, scheduler, jobs, as_json)
 @command.command("identify")
 @click.argument("folder", type=_folder)
 @click.option("--limit", type=click.IntRange(1), help="Diagnose only this many cases, from the first.")
-@engine_options(1)
-@json_option
+@shared.engine_options(1)
+@shared.json_option
 def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
     """Diagnose the cases that have no result yet.
 
@@ -85,8 +77,8 @@ def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
 @command.command("score")
 @click.argument("folder", type=_folder)
 @click.option("--baselines/--no-baselines", default=True, help="Score STLSQ and BIC too.")
-@click.option("--markdown", type=OutputPath("file"), help="Write all tables to this file as well.")
-@json_option
+@click.option("--markdown", type=shared.OutputPath("file"), help="Write all tables to this file as well.")
+@shared.json_option
 def score(folder, baselines, markdown, as_json) -> None:
     """Read the answers, check their seal, and score the diagnoses."""
     from split_cli.proof.tables import markdown_of, target_rows
@@ -98,10 +90,10 @@ def score(folder, baselines, markdown, as_json) -> None:
 
         atomic_write_text(markdown, markdown_of(result))
     if as_json:
-        print_json(result)
+        shared.print_json(result)
         return
     click.echo(f"seal {result.seal.sha256}, {result.identified} of {result.cases} cases identified")
-    print_table(["what", "goal", "reached", "met"], target_rows(result.diagnosis))
+    shared.print_table(["what", "goal", "reached", "met"], target_rows(result.diagnosis))
     for name, failure in result.failed:
         click.echo(f"case {name} could not be diagnosed: {failure}", err=True)
 
@@ -114,9 +106,9 @@ def _numbers(text: str | None) -> list[float]:
 
 
 @command.command("recording")
-@click.argument("drives", type=existing_file, nargs=-1, required=True)
-@click.option("--vehicle", "vehicle_path", type=existing_file, required=True, help="Vehicle YAML.")
-@output_option("Folder to write into.")
+@click.argument("drives", type=shared.existing_file, nargs=-1, required=True)
+@click.option("--vehicle", "vehicle_path", type=shared.existing_file, required=True, help="Vehicle YAML.")
+@shared.output_option("Folder to write into.")
 @click.option("--faults", help="Only these faults, separated by commas. A wrong name lists all names.")
 @click.option("--block", type=float, default=10.0, help="Length of the blocks of time [s].")
 @click.option(
@@ -126,7 +118,7 @@ def _numbers(text: str | None) -> list[float]:
     "--multiples",
     help="Fault sizes as multiples of the detection limit of the pair without a fault, e.g. 0.5,1,1.5.",
 )
-@json_option
+@shared.json_option
 def recording(drives, vehicle_path, output, faults, block, halves, multiples, as_json) -> None:
     """Diagnose real recordings with known faults added.
 
@@ -153,9 +145,9 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
     default="multibody",
     help="The package's 29-state car, or its single track with combined slip and wheels that spin.",
 )
-@output_option("Folder to write into.")
+@shared.output_option("Folder to write into.")
 @click.option("--faults", help="Add only these faults, separated by commas, or all. A wrong name lists all names.")
-@json_option
+@shared.json_option
 def multibody(seed, car, model, output, faults, as_json) -> None:
     """Diagnose a car of commonroad-vehicle-models.
 
@@ -194,20 +186,20 @@ def multibody(seed, car, model, output, faults, as_json) -> None:
             ["with both", *done.after],
             ["persistence", *done.persistence],
         ]
-        print_table(["held-out rmse", "v_x m/s^2", "v_y m/s^2", "r rad/s^2"], rows)
+        shared.print_table(["held-out rmse", "v_x m/s^2", "v_y m/s^2", "r rad/s^2"], rows)
 
 
 def _tell_faults(rows, as_json: bool) -> None:
     if as_json:
-        print_json(rows)
+        shared.print_json(rows)
         return
     header = ["drive", "fault", "put in", "outcome", "said", "found", "interval"]
-    print_table(header, [[r.drive, r.fault, r.value, r.outcome, r.said, r.found, r.interval] for r in rows])
+    shared.print_table(header, [[r.drive, r.fault, r.value, r.outcome, r.said, r.found, r.interval] for r in rows])
 
 
 def _tell_seal(seal, as_json: bool) -> None:
     if as_json:
-        print_json(seal)
+        shared.print_json(seal)
     else:
         click.echo(f"seal {seal.sha256} of {seal.cases} answers, seed {seal.seed}, version {seal.version}")
 

@@ -2,19 +2,8 @@
 
 import click
 
+from split_cli.cli import options as shared
 from split_cli.cli.digits import three_digits
-from split_cli.cli.options import (
-    OutputPath,
-    car_option,
-    existing_file,
-    grip_option,
-    json_option,
-    output_option,
-    print_json,
-    print_table,
-    sensor_options,
-    vehicle_option,
-)
 from split_cli.cli.verbosity import StepBar, print_notes
 from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SHARE_STEP, SIZE
 
@@ -22,21 +11,19 @@ __all__ = ["command"]
 
 
 @click.command("race")
-@vehicle_option()
+@shared.vehicle_option()
 @click.option(
     "--track",
     default="small",
-    show_default=True,
     metavar="NAME",
     help="Track: handling (2.3 km), small (580 m), oval, f1tenth, or a centre-line CSV with the columns "
     "x_m,y_m,w_tr_right_m,w_tr_left_m.",
 )
-@car_option
+@shared.car_option
 @click.option(
     "--laps",
     type=int,
     default=3,
-    show_default=True,
     metavar="N",
     help="Number of laps after lap 0, which is driven with the nominal model.",
 )
@@ -51,7 +38,7 @@ __all__ = ["command"]
 )
 @click.option(
     "--start-set",
-    type=existing_file,
+    type=shared.existing_file,
     metavar="PATH",
     help="Trained set to start from; without one, lap 0 is nominal and the kernel is fitted to it. With "
     "--learner none it may be a folder of `split export --target casadi`, whose function is then evaluated.",
@@ -59,14 +46,13 @@ __all__ = ["command"]
 @click.option(
     "--predictor",
     default="auto",
-    show_default=True,
     metavar="NAME",
     help="Predictor that evaluates the set: bcm and projected follow every update, others are rebuilt after each "
     "lap. The choice auto takes bcm for three features and projected for more.",
 )
-@click.option("--max-speed", type=float, default=30.0, show_default=True, metavar="M/S", help="Largest speed.")
+@click.option("--max-speed", type=float, default=30.0, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
-@grip_option
+@shared.grip_option
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
               f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
 @click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share in lap 0. Each clean lap "
@@ -78,24 +64,23 @@ __all__ = ["command"]
 @click.option("--p-unknown", type=float, metavar="SHARE", help="The same share in states "
               "without training data. The more the data tell of a state, the nearer it is to --p-ellipse  "
               "[default: --p-ellipse].")  # fmt: skip
-@click.option("--assumed-friction", "--told-grip", "assumed_friction", type=float, default=1.0, show_default=True,
+@click.option("--assumed-friction", "--told-grip", "assumed_friction", type=float, default=1.0,
               metavar="SCALE",
               help="Friction scale that the controller assumes before it has learned.")  # fmt: skip
-@click.option("--learn-grip/--no-learn-grip", default=True, show_default=True, help="After each lap, move "
+@click.option("--learn-grip/--no-learn-grip", default=True, help="After each lap, move "
               "the slip limits to the tyres' peaks that the labels show.")  # fmt: skip
 @click.option("--margin", type=float, metavar="M", help="Distance to keep between the car's side and the track "
               f"border, in addition to what earlier laps needed  [default: {MARGIN} for a wheelbase of {SIZE} m, "
               "in proportion for others].")  # fmt: skip
-@click.option("--p-long", type=float, default=RACE_P_LONG, show_default=True, metavar="WEIGHT",
+@click.option("--p-long", type=float, default=RACE_P_LONG, metavar="WEIGHT",
               help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip
-@click.option("--guarded/--unguarded", default=True, show_default=True, help="guarded: force limits "
+@click.option("--guarded/--unguarded", default=True, help="guarded: force limits "
               "follow the load transfer, the torque is limited, and the correction assumes the learned tyre peaks "
               "where it has no data. Without all three: --unguarded.")  # fmt: skip
 @click.option(
     "--features",
     default="auto",
-    show_default=True,
     metavar="LIST",
     help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states. "
     "The choice auto takes z2 or z2,feature_lag: what has the smaller error on held-out tenths of the laps.",
@@ -103,7 +88,6 @@ __all__ = ["command"]
 @click.option(
     "--hyperparameters",
     default="fit",
-    show_default=True,
     metavar="KIND",
     help="Kernel: fit (to lap 0), "
     "fit-lasting (to lap 0, with errors that last over several labels), default, or a YAML file.",
@@ -112,18 +96,17 @@ __all__ = ["command"]
     "--iol-update",
     type=click.Choice(["printed", "incremental"]),
     default="printed",
-    show_default=True,
     help="Update of iol: one matrix inversion per gain as printed in its paper, or an incremental inverse.",
 )
-@click.option("--tightening", type=float, default=0.0, show_default=True, metavar="SIGMA",
+@click.option("--tightening", type=float, default=0.0, metavar="SIGMA",
               help="Move the track borders inwards by this many standard deviations of the predicted "
               "position.")  # fmt: skip
-@sensor_options
-@click.option("--set", "set_output", type=OutputPath("file"), metavar="FILE",
+@shared.sensor_options
+@click.option("--set", "set_output", type=shared.OutputPath("file"), metavar="FILE",
               help="Save the set after each lap.")  # fmt: skip
-@click.option("--report", type=OutputPath("file"), metavar="FILE", help="Write an HTML report of the laps.")
-@output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
-@json_option
+@click.option("--report", type=shared.OutputPath("file"), metavar="FILE", help="Write an HTML report of the laps.")
+@shared.output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
+@shared.json_option
 def command(
     vehicle_path, output, set_output, report, p_ellipse, p_ellipse_lap0, p_unknown, guarded, p_long,
     no_delay, iol_update, learners, as_json, **options,
@@ -174,7 +157,7 @@ def command(
 
         atomic_write_text(report, race_page(results, results[0].path))
     if as_json:
-        print_json(results[0].summary() if len(results) == 1 else [result.summary() for result in results])
+        shared.print_json(results[0].summary() if len(results) == 1 else [result.summary() for result in results])
     for result in results:
         print_notes(result.notes)
         if not as_json:
@@ -198,8 +181,8 @@ def _tell(result) -> None:
         rows.append([lap.number, lap.time, *map(three_digits, (lap.mean_speed, lap.max_lateral)), lap.updates,
                      lap.size, lap.cells, *map(three_digits, lap.error_after), trust, lap.outside,
                      lap.failures])  # fmt: skip
-    print_table(header, rows)
-    print_table(
+    shared.print_table(header, rows)
+    shared.print_table(
         ["lap", "solver ms (median, 99 %, worst)", "step ms (median, 99 %, worst)", "learning ms"],
         [[lap.number, *(", ".join(f"{v:.2g}" for v in times) for times in
           (lap.solver_ms, lap.step_ms, lap.update_ms))] for lap in result.laps],

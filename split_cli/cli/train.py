@@ -2,29 +2,17 @@
 
 import click
 
+from split_cli.cli import options as shared
 from split_cli.cli.digits import three_digits
-from split_cli.cli.options import (
-    TimeSpan,
-    engine_options,
-    existing_file,
-    held_option,
-    json_option,
-    label_options,
-    output_option,
-    print_json,
-    print_table,
-    tell_next,
-    vehicle_option,
-)
 from split_cli.cli.verbosity import StepBar, print_notes
 
 __all__ = ["command"]
 
 
 @click.command("train")
-@click.argument("drives", nargs=-1, required=True, type=existing_file, metavar="DRIVE|LABELS|FOLDER...")
-@vehicle_option()
-@output_option("Trained set to write (NAME.split).")
+@click.argument("drives", nargs=-1, required=True, type=shared.existing_file, metavar="DRIVE|LABELS|FOLDER...")
+@shared.vehicle_option()
+@shared.output_option("Trained set to write (NAME.split).")
 @click.option("--append", is_flag=True, help="Add drives to the existing set that -o names; its settings stay.")
 @click.option(
     "--features",
@@ -38,7 +26,7 @@ __all__ = ["command"]
     help="Length scales and variances of the kernel; fixed once a set exists. Default: fit.",
 )
 @click.option("--horizon", type=float, metavar="S", help="Label interval h; default 0.05.")
-@label_options
+@shared.label_options
 @click.option(
     "--capacity",
     type=int,
@@ -83,12 +71,15 @@ __all__ = ["command"]
     "--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file."
 )
 @click.option(
-    "--exclude", type=TimeSpan(), multiple=True, help="Leave this stretch of time out of training [s]; repeatable."
+    "--exclude",
+    type=shared.TimeSpan(),
+    multiple=True,
+    help="Leave this stretch of time out of training [s]; repeatable.",
 )
-@held_option
-@engine_options(1)
+@shared.held_option
+@shared.engine_options(1)
 @click.option("--per-lap", is_flag=True, help="Also print what each lap added, as in the paper's table.")
-@json_option
+@shared.json_option
 def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jobs, as_json, **settings) -> None:
     """Learn the error of the nominal model from drives into a trained set.
 
@@ -123,7 +114,7 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
         )
     print_notes(result.notes)
     if as_json:
-        print_json(result)
+        shared.print_json(result)
         return
     _print_rows(result)
     if result.laps:
@@ -131,7 +122,7 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
     # Where the drives are there, without --set: on held-out blocks, since an unseen drive may not exist.
     named = all(path.is_file() and ".labels" not in path.name for path in drives)
     scored = drives if named else ["UNSEEN_DRIVE", "--set", output]
-    tell_next(["split", "evaluate", *scored, "--vehicle", vehicle_path, "-o", "figures/"])
+    shared.tell_next(["split", "evaluate", *scored, "--vehicle", vehicle_path, "-o", "figures/"])
 
 
 def _print_laps(laps) -> None:
@@ -145,7 +136,7 @@ def _print_laps(laps) -> None:
          *([three_digits(100.0 * row.valid_share)] if share else [])]
         for row in laps
     ]  # fmt: skip
-    print_table([*header, *(["valid region %"] if share else [])], rows)
+    shared.print_table([*header, *(["valid region %"] if share else [])], rows)
 
 
 def _three(values) -> str:
@@ -164,7 +155,7 @@ def _print_rows(result) -> None:
         cells = [row.drive, row.samples, row.accepted, *(rejected.get(reason, 0) for reason in reasons)]
         cells += [row.updates, row.points, row.cells, *([three_digits(100.0 * row.valid_share)] if share else [])]
         table.append([*cells, three_digits(row.microseconds), three_digits(row.megabytes)])
-    print_table(header, table)
+    shared.print_table(header, table)
     kernel = result.kernel
     horizons = ", ".join(f"{value:g}" for value in dict.fromkeys(result.horizons))
     click.echo(f"\nlabel interval {horizons} s; hyperparameters: {kernel.origin}")

@@ -69,11 +69,10 @@ def show_only() -> None:
             setattr(sys, name, Shown(stream))
 
 
-class Quiet(io.TextIOBase):
+class Quiet(Shown):
     """A stderr that lets through what is wrong and nothing else; no terminal, so that no progress is drawn."""
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream, self._line = stream, ""
+    _line = ""
 
     def write(self, text: str) -> int:
         self._line += text
@@ -84,24 +83,12 @@ class Quiet(io.TextIOBase):
                 self._stream.write(f"{line}\n")
         return len(text)
 
-    def flush(self) -> None:
-        self._stream.flush()
-
     def isatty(self) -> bool:
         return False
 
 
-class Loud(io.TextIOBase):
+class Loud(Shown):
     """A stderr that is told every step, though nobody may watch it: for logs of long runs."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        return self._stream.write(text)
-
-    def flush(self) -> None:
-        self._stream.flush()
 
     def isatty(self) -> bool:
         return True
