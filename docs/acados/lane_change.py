@@ -4,8 +4,8 @@
     python lane_change.py controller my_car [--speed 15] [--shift 3]
 
 Needs a C compiler and acados: its library, `acados_template` and ACADOS_SOURCE_DIR, or the package that
-docs/export.md names. acados compiles `my_car_acados.c` as its discrete dynamics. The planned states are then followed
-with `my_car_step.casadi`, which knows nothing of acados, and the largest difference is printed.
+docs/export.md names. acados compiles `my_car_acados.c` as its discrete dynamics. The planned states are then
+followed with `my_car_step.casadi`, which knows nothing of acados, and the largest difference is printed.
 """
 
 from __future__ import annotations

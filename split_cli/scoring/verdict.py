@@ -200,7 +200,11 @@ def _left_while_driving(running: Sequence[Comparison]) -> str:
     if not running:
         return ""
     worst = max(filter(does_harm, running), key=lambda c: c.to_nominal[0], default=None)
-    left = f"{worst.state} is {_beside_one(worst.to_nominal[0])} times as wrong at most" if worst else "no state is worse"
+    left = (
+        f"{worst.state} is {_beside_one(worst.to_nominal[0])} times as wrong at most"
+        if worst
+        else "no state is worse"
+    )
     return f". With a running trust (NAME_observe in an export) {left}"
 
 
