@@ -10,8 +10,6 @@ import tempfile
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-__all__ = ["cache_folder", "compiled", "provide_cache"]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _VARIABLE, _FIGURES = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"

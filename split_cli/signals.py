@@ -12,11 +12,6 @@ import numpy as np
 
 from split_cli.errors import MapError, nearest_names
 
-__all__ = [
-    "CHANNELS", "REQUIRED_CHANNELS", "UNITS", "Channel", "Unit", "convert_to_si", "find_unit",
-    "split_name_and_unit",
-]  # fmt: skip
-
 Kind = Literal["continuous", "held", "angle"]
 
 

@@ -9,9 +9,6 @@ import yaml
 from split_cli.errors import SplitError
 from split_cli.files import read_text
 
-__all__ = ["parse_yaml", "read_yaml_mapping"]
-
-
 _MOST_BYTES = 4 << 20
 """Size of a YAML file [bytes]; judgement: the largest of ours has 20 kB."""
 _MOST_VALUES = 100_000

@@ -6,8 +6,6 @@ from split_cli.cli import options as shared
 from split_cli.cli.digits import pair_known, three_digits
 from split_cli.cli.verbosity import print_notes
 
-__all__ = ["command"]
-
 positive = click.FloatRange(0.0, min_open=True)
 
 

@@ -4,8 +4,6 @@ import inspect
 
 import click
 
-__all__ = ["catalogue_page"]
-
 
 def catalogue_page() -> str:
     """Return docs/catalogue.md: every term with its physics and what mimics it, then the effects."""

@@ -1,7 +1,5 @@
 """What the columns of printed tables mean: for `split explain`, for `--legend`, and for the page in the docs."""
 
-__all__ = ["COLUMNS", "LABELS_REASONS", "meaning"]
-
 _RMS = "root mean square error"
 _INTERVAL = "interval that holds the true value in 95 of 100 cases"
 

@@ -8,8 +8,6 @@ import click
 from split_cli.cli import options as shared
 from split_cli.cli.verbosity import StepBar, print_notes
 
-__all__ = ["command"]
-
 _MOST_SHOWN = 6
 
 

@@ -7,8 +7,6 @@ import click
 
 from split_cli.cli.options import OutputPath, existing_file
 
-__all__ = ["command"]
-
 
 @click.command("demo")
 @click.option("--samples", type=existing_file, metavar="FOLDER", help="Folder with the sample logs.")

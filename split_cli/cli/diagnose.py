@@ -8,8 +8,6 @@ from split_cli.cli import options as shared
 from split_cli.cli.digits import pair_known
 from split_cli.cli.verbosity import StepBar
 
-__all__ = ["command"]
-
 _BEGINS = {
     "smoothing": 0.0, "whitening": 0.02, "comparing": 0.05, "naming": 0.15, "naming with a fixed baseline": 0.45,
     "sizing": 0.75, "judging": 0.85, "writing": 0.95,

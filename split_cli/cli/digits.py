@@ -2,8 +2,6 @@
 
 import math
 
-__all__ = ["Printed", "known_to", "pair_known", "plausible", "three_digits", "two_digits"]
-
 
 def plausible(value: float) -> str:
     """Return a number to four digits at most, without a power of ten where it can be read: ``12300``, ``0.0123``.

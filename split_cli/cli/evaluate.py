@@ -6,8 +6,6 @@ from split_cli.cli import options as shared
 from split_cli.cli.digits import three_digits
 from split_cli.cli.verbosity import StepBar, print_notes
 
-__all__ = ["command"]
-
 
 def _size(text: str) -> int:
     return 0 if text == "all" else int(text)

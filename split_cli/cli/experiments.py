@@ -6,8 +6,6 @@ import click
 
 from split_cli.cli.options import existing_file, output_option, vehicle_option
 
-__all__ = ["command"]
-
 
 @click.command("experiments")
 @vehicle_option()

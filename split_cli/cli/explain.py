@@ -4,8 +4,6 @@ import click
 
 from split_cli.cli.options import json_option, print_json
 
-__all__ = ["command"]
-
 
 @click.command("explain")
 @click.argument("words", nargs=-1, metavar="[COMMAND | COLUMN]...")

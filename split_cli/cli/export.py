@@ -6,8 +6,6 @@ from split_cli.cli.digits import three_digits, two_digits
 from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
 from split_cli.cli.verbosity import print_notes
 
-__all__ = ["command"]
-
 
 @click.command("export")
 @click.argument("set_path", type=existing_file, metavar="SET.split")

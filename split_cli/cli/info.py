@@ -4,8 +4,6 @@ import click
 
 from split_cli.cli.options import existing_file, json_option, print_json
 
-__all__ = ["command"]
-
 
 @click.command("info")
 @click.argument("files", nargs=-1, required=True, type=existing_file, metavar="FILE...")

@@ -8,8 +8,6 @@ import click
 from split_cli.cli import options as shared
 from split_cli.cli.verbosity import StepBar
 
-__all__ = ["command"]
-
 
 def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
     """Parse KEY=VALUE options."""

@@ -6,8 +6,6 @@ import click
 
 from split_cli.cli.options import existing_file, json_option, log_options, output_option, print_json
 
-__all__ = ["command"]
-
 
 @click.command("init")
 @click.argument("logs", nargs=-1, required=True, type=existing_file, metavar="LOG...")

@@ -5,8 +5,6 @@ import click
 from split_cli.cli import options as shared
 from split_cli.cli.verbosity import StepBar, print_notes
 
-__all__ = ["command"]
-
 
 @click.command("label")
 @click.argument("drives", nargs=-1, required=True, type=shared.existing_file, metavar="DRIVE|FOLDER...")

@@ -15,8 +15,6 @@ from split_cli import CACHE_NOTE, __version__
 from split_cli.cli.verbosity import show_only
 from split_cli.errors import NumericalRepairWarning, SplitError, nearest_names
 
-__all__ = ["COMMANDS", "group", "main"]
-
 COMMANDS = {
     "init": "Draft a signal map and a vehicle file for a recording.",
     "ingest": "Read recordings into drives on one clock, in SI units.",

@@ -7,8 +7,6 @@ from split_cli.cli.digits import three_digits
 from split_cli.cli.verbosity import StepBar
 from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
 
-__all__ = ["command"]
-
 
 @click.command("maneuver")
 @click.argument("scenario")

@@ -5,8 +5,6 @@ import click
 from split_cli import __version__
 from split_cli.cli.main import COMMANDS, group
 
-__all__ = ["manual_page"]
-
 
 def manual_page() -> str:
     """Return the manual page as roff: ``split explain --man > split.1``."""

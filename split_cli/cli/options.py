@@ -11,13 +11,6 @@ import click
 
 from split_cli.cli.digits import Printed, plausible
 
-__all__ = [
-    "OutputPath",
-    "TimeSpan", "car_option", "engine_options", "existing_file", "grip_option", "held_option", "json_option",
-    "label_options", "list_of", "log_options", "output_option", "print_json", "print_table", "sensor_options",
-    "tell_next", "vehicle_option",
-]  # fmt: skip
-
 # Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
 existing_file = click.Path(path_type=Path, readable=False)
 

@@ -7,8 +7,6 @@ import click
 
 from split_cli.cli import options as shared
 
-__all__ = ["command"]
-
 _folder = click.Path(path_type=Path, file_okay=False)
 
 

@@ -7,8 +7,6 @@ from split_cli.cli.digits import three_digits
 from split_cli.cli.verbosity import StepBar, print_notes
 from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SHARE_STEP, SIZE
 
-__all__ = ["command"]
-
 
 @click.command("race")
 @shared.vehicle_option()

@@ -4,8 +4,6 @@ import click
 
 from split_cli.cli.main import COMMANDS, group
 
-__all__ = ["command_reference"]
-
 
 def command_reference() -> str:
     """Return docs/commands.md: the help of every command, in the order in which one uses them."""

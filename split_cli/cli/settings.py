@@ -9,8 +9,6 @@ import click
 
 from split_cli.errors import SplitError, nearest_names
 
-__all__ = ["default_options", "settings_files"]
-
 #: In the folder one works in.
 LOCAL = "split.yaml"
 

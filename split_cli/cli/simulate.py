@@ -5,8 +5,6 @@ import click
 from split_cli.cli.options import OutputPath, json_option, output_option, print_json, print_table
 from split_cli.cli.verbosity import print_notes
 
-__all__ = ["command"]
-
 
 @click.command("simulate")
 @click.option(

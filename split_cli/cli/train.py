@@ -6,8 +6,6 @@ from split_cli.cli import options as shared
 from split_cli.cli.digits import three_digits
 from split_cli.cli.verbosity import StepBar, print_notes
 
-__all__ = ["command"]
-
 
 @click.command("train")
 @click.argument("drives", nargs=-1, required=True, type=shared.existing_file, metavar="DRIVE|LABELS|FOLDER...")

@@ -14,8 +14,6 @@ import click
 
 from split_cli.errors import printable
 
-__all__ = ["Loud", "Quiet", "StepBar", "print_notes", "show_only"]
-
 _WIDTH = 20
 _COUNT = re.compile(r"\[(\d+)/(\d+)\] *")
 #: What of our own lines is news of a run that went well.

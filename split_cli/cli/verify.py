@@ -5,8 +5,6 @@ import click
 from split_cli.cli.options import existing_file, json_option, print_json, print_table
 from split_cli.errors import SplitError
 
-__all__ = ["command"]
-
 
 @click.command("verify")
 @click.argument("path", type=existing_file, metavar="FILE|FOLDER")

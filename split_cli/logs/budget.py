@@ -2,10 +2,6 @@
 
 from split_cli.errors import LogError
 
-__all__ = [
-    "LONGEST_NAME", "MOST_FIELDS", "Unfolded", "most_bytes_out", "refuse_many_columns", "refuse_unpacked_size",
-]  # fmt: skip
-
 ALWAYS = 64 << 20
 """What any source may unfold into [bytes]; judgement: one chunk of a recorder has 1 to 8 MB."""
 _MULTIPLE = 300

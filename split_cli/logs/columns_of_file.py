@@ -15,8 +15,6 @@ from split_cli.files import ScratchFolder
 from split_cli.logs.budget import refuse_many_columns
 from split_cli.signals import CHANNELS, convert_to_si, split_name_and_unit
 
-__all__ = ["ColumnsOfFile", "column_in_si", "columns_of_csv"]
-
 _BATCH = 2**16  # rows decoded at once
 #: A CSV of fewer bytes is read as a whole [bytes]: it has some 300,000 rows of 11 columns.
 SMALL_CSV = 2**25

@@ -12,11 +12,6 @@ import pyarrow.parquet
 from split_cli.errors import DriveError
 from split_cli.files import parse_json
 
-__all__ = [
-    "MEASURED_SIDESLIP", "OF_POSE", "DriveMetadata", "NoiseEstimate", "Source", "is_derived",
-    "metadata_from_schema", "metadata_of_drive", "schema_of",
-]  # fmt: skip
-
 _FORMAT = "split-drive/1"
 #: Words of a v_y that a measured side-slip angle gives.
 MEASURED_SIDESLIP = "the measured sideslip angle"

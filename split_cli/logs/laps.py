@@ -6,8 +6,6 @@ from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import AWAY, CLOSE_ANGLE, closing_distance
 
-__all__ = ["first_lap", "lap_numbers"]
-
 
 def first_lap(drive: Drive, wheelbase: float) -> slice:
     """Return the rows of the first lap, or all of a drive that has no laps; see `lap_numbers`."""

@@ -5,10 +5,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-__all__ = [
-    "CONVERSIONS", "EXTRA_UNITS", "ChannelMap", "Position", "SignalMap", "SignalSource", "TimeBase",
-]  # fmt: skip
-
 CONVERSIONS = ("yaw_from_quaternion", "local_x", "local_y", "norm", "pair_sum", "pair_mean", "signed")
 """What may be computed from several fields of one message, before scale, offset and unit."""
 

@@ -11,12 +11,6 @@ import numpy as np
 from split_cli.errors import LogError, nearest_names, printable
 from split_cli.signals import split_name_and_unit
 
-__all__ = [
-    "TIME_COLUMNS", "Clock", "LazyTableRecording", "RawChannelInfo", "RawRecording", "RawSignal", "ReadNote",
-    "TableRecording", "UniqueNames", "column_name_and_unit", "counts_rows", "nearest_column", "note_once",
-    "seconds_and_nanoseconds", "time_column", "turned", "unit_of_time",
-]  # fmt: skip
-
 TIME_COLUMNS = (
     "t", "time", "timestamp", "timestamps", "time_s", "time_sec", "t_s", "time_ms", "t_ms", "time_ns", "time_us",
     "timestamp_ns", "timestamp_us", "timestamp_ms", "elapsed_time", "sec", "seconds", "__time", "%time",

@@ -17,8 +17,6 @@ import numpy as np
 
 from split_cli.errors import LogError
 
-__all__ = ["LONG", "GrowingColumn", "GrowingSignal", "let_go", "mapped_file", "room", "set_aside"]
-
 LONG = 2**19
 """Values from which on a column is set aside [1]: 4 MB; shorter ones cost less in memory than in files."""
 PIECE = 2**18

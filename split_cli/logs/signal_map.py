@@ -18,8 +18,6 @@ from split_cli.logs.presets import preset_names, preset_path
 from split_cli.signals import CHANNELS, find_unit
 from split_cli.yaml_file import read_yaml_mapping
 
-__all__ = ["map_from_mapping", "read_map"]
-
 _MAP_KEYS = (
     "name", "about", "preset", "time", "frame", "world", "topics", "extras", "datum", "derivations", "despike",
     "kinds", "channels",

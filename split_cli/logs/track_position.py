@@ -7,10 +7,6 @@ import numpy as np
 
 from split_cli.logs.drive import Drive
 
-__all__ = [
-    "AWAY", "CLOSE_ANGLE", "TrackReference", "build_reference", "closing_distance", "places_of", "track_position",
-]  # fmt: skip
-
 #: How far the direction of travel may differ where a path closes [rad]; judgement.
 CLOSE_ANGLE = 0.35
 #: Times the closing distance that a car must have been away before it can come back [1]; judgement.

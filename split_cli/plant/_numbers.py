@@ -4,8 +4,6 @@ from collections import namedtuple
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 
-__all__ = ["as_numbers"]
-
 _CLASSES: dict[type, type] = {}
 
 

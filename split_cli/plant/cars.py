@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from split_cli.errors import SplitError, nearest_names
 from split_cli.plant.tire import TireParameters
 
-__all__ = ["CARS", "F1TENTH_CAR", "FORMULA_CAR", "GRAVITY", "ROAD_CAR", "CarParameters", "find_car"]
-
 GRAVITY = 9.80665
 
 

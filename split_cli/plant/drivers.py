@@ -17,10 +17,6 @@ from split_cli.plant.cars import GRAVITY, CarParameters
 from split_cli.plant.tire import tire_force
 from split_cli.plant.tracks import Track
 
-__all__ = [
-    "DRIVER_STYLES", "DriverStyle", "Grip", "SpeedProfile", "find_driver", "grip_of", "speed_profile",
-]  # fmt: skip
-
 _DriverTables = namedtuple(
     "_DriverTables",
     "preview_time turn_in_time slip_difference lateral_spacing downforce calm_speed yaw_gain slip_angle_limit "

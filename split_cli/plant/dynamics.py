@@ -28,8 +28,6 @@ from split_cli.plant import _compiled
 from split_cli.plant._numbers import as_numbers
 from split_cli.plant.cars import CarParameters
 
-__all__ = ["OUTPUT_NAMES", "STATE_NAMES", "Outputs", "Surroundings", "advance", "outputs_from", "state_rate"]
-
 _CORNERS = ("fl", "fr", "rl", "rr")
 STATE_NAMES = (
     "X", "Y", "yaw", "vx", "vy", "r",

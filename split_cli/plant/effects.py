@@ -12,8 +12,6 @@ from split_cli.plant.road import Road
 from split_cli.plant.sensors import SensorSpec
 from split_cli.plant.tire import TireParameters
 
-__all__ = ["EFFECTS", "Bounds", "Effect", "EffectKind", "Setting", "apply_effects", "parse_effect"]
-
 _PLACES = 512
 
 

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 from split_cli.errors import SplitError
 
-__all__ = ["SOUND", "Faults"]
-
 
 @dataclass(frozen=True)
 class Faults:

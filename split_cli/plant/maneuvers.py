@@ -16,8 +16,6 @@ from split_cli.plant.road import Road
 from split_cli.plant.simulation import CONTROL_PERIOD, Script, Trajectory, drive_script
 from split_cli.plant.tracks import Track, circle
 
-__all__ = ["CALIBRATION_TESTS", "MANEUVER_NAMES", "Maneuver", "build_maneuver", "run_maneuver"]
-
 CALIBRATION_TESTS = (
     "coast_down", "throttle_steps", "brake_steps", "constant_radius", "constant_radius_right", "sine_sweep",
     "step_steer",

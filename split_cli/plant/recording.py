@@ -16,8 +16,6 @@ from split_cli.plant.ros_messages import TOPICS, Topic, definition
 from split_cli.plant.sensors import Reading
 from split_cli.signals import find_unit
 
-__all__ = ["EPOCH", "TABLE_CHANNELS", "write_csv", "write_mcap", "write_parquet"]
-
 #: Seconds since 1970 of a run's time 0 [s].
 EPOCH = 1_700_000_000
 """When every simulated drive begins, seconds since 1970: fixed, so that equal seeds give equal files [s]."""

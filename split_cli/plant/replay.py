@@ -9,8 +9,6 @@ from split_cli.plant.cars import CarParameters
 from split_cli.plant.road import Road
 from split_cli.plant.simulation import CONTROL_PERIOD, STEP, Trajectory
 
-__all__ = ["predict", "recorded_motion"]
-
 
 def recorded_motion(run: Trajectory) -> np.ndarray:
     """Return X, Y, yaw, v_x, v_y, r of a run at its sample instants, shape (N, 6)."""

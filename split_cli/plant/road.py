@@ -7,8 +7,6 @@ import numpy as np
 
 from split_cli.errors import SplitError
 
-__all__ = ["Road"]
-
 _RoadTables = namedtuple(
     "_RoadTables", "spacing closed friction grade bank time_spacing grip wind_x wind_y"
 )  # fmt: skip

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["TOPICS", "Topic"]
-
 _HEADER = """std_msgs/Header header
 """
 _PARTS = {

@@ -8,8 +8,6 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.plant.simulation import Trajectory, commands_at
 
-__all__ = ["ChannelSpec", "Reading", "SensorSpec", "lean", "measure", "perfect", "sensors_of"]
-
 
 @dataclass(frozen=True)
 class ChannelSpec:

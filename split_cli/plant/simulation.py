@@ -22,8 +22,6 @@ from split_cli.plant.faults import SOUND, Faults
 from split_cli.plant.road import Road
 from split_cli.plant.tracks import Track
 
-__all__ = ["Script", "Trajectory", "commands_at", "drive_laps", "drive_script", "initial_state"]
-
 STEP = 1e-3
 CONTROL_PERIOD = 0.02
 

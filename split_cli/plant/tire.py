@@ -7,8 +7,6 @@ import numpy as np
 from split_cli.plant._compiled import tire_force_many
 from split_cli.plant._numbers import as_numbers
 
-__all__ = ["TireParameters", "tire_force"]
-
 
 @dataclass(frozen=True)
 class TireParameters:

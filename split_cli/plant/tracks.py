@@ -8,8 +8,6 @@ from scipy.interpolate import make_interp_spline
 
 from split_cli.errors import SplitError, nearest_names
 
-__all__ = ["TRACK_NAMES", "Track", "circle", "find_track"]
-
 
 @dataclass(frozen=True)
 class Track:

@@ -14,8 +14,6 @@ from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["draw_accelerations", "specific_forces"]
-
 _MOST_POINTS = 6000
 #: Reasons that say something of the driving; samples in gaps or without numbers have no place in the plane.
 _SHOWN = (Reason.ACCEPTED, Reason.SPEED, Reason.SLIP, Reason.SLIP_DIFFERENCE, Reason.ELLIPSE, Reason.GRID)

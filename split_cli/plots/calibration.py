@@ -11,8 +11,6 @@ from split_cli.files import atomic_path, refuse_what_cannot_be_written
 from split_cli.vehicle.calibration.calibrate import Calibration
 from split_cli.vehicle.calibration.curve import ForceCurve
 
-__all__ = ["check_figure_path", "plot_calibration"]
-
 _SHOWN_SAMPLES = 4000
 _FORMATS = ("png", "svg", "pdf")
 

@@ -7,8 +7,6 @@ import numpy as np
 
 from split_cli.plots.palette import ROLES
 
-__all__ = ["Band", "Chart", "ChartLine", "thinned"]
-
 MOST_POINTS = 2400
 
 

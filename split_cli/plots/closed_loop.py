@@ -9,10 +9,6 @@ from matplotlib.patches import Circle
 
 from split_cli.plots.style import PALETTE, STATES, new_figure, quiet
 
-__all__ = [
-    "ManeuverPicture", "RacePicture", "draw_best_laps", "draw_lap_times", "draw_learning", "draw_maneuvers",
-]  # fmt: skip
-
 _GRAVITY = 9.80665
 
 

@@ -13,8 +13,6 @@ from split_cli.diagnosis.statement.sentences import gap_left, unexplained_part
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.plots.style import EMPTY, LABEL_UNITS, PALETTE, STATES, new_figure, quiet
 
-__all__ = ["diagnosis_figures", "draw_help", "draw_what", "draw_where", "gap_map"]
-
 _FORCES = ("longitudinal", "front lateral", "rear lateral")
 _BEFORE, _AFTER, _NEUTRAL, _BOTH = PALETTE[0], PALETTE[1], "0.45", PALETTE[2]
 _STAGES = (

@@ -9,8 +9,6 @@ from split_cli.plots.chart import Chart, ChartLine
 from split_cli.plots.palette import DASHED, LIGHT
 from split_cli.plots.style import quiet
 
-__all__ = ["draw_chart"]
-
 
 def draw_chart(chart: Chart, *, other_x: bool = False, axes: Axes | None = None) -> Figure:
     """Return a chart as a matplotlib figure.

@@ -18,8 +18,6 @@ from split_cli.plots.style import save
 from split_cli.plots.time_series import draw_error_over_time
 from split_cli.scoring.run import EvaluationRun
 
-__all__ = ["FigureFiles", "draw_figures", "write_figures"]
-
 _NO_PREDICTIONS = "this protocol scores no predictor on held-out time"
 
 

@@ -15,8 +15,6 @@ from split_cli.plots.style import EMPTY, LABEL_UNITS, STATES, new_figure
 from split_cli.prediction.full import FullPredictor
 from split_cli.scoring.evaluation import HeldOutSamples
 
-__all__ = ["CellMap", "coverage_maps", "draw_coverage", "draw_labels", "label_maps"]
-
 _SLICES = 4
 #: Where the deviation left is over this share of the prior's, the mean says nothing.
 _UNKNOWN = 0.8

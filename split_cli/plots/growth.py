@@ -8,8 +8,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.plots.style import PALETTE, legend_below, new_figure, quiet
 from split_cli.scoring.run import EvaluationRun
 
-__all__ = ["draw_growth", "kept_over_time"]
-
 
 def kept_over_time(trained: TrainingSet) -> tuple[np.ndarray, np.ndarray]:
     """Return driving time at which each point kept was met [s], ascending, and the number met by then.

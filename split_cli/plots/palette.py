@@ -3,8 +3,6 @@
 `tests/plots/test_palette.py` computes the distances under simulated deficiencies and the contrast with the paper.
 """
 
-__all__ = ["DARK", "DASHED", "LIGHT", "PAPER", "ROLES"]
-
 #: What a series is, in the order in which colours are handed out to further ones.
 ROLES = ("measured", "simulated", "corrected", "learned", "nominal", "other")
 LIGHT = dict(zip(ROLES, ("#1b1f27", "#169ae9", "#ba7c3b", "#167b52", "#6d26eb", "#cb4293"), strict=True))

@@ -6,8 +6,6 @@ from matplotlib.figure import Figure
 from split_cli.plots.style import PALETTE, STATES, headed, legend_below, line_styles, new_figure, quiet
 from split_cli.scoring.run import EvaluationRun
 
-__all__ = ["draw_reliability"]
-
 
 def draw_reliability(run: EvaluationRun) -> Figure:
     """Draw observed against promised coverage of central intervals, a panel a state."""

@@ -7,8 +7,6 @@ from split_cli.plots.style import STATES, headed, legend_below, line_styles, mod
 from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.run import EvaluationRun
 
-__all__ = ["draw_rollouts"]
-
 _PANELS = ("$v_x$ [m/s]", "$v_y$ [m/s]", "$r$ [rad/s]", "position [m]")
 
 

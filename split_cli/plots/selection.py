@@ -8,8 +8,6 @@ from split_cli.files import atomic_directory
 from split_cli.plots.style import PALETTE, new_figure, quiet, save
 from split_cli.scoring.selection import SetSelection
 
-__all__ = ["draw_selection", "write_selection"]
-
 _NAME = "selection.png"
 
 

@@ -8,8 +8,6 @@ from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.report import SizeScore
 from split_cli.scoring.run import EvaluationRun
 
-__all__ = ["draw_sizes"]
-
 _MARKERS = "osD^vP"
 
 

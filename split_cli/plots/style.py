@@ -9,11 +9,6 @@ from matplotlib.figure import Figure
 
 from split_cli.scoring.evaluation import LABEL_PERSISTENCE, NOMINAL, VELOCITY_PERSISTENCE
 
-__all__ = [
-    "EMPTY", "HELD_OUT", "LABEL_UNITS", "PALETTE", "STATES", "headed", "legend_below", "line_styles",
-    "model_name", "new_figure", "quiet", "save",
-]  # fmt: skip
-
 #: Okabe and Ito (2008), which the common forms of colour blindness can tell apart.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 #: Cells in which nothing is known, and the ground of held-out time.

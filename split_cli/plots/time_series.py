@@ -16,8 +16,6 @@ from split_cli.plots.style import (
 )
 from split_cli.scoring.run import EvaluationRun, Trace
 
-__all__ = ["draw_error_over_time"]
-
 _CLOSE_UP = 12.0
 _TWO_SIDED_95 = 1.959964
 

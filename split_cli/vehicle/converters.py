@@ -17,8 +17,6 @@ from split_cli.vehicle.parameters import Vehicle, vehicle_from_mapping
 from split_cli.vehicle.tire import MagicFormula, lateral_force
 from split_cli.yaml_file import read_yaml_mapping
 
-__all__ = ["Conversion", "TireConversion", "convert_parameters", "fit_magic_formula", "full_magic_formula"]
-
 _GRAVITY = 9.81  # what these projects' models use, so that their forces come out the same
 _ASSUMED_C = 1.4
 _WRAPPERS = ("vehicle_params", "params", "vehicle", "ros__parameters", "bridge", "car", "vehicle_model")

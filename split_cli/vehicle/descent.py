@@ -6,8 +6,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-__all__ = ["Descent", "Slopes", "descend"]
-
 State = TypeVar("State")
 
 _FIRST_DAMPING, _LEAST_DAMPING, _FALL, _RISE = 1e-3, 1e-6, 5.0, 8.0

@@ -7,8 +7,6 @@ from typing import Any, Protocol
 from split_cli.vehicle.operations import Operations
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["AxleFlow", "Flow", "FlowTerm"]
-
 
 @dataclass
 class AxleFlow:

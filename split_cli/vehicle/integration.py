@@ -11,13 +11,6 @@ import numpy as np
 from split_cli.errors import VehicleError
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = [
-    "Situation",
-    "integrate_recorded",
-    "integrate_with_memory",
-    "phi_matrix",
-]
-
 _TAYLOR_TERMS = 13
 _MOST_SUBSTEPS = 1_000
 _TOP_SPEED = 150.0

@@ -8,8 +8,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-__all__ = ["NUMPY", "NumpyOperations", "Operations"]
-
 
 class Operations(Protocol):
     """Elementwise operations on whatever array or symbol the implementation uses."""

@@ -12,8 +12,6 @@ from split_cli.vehicle.converters import full_magic_formula
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula, lateral_force
 
-__all__ = ["KINDS", "ForeignParameters", "foreign_parameters"]
-
 _GRAVITY = 9.81  # as in `converters`, so that forces come out the same
 
 

@@ -20,11 +20,6 @@ from split_cli.vehicle.library import library_names, library_path
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.yaml_file import read_yaml_mapping
 
-__all__ = [
-    "EffectSpec", "Vehicle", "physics_as_written", "read_vehicle", "vehicle_file", "vehicle_from_mapping",
-    "vehicle_to_mapping", "write_vehicle",
-]  # fmt: skip
-
 VALUE_SOURCES = ("published", "assumed", "calibrated")
 
 

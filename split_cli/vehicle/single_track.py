@@ -15,8 +15,6 @@ from split_cli.vehicle.operations import NUMPY, Operations
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force, lateral_force_slope
 
-__all__ = ["SingleTrack", "same_curve", "slip_angles"]
-
 #: v_x', v_y', r': arrays or symbols.
 Rates = tuple[Any, Any, Any]
 

@@ -5,8 +5,6 @@ from typing import Any
 
 from split_cli.vehicle.operations import NUMPY, Operations
 
-__all__ = ["MagicFormula", "lateral_force", "lateral_force_slope"]
-
 
 @dataclass(frozen=True)
 class MagicFormula:

@@ -11,8 +11,6 @@ from split_cli.vehicle.effects.recording import Recording, over_samples
 from split_cli.vehicle.integration import NOWHERE, Situation, integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["RecordedInputs", "Windows", "recorded_inputs", "substep_count"]
-
 #: RK4 substeps a sample at most [1]: what needs more stands still or leaves the finite numbers.
 _MOST_SUBSTEPS = 1_000
 

@@ -16,8 +16,6 @@ from split_cli.vehicle.converters import Conversion, convert_parameters
 from split_cli.vehicle.parameter_export import ForeignParameters, foreign_parameters
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 
-__all__ = ["DriveUse", "calibrate_files", "convert_files", "motion_runs", "write_foreign"]
-
 
 @dataclass(frozen=True)
 class DriveUse:

@@ -18,8 +18,6 @@ from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.recordings import RecordingCorrection
 
-__all__ = ["ComparedModel", "ModelComparison", "compare_files", "compare_models", "read_model"]
-
 STEP = 0.05
 _VELOCITIES = ("vx", "vy", "r")
 

@@ -20,8 +20,6 @@ from split_cli.workflows.pictures import gathered
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.comparison import comparison_page
 
-__all__ = ["write_comparison"]
-
 _SHOWN = 4
 _COLUMNS = (
     "drive", "model", "horizon_s", "state", "unit", "rmse", "low_95", "high_95", "fit_percent", "skill", "to_best",

@@ -8,8 +8,6 @@ from pathlib import Path
 
 from split_cli.errors import SplitError
 
-__all__ = ["DemoStep", "closing_words", "demo_steps", "find_samples"]
-
 TRAINING_LOG = "road_handling_moderate.mcap"
 HELD_OUT_LOG = "road_handling_aggressive.mcap"
 VEHICLE = "road_car.yaml"

@@ -25,11 +25,6 @@ from split_cli.workflows.pictures import diagnosis_charts
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 from split_cli.workflows.report.page import report_page
 
-__all__ = [
-    "FIGURES", "IMPROVEMENT_COLUMNS", "STAGES", "corrected_vehicle", "diagnose_files", "improvement_rows",
-    "read_and_diagnose", "write_diagnosis",
-]  # fmt: skip
-
 #: What may lie in the folder ``figures``.
 FIGURES = frozenset({"where.png", "what.png", "help.png", "help.csv"})
 _UNJUDGED = "Not judged: no held-out time to compare it with the vehicle given."

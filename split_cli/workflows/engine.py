@@ -18,8 +18,6 @@ from typing import Any, TypeVar
 from split_cli.diagnosis.parallel import cores, use_threads
 from split_cli.errors import SplitError
 
-__all__ = ["HERE", "Engine", "open_engine"]
-
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 _AHEAD = 2

@@ -54,8 +54,6 @@ from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.evaluation_notes import drive_facts, left_out, notes_of, own_sets, same_interval
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
-__all__ = ["PLAIN", "evaluate", "evaluate_files"]
-
 #: Marks a predictor whose whole correction is applied, beside one that is trusted in part.
 PLAIN = ", full trust"
 #: Marks a predictor that is trusted, at each moment, as far as the drive until then supports.

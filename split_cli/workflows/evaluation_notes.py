@@ -15,8 +15,6 @@ from split_cli.scoring.vehicle_match import share_beyond
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
 
-__all__ = ["drive_facts", "left_out", "notes_of", "own_sets", "same_interval"]
-
 
 def same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
     """Tell whether a drive's label interval is the first drive's, so that rollouts of both have the same steps."""

@@ -12,8 +12,6 @@ from split_cli.learning.hyperparameters import FEWEST_TO_FIT
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.prediction import DEFAULT_PREDICTOR
 
-__all__ = ["ExportResult", "export_doubts", "export_set"]
-
 
 @dataclass(frozen=True)
 class ExportResult:

@@ -10,8 +10,6 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.files import parse_json, refuse_no_regular_file
 
-__all__ = ["FileDescription", "describe_file"]
-
 
 @dataclass(frozen=True)
 class FileDescription:

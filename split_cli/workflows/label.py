@@ -20,8 +20,6 @@ from split_cli.workflows.engine import Engine
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.sources import find_sources
 
-__all__ = ["LabelResult", "drive_notes", "label_drive", "label_drives"]
-
 
 @dataclass(frozen=True)
 class LabelResult:

@@ -25,8 +25,6 @@ from split_cli.prediction import DEFAULT_PREDICTOR, make_predictor
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.workflows.recordings import RecordingCorrection
 
-__all__ = ["diagnosis_charts", "gathered", "recording_charts"]
-
 #: A picture needs no more labels than this to show what is learned.
 _MOST_LEARNED = 1500
 _FOUND = "with the identified effects"

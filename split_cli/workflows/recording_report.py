@@ -11,8 +11,6 @@ from split_cli.workflows.pictures import recording_charts
 from split_cli.workflows.report.evaluation import evaluation_page
 from split_cli.workflows.report.recording import recording_page
 
-__all__ = ["write_evaluation", "write_recording_report"]
-
 
 def write_recording_report(drive: Drive, vehicle_path: str | Path | None, path: str | Path) -> None:
     """Write the page of a drive, beside the model of a vehicle file where one is given.

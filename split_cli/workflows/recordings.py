@@ -11,8 +11,6 @@ from split_cli.scoring.vehicle_match import belonging
 from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["RecordingCorrection", "vehicle_doubts"]
-
 
 class RecordingCorrection:
     """What a vehicle's effects mean for recordings of it.

@@ -20,8 +20,6 @@ from split_cli.plant.sensors import ChannelSpec, Reading, SensorSpec, lean, meas
 from split_cli.plant.simulation import Trajectory, drive_laps
 from split_cli.plant.tracks import find_track
 
-__all__ = ["SimulateSettings", "SimulatedLog", "effect_kinds", "simulate_log", "truth_drive"]
-
 FORMATS = ("mcap", "csv", "parquet")
 INSTRUMENTS = ("full", "lean", "perfect")
 TABLE_RATE = 100.0

@@ -16,16 +16,6 @@ from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.logs.readers.numpy_arrays import is_array_folder
 from split_cli.logs.readers.opening import is_prose
 
-__all__ = [
-    "DRIVE_SUFFIXES",
-    "LOG_SUFFIXES",
-    "SourceFile",
-    "find_sources",
-    "is_remote",
-    "left_alone",
-    "local_drives",
-]
-
 LOG_SUFFIXES = (
     ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".mdf", ".blf",
     ".asc", ".trc", ".jsonl", ".ascii", ".lvm", ".tsv", ".arrow", ".mcap.zstd", ".db3.zstd", ".npz", ".ibt",

@@ -40,8 +40,6 @@ from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Assembled", "IngestSettings", "assemble_drive"]
-
 _USUAL_GAP = 0.1
 """Longest step that is interpolated unless said otherwise [s]."""
 MOST_CHECKED = 2**20

@@ -11,11 +11,6 @@ from split_cli.logs.checking.plausible import is_damaged
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS
 
-__all__ = [
-    "CleanSeries", "Drop", "clean_series", "clock_resets", "isolated_spikes", "join_clock_resets",
-    "longest_repeat", "newest_first",
-]  # fmt: skip
-
 _RESET_WINDOW = 10
 _BACK_SHARE = 0.05
 """Of a clock's stamps that may lie far before the one before [1]; judgement: two clocks by turns make a half."""

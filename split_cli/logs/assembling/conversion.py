@@ -11,8 +11,6 @@ from split_cli.logs.raw import RawSignal
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
-__all__ = ["ConversionNotes", "Converter", "RawSeries", "expected_unit"]
-
 
 @dataclass(frozen=True)
 class RawSeries:

@@ -12,8 +12,6 @@ import numpy as np
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["TOGETHER", "TOLERANCE", "LateralVelocity", "lateral_velocity_from_accelerations"]
-
 TOLERANCE = 0.02
 """Of the direction of the velocity [rad], one standard deviation: the edge of a slip angle's cell. A sample
 that is less sure would teach another cell."""

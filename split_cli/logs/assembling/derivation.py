@@ -9,8 +9,6 @@ import numpy as np
 from split_cli.errors import MapError
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Derivation", "DerivationInputs", "Derived"]
-
 
 @dataclass(frozen=True)
 class Derived:

@@ -7,9 +7,6 @@ from split_cli.logs.assembling.derivation import Derivation
 from split_cli.logs.assembling.derived_motion import MOTIONS
 from split_cli.logs.assembling.derived_torque import TORQUES
 
-__all__ = ["DERIVATIONS", "derivation_named", "derivations_for", "reachable"]
-
-
 DERIVATIONS: dict[str, Derivation] = {entry.name: entry for entry in (*MOTIONS, *TORQUES)}
 """In the order in which they run: velocities before what needs them."""
 

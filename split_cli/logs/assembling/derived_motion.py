@@ -10,8 +10,6 @@ from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE
 
-__all__ = ["MOTIONS", "velocity_from_pose"]
-
 
 def velocity_from_pose(
     X: np.ndarray, Y: np.ndarray, yaw: np.ndarray, period: float, segments: list[slice]

@@ -11,13 +11,6 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 from split_cli.vehicle.tire import lateral_force
 
-__all__ = [
-    "TORQUES",
-    "torque_from_acceleration",
-    "torque_from_current",
-    "torque_from_throttle_and_brake",
-]
-
 
 def torque_from_acceleration(
     ax: np.ndarray, vx: np.ndarray, vy: np.ndarray, r: np.ndarray, delta: np.ndarray, vehicle: Vehicle

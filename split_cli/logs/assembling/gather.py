@@ -20,8 +20,6 @@ from split_cli.logs.scratch import set_aside
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import CHANNELS, convert_to_si, find_unit
 
-__all__ = ["Gathered", "fitting_presets", "gather", "row_rate_from_path", "row_rate_from_yaw", "topic_of"]
-
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SLOWEST = 2.0
 """Step of a table's rows from which on a wrong unit of time is likelier than so slow a recording [s]."""

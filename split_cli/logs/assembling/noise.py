@@ -6,8 +6,6 @@ import numpy as np
 
 from split_cli.logs.drive import NoiseEstimate
 
-__all__ = ["difference_noise", "estimate_noise", "sum_of_noise"]
-
 _ORDERS = (3, 4, 5, 6)
 _PIECE = 2**18  # steps
 

@@ -14,8 +14,6 @@ from split_cli.logs.map_entries import ChannelMap, Position
 from split_cli.logs.scratch import set_aside
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["move_to_cg"]
-
 
 def _place(position: Position, vehicle: Vehicle | None) -> tuple[float, float]:
     if position.axle == "cg":

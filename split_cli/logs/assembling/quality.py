@@ -12,10 +12,6 @@ from split_cli.logs.checking.delay import DelayEstimate
 from split_cli.logs.map_entries import EXTRA_UNITS
 from split_cli.signals import CHANNELS
 
-__all__ = [
-    "ChannelQuality", "QualityReport", "render_quality", "source_quality", "stored_faults", "stored_findings",
-]  # fmt: skip
-
 _KNOWN = {*CHANNELS, *EXTRA_UNITS}
 _MOST_ROWS = 12
 """Of the table, for columns that no command knows: CarSim writes 700, and what follows would be out of sight."""

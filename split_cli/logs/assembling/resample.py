@@ -7,11 +7,6 @@ import numpy as np
 
 from split_cli.logs.scratch import let_go, room, set_aside
 
-__all__ = [
-    "Resampled", "SampleClock", "is_sampled_and_held", "make_grid", "resample_held", "resample_together",
-    "runs_of",
-]  # fmt: skip
-
 HIGHEST_RATE = 100.0
 """Of a drive [Hz], unless the user asks for more."""
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["derivative", "smooth"]
-
 
 def smooth(values: np.ndarray) -> np.ndarray:
     """Smooth evenly spaced noisy samples by penalising third differences, shape (N,).

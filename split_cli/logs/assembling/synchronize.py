@@ -25,12 +25,6 @@ from split_cli.logs.map_entries import ChannelMap
 from split_cli.logs.scratch import let_go, set_aside
 from split_cli.signals import CHANNELS
 
-__all__ = [
-    "SLOWEST_PERIOD", "Channels", "bring_to_clock", "clean_channels", "judge_sources", "lay_grid", "moved_earlier",
-    "resample_channels", "slices_of", "sum_sources", "without_missing",
-]  # fmt: skip
-
-
 SLOWEST_PERIOD = 0.125
 """Of a needed channel that is bridged over two and a half samples unasked [s]: 10 Hz, the rate of satellite
 receivers and of many loggers, with a quarter for jitter. What is slower misses the car's own motion."""

@@ -2,11 +2,6 @@
 
 import numpy as np
 
-__all__ = [
-    "acceleration_at_cg", "frame_sign", "local_tangent_plane", "position_of_cg", "signed", "velocity_at_cg",
-    "yaw_from_ned", "yaw_from_quaternion",
-]  # fmt: skip
-
 _FLIPPED_IN_FRD = frozenset({"vy", "r", "ay", "delta", "delta_command", "steering_wheel_angle", "sideslip"})
 
 # WGS 84.

@@ -10,8 +10,6 @@ from split_cli.errors import MapError
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.scratch import set_aside
 
-__all__ = ["trim"]
-
 
 def trim(
     series: Mapping[str, Sequence[RawSeries]],

@@ -23,8 +23,6 @@ from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["ACROSS", "Checks", "Unjudged"]
-
 LEAST_CORRELATION = 0.8
 """Below it two signals that should be equal say nothing about a factor."""
 _STRAIGHT_SECONDS = 3.0

@@ -10,8 +10,6 @@ from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
 
-__all__ = ["copied_channels", "without_copies"]
-
 _LEFT = 1e-4
 """Share of a channel's variation that a copy leaves [1]; the noise of any sensor leaves more."""
 _LEFT_BY_FORMULA = 2e-3

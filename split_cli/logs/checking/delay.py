@@ -11,8 +11,6 @@ from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.lag import LagFit, fit_lag, is_sure
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["DelayEstimate", "estimate_delays"]
-
 _WIDTH = 0.12
 _COURSE_WIDTH = 0.5
 _REFERENCE = "vx"

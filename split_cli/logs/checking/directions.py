@@ -6,8 +6,6 @@ from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks
 from split_cli.logs.checking.kinematics import Slope, fit_slope
 from split_cli.logs.checking.relations import ConsistencyFinding
 
-__all__ = ["along_the_world", "exchanged_accelerations", "look_swapped", "swap_finding"]
-
 _SIDESLIP = 0.95
 """Mean cosine of the direction of (v_x, v_y), above which it may be sideslip: 18 degrees rms."""
 

@@ -19,8 +19,6 @@ from split_cli.logs.checking.relations import (
 from split_cli.logs.checking.wording import tell
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Explanation", "explain"]
-
 _EDGE = 2.0
 """Cost of a ratio at the edge of its tolerance, two standard deviations; beyond it nothing is accounted for."""
 _RIVAL = 1.5

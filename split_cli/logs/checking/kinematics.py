@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Kinematics", "Slope", "around_mean", "block_interval", "fit_slope", "median_of", "scaled_parts"]
-
 _BLOCKS = 10
 _MOST_SAMPLES = 50_000
 

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["LagFit", "fit_lag", "is_sure"]
-
 LONGEST_DELAY = 1.5
 """Searched on both sides [s]."""
 

@@ -15,8 +15,6 @@ from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["late_channels"]
-
 _LATE = 0.08
 """Delay from which on it is told [s]: twice what filters of usual sensors, and their clocks, differ by."""
 _SURE = 6.0

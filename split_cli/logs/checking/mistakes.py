@@ -6,8 +6,6 @@ import numpy as np
 
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["COMMON", "DOUBLE", "RARE", "Mistake", "known_mistakes"]
-
 DEGREES = 180.0 / np.pi
 STANDARD_GRAVITY = 9.80665
 

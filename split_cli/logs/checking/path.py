@@ -6,8 +6,6 @@ from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks, Unjudged
 from split_cli.logs.checking.kinematics import Kinematics, around_mean, block_interval, fit_slope
 from split_cli.logs.checking.relations import ConsistencyFinding
 
-__all__ = ["direction_of_travel", "velocity_across", "velocity_along", "yaw_is_course"]
-
 _LEAST_DIRECTION = 0.05
 """Smaller errors of a direction are those of an ordinary pose [rad]; judgement."""
 _SURELY, _LEAST_ZERO = 3.0, 0.005

@@ -6,8 +6,6 @@ from split_cli.logs.checking.checks import Checks, Unjudged
 from split_cli.logs.checking.kinematics import block_interval
 from split_cli.logs.checking.relations import ConsistencyFinding
 
-__all__ = ["behind_the_accelerometer"]
-
 _SURE = 4.0
 """Standard errors from which on a place differs from another [1]."""
 _FAR_BETTER = 0.25

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["DAMAGED", "NO_CAR_EXCEEDS", "is_damaged", "reach_of"]
-
 NO_CAR_EXCEEDS = {
     "vx": (130.0, "m/s"),
     "r": (15.0, "rad/s"),

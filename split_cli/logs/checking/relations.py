@@ -8,8 +8,6 @@ import numpy as np
 from split_cli.logs.checking.kinematics import Slope
 from split_cli.logs.checking.mistakes import Mistake
 
-__all__ = ["OF_THE_BODY", "SHARED", "UNKNOWN", "ConsistencyFinding", "Leaf", "Plausible", "Relation", "Story"]
-
 UNKNOWN = 8.0
 """Cost of a factor that no known mistake gives: dearer than one of unit and sign at the edge of the tolerance."""
 _BEYOND_PHYSICS = 4.0

@@ -6,8 +6,6 @@ from split_cli.logs.checking.kinematics import Kinematics, median_of
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["steering_zero"]
-
 _CROOKED = 0.015
 """Road-wheel angle on straights that is no play of the steering [rad]: 13 deg of a steering wheel."""
 _OTHER_HAND = 0.2

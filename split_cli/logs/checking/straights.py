@@ -11,8 +11,6 @@ import numpy as np
 
 from split_cli.logs.checking.kinematics import Kinematics
 
-__all__ = ["Direction", "Stretch", "course_of", "straight_rows", "straight_stretches"]
-
 _STRAIGHT_LATERAL = 0.3
 """Of v_x r [m/s^2]: a thirtieth of what tyres carry, whose slip angle is then a few milliradians."""
 SHORTEST = 0.8

@@ -6,8 +6,6 @@ import numpy as np
 
 from split_cli.logs.checking.kinematics import Kinematics, fit_slope
 
-__all__ = ["AXLES", "without_turning"]
-
 AXLES = (("wheel_speed_fl", "wheel_speed_fr"), ("wheel_speed_rl", "wheel_speed_rr"))
 """Left and right wheel of each axle."""
 _SIDES_APART = 0.25

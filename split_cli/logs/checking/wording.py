@@ -8,8 +8,6 @@ import numpy as np
 from split_cli.logs.checking.mistakes import COMMON, OTHER_RADIUS, Mistake, known_mistakes
 from split_cli.logs.checking.relations import OF_THE_BODY, ConsistencyFinding, Leaf, Plausible, Relation, Story
 
-__all__ = ["tell"]
-
 _ALIKE = 1.01
 """Largest ratio of two wheels' factors that are one [1]: tyres of one car wear by less."""
 

@@ -14,8 +14,6 @@ from split_cli.scoring.rollouts import Correction
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["FREE_SECONDS", "Subject", "drive_charts", "track_chart"]
-
 #: A model runs freely for so long before it is set back to the recording [s].
 FREE_SECONDS = 2.0
 _CHANNELS = (

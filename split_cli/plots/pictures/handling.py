@@ -10,8 +10,6 @@ from split_cli.scoring.handling.steering_response import steering_response
 from split_cli.scoring.handling.understeer import DEG_PER_G, Understeer, understeer_of
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["handling_charts", "understeer_words"]
-
 _MOST_DOTS = 700
 
 

@@ -9,8 +9,6 @@ from split_cli.plots.chart import Band, Chart, ChartLine
 from split_cli.scoring.evaluation import NOMINAL, ScoreTally, predictor_names
 from split_cli.scoring.handling.whiteness import autocorrelation
 
-__all__ = ["coverage_charts", "whiteness_chart"]
-
 _STATES = ("v_x", "v_y", "r")
 _LAGS = 20
 

@@ -13,8 +13,6 @@ from split_cli.scoring.handling.axles import AxleForces, axle_forces, binned, fo
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force
 
-__all__ = ["LearnedForces", "tire_charts"]
-
 _MOST_DOTS = 1500
 _BINS = 28
 _TWO_SIDED_95 = 1.959964

@@ -19,8 +19,6 @@ from split_cli.vehicle.calibration.turning import (
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula, lateral_force
 
-__all__ = ["PARTS", "Calibration", "CalibrationSettings", "calibrate_vehicle"]
-
 _OPEN_SLOPE = 0.25
 PARTS = ("tires", "drag", "rolling", "splits", "inertia")
 

@@ -11,8 +11,6 @@ from split_cli.errors import VehicleError
 from split_cli.vehicle.calibration.least_squares import LeastSquaresFit, block_weights, solve
 from split_cli.vehicle.tire import MagicFormula, lateral_force, lateral_force_slope
 
-__all__ = ["ForceCurve", "HeldOutError", "fit_force_curve"]
-
 _C_BOUNDS = (1.0, 1.95)
 _FOLDS = 5
 _PROFILE_POINTS = 25

@@ -7,8 +7,6 @@ import numpy as np
 
 from split_cli.vehicle.descent import Slopes, descend
 
-__all__ = ["LeastSquaresFit", "block_weights", "robust_scale", "solve"]
-
 Residual = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """parameters (P,) to residuals (M,) and their Jacobian (M, P)."""
 

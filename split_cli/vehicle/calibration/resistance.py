@@ -10,8 +10,6 @@ from split_cli.vehicle.calibration.least_squares import LeastSquaresFit, solve
 from split_cli.vehicle.calibration.samples import MotionSamples, front_longitudinal_force
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["Resistance", "fit_resistance"]
-
 _FOLDS = 5
 _MINIMUM_BLOCKS = 6
 

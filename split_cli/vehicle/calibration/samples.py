@@ -11,9 +11,6 @@ from split_cli.errors import VehicleError
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 
-__all__ = ["MotionRun", "MotionSamples", "axle_lateral_forces", "front_longitudinal_force", "motion_samples"]
-
-
 _BLOCK_SECONDS = 5.0  # of a block of time
 
 

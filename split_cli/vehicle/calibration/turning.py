@@ -10,8 +10,6 @@ from split_cli.vehicle.calibration.samples import MotionSamples, axle_lateral_fo
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula, lateral_force, lateral_force_slope
 
-__all__ = ["IntervalEstimate", "estimate_splits", "estimate_yaw_inertia", "with_estimates"]
-
 
 @dataclass(frozen=True)
 class IntervalEstimate:

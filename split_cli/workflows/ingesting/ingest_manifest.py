@@ -17,8 +17,6 @@ from split_cli.logs.assembling.assemble import IngestSettings
 from split_cli.logs.map_entries import SignalMap
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["MANIFEST_NAME", "IngestManifest", "settings_digest"]
-
 MANIFEST_NAME = "ingest-manifest.json"
 MANIFEST_FORMAT = "split-ingest/1"
 _SECONDS_BETWEEN_WRITES = 5.0

@@ -15,8 +15,6 @@ from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
 
-__all__ = ["InitResult", "init_project"]
-
 VEHICLE_TEMPLATE = """# The nominal vehicle. Fill in what stands empty; every command names all that is missing.
 # A value may also be written {value: 1573, source: published}; source is published, assumed or calibrated.
 name: car

@@ -17,8 +17,6 @@ from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 from split_cli.workflows.proving.prove_recording import InjectionResult, diagnose_pair, injection_result
 
-__all__ = ["FOREIGN_MODELS", "prove_multibody", "prove_multibody_faults"]
-
 FOREIGN_MODELS = {"multibody": load_car, "drift": load_drift_car}
 """Someone else's equations of motion, by name; each takes the number of a car."""
 

@@ -21,8 +21,6 @@ from split_cli.proof.scoring import statement_of, words_of
 from split_cli.vehicle.parameters import Vehicle, read_vehicle, write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 
-__all__ = ["InjectionResult", "diagnose_pair", "injection_result", "prove_recording"]
-
 
 @dataclass(frozen=True)
 class InjectionResult:

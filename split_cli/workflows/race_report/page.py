@@ -15,8 +15,6 @@ from split_cli.workflows.report.markup import charts_block, plain_table
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, heading, prose
 
-__all__ = ["race_charts", "race_page"]
-
 _BORDER_POINTS = 600
 _ALONG = {
     "speed": ("Speed", "v [m/s]", 5, 1.0),

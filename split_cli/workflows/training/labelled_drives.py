@@ -23,8 +23,6 @@ from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.label import drive_notes
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
-__all__ = ["KEPT_BYTES", "LabelledDrives", "Labelling", "drive_digest"]
-
 #: Labels kept in memory [bytes]; those beyond wait in a temporary folder, so that an archive of any size trains.
 KEPT_BYTES = 256 * 2**20
 

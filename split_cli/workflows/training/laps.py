@@ -10,8 +10,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.logs.laps import lap_numbers
 
-__all__ = ["LapRow", "lap_rows"]
-
 
 @dataclass(frozen=True)
 class LapRow:

@@ -26,8 +26,6 @@ from split_cli.scoring.torque_lag import Prepared, decide, lag_note
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.training.labelled_drives import LabelledDrives
 
-__all__ = ["create_set", "parse_trust", "trust_notes"]
-
 
 def create_set(
     drives: LabelledDrives,

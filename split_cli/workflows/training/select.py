@@ -23,8 +23,6 @@ from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
-__all__ = ["select", "select_files"]
-
 _FOLDS = 3  # a third of the time is held out, as in `split evaluate`
 
 

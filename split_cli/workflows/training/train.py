@@ -27,8 +27,6 @@ from split_cli.workflows.training.labelled_drives import LabelledDrives, Labelli
 from split_cli.workflows.training.laps import LapRow, lap_rows
 from split_cli.workflows.training.new_set import create_set
 
-__all__ = ["TrainResult", "TrainRow", "TrainSettings", "train_set"]
-
 
 @dataclass(frozen=True)
 class TrainSettings:
