@@ -217,12 +217,7 @@ def _quotient(spelled: str) -> Unit | None:
 
 
 def convert_to_si(
-    values: np.ndarray,
-    unit: str,
-    *,
-    expected: str | None = None,
-    channel: str = "it",
-    where: str | None = None,
+    values: np.ndarray, unit: str, *, expected: str | None = None, channel: str = "it", where: str | None = None
 ) -> np.ndarray:
     """Convert an array from `unit` to the SI unit of the same quantity.
 

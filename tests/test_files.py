@@ -17,13 +17,7 @@ from hypothesis import strategies as st
 
 from split_cli import files
 from split_cli.errors import SplitError
-from split_cli.files import (
-    atomic_directory,
-    atomic_path,
-    atomic_write_bytes,
-    atomic_write_text,
-    sha256_of_file,
-)
+from split_cli.files import atomic_directory, atomic_path, atomic_write_bytes, atomic_write_text, sha256_of_file
 
 
 def leftovers(folder: Path) -> list[str]:

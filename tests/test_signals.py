@@ -9,14 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from split_cli.errors import MapError
-from split_cli.signals import (
-    CHANNELS,
-    REQUIRED_CHANNELS,
-    UNITS,
-    convert_to_si,
-    find_unit,
-    split_name_and_unit,
-)
+from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, UNITS, convert_to_si, find_unit, split_name_and_unit
 
 # From the definitions: the international mile is 1609.344 m, the pound 0.45359237 kg, standard gravity 9.80665.
 KNOWN = [

@@ -6,14 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from split_cli.errors import MapError, nearest_names
-from split_cli.logs.map_entries import (
-    CONVERSIONS,
-    ChannelMap,
-    Position,
-    SignalMap,
-    SignalSource,
-    TimeBase,
-)
+from split_cli.logs.map_entries import CONVERSIONS, ChannelMap, Position, SignalMap, SignalSource, TimeBase
 from split_cli.logs.presets import preset_names, preset_path
 from split_cli.signals import CHANNELS, find_unit
 from split_cli.yaml_file import read_yaml_mapping

@@ -93,12 +93,7 @@ class Outputs:
 def outputs_from(vector: np.ndarray) -> Outputs:
     """Return the outputs packed in a row, shape (21,), in the order of `OUTPUT_NAMES`."""
     return Outputs(
-        vector[0:2],
-        vector[2:6],
-        vector[6:10],
-        vector[10:14],
-        *(float(v) for v in vector[14:19]),
-        vector[19:21],
+        vector[0:2], vector[2:6], vector[6:10], vector[10:14], *(float(v) for v in vector[14:19]), vector[19:21]
     )
 
 

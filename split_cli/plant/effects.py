@@ -218,11 +218,7 @@ def _scale(lower: float = 0.2, upper: float = 3.0) -> Bounds:
 _DELAY = {"delay": Bounds("s", 0.0, 0.5)}
 # The plant's own step is 1 ms; a shorter time constant would make it stiff.
 _LAG = {"tau": Bounds("s", 0.002, 1.0)}
-_WAVE = {
-    "amplitude": Bounds("rad", -0.3, 0.3),
-    "waves": Bounds("", 1, 8, 1.0),
-    "phase": Bounds("rad", -7, 7, 0.0),
-}
+_WAVE = {"amplitude": Bounds("rad", -0.3, 0.3), "waves": Bounds("", 1, 8, 1.0), "phase": Bounds("rad", -7, 7, 0.0)}
 _PLACE = {"s_start": Bounds("m", 0.0, 1e5), "s_end": Bounds("m", 0.0, 1e5)}
 
 EFFECTS: dict[str, EffectKind] = {

@@ -113,8 +113,4 @@ def _commonroad(vehicle: Vehicle, loads: np.ndarray, tires: tuple[MagicFormula, 
     return content, laws, ["the difference of the axles' tyres", "limits of steering and size of the car"]
 
 
-KINDS: dict[str, Callable[..., _Parts]] = {
-    "f1tenth": _f1tenth,
-    "forzaeth": _forzaeth,
-    "commonroad": _commonroad,
-}
+KINDS: dict[str, Callable[..., _Parts]] = {"f1tenth": _f1tenth, "forzaeth": _forzaeth, "commonroad": _commonroad}

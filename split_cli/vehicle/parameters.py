@@ -346,11 +346,7 @@ def vehicle_to_mapping(vehicle: Vehicle) -> dict[str, Any]:
         mapping[key] = {name: entry(f"{key}.{name}", getattr(tire, name)) for name in ("B", "C", "D")}
     if vehicle.effects:
         mapping["effects"] = [
-            {
-                "term": e.term,
-                "parameters": dict(e.parameters),
-                **({"variant": e.variant} if e.variant else {}),
-            }
+            {"term": e.term, "parameters": dict(e.parameters), **({"variant": e.variant} if e.variant else {})}
             for e in vehicle.effects
         ]
     return mapping

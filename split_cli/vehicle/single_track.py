@@ -188,13 +188,7 @@ class SingleTrack:
         return dvx, dvy, dr
 
     def velocity_jacobian(
-        self,
-        vx: np.ndarray,
-        vy: np.ndarray,
-        r: np.ndarray,
-        T: np.ndarray,
-        delta: np.ndarray,
-        **situation: Any,
+        self, vx: np.ndarray, vy: np.ndarray, r: np.ndarray, T: np.ndarray, delta: np.ndarray, **situation: Any
     ) -> np.ndarray:
         """Return A, the Jacobian of (v_x', v_y', r') with respect to (v_x, v_y, r), shape (N, 3, 3).
 

@@ -288,9 +288,7 @@ def _hold_out(
     return [HeldOutSamples(*known, *found) for *known, found in zip(drives, splits, made, strict=True)]
 
 
-def _labels_and_features(
-    job: tuple[Drive, Vehicle, FeatureSet, Region, float, bool],
-) -> tuple[Labels, np.ndarray]:
+def _labels_and_features(job: tuple[Drive, Vehicle, FeatureSet, Region, float, bool]) -> tuple[Labels, np.ndarray]:
     drive, vehicle, features, region, horizon, plain = job
     labels = compute_labels(drive, vehicle, features, region, horizon=horizon, plain=plain)
     return labels, features_along(SingleTrack(vehicle), drive, features)

@@ -185,10 +185,7 @@ def _recorded(
         kept = reading.stamp >= lead_in - 1e-9
         values = {name: column[kept] for name, column in reading.values.items()}
         return replace(
-            reading,
-            stamp=reading.stamp[kept] - lead_in,
-            arrival=reading.arrival[kept] - lead_in,
-            values=values,
+            reading, stamp=reading.stamp[kept] - lead_in, arrival=reading.arrival[kept] - lead_in, values=values
         )
 
     readings = measure(run, sensors, seed, one_clock=one_clock)

@@ -133,10 +133,7 @@ def size_table(held: dict, paper: dict) -> list[str]:
     """z1 against z2 at equal sizes, held out and by the paper's protocol."""
     chosen = {(s["size"], s["score"]["features"]): s["score"] for s in held["sizes"]}
     sizes = list(dict.fromkeys(s["size"] for s in held["sizes"]))
-    lines = [
-        "| most informative samples | z2, norm | z1, norm | smaller |",
-        "|---|---|---|---|",
-    ]
+    lines = ["| most informative samples | z2, norm | z1, norm | smaller |", "|---|---|---|---|"]
     for size in sizes:
         z2, z1 = (chosen[size, name] for name in ("z2", "z1"))
         lines.append(row_of_two(f"{size or 'all'} ({z2['points']}, {z1['points']})", z2, z1))

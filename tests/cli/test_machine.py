@@ -51,10 +51,7 @@ def test_a_stdout_that_is_full_or_closed_is_no_error_of_this_program(here):
 
 @pytest.mark.parametrize(
     "swallow",
-    [
-        "class Held:\n def __del__(self): end()\nheld = Held()\ntry:\n del held",
-        "try:\n try: end()\n except: pass",
-    ],
+    ["class Held:\n def __del__(self): end()\nheld = Held()\ntry:\n del held", "try:\n try: end()\n except: pass"],
     ids=["as an object is taken down", "by a library that catches everything"],
 )
 def test_a_stop_that_is_swallowed_comes_once_more(swallow):

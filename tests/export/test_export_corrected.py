@@ -26,11 +26,7 @@ from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.single_track import SingleTrack
-from tests.export.effect_cases import (
-    STEP,
-    Exported,
-    effect,
-)
+from tests.export.effect_cases import STEP, Exported, effect
 from tests.factories import MissingForce, road_car
 
 PERIOD, WINDOW = 0.01, 5

@@ -237,11 +237,7 @@ def protobuf_odometry() -> Any:
         for number, (field, kind, more) in enumerate(fields, 1):
             label = 3 if more == "repeated" else 1
             message.field.add(
-                name=field,
-                number=number,
-                type=kind,
-                label=label,
-                type_name=more if more.startswith(".") else None,
+                name=field, number=number, type=kind, label=label, type_name=more if more.startswith(".") else None
             )
     pool = descriptor_pool.DescriptorPool()
     pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)

@@ -111,8 +111,7 @@ def test_a_write_ahead_log_left_by_a_killed_recorder_is_read(tmp_path):
     database.execute("PRAGMA wal_autocheckpoint=0")
     extra = planted.log[-1] + 10_000_000
     database.execute(
-        "INSERT INTO messages(topic_id, timestamp, data) SELECT 1, ?, data FROM messages LIMIT 1",
-        (int(extra),),
+        "INSERT INTO messages(topic_id, timestamp, data) SELECT 1, ?, data FROM messages LIMIT 1", (int(extra),)
     )
     database.commit()
     killed = tmp_path / "killed"

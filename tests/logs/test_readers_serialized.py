@@ -12,16 +12,7 @@ from split_cli.errors import LogError
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.serialized import SerializedDecoder
 
-INTEGERS = {
-    "int8": 8,
-    "uint8": 8,
-    "int16": 16,
-    "uint16": 16,
-    "int32": 32,
-    "uint32": 32,
-    "int64": 64,
-    "uint64": 64,
-}
+INTEGERS = {"int8": 8, "uint8": 8, "int16": 16, "uint16": 16, "int32": 32, "uint32": 32, "int64": 64, "uint64": 64}
 KINDS = [*INTEGERS, "float32", "float64", "bool", "string"]
 INNER = "int8 first\nfloat64 second\nstring word\nuint16[3] triple\n"
 

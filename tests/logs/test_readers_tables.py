@@ -24,12 +24,7 @@ def planted():
 
 def table_of(planted):
     """Return the planted columns; the times relative, so that text of 17 digits holds them exactly."""
-    return {
-        "t": (planted.header - planted.header[0]) * 1e-9,
-        "vx": planted.vx,
-        "vy": planted.vy,
-        "r": planted.r,
-    }
+    return {"t": (planted.header - planted.header[0]) * 1e-9, "vx": planted.vx, "vy": planted.vy, "r": planted.r}
 
 
 UNITS = {"t": "s", "vx": "m/s", "vy": "m/s", "r": "rad/s"}
@@ -95,13 +90,7 @@ def test_encodings(tmp_path, planted, encoding):
 
 
 def test_suffix_units_and_preamble_of_mixed_width(tmp_path):
-    lines = [
-        "Logger 4",
-        "Car;17",
-        "",
-        "time_ms;vx_kmh;steer_deg;note",
-        *[f"{n};{n}.5;-{n};ok" for n in range(50)],
-    ]
+    lines = ["Logger 4", "Car;17", "", "time_ms;vx_kmh;steer_deg;note", *[f"{n};{n}.5;-{n};ok" for n in range(50)]]
     (tmp_path / "a.txt").write_text("\n".join(lines))
     recording = open_recording(tmp_path / "a.txt")
     listed = {c.name: (c.type_name, c.unit) for c in recording.channels()}
@@ -298,10 +287,7 @@ def test_mdf_channels_have_their_own_clocks(tmp_path, planted, version, suffix):
     with asammdf.MDF(version=version) as file:
         file.append([signal(planted.vx, t, name="vx", unit="m/s"), signal(planted.r, t, name="r", unit="deg/sec")])
         file.append(
-            [
-                signal(planted.vy[::4], t[::4], name="vy", unit="km/h"),
-                signal(-planted.vx[::4], t[::4], name="vx"),
-            ]
+            [signal(planted.vy[::4], t[::4], name="vy", unit="km/h"), signal(-planted.vx[::4], t[::4], name="vx")]
         )
         # The writer insists on suffixes of its own.
         file.save(tmp_path / "saved", overwrite=True).rename(path)

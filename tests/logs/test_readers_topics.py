@@ -9,10 +9,7 @@ from split_cli.logs.readers import open_recording
 COUNT = 60
 # Message type, fields that carry the planted vx, vy, r, and whether the type has a stamp.
 TOPICS = {
-    "odom": (
-        "nav_msgs/msg/Odometry",
-        ("twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z"),
-    ),
+    "odom": ("nav_msgs/msg/Odometry", ("twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")),
     "imu": ("sensor_msgs/msg/Imu", ("linear_acceleration.x", "linear_acceleration.y", "angular_velocity.z")),
     "twist": ("geometry_msgs/msg/TwistStamped", ("twist.linear.x", "twist.linear.y", "twist.angular.z")),
     "accel": (
@@ -44,10 +41,7 @@ def test_topics_of_cars(tmp_path, storage):
     planted = support.plant(count=COUNT)
     store = support.ros2_store()
     extra = {
-        topic: (
-            kind,
-            [(planted.log[n] + 1000, message_of(store, kind, fields, planted, n)) for n in range(COUNT)],
-        )
+        topic: (kind, [(planted.log[n] + 1000, message_of(store, kind, fields, planted, n)) for n in range(COUNT)])
         for topic, (kind, fields) in TOPICS.items()
         if topic != "odom"
     }

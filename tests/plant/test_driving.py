@@ -91,11 +91,7 @@ def test_a_script_is_what_an_outside_controller_would_get_from_stepping():
     torque, steer = 400.0 * np.sin(3 * clock), 0.03 * np.sin(5 * clock)
     car = replace(ROAD_CAR, toe_front=0.0, toe_rear=0.0)
     run = drive_script(
-        car,
-        Script(torque, steer, np.full(50, np.nan)),
-        DRIVER_STYLES["smooth"],
-        speed=20.0,
-        sample_period=STEP,
+        car, Script(torque, steer, np.full(50, np.nan)), DRIVER_STYLES["smooth"], speed=20.0, sample_period=STEP
     )
     state = initial_state(car, 20.0)
     for k in range(49):

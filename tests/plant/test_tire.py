@@ -73,8 +73,7 @@ def test_combined_force_fills_the_friction_ellipse_and_hardly_leaves_it(tire):
     kappa, alpha = np.meshgrid(np.linspace(0.0, 0.4, 161), np.linspace(0.0, 0.5, 201))
     fx, fy = tire_force(tire, kappa, alpha, load)
     usage = np.hypot(
-        fx / tire_force(tire, kappa[0], 0.0, load)[0].max(),
-        fy / tire_force(tire, 0.0, alpha[:, 0], load)[1].max(),
+        fx / tire_force(tire, kappa[0], 0.0, load)[0].max(), fy / tire_force(tire, 0.0, alpha[:, 0], load)[1].max()
     )
     # Weighting functions are no ellipse: measured tyres leave it by up to 15 % at the shoulder (Pacejka, fig. 3.18
     # shows as much), and along every direction the best combined slip comes near it.

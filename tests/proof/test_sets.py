@@ -30,10 +30,7 @@ def test_sets_have_three_to_five_terms_that_are_not_declared_alike():
 def test_the_scripted_car_obeys_its_equations_with_the_terms_and_not_without():
     """Held commands, drag and a sensor ahead of its place: predicted over 0.05 s to what RK4 leaves."""
     car = replace(read_vehicle(library_path("genesis")), effects=())
-    terms = [
-        CATALOGUE["aero_drag"]({"drag": 0.5}),
-        CATALOGUE["sensor_lever_arm"]({"dx": 0.3}),
-    ]
+    terms = [CATALOGUE["aero_drag"]({"drag": 0.5}), CATALOGUE["sensor_lever_arm"]({"dx": 0.3})]
     columns = sets.scripted_drive(car, terms, 3, runs=1, seconds=6.0)
     columns = {**columns, "s": np.zeros(len(columns["t"]))}
     clock = Recording.single(0.01, len(columns["t"]))

@@ -25,11 +25,7 @@ MORE = (
     Case(
         "compare", ("compare", "car.yaml", "road_car.yaml", "--on", "d1.parquet", "-o", "compared"), ("compared",)
     ),
-    Case(
-        "calibrate",
-        ("calibrate", "d1.parquet", *CAR, "--fit", "tires", "-o", "fitted.yaml"),
-        ("fitted.yaml",),
-    ),
+    Case("calibrate", ("calibrate", "d1.parquet", *CAR, "--fit", "tires", "-o", "fitted.yaml"), ("fitted.yaml",)),
     Case("init", ("init", "lap.csv", "-o", "project"), ("project",)),
     Case("simulate", ("simulate", "--track", "small", "--duration", "5", "-o", "sim.csv"), ("sim.csv",)),
     Case("page", ("ingest", "lap.csv", "-o", "p.parquet", "--report", "p.html"), ("p.parquet", "p.html")),

@@ -36,17 +36,7 @@ SLOW = {"mf4": 0.01, "mf4 bus": 0.005, "dbc": 0.01, "feather": 0.02, "draft": 0.
 """Inputs of a kind against those of the others [1]: Feather, MF4 and a DBC are read in a process of their own, 1
 to 2 s each, and a draft looks at every column in many ways."""
 QUICK = dict.fromkeys(
-    (
-        "vbo",
-        "mat 5",
-        "mat 5 structure",
-        "mat 4",
-        "vehicle",
-        "hyperparameters",
-        "trained set",
-        "centre line",
-    ),
-    20.0,
+    ("vbo", "mat 5", "mat 5 structure", "mat 4", "vehicle", "hyperparameters", "trained set", "centre line"), 20.0
 )
 """The same of kinds that are read in less than a millisecond: with `--quick` they get most inputs."""
 

@@ -74,9 +74,7 @@ CASES = (
     Case("ingest", ("ingest", "lap.csv", "-o", "lap.parquet", "--rate", "40"), ("lap.parquet",)),
     Case("ingest folder", ("ingest", "archive", "-o", "drives", "--rate", "40"), ("drives",)),
     Case(
-        "train",
-        ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"),
-        ("a.split",),
+        "train", ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"), ("a.split",)
     ),
     Case("append", ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append"), ("b.split",)),
     Case(
@@ -90,13 +88,7 @@ CASES = (
         ("diagnose", "--real", "d1.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),
         ("diagnosis",),
     ),
-    Case(
-        "race",
-        RACE,
-        ("race.parquet", "race.split", "race.html"),
-        repeats=False,
-        written_twice=("race.split",),
-    ),
+    Case("race", RACE, ("race.parquet", "race.split", "race.html"), repeats=False, written_twice=("race.split",)),
     Case("maneuver", MANEUVER, ("turn.parquet", "turn.split")),
     Case("export", (*EXPORT, "new.split"), ("export",)),
 )
@@ -142,11 +134,7 @@ def prepare(
         "ingest folder": (("ingest", "archive", "-o", "drives"),),
         "train": ((*train, "a.split"),),
         "append": ((*train, "b.split"),),
-        "export": (
-            (*train, "c.split"),
-            (*train, "new.split", "--capacity", "6"),
-            (*EXPORT, "c.split"),
-        ),
+        "export": ((*train, "c.split"), (*train, "new.split", "--capacity", "6"), (*EXPORT, "c.split")),
         "diagnose": (("diagnose", "--real", "d0.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),),
         "evaluate": (
             ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--features", "z1,z2", "-o", "evaluation"),

@@ -439,10 +439,7 @@ def _drive(recording: RawRecording, grid: SampleClock, columns: Mapping[str, np.
 
 
 def _apply_delays(
-    channels: Channels,
-    settings: IngestSettings,
-    vehicle: Vehicle | None,
-    where: str,
+    channels: Channels, settings: IngestSettings, vehicle: Vehicle | None, where: str
 ) -> tuple[Channels, tuple[DelayEstimate, ...]]:
     """Estimate delays on the drive's clock and move the raw times, until another estimate finds nothing more."""
     fixed = frozenset(settings.delays or {})

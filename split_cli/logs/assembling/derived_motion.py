@@ -152,18 +152,10 @@ MOTIONS = (
         _run_longitudinal_velocity_from_wheels,
     ),
     Derivation(
-        "lateral-velocity-from-sideslip",
-        ("vy",),
-        ("vx", "sideslip"),
-        (),
-        _run_lateral_velocity_from_sideslip,
+        "lateral-velocity-from-sideslip", ("vy",), ("vx", "sideslip"), (), _run_lateral_velocity_from_sideslip
     ),
     Derivation(
-        "lateral-velocity-from-straights",
-        ("vy",),
-        ("vx", "vy", "r"),
-        (),
-        _run_lateral_velocity_from_straights,
+        "lateral-velocity-from-straights", ("vy",), ("vx", "vy", "r"), (), _run_lateral_velocity_from_straights
     ),
     Derivation("yaw-rate-from-yaw", ("r",), ("yaw",), (), _run_yaw_rate_from_yaw),
     Derivation(

@@ -176,9 +176,7 @@ def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Sample
     grid, left_out = make_grid(spans, period)
     if not len(grid.index):
         raise LogError(
-            "no time is covered by all required channels without a gap",
-            where=where,
-            advice=_coverage(channels),
+            "no time is covered by all required channels without a gap", where=where, advice=_coverage(channels)
         )
     return grid, left_out
 
@@ -275,8 +273,7 @@ def bring_to_clock(
 
 
 def judge_sources(
-    channels: Channels,
-    resampled: Mapping[tuple[str, int], Resampled],
+    channels: Channels, resampled: Mapping[tuple[str, int], Resampled]
 ) -> tuple[dict[str, NoiseEstimate], list[ChannelQuality]]:
     """Return the noise of every canonical channel, and the quality of every source."""
     noise: dict[str, NoiseEstimate] = {}

@@ -6,12 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudged
-from split_cli.logs.checking.directions import (
-    along_the_world,
-    exchanged_accelerations,
-    look_swapped,
-    swap_finding,
-)
+from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.place import behind_the_accelerometer

@@ -154,14 +154,7 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
     inertial_x = lambda: k.rate("vx") - k.of("vy r", lambda: c["vy"] * c["r"])  # noqa: E731
     add("dyaw/dt = r", "yaw", "r", set(), lambda: k.rate("yaw"), lambda: k.signal("r"))
     add("a_x = dv_x/dt - v_y r", "ax", "vx", {"vy", "r"}, lambda: k.signal("ax"), inertial_x)
-    add(
-        "a_y = v_x r + dv_y/dt",
-        "ay",
-        "r",
-        {"vx", "vy"},
-        lambda: k.signal("ay"),
-        lambda: turning() + k.rate("vy"),
-    )
+    add("a_y = v_x r + dv_y/dt", "ay", "r", {"vx", "vy"}, lambda: k.signal("ay"), lambda: turning() + k.rate("vy"))
     for wheel in [name for name in c if name.startswith("wheel_speed")]:
         # A driven wheel slips by its force: v_x (1 + k a_x) looks like v_x a little earlier.
         slip = [lambda: k.of("vx ax", lambda: c["vx"] * _acceleration(k), 1)] if _is_driven(wheel, vehicle) else []

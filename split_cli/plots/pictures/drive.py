@@ -23,10 +23,7 @@ _CHANNELS = (
     ("ay", "Lateral acceleration a_y", "a_y [m/s²]"),
 )
 #: What the driver asks for: models get it from the recording, so only recordings are drawn.
-_INPUTS = (
-    ("delta", "Input: steer angle delta", "delta [rad]"),
-    ("T", "Input: torque at the wheels T", "T [N m]"),
-)
+_INPUTS = (("delta", "Input: steer angle delta", "delta [rad]"), ("T", "Input: torque at the wheels T", "T [N m]"))
 _MOST_DOTS = 1500
 
 
