@@ -67,11 +67,8 @@ class Drive:
     def __post_init__(self) -> None:
         missing = [name for name in ("t", *REQUIRED_CHANNELS) if name not in self.columns]
         if missing:
-            raise DriveError(
-                f"the drive lacks {', '.join(missing)}",
-                where=self.name,
-                advice=nearest_names(missing[0], self.columns) + " Map it with `split ingest --map`.",
-            )
+            advice = nearest_names(missing[0], self.columns) + " Map it with `split ingest --map`."
+            raise DriveError(f"the drive lacks {', '.join(missing)}", where=self.name, advice=advice)
         length = len(self.segment)
         if not self.stays_in_file:
             length = len(self.columns["t"])
@@ -239,11 +236,8 @@ def _read_table(path: Path) -> pa.Table:
         reason = str(error).splitlines()[0]
         if "magic bytes not found" in reason:
             reason = "it is no Parquet file"
-        raise DriveError(
-            f"cannot be read as a drive ({reason})",
-            where=str(path),
-            advice="A drive is the Parquet that `split ingest` writes. Give a recording to `split ingest` first.",
-        ) from error
+        advice = "A drive is the Parquet that `split ingest` writes. Give a recording to `split ingest` first."
+        raise DriveError(f"cannot be read as a drive ({reason})", where=str(path), advice=advice) from error
     if table.num_rows < 2:
         raise DriveError(f"holds {table.num_rows} samples", where=str(path), advice="A drive needs two or more.")
     return table
@@ -282,11 +276,9 @@ def _whole(values: np.ndarray, path: Path) -> np.ndarray:
     """Return the numbers of segments as int32, shape (N,); what is missing or no whole number has no segment."""
     bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < 2**31)))
     if len(bad):
-        raise DriveError(
-            f"segment holds {len(bad)} values that are no whole numbers, the first in row {bad[0] + 1}",
-            where=str(path),
-            advice="Number every row, or leave the column out: gaps in time then part the segments.",
-        )
+        what = f"segment holds {len(bad)} values that are no whole numbers, the first in row {bad[0] + 1}"
+        advice = "Number every row, or leave the column out: gaps in time then part the segments."
+        raise DriveError(what, where=str(path), advice=advice)
     return values.astype(np.int32)
 
 
@@ -314,19 +306,15 @@ def _check_drive(drive: Drive, path: Path) -> None:
         values = drive.columns[name]
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
-            raise DriveError(
-                f"{len(bad)} non-finite values in {name}, the first in row {bad[0]}",
-                where=str(path),
-                advice="Run the recording through `split ingest`, which drops and counts them.",
-            )
+            what = f"{len(bad)} non-finite values in {name}, the first in row {bad[0]}"
+            advice = "Run the recording through `split ingest`, which drops and counts them."
+            raise DriveError(what, where=str(path), advice=advice)
         limit = CHANNELS[name].limit
         bad = np.flatnonzero((values > limit) | (values < -limit))
         if len(bad):
-            raise DriveError(
-                f"{name} is {values[bad[0]]:g} in row {bad[0]}, beyond {limit:g} no number is a measurement",
-                where=str(path),
-                advice="Check units, or run the recording through `split ingest`, which drops and counts them.",
-            )
+            what = f"{name} is {values[bad[0]]:g} in row {bad[0]}, beyond {limit:g} no number is a measurement"
+            advice = "Check units, or run the recording through `split ingest`, which drops and counts them."
+            raise DriveError(what, where=str(path), advice=advice)
     time = drive.columns["t"]
     for run in drive.segments():
         step = np.diff(time[run])
@@ -345,11 +333,9 @@ def _segments_from_time(time: np.ndarray, path: Path) -> np.ndarray:
     step = np.diff(time)
     if len(step) and not np.all(step > 0):
         row = int(np.flatnonzero(~(step > 0))[0])
-        raise DriveError(
-            f"time does not increase at row {row + 1} ({time[row]:.9g} then {time[row + 1]:.9g} s)",
-            where=str(path),
-            advice="Run the recording through `split ingest`, which drops and counts such samples.",
-        )
+        what = f"time does not increase at row {row + 1} ({time[row]:.9g} then {time[row + 1]:.9g} s)"
+        advice = "Run the recording through `split ingest`, which drops and counts such samples."
+        raise DriveError(what, where=str(path), advice=advice)
     return np.concatenate([[0], np.cumsum(step > 1.5 * np.median(step))]).astype(np.int32)
 
 

@@ -118,11 +118,8 @@ def metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[DriveM
     try:
         stored = parse_json(raw[b"split"])
         if stored["format"] != _FORMAT:
-            raise DriveError(
-                f"is of format {stored['format']!r}, this version reads {_FORMAT!r}",
-                where=str(path),
-                advice="Ingest the recording again.",
-            )
+            what = f"is of format {stored['format']!r}, this version reads {_FORMAT!r}"
+            raise DriveError(what, where=str(path), advice="Ingest the recording again.")
         _check_kinds_of_values(stored)
         noise = tuple(
             NoiseEstimate(**{**entry, "autocorrelation": tuple(entry["autocorrelation"])})

@@ -39,11 +39,8 @@ def lap_numbers(drive: Drive, wheelbase: float) -> np.ndarray:
         if np.isfinite(lap).all() and len(np.unique(lap)) > 1:
             return np.unique(lap, return_inverse=True)[1].astype(np.int64) + 1
     if not {"X", "Y"} <= set(drive.columns):
-        raise DriveError(
-            "has no position and no lap channel, so it has no laps",
-            where=drive.name,
-            advice="Map X and Y, or a column `lap` in `extras`.",
-        )
+        advice = "Map X and Y, or a column `lap` in `extras`."
+        raise DriveError("has no position and no lap channel, so it has no laps", where=drive.name, advice=advice)
     x, y = drive["X"] - drive["X"][0], drive["Y"] - drive["Y"][0]
     limit = closing_distance(wheelbase)
     distance = np.hypot(x, y)
@@ -61,11 +58,8 @@ def lap_numbers(drive: Drive, wheelbase: float) -> np.ndarray:
             ends.append(row)
             away = False
     if not ends:
-        raise DriveError(
-            "never comes back to where it began, so it has no laps",
-            where=drive.name,
-            advice="Give a drive of two laps or more, or leave out what needs laps.",
-        )
+        advice = "Give a drive of two laps or more, or leave out what needs laps."
+        raise DriveError("never comes back to where it began, so it has no laps", where=drive.name, advice=advice)
     lap = np.zeros(len(x), dtype=np.int64)
     lap[ends] = 1
     return np.cumsum(lap) + 1

@@ -158,11 +158,9 @@ def _full_disk_as_error() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise LogError(
-            f"a long recording does not fit into the folder for temporary files ({error.strerror})",
-            where=tempfile.tempdir or "the folder for temporary files",
-            advice="Make room there, or name another folder by the variable TMPDIR.",
-        ) from error
+        what = f"a long recording does not fit into the folder for temporary files ({error.strerror})"
+        advice = "Make room there, or name another folder by the variable TMPDIR."
+        raise LogError(what, where=tempfile.tempdir or "the folder for temporary files", advice=advice) from error
 
 
 def _is_aside(values: np.ndarray) -> bool:

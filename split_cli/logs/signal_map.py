@@ -46,11 +46,8 @@ def map_from_mapping(content: Mapping[str, Any], *, where: str = "signal map") -
     kinds = _mapping(content.get("kinds") or {}, where, "kinds")
     for channel in kinds:
         if channel not in entries:
-            raise MapError(
-                f"kinds names {channel!r}, which is not mapped",
-                where=where,
-                advice=nearest_names(channel, entries),
-            )
+            advice = nearest_names(channel, entries)
+            raise MapError(f"kinds names {channel!r}, which is not mapped", where=where, advice=advice)
     channels = tuple(
         _channel(str(name), entry, kinds.get(name), f"{where}, channel {name}")
         for name, entry in entries.items()
@@ -131,11 +128,8 @@ def _channel(name: str, entry: Any, kind: Any, where: str) -> ChannelMap:
     entry = _mapping(entry, where, "the entry")
     _check_keys(entry, _CHANNEL_KEYS, where)
     if ("source" in entry) == ("sum" in entry):
-        raise MapError(
-            "needs either source or sum",
-            where=where,
-            advice="Write `source: NAME`, or `sum: [{source: A}, {source: B}]`.",
-        )
+        advice = "Write `source: NAME`, or `sum: [{source: A}, {source: B}]`."
+        raise MapError("needs either source or sum", where=where, advice=advice)
     if "sum" in entry:
         if not isinstance(entry["sum"], list) or not entry["sum"]:
             raise MapError(
@@ -144,11 +138,8 @@ def _channel(name: str, entry: Any, kind: Any, where: str) -> ChannelMap:
         outer = {key: entry[key] for key in ("unit", "delay", "frame", "world") if key in entry}
         misplaced = [key for key in ("convert", "scale", "offset", "curve") if key in entry]
         if misplaced:
-            raise MapError(
-                f"{misplaced[0]} belongs into the entries of the sum",
-                where=where,
-                advice="Write it beside each `source` of the sum.",
-            )
+            advice = "Write it beside each `source` of the sum."
+            raise MapError(f"{misplaced[0]} belongs into the entries of the sum", where=where, advice=advice)
         parts = [{"source": part} if isinstance(part, str) else part for part in entry["sum"]]
         sources = tuple(
             _source({**outer, **_mapping(part, where, "an entry of sum")}, f"{where}, sum[{index}]")
@@ -175,26 +166,17 @@ def _source(entry: Mapping[str, Any], where: str) -> SignalSource:
     names = entry.get("source")
     names = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else ()
     if not names or not all(isinstance(name, str) and name for name in names):
-        raise MapError(
-            "source must be a name, or a list of names for a conversion",
-            where=where,
-            advice="`split ingest LOG --list` shows the names.",
-        )
+        advice = "`split ingest LOG --list` shows the names."
+        raise MapError("source must be a name, or a list of names for a conversion", where=where, advice=advice)
     convert = entry.get("convert") or ""
     if convert:
         _one_of(convert, CONVERSIONS, where, "convert")
     elif len(names) > 1:
-        raise MapError(
-            "several sources need convert, or a sum",
-            where=where,
-            advice="Write `convert:`, for example local_x, or `sum:` instead of `source:`.",
-        )
+        advice = "Write `convert:`, for example local_x, or `sum:` instead of `source:`."
+        raise MapError("several sources need convert, or a sum", where=where, advice=advice)
     if _number(entry.get("scale", 1.0), where, "scale") == 0.0:
-        raise MapError(
-            "scale is 0, the channel would be constant",
-            where=where,
-            advice="Give the factor from the recorded value to the unit.",
-        )
+        advice = "Give the factor from the recorded value to the unit."
+        raise MapError("scale is 0, the channel would be constant", where=where, advice=advice)
     unit = entry.get("unit")
     if unit is not None and find_unit(str(unit)) is None:
         raise MapError(f"unknown unit {unit!r}", where=where, advice=nearest_names(str(unit), _unit_symbols()))
@@ -216,18 +198,12 @@ def _curve(entry: Any, where: str) -> tuple[tuple[float, float], ...]:
         return ()
     points = entry if isinstance(entry, list) else []
     if len(points) < 2 or not all(isinstance(point, list) and len(point) == 2 for point in points):
-        raise MapError(
-            "curve must be a list of two or more pairs [recorded, value]",
-            where=where,
-            advice="For example `curve: [[-1, -0.5], [1, 0.5]]`.",
-        )
+        advice = "For example `curve: [[-1, -0.5], [1, 0.5]]`."
+        raise MapError("curve must be a list of two or more pairs [recorded, value]", where=where, advice=advice)
     pairs = tuple((_number(a, where, "curve"), _number(b, where, "curve")) for a, b in points)
     if any(later[0] <= earlier[0] for earlier, later in zip(pairs[:-1], pairs[1:], strict=True)):
-        raise MapError(
-            "the recorded values of a curve must ascend, each larger than the one before",
-            where=where,
-            advice="Sort the pairs by their first value.",
-        )
+        what = "the recorded values of a curve must ascend, each larger than the one before"
+        raise MapError(what, where=where, advice="Sort the pairs by their first value.")
     return pairs
 
 
@@ -249,31 +225,19 @@ def _time(entry: Any, where: str) -> TimeBase:
     entry = _mapping(entry, where, "the entry")
     _check_keys(entry, _TIME_KEYS, where)
     if len([key for key in ("source", "period", "clock") if key in entry]) > 1:
-        raise MapError(
-            "more than one of source, period and clock is given",
-            where=where,
-            advice="Leave one: a column, a fixed step, or a clock of the messages.",
-        )
+        advice = "Leave one: a column, a fixed step, or a clock of the messages."
+        raise MapError("more than one of source, period and clock is given", where=where, advice=advice)
     period = entry.get("period")
     if period is not None and not _number(period, where, "period") > 0:
-        raise MapError(
-            f"period is {period}, it must be positive",
-            where=where,
-            advice="Give the time between two rows in seconds.",
-        )
+        advice = "Give the time between two rows in seconds."
+        raise MapError(f"period is {period}, it must be positive", where=where, advice=advice)
     for key in ("source", "nanoseconds"):
         if entry.get(key) is not None and not isinstance(entry[key], str):
-            raise MapError(
-                f"{key} must be the name of a column",
-                where=where,
-                advice="`split ingest LOG --list` shows the columns.",
-            )
+            advice = "`split ingest LOG --list` shows the columns."
+            raise MapError(f"{key} must be the name of a column", where=where, advice=advice)
     if "nanoseconds" in entry and "source" not in entry:
-        raise MapError(
-            "nanoseconds needs the column of whole seconds: source",
-            where=where,
-            advice="Write `source: stamp_sec, nanoseconds: stamp_nanosec`.",
-        )
+        advice = "Write `source: stamp_sec, nanoseconds: stamp_nanosec`."
+        raise MapError("nanoseconds needs the column of whole seconds: source", where=where, advice=advice)
     unit = entry.get("unit")
     if unit is not None and getattr(find_unit(str(unit)), "si", "") != "s":
         raise MapError(f"{unit!r} is not a unit of time", where=where, advice="Give s, ms, us, ns or min.")
@@ -301,21 +265,15 @@ def _datum(entry: Any, where: str) -> tuple[float, float] | None:
     if entry is None:
         return None
     if not isinstance(entry, list) or len(entry) != 2:
-        raise MapError(
-            "datum must be [latitude, longitude] in degrees",
-            where=where,
-            advice="For example `datum: [48.1, 11.6]`.",
-        )
+        advice = "For example `datum: [48.1, 11.6]`."
+        raise MapError("datum must be [latitude, longitude] in degrees", where=where, advice=advice)
     return _number(entry[0], where, "datum"), _number(entry[1], where, "datum")
 
 
 def _mapping(entry: Any, where: str, what: str) -> dict[str, Any]:
     if not isinstance(entry, Mapping):
-        raise MapError(
-            f"{what} is {entry!r}, keys with values were expected",
-            where=where,
-            advice="Write `key: value`, one a line or in braces.",
-        )
+        advice = "Write `key: value`, one a line or in braces."
+        raise MapError(f"{what} is {entry!r}, keys with values were expected", where=where, advice=advice)
     return dict(entry)
 
 
@@ -337,11 +295,8 @@ def _number(value: Any, where: str, what: str) -> float:
     with suppress(ValueError, ZeroDivisionError):
         value = float(above) / float(below) if below else value
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
-        raise MapError(
-            f"{what} is {value!r}, a finite number was expected",
-            where=where,
-            advice="Write a number such as 0.5, or a quotient such as 1/15.3, without a unit.",
-        )
+        advice = "Write a number such as 0.5, or a quotient such as 1/15.3, without a unit."
+        raise MapError(f"{what} is {value!r}, a finite number was expected", where=where, advice=advice)
     return float(value)
 
 

@@ -69,11 +69,8 @@ def parse_effect(text: str) -> Effect:
     name, _, rest = text.partition(":")
     where = f"--effect {text}"
     if name not in EFFECTS:
-        raise SplitError(
-            f"no effect is called {name!r}",
-            where=where,
-            advice=f"{nearest_names(name, EFFECTS)} All: {', '.join(EFFECTS)}.",
-        )
+        advice = f"{nearest_names(name, EFFECTS)} All: {', '.join(EFFECTS)}."
+        raise SplitError(f"no effect is called {name!r}", where=where, advice=advice)
     known = EFFECTS[name].parameters
     usage = "Write " + name + ":" + ",".join(f"{p}=VALUE" for p in known) + "."
     values: dict[str, float] = {}

@@ -173,10 +173,8 @@ def drive_laps(
     grip = grip_of(believed)
     profile = speed_profile(believed, track, person, aggressiveness, grip)
     if profile.speed.min() < 1.2 * car.crawl_speed:
-        raise SplitError(
-            f"{car.name} would crawl round {track.name} at {profile.speed.min():.2g} m/s",
-            advice="Choose a larger track or more aggressiveness.",
-        )
+        what = f"{car.name} would crawl round {track.name} at {profile.speed.min():.2g} m/s"
+        raise SplitError(what, advice="Choose a larger track or more aggressiveness.")
     if duration is None:
         distance = laps * track.length
         steps = int(np.ceil((1.3 * distance * np.mean(1.0 / profile.speed) + 5.0) / CONTROL_PERIOD))

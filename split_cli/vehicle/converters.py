@@ -95,11 +95,8 @@ def convert_parameters(sources: Sequence[str | Path], *, alpha_max: float = 0.18
     if {"C_Sf", "C_Sr", "lf", "lr"} <= flat.keys():
         return _finish("F1TENTH", *_f1tenth(flat, where), name, where, alpha_max)
     shown = ", ".join(sorted(map(str, content))[:8])
-    raise VehicleError(
-        f"is of no known kind; its keys begin with {shown}",
-        where=where,
-        advice="Known are CommonRoad (I_z, a, b, T_sb), F1TENTH (C_Sf, C_Sr, lf, lr) and ForzaETH (C_Pf, C_Pr).",
-    )
+    advice = "Known are CommonRoad (I_z, a, b, T_sb), F1TENTH (C_Sf, C_Sr, lf, lr) and ForzaETH (C_Pf, C_Pr)."
+    raise VehicleError(f"is of no known kind; its keys begin with {shown}", where=where, advice=advice)
 
 
 # The C++ simulator of F1TENTH names the same parameters otherwise than the gym.

@@ -228,11 +228,9 @@ class _Values:
         """Return the number of a plain value or of {value, source, note}."""
         if isinstance(value, Mapping):
             if "value" not in value or set(value) - {"value", "source", "note"}:
-                raise VehicleError(
-                    f"{key} must be a number or {{value, source, note}}",
-                    where=self.where,
-                    advice=f"Write `{key}: NUMBER`, or give that key `value`, `source` and `note`.",
-                )
+                what = f"{key} must be a number or {{value, source, note}}"
+                advice = f"Write `{key}: NUMBER`, or give that key `value`, `source` and `note`."
+                raise VehicleError(what, where=self.where, advice=advice)
             self._keep(key, value)
             value = value["value"]
         return _finite_number(key, value, self.where)
@@ -302,11 +300,8 @@ def _refuse_no_car(
     for key, value in values.items():
         if key in limits and not limits[key][0] <= value <= limits[key][1]:
             least, most, unit = limits[key]
-            raise VehicleError(
-                f"{prefix}{key} is {value:g} {unit}".rstrip() + f", no vehicle is outside {least:g} to {most:g}",
-                where=where,
-                advice="Is it in SI units?",
-            )
+            what = f"{prefix}{key} is {value:g} {unit}".rstrip() + f", no vehicle is outside {least:g} to {most:g}"
+            raise VehicleError(what, where=where, advice="Is it in SI units?")
 
 
 def _effects(content: Any, where: str) -> tuple[EffectSpec, ...]:

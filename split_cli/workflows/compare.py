@@ -69,11 +69,9 @@ def read_model(text: str) -> ComparedModel:
     file, _, predictor = path.rpartition(":") if ".split:" in path else (path, "", DEFAULT_PREDICTOR)
     trained = read_set(file)
     if make_predictor(predictor, trained).needs_context:
-        raise SplitError(
-            f"{predictor} needs the future of a drive, which no controller knows",
-            where=text,
-            advice="Compare projected, bcm, rbcm, grbcm, local, weights, table or full.",
-        )
+        what = f"{predictor} needs the future of a drive, which no controller knows"
+        advice = "Compare projected, bcm, rbcm, grbcm, local, weights, table or full."
+        raise SplitError(what, where=text, advice=advice)
     return ComparedModel(shown or f"{Path(file).name} ({predictor})", trained.vehicle, trained, predictor)
 
 
@@ -134,11 +132,9 @@ def compare_models(
             parts.append((drive.name, found, diverged))
     if not parts:
         longest = horizons[-1]
-        raise DriveError(
-            f"no stretch without a gap is longer than {longest:g} s and fast enough",
-            where=", ".join(drive.name for drive in drives),
-            advice="Ask for shorter --horizon.",
-        )
+        what = f"no stretch without a gap is longer than {longest:g} s and fast enough"
+        advice = "Ask for shorter --horizon."
+        raise DriveError(what, where=", ".join(drive.name for drive in drives), advice=advice)
     pooled = [_pooled([found[k] for _, found, _ in parts]) for k in range(len(horizons))]
     scores = rank(pooled)
     by_drive = tuple((name, rank(found)) for name, found, _ in parts) if len(parts) > 1 else ()

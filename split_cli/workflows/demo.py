@@ -46,11 +46,8 @@ def find_samples(folder: str | Path | None = None) -> Path:
     for candidate in candidates:
         if (candidate / VEHICLE).is_file():
             return candidate
-    raise SplitError(
-        "the sample logs are not here",
-        where=str(candidates[0]),
-        advice="Install the program again, run the demo in a clone of it, or name the folder with --samples.",
-    )
+    advice = "Install the program again, run the demo in a clone of it, or name the folder with --samples."
+    raise SplitError("the sample logs are not here", where=str(candidates[0]), advice=advice)
 
 
 def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:

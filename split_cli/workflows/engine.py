@@ -114,11 +114,9 @@ class _Processes:
                 results = pool.map(function, items)
             yield from results
         except BrokenProcessPool as error:
-            raise SplitError(
-                "a worker process was ended from outside, or for lack of memory",
-                where="--jobs",
-                advice="Use fewer processes; --jobs 1 works in this one.",
-            ) from error
+            what = "a worker process was ended from outside, or for lack of memory"
+            advice = "Use fewer processes; --jobs 1 works in this one."
+            raise SplitError(what, where="--jobs", advice=advice) from error
 
     def stop(self) -> None:
         """Have workers drop what they are doing, unfinished files removed."""
@@ -184,11 +182,9 @@ def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
     try:
         from distributed import Client, LocalCluster
     except ImportError as error:
-        raise SplitError(
-            "needs the packages dask and distributed",
-            where="--engine dask",
-            advice="Install them with `pip install 'split-cli[cluster]'`.",
-        ) from error
+        what = "needs the packages dask and distributed"
+        advice = "Install them with `pip install 'split-cli[cluster]'`."
+        raise SplitError(what, where="--engine dask", advice=advice) from error
     with contextlib.ExitStack() as stack:
         try:
             if scheduler is None:
@@ -200,11 +196,9 @@ def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
                 client = stack.enter_context(Client(scheduler, timeout=5))
                 client.wait_for_workers(1, timeout=30)
         except (OSError, TimeoutError, ValueError) as error:
-            raise SplitError(
-                f"no Dask scheduler with workers answers ({str(error).splitlines()[0][:120]})",
-                where=str(scheduler or "--engine dask"),
-                advice="Start one with `dask scheduler` and `dask worker`.",
-            ) from error
+            what = f"no Dask scheduler with workers answers ({str(error).splitlines()[0][:120]})"
+            advice = "Start one with `dask scheduler` and `dask worker`."
+            raise SplitError(what, where=str(scheduler or "--engine dask"), advice=advice) from error
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
         name = f"Dask, {workers} workers"
         held = _Held(client)

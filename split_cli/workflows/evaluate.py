@@ -86,11 +86,8 @@ def evaluate_files(
         raise SplitError("needs a vehicle or a trained set", advice="Give --vehicle or --set.")
     car = read_vehicle(vehicle) if vehicle else trained.nominal_vehicle
     if trained is not None and trained.nominal_vehicle.digest() != car.digest():
-        raise SetError(
-            f"was trained for another vehicle than {car.name!r}",
-            where=str(set_path),
-            advice="Leave --vehicle out, the set carries its own.",
-        )
+        what = f"was trained for another vehicle than {car.name!r}"
+        raise SetError(what, where=str(set_path), advice="Leave --vehicle out, the set carries its own.")
     opened = [open_drive(path, settings.held, beside=len(drives)) for path in drives]
     return evaluate(opened, car, settings, trained, say, engine)
 
@@ -231,10 +228,8 @@ def _variance_of(nominal: Sequence[HeldOutSamples], trained: TrainingSet) -> np.
 
 def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
     if not settings.features or not settings.predictors:
-        raise SplitError(
-            "no feature set or no predictor was named",
-            advice="Leave out --features or --predictor for the default.",
-        )
+        advice = "Leave out --features or --predictor for the default."
+        raise SplitError("no feature set or no predictor was named", advice=advice)
     if any(size < 0 for size in settings.sizes) or not all(0 < time < np.inf for time in settings.rollout):
         raise SplitError(
             f"--sizes {settings.sizes} or --rollout {settings.rollout} holds a number that is not positive"
@@ -245,10 +240,8 @@ def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
     if settings.protocol not in ("held-out", "paper"):
         raise SplitError(f"no protocol {settings.protocol!r}", advice="There are held-out and paper.")
     if settings.protocol == "paper" and trained is not None:
-        raise SplitError(
-            "the paper's protocol trains on the lap that it scores, and --set gives a trained set",
-            advice="Leave --set out.",
-        )
+        what = "the paper's protocol trains on the lap that it scores, and --set gives a trained set"
+        raise SplitError(what, advice="Leave --set out.")
     if settings.sizes and trained is not None:
         raise SplitError(
             "--sizes trains sets of its own, and --set gives one", advice="Leave --set or --sizes out."
@@ -301,11 +294,9 @@ def _training(held: HeldOutSamples) -> Labels:
 
 def _require_samples(held: Sequence[HeldOutSamples]) -> None:
     if not any(len(h.tested) for h in held):
-        raise DriveError(
-            "no test sample can be scored: all are in gaps, too slow or not finite",
-            where=", ".join(h.drive.name for h in held),
-            advice="`split label` counts why; look at units and signs with `split info`.",
-        )
+        what = "no test sample can be scored: all are in gaps, too slow or not finite"
+        advice = "`split label` counts why; look at units and signs with `split info`."
+        raise DriveError(what, where=", ".join(h.drive.name for h in held), advice=advice)
 
 
 def _score_predictors(

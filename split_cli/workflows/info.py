@@ -101,11 +101,8 @@ def _parquet(path: Path) -> FileDescription:
         if {"y_vx", "y_vy", "y_r", "reason"} <= set(names):
             reasons = pa.parquet.read_table(path, columns=["reason"])["reason"]
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise SplitError(
-            f"is not a whole Parquet file ({str(error).splitlines()[0]})",
-            where=str(path),
-            advice="Copy the file again, or make it anew.",
-        ) from error
+        what = f"is not a whole Parquet file ({str(error).splitlines()[0]})"
+        raise SplitError(what, where=str(path), advice="Copy the file again, or make it anew.") from error
     if reasons is not None:
         counts = reasons.value_counts().to_pylist()
         by_reason = ", ".join(f"{entry['counts']} {entry['values'] or 'accepted'}" for entry in counts)

@@ -82,11 +82,8 @@ def vehicle_doubts(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool 
         shown = belonging(drive, vehicle)
         wrong = "; ".join(shown.contradictions())
         if wrong and not any_vehicle:
-            raise DriveError(
-                f"is not of the vehicle {vehicle.name!r}: {wrong}",
-                where=drive.name,
-                advice="Check vehicle file, units and signs with `split info`, or go on with --any-vehicle.",
-            )
+            advice = "Check vehicle file, units and signs with `split info`, or go on with --any-vehicle."
+            raise DriveError(f"is not of the vehicle {vehicle.name!r}: {wrong}", where=drive.name, advice=advice)
         if wrong:
             doubts.append(f"WARNING: {drive.name} is not of the vehicle {vehicle.name!r}: {wrong}")
         doubts += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in shown.doubts()]

@@ -195,16 +195,11 @@ def _recorded(
 def _check(settings: SimulateSettings) -> None:
     asked = [bool(settings.track), bool(settings.maneuver), settings.calibration_tests]
     if sum(asked) != 1:
-        raise SplitError(
-            f"exactly one course is needed, {sum(asked)} were given",
-            advice="Give one of --track, --maneuver and --calibration-tests.",
-        )
+        advice = "Give one of --track, --maneuver and --calibration-tests."
+        raise SplitError(f"exactly one course is needed, {sum(asked)} were given", advice=advice)
     if settings.instruments not in INSTRUMENTS:
-        raise SplitError(
-            f"no instruments are called {settings.instruments!r}",
-            where="--instruments",
-            advice=f"There are: {', '.join(INSTRUMENTS)}.",
-        )
+        what = f"no instruments are called {settings.instruments!r}"
+        raise SplitError(what, where="--instruments", advice=f"There are: {', '.join(INSTRUMENTS)}.")
     if not 0.0 <= settings.lead_in < float("inf"):
         raise SplitError(f"must not be negative, got {settings.lead_in:g} s", where="--lead-in")
     if settings.seed < 0:
@@ -214,23 +209,14 @@ def _check(settings: SimulateSettings) -> None:
 def _format(settings: SimulateSettings, output: Path) -> str:
     name = settings.format or output.suffix.lower().lstrip(".")
     if name not in FORMATS:
-        raise SplitError(
-            f"does not say which format to write ({name or 'no suffix'!r})",
-            where=str(output),
-            advice=f"Name it with --format: {', '.join(FORMATS)}.",
-        )
+        what = f"does not say which format to write ({name or 'no suffix'!r})"
+        raise SplitError(what, where=str(output), advice=f"Name it with --format: {', '.join(FORMATS)}.")
     if settings.calibration_tests and name != "parquet":
-        raise SplitError(
-            f"calibration tests are written as a drive, which is Parquet, not {name}",
-            where=str(output),
-            advice="Give the output the ending .parquet.",
-        )
+        what = f"calibration tests are written as a drive, which is Parquet, not {name}"
+        raise SplitError(what, where=str(output), advice="Give the output the ending .parquet.")
     if settings.workshop_units and name != "csv":
-        raise SplitError(
-            f"workshop units are for csv, not {name}",
-            where="--workshop-units",
-            advice="Give the output the ending .csv, or leave out --workshop-units.",
-        )
+        advice = "Give the output the ending .csv, or leave out --workshop-units."
+        raise SplitError(f"workshop units are for csv, not {name}", where="--workshop-units", advice=advice)
     return name
 
 

@@ -276,11 +276,8 @@ def _needed_channels(signal_map: SignalMap, derivations: Sequence[str]) -> list[
         settings = signal_map.derivations.get(name.replace("-", "_"), {})
         for key in settings:
             if key not in derivation.settings:
-                raise MapError(
-                    f"unknown key {key!r} in derivations.{name.replace('-', '_')}",
-                    where=signal_map.name,
-                    advice=nearest_names(key, derivation.settings),
-                )
+                what = f"unknown key {key!r} in derivations.{name.replace('-', '_')}"
+                raise MapError(what, where=signal_map.name, advice=nearest_names(key, derivation.settings))
         needed += [channel for channel in derivation.inputs(settings, mapped) if channel not in needed]
     return needed
 
@@ -326,10 +323,8 @@ def _with_delays(gathered: Gathered, settings: IngestSettings) -> dict[str, tupl
     given = dict(settings.delays or {})
     for channel in given:
         if channel not in gathered.series:
-            raise MapError(
-                f"--delay names {channel!r}, which is no channel of this drive",
-                advice=nearest_names(channel, gathered.series),
-            )
+            advice = nearest_names(channel, gathered.series)
+            raise MapError(f"--delay names {channel!r}, which is no channel of this drive", advice=advice)
     return {
         channel: tuple(replace(part, delay=given.get(channel, part.delay)) for part in parts)
         for channel, parts in gathered.series.items()

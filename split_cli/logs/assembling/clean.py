@@ -75,11 +75,9 @@ def join_clock_resets(
         return {channel: tuple(parts) for channel, parts in series.items()}, tuple(said)
     if len(counts) > 1:
         worst = max(boundaries, key=lambda key: len(boundaries[key]))
-        raise LogError(
-            f"the clock of {worst[0]} jumps back {len(boundaries[worst])} times, those of other channels do not",
-            where=series[worst[0]][worst[1]].source,
-            advice="Choose another clock with --clock, or cut the recording there.",
-        )
+        what = f"the clock of {worst[0]} jumps back {len(boundaries[worst])} times, those of other channels do not"
+        advice = "Choose another clock with --clock, or cut the recording there."
+        raise LogError(what, where=series[worst[0]][worst[1]].source, advice=advice)
     eras = counts.pop() + 1
     pieces = {
         key: np.split(np.arange(len(series[key[0]][key[1]].time)), found) for key, found in boundaries.items()
@@ -119,11 +117,9 @@ def _without_stray_stamps(
             said.add(f"{np.count_nonzero(stray)} stamps that fit neither those before nor behind were left out")
         back = int(np.count_nonzero(np.diff(cleaned[key]) < -largest_step_back))
         if back > _BACK_SHARE * len(time):
-            raise LogError(
-                f"the clock goes back by more than {largest_step_back:g} s {back} times in {len(time)} rows",
-                where=source,
-                advice="Devices with clocks of their own may have written it. Choose another clock.",
-            )
+            what = f"the clock goes back by more than {largest_step_back:g} s {back} times in {len(time)} rows"
+            advice = "Devices with clocks of their own may have written it. Choose another clock."
+            raise LogError(what, where=source, advice=advice)
     new = {
         channel: tuple(replace(part, time=cleaned[id(part.time)]) for part in parts)
         for channel, parts in series.items()
@@ -240,11 +236,8 @@ def clean_series(
     if len(time) < 4:
         dropped = "; ".join(f"{count} {reason}" for reason, count in drops)
         why = f"Dropped: {dropped}" if dropped else "The recording is nearly empty"
-        raise LogError(
-            f"{len(time)} usable samples of {series.channel} remain",
-            where=series.source,
-            advice=f"{why}. Map another channel for it.",
-        )
+        what = f"{len(time)} usable samples of {series.channel} remain"
+        raise LogError(what, where=series.source, advice=f"{why}. Map another channel for it.")
     return CleanSeries(
         channel=series.channel,
         source=series.source,

@@ -77,11 +77,9 @@ class Converter:
         values = self._to_frame(channel, source, values)
         time = common if signals[0].time is None else signals[0].time
         if len(time) != len(values):
-            raise LogError(
-                f"{name} has {len(values)} samples and {len(time)} time stamps",
-                where=self.where,
-                advice="Leave it out of the map, or save the log again with its own clock.",
-            )
+            what = f"{name} has {len(values)} samples and {len(time)} time stamps"
+            advice = "Leave it out of the map, or save the log again with its own clock."
+            raise LogError(what, where=self.where, advice=advice)
         recorded = signals[0].name
         if source.convert == "yaw_from_quaternion":
             recorded = recorded.rsplit(".", 1)[0]
@@ -108,11 +106,8 @@ class Converter:
             return (total if source.convert == "pair_sum" else total / len(columns)), signals[0].unit
         if source.convert == "signed":
             if len(columns) != 2:
-                raise MapError(
-                    f"{channel}: `convert: signed` takes a size and a column that is 1 where it is negative",
-                    where=self.where,
-                    advice="Write `source: [SIZE, SIGN]`.",
-                )
+                what = f"{channel}: `convert: signed` takes a size and a column that is 1 where it is negative"
+                raise MapError(what, where=self.where, advice="Write `source: [SIZE, SIGN]`.")
             self.notes.conversions.append(f"{channel}: negative where {source.names[1]} is 1")
             return transform.signed(*columns), signals[0].unit
         return columns[0], signals[0].unit
@@ -135,26 +130,17 @@ class Converter:
         if found is None:
             if expected is None:
                 return values
-            raise MapError(
-                f"{channel}: the file says unit {unit!r}, which is not known",
-                where=self.where,
-                advice="Give `unit:` in the map.",
-            )
+            what = f"{channel}: the file says unit {unit!r}, which is not known"
+            raise MapError(what, where=self.where, advice="Give `unit:` in the map.")
         if found.si == "rad/s" and expected == "m/s" and channel.startswith("wheel_speed"):
             if not self.wheel_radius:
-                raise MapError(
-                    f"{channel} is in {unit}, its speed takes the wheel radius",
-                    where=self.where,
-                    advice="Give --vehicle.",
-                )
+                what = f"{channel} is in {unit}, its speed takes the wheel radius"
+                raise MapError(what, where=self.where, advice="Give --vehicle.")
             self.notes.conversions.append(f"{channel}: {unit} times the wheel radius {self.wheel_radius:g} m")
             return convert_to_si(values, unit) * self.wheel_radius
         if expected is not None and found.si != expected:
-            raise MapError(
-                f"{channel} is in {expected}, {source.names[0]} is in {unit}",
-                where=self.where,
-                advice="Give scale, and the unit after scaling, in the map.",
-            )
+            what = f"{channel} is in {expected}, {source.names[0]} is in {unit}"
+            raise MapError(what, where=self.where, advice="Give scale, and the unit after scaling, in the map.")
         if found.symbol != found.si:
             self.notes.conversions.append(f"{channel}: {found.symbol} to {found.si}")
         return convert_to_si(values, unit, where=self.where)
@@ -176,10 +162,7 @@ class Converter:
 def _first_fix(latitude: np.ndarray, longitude: np.ndarray, *, where: str) -> tuple[float, float]:
     valid = np.isfinite(latitude) & np.isfinite(longitude) & ((latitude != 0.0) | (longitude != 0.0))
     if not valid.any():
-        raise LogError(
-            "no satellite fix holds a position",
-            where=where,
-            advice="Leave X and Y out of the map, or cut the time without reception.",
-        )
+        advice = "Leave X and Y out of the map, or cut the time without reception."
+        raise LogError("no satellite fix holds a position", where=where, advice=advice)
     index = int(np.flatnonzero(valid)[0])
     return float(latitude[index]), float(longitude[index])

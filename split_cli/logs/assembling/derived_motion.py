@@ -69,10 +69,8 @@ def _run_lateral_velocity_from_straights(situation: DerivationInputs) -> Derived
     )
     course = course_of(stretches)
     if course is None:
-        raise MapError(
-            "--derive lateral-velocity-from-straights needs straights, and the car hardly goes straight",
-            advice="Give an `offset` for vy in the map instead.",
-        )
+        what = "--derive lateral-velocity-from-straights needs straights, and the car hardly goes straight"
+        raise MapError(what, advice="Give an `offset` for vy in the map instead.")
     vx, vy = situation.columns["vx"], situation.columns["vy"]
     return Derived(
         {"vy": vy - vx * np.tan(course.at(k.times()))},
@@ -94,10 +92,8 @@ def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Der
             advice="Integrated accelerations drift between such moments. Record v_y, the sideslip or a pose.",
         )
     if not made.belongs:
-        raise MapError(
-            f"--derive {name}: a_y {made.doubt}",
-            advice="Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car.",
-        )
+        advice = "Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car."
+        raise MapError(f"--derive {name}: a_y {made.doubt}", advice=advice)
     std = made.std[sure]
     rest = f"; {100.0 * (1.0 - sure.mean()):.0f} % of the rows left out, less sure than {TOLERANCE:g} rad"
     return Derived(

@@ -156,10 +156,8 @@ def _run_torque_from_pedals(situation: DerivationInputs) -> Derived:
     points = settings.get("drive_map", [[0.0, 0.0], [1.0, vehicle.max_torque]])
     drive_map = np.asarray(points, dtype=float)
     if drive_map.ndim != 2 or drive_map.shape[1] != 2 or np.any(np.diff(drive_map[:, 0]) <= 0):
-        raise MapError(
-            f"{name}.drive_map must be [[throttle, torque], ...] with rising throttle",
-            advice="For example `drive_map: [[0, 0], [1, 2600]]`, torque in N m at the wheels.",
-        )
+        advice = "For example `drive_map: [[0, 0], [1, 2600]]`, torque in N m at the wheels."
+        raise MapError(f"{name}.drive_map must be [[throttle, torque], ...] with rising throttle", advice=advice)
     full_scale = _settings_number(situation, name, "brake_full_scale", 1.0)
     gain = _settings_number(situation, name, "brake_gain", vehicle.max_brake_torque / full_scale)
     power = settings.get("max_power")
@@ -196,10 +194,8 @@ def _run_torque_from_current(situation: DerivationInputs) -> Derived:
 def _settings_number(situation: DerivationInputs, name: str, key: str, default: float | None = None) -> float:
     value = situation.settings.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise MapError(
-            f"--derive {name} needs the number {key}",
-            advice=f"Write `derivations: {{{name}: {{{key}: ...}}}}` into the map.",
-        )
+        advice = f"Write `derivations: {{{name}: {{{key}: ...}}}}` into the map."
+        raise MapError(f"--derive {name} needs the number {key}", advice=advice)
     return float(value)
 
 

@@ -204,11 +204,9 @@ class _Resolver:
         if missing:
             channel, absent = missing[0]
             more = f" (also missing: {', '.join(name for _, name in missing[1:6])})" if missing[1:] else ""
-            raise MapError(
-                f"the recording has no {absent!r}, mapped to {channel}{more}",
-                where=self.where,
-                advice=f"{nearest_names(absent, self.infos)} `split ingest LOG --list` shows all.",
-            )
+            what = f"the recording has no {absent!r}, mapped to {channel}{more}"
+            advice = f"{nearest_names(absent, self.infos)} `split ingest LOG --list` shows all."
+            raise MapError(what, where=self.where, advice=advice)
         return found, skipped
 
     def without_absent_elements(
@@ -222,11 +220,8 @@ class _Resolver:
             if absent is None:
                 continue
             if not self.map.channel(channel).optional or channel in needed:
-                raise MapError(
-                    f"no message has an element {absent!r}, mapped to {channel}",
-                    where=self.where,
-                    advice="`split ingest LOG --list` shows the lists.",
-                )
+                what = f"no message has an element {absent!r}, mapped to {channel}"
+                raise MapError(what, where=self.where, advice="`split ingest LOG --list` shows the lists.")
             del kept[channel]
             skipped.append(f"{channel}: no message has an element {absent}")
         return kept, skipped
@@ -245,11 +240,9 @@ class _Resolver:
                 joint = ""
             return [f"{base}{joint}{suffix}" for suffix in suffixes]
         if suffixes and len(source.names) != len(suffixes):
-            raise MapError(
-                f"{source.convert} takes {', '.join(suffixes)}, but {len(source.names)} sources are given",
-                where=self.where,
-                advice="Name them in this order, or only what stands before their last letter.",
-            )
+            what = f"{source.convert} takes {', '.join(suffixes)}, but {len(source.names)} sources are given"
+            advice = "Name them in this order, or only what stands before their last letter."
+            raise MapError(what, where=self.where, advice=advice)
         return list(source.names)
 
     def _field_groups(self) -> set[str]:
@@ -268,11 +261,8 @@ class _Resolver:
                 return f"{self.map.topics[type_name]}/{field_path}"
             topics = self.by_type.get(_type_name(type_name), [])
             if len(topics) > 1:
-                raise MapError(
-                    f"{len(topics)} topics are of type {type_name}: {', '.join(topics[:8])}",
-                    where=self.where,
-                    advice=f"Say which: `--topic {type_name}={topics[0]}`.",
-                )
+                what = f"{len(topics)} topics are of type {type_name}: {', '.join(topics[:8])}"
+                raise MapError(what, where=self.where, advice=f"Say which: `--topic {type_name}={topics[0]}`.")
             return f"{topics[0]}/{field_path}" if topics else name
         return name
 

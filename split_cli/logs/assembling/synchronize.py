@@ -151,11 +151,9 @@ def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Sample
             gap = channels.gap_of(channel, index)
             if mode != "held":
                 if part.period > gap:
-                    raise LogError(
-                        f"{channel} comes every {part.period:.3g} s, longer than the gap of {gap:g} s",
-                        where=part.source,
-                        advice=f"Set --gap {2.5 * part.period:.2g} to interpolate it.",
-                    )
+                    what = f"{channel} comes every {part.period:.3g} s, longer than the gap of {gap:g} s"
+                    advice = f"Set --gap {2.5 * part.period:.2g} to interpolate it."
+                    raise LogError(what, where=part.source, advice=advice)
                 slowest = max(slowest, _true_period(part, gap))
             reach = gap if mode == "held" else 0.0
             spans.append(
@@ -191,17 +189,11 @@ def _true_period(part: CleanSeries, gap: float) -> float:
 def _period(slowest: float, rate: float | None, where: str) -> float:
     if rate is not None:
         if not rate > 0:
-            raise LogError(
-                f"the rate is {rate:g} Hz, it must be positive",
-                where=where,
-                advice="Give --rate in samples a second.",
-            )
+            advice = "Give --rate in samples a second."
+            raise LogError(f"the rate is {rate:g} Hz, it must be positive", where=where, advice=advice)
         if 1.0 / rate < slowest * 0.99:
-            raise LogError(
-                f"a rate of {rate:g} Hz is above the slowest required channel's {1.0 / slowest:.4g} Hz",
-                where=where,
-                advice="A drive is never upsampled.",
-            )
+            what = f"a rate of {rate:g} Hz is above the slowest required channel's {1.0 / slowest:.4g} Hz"
+            raise LogError(what, where=where, advice="A drive is never upsampled.")
         return 1.0 / rate
     period = max(slowest, 1.0 / HIGHEST_RATE)
     # A clock that is nominally 25 Hz reads 24.998: within 1 %, the round figure is what the logger meant.

@@ -51,10 +51,8 @@ def trim(
         raise MapError(what, advice="Give --start less than --end.")
     for first, last in cuts:
         if not last - first > gap:
-            raise MapError(
-                f"the cut {first:g}:{last:g} is not longer than the gap of {gap:g} s",
-                advice="Widen the cut, or give a smaller --gap.",
-            )
+            advice = "Widen the cut, or give a smaller --gap."
+            raise MapError(f"the cut {first:g}:{last:g} is not longer than the gap of {gap:g} s", advice=advice)
     every = [part for parts in series.values() for part in parts]
     zero = min(float(np.nanmin(part.time)) for part in every if np.isfinite(part.time).any())
     made: dict[str, tuple[RawSeries, ...]] = {}

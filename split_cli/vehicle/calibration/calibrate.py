@@ -96,10 +96,8 @@ def calibrate_vehicle(
     samples = motion_samples(runs, start, smoothing=settings.smoothing)
     samples = samples.where(samples.vx >= start.minimum_speed)
     if not len(samples):
-        raise VehicleError(
-            f"the drives never reach {start.minimum_speed:.2g} m/s, the minimum speed",
-            advice="Add faster drives, or lower `minimum_speed` in the vehicle file.",
-        )
+        what = f"the drives never reach {start.minimum_speed:.2g} m/s, the minimum speed"
+        raise VehicleError(what, advice="Add faster drives, or lower `minimum_speed` in the vehicle file.")
     vehicle = start
     gentle = _gentle(samples, settings)
     curves: tuple[ForceCurve, ...] = ()

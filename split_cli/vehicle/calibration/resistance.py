@@ -71,10 +71,8 @@ def fit_resistance(
     """
     blocks = len(np.unique(samples.block))
     if blocks < _MINIMUM_BLOCKS:
-        raise VehicleError(
-            f"{blocks} blocks of time are too few for drag and rolling resistance",
-            advice=f"At least {_MINIMUM_BLOCKS} are needed.",
-        )
+        advice = f"At least {_MINIMUM_BLOCKS} are needed."
+        raise VehicleError(f"{blocks} blocks of time are too few for drag and rolling resistance", advice=advice)
     drive = samples.T / vehicle.wheel_radius
     front = front_longitudinal_force(samples, vehicle)
     turning = lateral_force_front * np.sin(samples.delta) + front * (1.0 - np.cos(samples.delta))

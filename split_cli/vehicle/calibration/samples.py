@@ -99,10 +99,8 @@ def motion_samples(
         next_block = int(blocks[-1][-1]) + 1
         parts.append(columns)
     if not parts:
-        raise VehicleError(
-            "no stretch of the drives without a gap is long enough to take derivatives",
-            advice="Record longer or smooth less.",
-        )
+        what = "no stretch of the drives without a gap is long enough to take derivatives"
+        raise VehicleError(what, advice="Record longer or smooth less.")
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return MotionSamples(**columns, block=np.concatenate(blocks))
 

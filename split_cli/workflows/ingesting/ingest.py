@@ -384,11 +384,9 @@ def _assemble_recording(
         own = next((name for name in _OWN_MAPS if name in presets), None)
         if own is None:
             fit = f"--map {presets[0]} fits: its channels are recorded. " if presets else ""
-            raise MapError(
-                "needs a signal map: its channels are not named as a drive's",
-                where=path.name,
-                advice=f"{fit}`split ingest {path} --suggest-map` drafts one; `--list-maps` lists presets.",
-            )
+            what = "needs a signal map: its channels are not named as a drive's"
+            advice = f"{fit}`split ingest {path} --suggest-map` drafts one; `--list-maps` lists presets."
+            raise MapError(what, where=path.name, advice=advice)
         signal_map = read_map(own)
     if topics:
         _check_topics(topics, signal_map)
@@ -413,11 +411,8 @@ _NO_FOLDERS = (".csv", ".txt", ".mcap", ".feather", ".mat")
 
 def _check_folder(output: Path, sources: Sequence[SourceFile]) -> None:
     if output.suffix.lower() in _NO_FOLDERS and not output.is_dir():
-        raise SplitError(
-            f"a drive is written as Parquet, not as {output.suffix}",
-            where=str(output),
-            advice=f"Name {output.with_suffix('.parquet')}, or a folder.",
-        )
+        what = f"a drive is written as Parquet, not as {output.suffix}"
+        raise SplitError(what, where=str(output), advice=f"Name {output.with_suffix('.parquet')}, or a folder.")
     if len(sources) > 1 and output.suffix.lower() in (".parquet", ".pq"):
         raise SplitError(
             f"{len(sources)} recordings cannot go into one drive", where=str(output), advice="Name a folder."
@@ -425,11 +420,8 @@ def _check_folder(output: Path, sources: Sequence[SourceFile]) -> None:
     names = [_drive_name(source) for source in sources]
     twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
     if twice:
-        raise SplitError(
-            f"two recordings are called {twice.removesuffix('.parquet')}",
-            where=str(output),
-            advice="Ingest them into two folders.",
-        )
+        what = f"two recordings are called {twice.removesuffix('.parquet')}"
+        raise SplitError(what, where=str(output), advice="Ingest them into two folders.")
 
 
 def _result(path: Path, drive_path: Path, assembled: Assembled) -> IngestResult:

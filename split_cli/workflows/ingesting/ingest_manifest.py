@@ -53,11 +53,8 @@ class IngestManifest:
                 for place, entry in stored["drives"].items()
             }
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise SplitError(
-                f"is no manifest of this version ({error})",
-                where=str(path),
-                advice="Remove it to ingest all again.",
-            ) from error
+            what = f"is no manifest of this version ({error})"
+            raise SplitError(what, where=str(path), advice="Remove it to ingest all again.") from error
         return cls(path, entries)
 
     def is_done(self, place: str, source: str, settings: str) -> bool:

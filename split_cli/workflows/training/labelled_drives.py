@@ -306,8 +306,5 @@ def _check_of_drive(labels: Labels, drive: Drive, where: str) -> None:
     if len(labels) and (
         labels.row[-1] + labels.window >= len(drive) or not np.array_equal(drive["t"][labels.row], labels.t)
     ):
-        raise DriveError(
-            f"does not lie on the rows of {drive.name}",
-            where=where,
-            advice="Label the drive again with `split label`.",
-        )
+        advice = "Label the drive again with `split label`."
+        raise DriveError(f"does not lie on the rows of {drive.name}", where=where, advice=advice)

@@ -178,11 +178,8 @@ def _first_valid(drives: LabelledDrives) -> Labels:
         if labels.accepted.any():
             return labels
     counts = ", ".join(f"{count} {reason}" for reason, count in labels.counts().items()) or "no samples"
-    raise SetError(
-        f"no sample is inside the valid region (rejected: {counts})",
-        where=labels.drive,
-        advice="Check units and signs with `split info`, and that the vehicle file is of this car.",
-    )
+    advice = "Check units and signs with `split info`, and that the vehicle file is of this car."
+    raise SetError(f"no sample is inside the valid region (rejected: {counts})", where=labels.drive, advice=advice)
 
 
 def parse_trust(text: str) -> Trust:
@@ -198,10 +195,8 @@ def parse_trust(text: str) -> Trust:
     try:
         return Trust(tuple(float(part) for part in text.split(",")), "given")
     except ValueError:
-        raise SetError(
-            f"the trust {text!r} cannot be read",
-            advice="Give held-out, full, or three numbers from 0 to 1 for v_x, v_y and r, such as 0.5,0.8,1.",
-        ) from None
+        advice = "Give held-out, full, or three numbers from 0 to 1 for v_x, v_y and r, such as 0.5,0.8,1."
+        raise SetError(f"the trust {text!r} cannot be read", advice=advice) from None
 
 
 def trust_notes(trust: Trust) -> list[str]:

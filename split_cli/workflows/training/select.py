@@ -83,15 +83,11 @@ def select(
         If a setting is out of its range or nothing can be scored.
     """
     if not all((settings.features, settings.capacities, settings.thresholds, settings.cell_edges)):
-        raise SplitError(
-            "--capacities, --thresholds or --cell-edges holds no value",
-            advice="Give values, or leave the option out.",
-        )
+        advice = "Give values, or leave the option out."
+        raise SplitError("--capacities, --thresholds or --cell-edges holds no value", advice=advice)
     if not all(0.0 < edge < np.inf for edge in settings.cell_edges):
-        raise SplitError(
-            f"--cell-edges holds {settings.cell_edges}, every number must be positive",
-            advice="1 is the standard edge.",
-        )
+        advice = "1 is the standard edge."
+        raise SplitError(f"--cell-edges holds {settings.cell_edges}, every number must be positive", advice=advice)
     found: list[tuple[SetCandidate, np.ndarray]] = []
     for features in settings.features:
         parts = _parts(drives, vehicle, features, settings)
@@ -178,10 +174,8 @@ def _try(
                 blocks.append(part.block[tested.row])
                 times.append(time_per_query(asked, part.drive, part.z, tested.row))
     if not errors:
-        raise DriveError(
-            "no test sample can be scored: all are in gaps, too slow or not finite",
-            advice="`split label` counts why; look at units and signs with `split info`.",
-        )
+        advice = "`split label` counts why; look at units and signs with `split info`."
+        raise DriveError("no test sample can be scored: all are in gaps, too slow or not finite", advice=advice)
     share, rmse = relative_error(np.concatenate(errors), np.concatenate(nominal), np.concatenate(blocks))
     points, cells = np.mean(sizes, axis=0)
     scored = replace(

@@ -157,10 +157,8 @@ def _not_learned(paths: Sequence[Path], known: TrainingSet) -> tuple[list[Path],
     new = [path for path in paths if digests[path] not in learned]
     gone = {source.name for source in known.sources if source.sha256 not in digests.values()}
     if not new:
-        raise SetError(
-            f"all {len(paths)} drives were learned before; the set is as it was",
-            advice="Give drives that are new.",
-        )
+        advice = "Give drives that are new."
+        raise SetError(f"all {len(paths)} drives were learned before; the set is as it was", advice=advice)
     skipped = len(paths) - len(new)
     known_before = (f"{skipped} of {len(paths)} drives were learned before and are left out",) if skipped else ()
     return new, known_before + tuple(
@@ -196,10 +194,8 @@ def _train_set(
         engine,
     )
     if per_lap and drives.without_recording():
-        raise SetError(
-            f"{drives.without_recording()[0]} holds labels only: laps need the drive",
-            advice="Give the drive itself, or leave out --per-lap.",
-        )
+        advice = "Give the drive itself, or leave out --per-lap."
+        raise SetError(f"{drives.without_recording()[0]} holds labels only: laps need the drive", advice=advice)
     warm_up()
     drives.label_together()
     trained, fit = known, None
@@ -339,11 +335,8 @@ def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettin
         ("--lag", settings.lag, "the lag of its torque, found or none,"),
     ):
         if given is not None:
-            raise SetError(
-                f"keeps {kept} when appended to",
-                where=where,
-                advice=f"Leave out {option}, or train anew with all drives.",
-            )
+            advice = f"Leave out {option}, or train anew with all drives."
+            raise SetError(f"keeps {kept} when appended to", where=where, advice=advice)
     asked = parse_features(settings.features).names if settings.features is not None else known.features.names
     for what, theirs, ours in (
         ("features", asked, known.features.names),
