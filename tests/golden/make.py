@@ -1,13 +1,18 @@
 """Write the golden files of this version's formats: `python -m tests.golden.make FOLDER`.
 
 They are committed once a format version and never written again: every later version must read them. A new format
-version adds files beside the old ones.
+version adds files beside the old ones. ``set-1.split`` was written by the last version that knew no trust, the
+parent of commit 865ddc5, from the points of ``set-2.split``.
 """
 
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+from click.testing import CliRunner
+
+from split_cli.cli.main import group
 from split_cli.learning.features import parse_features
 from split_cli.learning.kernel_file import kernel_to_yaml
 from split_cli.learning.label_file import write_labels
@@ -17,6 +22,7 @@ from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import DriveMetadata, NoiseEstimate, Source, read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.export import export_set
+from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME, IngestManifest
 from tests.factories import make_drive, make_training_set, road_car
 
 MAP = """name: golden
@@ -64,6 +70,31 @@ def write(folder: Path) -> None:
     (folder / "hyperparameters-1.yaml").write_text(kernel_to_yaml(trained.kernel, trained.features))
     export_set(folder / "set-2.split", folder / "export-1", ["npz", "json"], queries=100, insist=True)
     assert read_set(folder / "set-2.split").size == trained.size
+    (folder / "evaluation-1.json").write_text(evaluated(folder))
+    compared(folder, folder / "comparison-1")
+    (folder / "drives-1").mkdir()
+    manifest = IngestManifest(folder / "drives-1" / MANIFEST_NAME)
+    copy = shutil.copy(folder / "drive-1.parquet", manifest.path.parent)
+    manifest.add("lap.csv", "0" * 64, "0" * 64, "drive-1.parquet", Path(copy))
+    manifest.write()
+
+
+def evaluated(folder: Path) -> str:
+    """Return what `split evaluate --json` prints of the drive and the set in a folder of golden files."""
+    what = ("--vehicle", folder / "vehicle-1.yaml", "--set", folder / "set-2.split", "--predictor", "bcm")
+    return _printed("evaluate", folder / "drive-1.parquet", *what, "--rollout", "0.2", "--blocks", 2, "--json")
+
+
+def compared(folder: Path, output: Path) -> None:
+    """Write what `split compare` writes of them."""
+    models = (f"car={folder / 'vehicle-1.yaml'}", f"set={folder / 'set-2.split'}")
+    _printed("compare", *models, "--on", folder / "drive-1.parquet", "--horizon", "0.04", "-o", output)
+
+
+def _printed(*arguments: object) -> str:
+    done = CliRunner().invoke(group, [str(one) for one in arguments], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Files that earlier versions wrote open in this one, with the numbers they had; and without our code."""
 
+import csv
 import hashlib
 import json
 import re
@@ -19,11 +20,19 @@ from split_cli.logs.signal_map import read_map
 from split_cli.prediction import make_predictor
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.verifying.verify import verify
-from tests.golden.make import MAP
+from tests.golden.make import MAP, compared, evaluated
 from tests.optional import needed
 
 FILES = Path(__file__).parent / "files"
+KEYS = ("name", "features", "drive", "horizon")
 DIGESTS = {
+    "comparison-1/SHA256SUMS": "f723153dbf407d01",
+    "comparison-1/compare.csv": "42648f5e6c21f296",
+    "comparison-1/report.html": "83adb4c3aa7476a3",
+    "drives-1/drive-1.parquet": "77a8e5e93f5a093e",
+    "drives-1/ingest-manifest.json": "f2ebc40d3f09ea4d",
+    "evaluation-1.json": "c6b434d626a16658",
+    "set-1.split": "019d28a0b943926e",
     "diagnosis-1/diagnosis.json": "3b98fce866f88d7a",
     "diagnosis-1/vehicle_corrected.yaml": "41994c61d4d9a739",
     "drive-1.parquet": "77a8e5e93f5a093e",
@@ -49,7 +58,9 @@ def test_the_files_are_those_that_were_committed():
     assert found == DIGESTS
 
 
-@pytest.mark.parametrize("name", [path.name for path in sorted(FILES.iterdir()) if path.name != "diagnosis-1"])
+@pytest.mark.parametrize(
+    "name", [path.name for path in sorted(FILES.iterdir()) if path.stem not in ("diagnosis-1", "evaluation-1")]
+)
 def test_every_file_passes_its_checks(name):
     found = verify(FILES / name)
     assert found.items and found.passed, [i for i in found.items if i.passed is False]
@@ -82,6 +93,32 @@ def test_a_set_predicts_what_it_predicted(tmp_path):
     np.testing.assert_allclose(found.variance, stored["variance"], atol=1e-10)
     write_set(trained, tmp_path / "again.split")
     assert verify(tmp_path / "again.split").passed
+
+
+def test_a_set_of_the_first_format_is_trusted_as_a_whole():
+    first, second = read_set(FILES / "set-1.split"), read_set(FILES / "set-2.split")
+    for name in ("z", "y", "gamma", "offsets", "row"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert first.trust.share == (1.0, 1.0, 1.0) and first.trust.doubt is None
+
+
+def test_an_evaluation_and_a_comparison_give_the_numbers_they_gave(tmp_path):
+    """Within 1e-6, as is promised of versions and libraries; the time per query is this machine's."""
+    found, stored = json.loads(evaluated(FILES)), json.loads((FILES / "evaluation-1.json").read_text())
+    assert found["scores"] and len(found["scores"]) == len(stored["scores"])
+    for entry in stored["scores"] + stored["rollouts"]:
+        same = [e for e in found["scores"] + found["rollouts"] if all(e.get(k) == entry.get(k) for k in KEYS)]
+        assert len(same) == 1 and set(entry) <= set(same[0])
+        for name in {"rmse", "skill_nominal", "coverage_95", "distance"} & set(entry):
+            np.testing.assert_allclose(np.array(same[0][name], float), np.array(entry[name], float), rtol=1e-6)
+    compared(FILES, tmp_path / "again")
+    before, now = (
+        list(csv.DictReader((p / "compare.csv").open())) for p in (FILES / "comparison-1", tmp_path / "again")
+    )
+    for row, again in zip(before, now, strict=True):
+        assert (row["model"], row["state"]) == (again["model"], again["state"])
+        for name in ("rmse", "low_95", "high_95"):
+            assert float(again[name]) == pytest.approx(float(row[name]), rel=1e-6, nan_ok=True)
 
 
 def test_yaml_files():
