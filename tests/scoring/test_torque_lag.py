@@ -16,7 +16,7 @@ from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence
 from split_cli.scoring.export_warnings import reservations
 from split_cli.scoring.report import EvaluationSettings
-from split_cli.scoring.torque_lag import fit_torque_lag, lag_note
+from split_cli.scoring.torque_lag import Prepared, decide, fit_torque_lag, lag_note
 from split_cli.scoring.trust import best_trust
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.workflows.evaluate import evaluate
@@ -78,6 +78,24 @@ def test_an_effect_beyond_the_file_is_judged_against_the_file():
     assert best_trust(evidence(0.5, harmed=0.1))[1] == -np.inf
     assert best_trust(evidence(0.5), most=(1.0, 0.0, 0.0))[1] == gain
     assert best_trust(evidence(0.0))[1] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("by_file", "gain", "most"), [((0.4, 0.3, 0.0), 0.1, 0.3), ((0.0, 0.0, 0.0), 0.0, 1.0)])
+def test_no_trust_without_the_lag_bounds_that_with_it_only_where_something_was_found(
+    late, monkeypatch, by_file, gain, most
+):
+    """Two of seven drives of 22 s had no trust and no lag: v_y and r, bounded by 0, could not make up for the lag."""
+    asked = []
+
+    def judged(drives, empty, say, most=(1.0, 1.0, 1.0)):
+        asked.append(most)
+        found = by_file if len(asked) == 1 else (1.0, min(0.8, most[1]), 0.0)
+        return Trust(found, "held-out", 5), gain if len(asked) == 1 else 0.5
+
+    monkeypatch.setattr("split_cli.scoring.torque_lag.judge_correction", judged)
+    drives, empty = [part_of(late)], make_training_set(points=10)
+    chosen = decide(Prepared(empty, drives, None), lambda vehicle: Prepared(empty, drives, None))
+    assert asked[1][1] == most and chosen.empty.trust.share == (1.0, min(0.8, most), 0.0)
 
 
 def test_a_set_tells_the_file_from_what_it_found_and_keeps_both(tmp_path):
