@@ -344,6 +344,17 @@ def measure_streaming(size: int, length_scale: float, log_gp: Path | None, sky_g
     return rows + ([] if sky_gp is None else sky_gp_rows(sky_gp, stream, None))
 
 
+def measure_table(size: int, length_scale: float, repeats: int, compiler: Compiler) -> list[Row]:
+    """Return the rows of the table in C at any size, medians of `repeats`."""
+    stream = stream_of(size, length_scale)
+    table = TablePredictor(stream.trained)
+    found = [
+        [row for real in ("double", "float") for row in exported("table", real, stream, table, compiler)]
+        for _ in range(repeats)
+    ]
+    return [_median(list(same)) for same in zip(*found, strict=True)]
+
+
 def _median(rows: list[Row]) -> Row:
     def of(name: str) -> object:
         values = [getattr(row, name) for row in rows]
@@ -399,6 +410,7 @@ def table_text(rows: list[Row]) -> str:
 @click.option("--length-scale", default=2.0, show_default=True, help="In cells.")
 @click.option("--repeats", default=3, show_default=True)
 @click.option("--streaming", is_flag=True, help="Only those that learn sample by sample, once each.")
+@click.option("--table", is_flag=True, help="Only the table in C, at any size.")
 @click.option("--gpytorch", is_flag=True, help="Only GPyTorch, one output after the other, at any size.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Rows and machine.")
 @click.option("--stream", "stream_path", type=click.Path(path_type=Path), help="Samples and queries, npz.")
@@ -411,6 +423,7 @@ def main(
     length_scale: float,
     repeats: int,
     streaming: bool,
+    table: bool,
     gpytorch: bool,
     json_path: Path | None,
     stream_path: Path | None,
@@ -430,6 +443,8 @@ def main(
                      ("length_scales", "signal_variance", "noise_variance")})  # fmt: skip
         if gpytorch:
             rows += gpytorch_rows(stream_of(size, length_scale), None, alone=True)
+        elif table and compiler is not None:
+            rows += measure_table(size, length_scale, repeats, compiler)
         elif streaming:
             rows += measure_streaming(size, length_scale, log_gp, sky_gp)
         else:
