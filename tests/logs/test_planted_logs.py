@@ -192,3 +192,21 @@ def test_a_v_y_that_nothing_judges_is_beyond_every_car_in_millimetres(planted):
     found = ingested(planted, without=("X", "Y", "yaw"), vy=sideways).findings
     assert {(f.channel, f.check) for f in found} == {("vy", "range")}
     assert "v_y/v_x reaches" in found[0].text
+
+
+def test_a_late_steer_angle_is_told_by_the_yaw_rate_where_the_angle_of_v_y_wanders(planted):
+    def wandering(t, v):
+        return v - (0.012 + 0.006 * np.sin(0.05 * t)) * planted.at("vx", t)
+
+    found = ingested(planted, vy=wandering, delta=lambda t, v: planted.at("delta", t - 0.2)).findings
+    delay = next(finding for finding in found if finding.check == "delay")
+    assert delay.channel == "delta" and "for the yaw rate" in delay.text
+    assert delay.measured == pytest.approx(0.2, abs=0.04)
+
+
+def test_a_delay_of_the_steer_angle_that_does_not_show_is_among_what_could_not_be_judged(planted):
+    noise = 0.02 * np.random.default_rng(1).standard_normal(4500)
+    found = ingested(
+        planted, without=("X", "Y", "yaw"), vy=lambda t, v: np.sin(3.0 * t), delta=lambda t, v: v + noise[: len(t)]
+    )
+    assert found.findings == () and "delay of delta" in {unjudged.check for unjudged in found.unjudged}

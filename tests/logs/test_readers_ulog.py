@@ -100,6 +100,7 @@ def test_reading_goes_on_behind_a_damaged_stretch_at_the_next_mark(tmp_path):
     "formats",
     [
         {"a": "uint64_t timestamp;b[9999] x", "b": "c[9999] x", "c": "float[9999] x"},  # 10^12 numbers
+        {"a": "uint64_t timestamp;b[9999] x", "b": "c[9999] x", "c": ""},  # as many of nothing
         {"a": "uint64_t timestamp;a x"},  # holds itself
         {"a": "uint64_t timestamp;unheard x"},
         {"a": "float x"},  # no time

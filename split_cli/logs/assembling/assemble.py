@@ -227,8 +227,11 @@ def _checked(
     measured = without_copies(kinds, copied)
     consistency = check_consistency(checked, vehicle, measured, _certain(signal_map))
     consistency = replace(consistency, findings=(*copied, *consistency.findings))
-    late = () if settings.estimate_delays else late_channels(checked, vehicle, measured, consistency)
-    return replace(consistency, findings=(*consistency.findings, *late))
+    if settings.estimate_delays:
+        return consistency
+    late, unseen = late_channels(checked, vehicle, measured, consistency)
+    findings, unjudged = (*consistency.findings, *late), (*consistency.unjudged, *unseen)
+    return replace(consistency, findings=findings, unjudged=unjudged)
 
 
 def _sources(recording: RawRecording) -> tuple[Source, ...]:

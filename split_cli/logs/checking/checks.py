@@ -126,6 +126,12 @@ class Checks:
         if self.usable("vx", "vy"):
             sideways = k.signal("vy")[k.moving] / k.signal("vx")[k.moving]
             add("v_y/v_x", sideways, sideways, {"vy": 1, "vx": -1}, _MOST_SIDEWAYS, "")
+        if self.usable("X", "Y", "vx"):
+            # Steady speeds do not correlate, and a signal that is no speed does not either: their sizes tell.
+            over_ground = k.ground_speed()[k.moving] / np.abs(k.signal("vx")[k.moving])
+            if np.count_nonzero(np.isfinite(over_ground)) > 50:
+                median, high = float(np.nanmedian(over_ground)), float(np.hypot(1.0, _MOST_SIDEWAYS))
+                found.append(Plausible("speed of X, Y over v_x", {"vx": -1, "X": 1}, median, high, ""))
         return found
 
     def relate(

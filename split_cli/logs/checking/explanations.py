@@ -155,20 +155,27 @@ def _shared_choices(
         options[channel] = [None]
         if own or any(channel in magnitude.powers for magnitude in beyond):
             options[channel] += known_mistakes(channel, vehicle)
+        unknown: list[float] = []
         for relation in own if len(own) > 1 else ():
             factor = abs(relation.slope.slope) ** (1.0 / relation.powers[channel])
             known = [1.0, *(m.low for m in options[channel] if m is not None and m.cost < UNKNOWN)]
             far = all(abs(np.log(factor / low)) > 3.0 * relation.tolerance for low in known)
-            if relation.corrected is None and far:
-                options[channel].append(_unknown_factor(channel, float(factor)))
+            again = any(abs(np.log(factor / other)) < relation.tolerance for other in unknown)
+            if relation.corrected is None and far and not again:
+                unknown.append(factor)
+                turned = (False, True) if relation.slope.slope < 0.0 else (False,)
+                options[channel] += [_unknown_factor(channel, float(factor), sign) for sign in turned]
     for first in options["vx"]:
         for second in options["r"]:
             yield tuple(mistake for mistake in (first, second) if mistake is not None)
 
 
-def _unknown_factor(channel: str, factor: float) -> Mistake:
-    what = f"is {factor:.3g} times what the other channels say; no usual mistake of unit or sign explains that"
-    return Mistake(channel, factor, factor, False, what, f"check the scale of {channel}", UNKNOWN + 1.0)
+def _unknown_factor(channel: str, factor: float, turned: bool) -> Mistake:
+    sign, cost = ("-", UNKNOWN + 1.0 + COMMON) if turned else ("", UNKNOWN + 1.0)
+    what = (
+        f"is {sign}{factor:.3g} times what the other channels say; no usual mistake of unit or sign explains that"
+    )
+    return Mistake(channel, factor, factor, turned, what, f"check the scale of {channel}", cost)
 
 
 def _story(

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.logs.checking.checks import ACROSS
+from split_cli.logs.checking.checks import ACROSS, Unjudged
 from split_cli.logs.checking.consistency import Consistency, corrected_columns
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
 from split_cli.logs.checking.kinematics import Kinematics
@@ -44,8 +44,8 @@ _UNTRUSTED = ("scale", "sign", "range", "hand", "swapped", "world", "constant", 
 
 def late_channels(
     drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str], known: Consistency
-) -> list[ConsistencyFinding]:
-    """Return a finding for each measured channel that is late or early by more than `_LATE`.
+) -> tuple[list[ConsistencyFinding], list[Unjudged]]:
+    """Return a finding for each measured channel that is late or early by `_LATE`, and where that does not show.
 
     Parameters
     ----------
@@ -62,21 +62,28 @@ def late_channels(
     if not any("vy" in relation.powers for relation in known.relations):
         wrong.add("vy")  # nothing judged it: an identity that needs it may be off by v_y as well as by a clock
     if {"vx", "r", "time"} & wrong or any(f.check == "place" for f in known.findings):
-        return []
+        return [], []
     columns, period, segments, holds = _looked_at(drive, kinds, known, wrong, _ROWS)
     if "vx" not in columns:
-        return []
+        return [], []
+    if any(f.channel == "vy" and f.check == "bias on straights" for f in known.findings):
+        columns.pop("delta", None)  # an angle of v_y that wanders passes for a lag; the yaw rate tells without v_y
     found: list[ConsistencyFinding] = []
+    timed: set[str] = set()
     for _ in range(_MOST):
-        late = _latest(columns, period, segments, vehicle, kinds, holds)
+        late, timed = _latest(columns, period, segments, vehicle, kinds, holds)
         if late is None:
             break
         found.append(_finding(late))
         # What is late makes others seem early: with it put right they are looked at again.
         t = period * np.arange(len(columns["vx"]))
         columns[late.channel] = np.interp(t + late.delay, t, columns[late.channel])
-    steered = None if found else _steered_late(*_looked_at(drive, kinds, known, wrong, _STEERED_ROWS), vehicle)
-    return [*found, *([steered] if steered else [])]
+    if found:
+        return found, []
+    steered = _steered_late(*_looked_at(drive, kinds, known, wrong, _STEERED_ROWS), vehicle)
+    if isinstance(steered, Unjudged):
+        return [], [steered] if "delta" not in timed else []
+    return [steered] if steered else [], []
 
 
 def _looked_at(
@@ -107,8 +114,10 @@ def _steered_late(
     segments: list[slice],
     holds: Mapping[str, float],
     vehicle: Vehicle | None,
-) -> ConsistencyFinding | None:
+) -> ConsistencyFinding | Unjudged | None:
     """Return a finding where the steer angle follows what the yaw rate takes: no car turns before it is steered.
+
+    Where a delay of `_LATE` would not show, how long one must be to show.
 
     Both axles' forces give delta = L r/v_x + (I_z/L) (1/C_f + 1/C_r) dr/dt + K v_x r, without v_y, unlike the
     identity of the front axle. Tyres and actuators lag besides, and without a vehicle file dr/dt is left out: the
@@ -129,7 +138,13 @@ def _steered_late(
     fit = fit_lag(columns["delta"], [needed / speed, vx * r], used, period, segments)
     lag = fit.lag - 0.5 * holds.get("delta", 0.0)
     unsure = own + _BY_CHANCE * fit.error if vehicle is not None else _SURE * fit.error
-    if fit.refusal or lag < max(_LATE, unsure):
+    if fit.refusal:
+        return Unjudged("delay of delta", fit.refusal)
+    if lag < unsure > _LATE:
+        return Unjudged(
+            "delay of delta", f"{lag:.2f} s is measured, and less than {unsure:.2f} s does not show here"
+        )
+    if lag < _LATE:
         return None
     error = own + fit.error
     if vehicle is None:
@@ -176,8 +191,8 @@ def _latest(
     vehicle: Vehicle | None,
     kinds: Mapping[str, str],
     holds: Mapping[str, float],
-) -> DelayEstimate | None:
-    """Return the estimate that is the surest of those to be told; None where none is.
+) -> tuple[DelayEstimate | None, set[str]]:
+    """Return the estimate that is the surest of those to be told, None where none is, and what has an estimate.
 
     A value that is held shows half a hold late, and that is no clock: it is taken off.
     """
@@ -193,7 +208,8 @@ def _latest(
         # What the car lags behind its command is the actuator's doing.
         and not ("command" in kinds.get(e.channel, "") and e.delay < 0.0)
     ]
-    return _yaw_rate_itself(late, known) or max(late, key=lambda e: abs(e.delay) / e.error, default=None)
+    surest = _yaw_rate_itself(late, known) or max(late, key=lambda e: abs(e.delay) / e.error, default=None)
+    return surest, {e.channel for e in known}
 
 
 def _yaw_rate_itself(late: Sequence[DelayEstimate], known: Sequence[DelayEstimate]) -> DelayEstimate | None:

@@ -11,14 +11,35 @@ import numpy as np
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawSignal
 
-__all__ = ["with_units_of_multiples"]
+__all__ = ["copies_of_others", "with_units_of_multiples"]
 
+_RATES = ("vx", "vy", "r", "ax", "ay")
+"""Channels of which no two are one column, whatever a car does."""
 _UNITS = {"m/s": 1.0, "km/h": 3.6, "mph": 1.0 / 0.44704, "kn": 3600.0 / 1852.0}
 """Of speeds, with what 1 m/s is in them [1]; no two pairs of them have one ratio."""
 _SAME = 0.01
 """Ratios nearer than this are one [1]; those of two pairs of units are 11 % apart and more."""
 _LEFT = 0.02
 """Rms that a multiple leaves of a signal where both are one speed, as a share [1]; slip of tyres leaves less."""
+
+
+def copies_of_others(
+    candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]
+) -> dict[tuple[str, ...], str]:
+    """Return what to say of columns that hold the numbers of one that means another quantity of motion."""
+    alike: dict[bytes, list[TrialCandidate]] = {}
+    for c in candidates:
+        if c.channel in _RATES and len(c.sources) == 1 and c.sources[0] in signals:
+            alike.setdefault(np.ascontiguousarray(signals[c.sources[0]].values).tobytes(), []).append(c)
+    found = {}
+    for group in alike.values():
+        for c in group:
+            other = next((o for o in group if o.sources != c.sources and o.channel != c.channel), None)
+            if other is not None:
+                found[c.sources] = (
+                    f"holds the numbers of {other.sources[0]}, another quantity: neither is measured"
+                )
+    return found
 
 
 def with_units_of_multiples(

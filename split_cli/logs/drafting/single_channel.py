@@ -14,7 +14,8 @@ from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.wheels import note_on_part
 
 __all__ = [
-    "read_acceleration", "read_pedal", "read_sideslip", "read_torque", "read_wheel", "read_yaw_rate",
+    "read_acceleration", "read_pedal", "read_sideslip", "read_torque", "read_wheel", "read_yaw",
+    "read_yaw_rate",
     "without_the_tilted",
 ]  # fmt: skip
 
@@ -28,6 +29,7 @@ _REST_SECONDS = 3.0
 """Of standing in all that tell what an accelerometer reads at rest [s]."""
 _TILTED = 2.5
 """At rest on level ground a sensor along the car reads 0, on a slope of 1 in 4 a quarter of gravity [m/s^2]."""
+_GRAVITY_AT_REST = "while the car stands: gravity"
 _BY_CHANCE = 3.0
 """Standard errors of a correlation that is none [1]."""
 _RADII = 0.02, 0.9
@@ -112,14 +114,31 @@ def read_yaw_rate(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float)
     return replace(s, unit="deg/s", reason=remark) if reach > limit else s
 
 
+def read_yaw(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
+    """Leave out a yaw that nothing judged and that does not turn with X, Y, such as a part of a quaternion."""
+    if s.status != "assumed" or not {"X", "Y", "vx"} <= set(columns) or s.channel not in columns:
+        return s
+    k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+    slope = fit_slope(k.rate("yaw"), k.course_rate(), k.moving)
+    if slope is None or abs(slope.correlation) >= LEAST_CORRELATION:
+        return s
+    remark = (
+        f"dyaw/dt and the turning of X, Y correlate by {slope.correlation:.2f} only: not the car's yaw, or late"
+    )
+    return replace(s, status="open", reason=remark)
+
+
 def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
     """Tell the unit of a wheel speed by v_x: what rolls is as fast, what turns has a radius that wheels have."""
     if s.status != "assumed" or not {s.channel, "vx"} <= set(columns):
         return s
     k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
     found = fit_slope(k.signal(s.channel), k.signal("vx"), k.moving)
-    if found is None or found.correlation < LEAST_CORRELATION:
+    if found is None:
         return s
+    if found.correlation < LEAST_CORRELATION:
+        remark = f"{s.channel} and v_x correlate by {found.correlation:.2f} only: not the speed of a wheel"
+        return replace(s, status="open", reason=remark)
     slope, remark = found.slope, f"{s.channel} against v_x {found.slope:.3g}"
     for unit, factor in _ROLLING.items():
         if abs(slope / factor - 1.0) < _ALIKE:
@@ -148,13 +167,13 @@ def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: fl
     values = columns[s.channel][standing & np.isfinite(columns[s.channel])]
     if len(values) < _REST_SECONDS * rate or abs(np.median(values)) < _TILTED:
         return s
-    remark = f"reads {np.median(values):.3g} m/s^2 while the car stands: gravity, so it is not along a level axis"
+    remark = f"reads {np.median(values):.3g} m/s^2 {_GRAVITY_AT_REST}, so it is not along a level axis"
     return replace(s, status="open", reason=remark)
 
 
 def without_the_tilted(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
     """Leave out what nothing supports of a sensor whose other axis reads gravity: neither is along the car."""
-    tilted = next((s for s in suggestions if s.channel in ("ax", "ay") and "gravity" in s.reason), None)
+    tilted = next((s for s in suggestions if s.channel in ("ax", "ay") and _GRAVITY_AT_REST in s.reason), None)
     if tilted is None:
         return list(suggestions)
     remark = f"of the sensor of {tilted.sources[0]}, which reads gravity while the car stands"

@@ -20,7 +20,7 @@ from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, cor
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_of_a_command
 from split_cli.logs.drafting.handedness import what_tells_left, without_a_side
-from split_cli.logs.drafting.multiples import with_units_of_multiples
+from split_cli.logs.drafting.multiples import copies_of_others, with_units_of_multiples
 from split_cli.logs.drafting.nameless import is_of_a_state, named_by_motion
 from split_cli.logs.drafting.naming import (
     COMMANDED,
@@ -38,13 +38,14 @@ from split_cli.logs.drafting.single_channel import (
     read_sideslip,
     read_torque,
     read_wheel,
+    read_yaw,
     read_yaw_rate,
     without_the_tilted,
 )
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.table_layout import hints_on_the_form
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
-from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity
+from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity, unit_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheels import PARTS, note_on_engine, sums_of_torques, torques_alike
 from split_cli.logs.raw import (
@@ -101,8 +102,9 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     trial.torques = torques_alike(candidates)
     opened: list[Suggestion] = []
     usable: dict[str, list[TrialCandidate]] = {}
+    copies = copies_of_others(candidates, signals)
     for candidate in candidates:
-        reason = trial.unusable(candidate)
+        reason = trial.unusable(candidate) or copies.get(candidate.sources, "")
         if reason:
             opened.append(Suggestion(candidate.channel, candidate.sources, status="open", reason=reason))
         else:
@@ -125,8 +127,9 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     steering = read_steering(corrected, turning, vehicle, Suggestion)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
     alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
-             "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate}  # fmt: skip
+             "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate, "yaw": read_yaw}  # fmt: skip
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
+    suggestions = [unit_by_gravity(s, triples, signals) for s in suggestions]
     suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
     suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
     suggestions = _in_pairs(without_the_tilted(suggestions))

@@ -8,19 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.handedness import NOT_UP
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawSignal
 from split_cli.signals import find_unit
 
-__all__ = ["along_the_car", "names_of_triples", "side_by_gravity"]
+__all__ = ["along_the_car", "names_of_triples", "side_by_gravity", "unit_by_gravity"]
 
 _CLEARLY = 3.0
 """How many times more one axis must turn or move than the one that the names say [1]."""
 _SECONDS = 5.0
 """Over which a car that rolls and pitches comes back, and one that yaws does not [s]."""
 _GRAVITY = 9.80665
+_READINGS = (
+    ("m/s^2", 1.0, _GRAVITY, "m/s^2"), ("g", 1.0, 1.0, "g"), ("g", 1e-3, 1000.0, "thousandths of g"),
+)  # fmt: skip
+"""Unit and scale of an accelerometer, with what it reads of gravity and how that is called."""
 _ABOUT_GRAVITY = 0.2
 """Share of gravity by which the median of a vertical axis may differ from it, from slopes and scale [1]."""
 _KINDS = {"r": "rate", "vx": "velocity", "vy": "velocity", "ax": "acceleration", "ay": "acceleration",
@@ -95,6 +100,36 @@ def side_by_gravity(
     )
 
 
+def unit_by_gravity(
+    s: Suggestion, triples: Sequence[tuple[str, str, str]], signals: Mapping[str, RawSignal]
+) -> Suggestion:
+    """Set the unit of an acceleration that nobody states and nothing judges: another axis of it reads gravity.
+
+    Without such an axis, an acceleration that no car reaches in the assumed unit is left open.
+    """
+    if s.channel not in ("ax", "ay") or s.status != "assumed" or s.unit != "m/s^2" or s.scale not in (1.0, -1.0):
+        return s
+    three = next((t for t in triples if s.sources[0] in t), ())
+    for name in three:
+        values = signals[name].values if name in signals and name != s.sources[0] else np.zeros(0)
+        values = values[np.isfinite(values)]
+        reads = abs(float(np.median(values))) if len(values) else 0.0
+        if reads < _CLEARLY * float(np.std(values, ddof=1) if len(values) > 1 else np.inf):
+            continue  # not what lasts
+        for unit, scale, size, called in _READINGS:
+            if abs(reads / size - 1.0) < _ABOUT_GRAVITY:
+                reason = f"unit not stated; {name} reads {reads:.4g}, which is gravity in {called}"
+                return replace(s, unit=unit, scale=scale * s.scale, reason=reason)
+    limit, si = NO_CAR_EXCEEDS[s.channel]
+    values = signals[s.sources[0]].values if s.sources[0] in signals else np.zeros(0)
+    reach = float(np.nanquantile(np.abs(values), 0.99)) if np.isfinite(values).any() else 0.0
+    if reach <= limit:
+        return s
+    known = f"no car's exceeds {limit:g} {si}"
+    reason = f"unit not stated; it reaches {reach:.3g}, and {known}. Give its `unit:`, or `scale:`"
+    return replace(s, status="open", reason=reason)
+
+
 def along_the_car(
     candidates: Sequence[TrialCandidate],
     triples: Sequence[tuple[str, str, str]],
@@ -151,11 +186,11 @@ def _axes(
         return np.array([_lasting(signals[name], time, without_bias) for name in three])
 
     turning, travel, pull = sizes("rate", without_bias=True), sizes("velocity"), sizes("acceleration")
-    if pull is not None and pull[2] > _CLEARLY * max(pull[:2]):
-        return None  # gravity lies along z: on a straight a car pitches more than it yaws
     forward = None
     if travel is not None and int(np.argmax(travel)) == 2 and travel[2] > _CLEARLY * max(travel[:2]):
         forward = 2
+    elif pull is not None and pull[2] > _CLEARLY * max(pull[:2]):
+        return None  # gravity lies along z: on a straight a car pitches more than it yaws
     if turning is not None:
         up = int(np.argmax(turning))
         others = np.delete(turning, up)
@@ -168,6 +203,11 @@ def _axes(
     if forward == 2 and travel is not None:
         name = kinds["velocity"][2]
         return _Axes(1, 2, f"the car travels along {name}: {NOT_UP}")
+    span = sizes("position", without_bias=True)
+    x, y, z = span if span is not None and travel is turning is None else np.zeros(3)
+    # A road that rises by a third of its length is none, so the third axis is no height.
+    if z > x / _CLEARLY and _CLEARLY * y < min(x, z):
+        return _Axes(1, None, f"{kinds['position'][1]} changes far less than the other two: {NOT_UP}")
     return None
 
 

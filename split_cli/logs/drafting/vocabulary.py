@@ -227,6 +227,8 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
     )  # fmt: skip
     if "command" in concepts and channel not in inputs:
         return None
+    if "absolute" in words and channel in ("vy", "r", "ax", "ay"):
+        return None  # a size without its sign
     return channel, max(weight - min(unknown, 2), 1)
 
 

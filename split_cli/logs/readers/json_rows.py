@@ -180,7 +180,24 @@ def _whole(path: Path) -> RawRecording:
                 yield from (row for row in whole if isinstance(row, dict))
                 return
 
+    _refuse_columns_in_rows(next(rows(), {}), chosen, rows_of[chosen], path)
     return _table(path, _names_of(rows(), path), rows, notes)
+
+
+def _refuse_columns_in_rows(row: dict[str, Any], key: str, count: int, path: Path) -> None:
+    """Refuse a list whose objects are stretches, such as laps, with a list for each channel: none is a row."""
+    lists = {name: len(one) for name, one in row.items() if isinstance(one, list)}
+    if not _are_columns(list(lists.values())):
+        return
+    longest = [name for name, length in lists.items() if length == max(lists.values())]
+    place = f"[{key!r}][0]" if key else "[0]"
+    raise LogError(
+        f"is a list of {count} objects with a list for each channel ({longest[0]}, {longest[1]}, ...: "
+        f"{max(lists.values()):,} numbers in the first), such as laps",
+        where=path.name,
+        advice=f'Write each as a file of its own, the first for instance by python -c "import json; '
+        f"json.dump(json.load(open('{path.name}')){place}, open('first.json', 'w'))\".",
+    )
 
 
 def _columns(path: Path, keys: Sequence[str], length: int, notes: list[ReadNote]) -> RawRecording:

@@ -157,13 +157,11 @@ def _fields(
         kind, count, field = match[1], match[2], match[3]
         for index in range(int(count or 1)):
             address = f"{prefix}{field}" + (f"[{index}]" if count else "")
+            counted[0] += 1
+            if counted[0] > MOST_FIELDS or len(address) > LONGEST_NAME:
+                what = f"defines {name!r} with more than {MOST_FIELDS:,} fields"
+                raise LogError(what, where=path.name, advice="Copy the log again.")
             if kind in _TYPES:
-                counted[0] += 1
-                if counted[0] > MOST_FIELDS or len(address) > LONGEST_NAME:
-                    raise LogError(
-                        f"topic {name!r} has more than {MOST_FIELDS:,} fields", where=path.name,
-                        advice="Copy the log again.",
-                    )  # fmt: skip
                 yield address, _TYPES[kind]
             else:
                 yield from _fields(kind, formats, f"{address}.", depth + 1, counted, path)

@@ -89,13 +89,17 @@ class InitResult:
         if lost := [channel for channel in left if channel not in opened]:
             nameless = in_ranges([name for name in self.draft.unused if has_no_name(name)])
             unnamed = f" One of {', '.join(nameless[:8])} may be it: they have no names." if nameless else ""
-            steps.append(
-                f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without it: another "
-                "file may hold it (--together), or it has to be recorded. "
+            it, has = ("them", "they have") if len(lost) > 1 else ("it", "it has")
+            stop = (
+                f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without {it}: another "
+                f"file may hold {it} (--together), or {has} to be recorded. "
                 f"Comments in {self.map_path} say what will do.{unnamed}"
             )
+            # What no step of the user's mends stands first, before values are looked up for nothing.
+            steps = [stop, *steps]
+        run = f"With {', '.join(lost)}, run" if lost else "Run"
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
-        steps.append(f"Run: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
+        steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
         return tuple(steps)
 
     def to_text(self) -> str:
