@@ -1,7 +1,5 @@
 """One C99 header and source from a trained set: tables, committee, nominal model."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -22,8 +20,6 @@ from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData
 from split_cli.learning.running_trust import MEMORY, SPAN
 from split_cli.learning.trust import kept_share, supported_variance
-
-__all__ = ["CSource", "c_identifier", "c_source", "fill", "memory_parts", "template"]
 
 #: The C that evaluates each kind of constants.
 _TEMPLATES = {BcmTables: "committee.c.in", TableData: "table.c.in", ProjectionData: "projection.c.in"}

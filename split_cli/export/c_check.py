@@ -1,7 +1,5 @@
 """The exported C, compiled and compared with Python: predictions, Jacobians and the model step."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,8 +24,6 @@ from split_cli.export.stepped_model import Drives, rk4_substeps
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.validity import is_valid
 from split_cli.learning.training_set import TrainingSet
-
-__all__ = ["CCheck", "build_driver", "check_c", "driver_answer", "run_selftest", "selftest_source"]
 
 OPTIMISATION = "-O2"
 SELFTEST_QUERIES = 64
@@ -165,11 +161,7 @@ def check_c(
     inside = oracle.z[np.isfinite(oracle.z).all(axis=1) & (np.abs(oracle.z) < 1e4).all(axis=1)]
     sizes = section_bytes(folder / f"{source.name}.o")
     return CCheck(
-        predictions,
-        step_error,
-        driver.seconds_per_query(inside),
-        sizes[0] if sizes else None,
-        compiler.version,
+        predictions, step_error, driver.seconds_per_query(inside), sizes[0] if sizes else None, compiler.version
     )
 
 
@@ -203,11 +195,8 @@ def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:
     done = run_program([str(program)], b"", "the self-test")
     said: str = done.stdout.decode(errors="replace").strip()
     if done.returncode:
-        raise ExportError(
-            f"the self-test fails: {said or done.stderr.decode(errors='replace').strip()}",
-            where=name,
-            advice=OUR_FAULT,
-        )
+        what = f"the self-test fails: {said or done.stderr.decode(errors='replace').strip()}"
+        raise ExportError(what, where=name, advice=OUR_FAULT)
     return said
 
 

@@ -1,7 +1,5 @@
 """A trained set as CasADi functions: the committee in matrix form, and the model step built on it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,11 +22,6 @@ from split_cli.export.step_check import (
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData
 from split_cli.learning.trust import kept_share
-
-__all__ = [
-    "CasadiFunctions", "casadi_answer", "check_casadi", "check_hessian", "committee", "generate_c",
-    "model_step", "observer_answer", "predictor_function", "projection", "spline_table",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)

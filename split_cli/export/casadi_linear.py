@@ -1,10 +1,6 @@
 """The response of a linear system over a step, as a CasADi graph that stays small."""
 
-from __future__ import annotations
-
 import casadi
-
-__all__ = ["linear_response"]
 
 _SUBSTEPS, _TAYLOR_TERMS = 8, 18
 

@@ -1,7 +1,5 @@
 """The step of a model, with memory or without, its start and its right-hand side, as CasADi functions."""
 
-from __future__ import annotations
-
 import casadi
 import numpy as np
 
@@ -9,8 +7,6 @@ from split_cli.export.casadi_linear import linear_response
 from split_cli.export.casadi_trust import TRUST_SIZE, observation
 from split_cli.export.memory import Memory, nothing_kept, present
 from split_cli.export.symbolic import NominalGraph
-
-__all__ = ["casadi_substeps", "memory_functions", "memory_step", "trust_functions"]
 
 
 def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: bool) -> casadi.Function:

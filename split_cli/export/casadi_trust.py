@@ -1,14 +1,10 @@
 """What the running trust makes of one interval, as a CasADi function."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import casadi
 
 from split_cli.learning.running_trust import MEMORY, SPAN, SWEEPS
-
-__all__ = ["TRUST_SIZE", "observation"]
 
 #: Numbers of state: 3 shares, then D and e (3 x 4), then sums of their products (3 x 4 x 4), row by row.
 TRUST_SIZE = 63

@@ -1,7 +1,5 @@
 """Comparison of an export with Python on random and border queries; an export that fails is not written."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,10 +12,6 @@ from split_cli.prediction import Predictor
 from split_cli.prediction.projected import ProjectedPredictor
 from split_cli.prediction.table import TablePredictor
 from split_cli.prediction.trusted import untrusted
-
-__all__ = [
-    "TOLERANCE", "ExportAnswer", "Oracle", "PredictionCheck", "check_predictions", "check_queries", "make_oracle",
-]  # fmt: skip
 
 TOLERANCE = {"double": 1e-12, "float": 1e-5}
 """Largest error of the mean in signal deviations, and of the variance in signal variances."""

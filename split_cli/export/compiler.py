@@ -1,7 +1,5 @@
 """Finding, running and measuring with a C compiler; exports are complete without one, but not verified in C."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -14,8 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import ExportError
-
-__all__ = ["STRICT_FLAGS", "Compiler", "Driver", "find_compiler", "run_program", "section_bytes"]
 
 STRICT_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 _TIMEOUT = 600.0
@@ -43,11 +39,8 @@ class Compiler:
         if done.returncode:
             lines = done.stderr.decode(errors="replace").splitlines()
             first = next((line for line in lines if "error" in line), lines[0] if lines else "no message")
-            raise ExportError(
-                f"the generated C does not compile: {first}",
-                where=" ".join(self.command),
-                advice="Name another compiler in $CC.",
-            )
+            what = f"the generated C does not compile: {first}"
+            raise ExportError(what, where=" ".join(self.command), advice="Name another compiler in $CC.")
 
     def compile(self, source: Path, folder: Path, flags: Sequence[str]) -> Path:
         """Compile one source into an object file in `folder` and return its path; raises as `build` does."""
@@ -145,9 +138,7 @@ def run_program(command: list[str], given: bytes, what: str) -> subprocess.Compl
     try:
         return subprocess.run(command, input=given, capture_output=True, timeout=_TIMEOUT, check=False)
     except subprocess.TimeoutExpired:
-        raise ExportError(
-            f"{what} did not finish within {_TIMEOUT:g} s",
-            advice="Name another compiler in $CC, or export when the machine is idle.",
-        ) from None
+        advice = "Name another compiler in $CC, or export when the machine is idle."
+        raise ExportError(f"{what} did not finish within {_TIMEOUT:g} s", advice=advice) from None
     except OSError as error:
         raise ExportError(f"{what} cannot be run ({error.strerror or error})", where=command[0]) from error

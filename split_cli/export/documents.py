@@ -4,8 +4,6 @@ Both hold the same fields, described by ``schema/split-export.schema.json``; jso
 with the rest as JSON text in the array ``metadata``.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Container
 from dataclasses import dataclass
@@ -25,11 +23,6 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import kept_share
 from split_cli.prediction.projected import learning_order, process_of_labels
-
-__all__ = [
-    "DOCUMENT_FORMAT", "Document", "document_answer", "document_of", "other_than_set", "read_json", "read_npz",
-    "relearned_error", "require_equal", "schema_text", "write_json", "write_npz",
-]  # fmt: skip
 
 DOCUMENT_FORMAT = "split-export/2"
 ARRAYS = (
@@ -211,15 +204,11 @@ def require_equal(written: Document, found: Document, what: str) -> None:
     """
     for name, values in written.arrays.items():
         if values.dtype != found.arrays[name].dtype or not np.array_equal(values, found.arrays[name]):
-            raise ExportError(
-                f"{what}: {name} does not read back as written; nothing was written",
-                advice="Check the disk, and export again.",
-            )
+            advice = "Check the disk, and export again."
+            raise ExportError(f"{what}: {name} does not read back as written; nothing was written", advice=advice)
     if found.metadata != json.loads(json.dumps(written.metadata)):
-        raise ExportError(
-            f"{what}: the metadata do not read back as written; nothing was written",
-            advice="Check the disk, and export again.",
-        )
+        advice = "Check the disk, and export again."
+        raise ExportError(f"{what}: the metadata do not read back as written; nothing was written", advice=advice)
 
 
 def document_answer(document: Document) -> ExportAnswer:

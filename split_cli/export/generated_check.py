@@ -1,7 +1,5 @@
 """CasADi's generated C, compiled and compared with Python."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +9,6 @@ from split_cli.export.c99 import fill, template
 from split_cli.export.check import ExportAnswer, Oracle, check_predictions
 from split_cli.export.compiler import Compiler, Driver, section_bytes
 from split_cli.export.step_check import StepOracle, compare_drives, compare_states
-
-__all__ = ["build_generated", "check_generated"]
 
 # CasADi leaves parameters unused and declares none of its helpers static inline, so it cannot be as strict.
 _FLAGS = ("-std=c99", "-O1")

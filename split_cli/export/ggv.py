@@ -1,7 +1,5 @@
 """Limits of acceleration over speed, as the planners of TUM and of race_stack read them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +8,6 @@ import numpy as np
 from split_cli.learning.region import Region
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["SpeedLimits", "limits_over_speed", "write_ggv"]
 
 _ANGLES = 181  # slip angles at which a curve's largest force is looked for
 _FASTEST, _STEP = 100.0, 1.0  # highest speed of the table, and between speeds [m/s]

@@ -1,7 +1,5 @@
 """States of an exported model beyond the first eight: those of its terms, and past commands on their way."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -9,8 +7,6 @@ import numpy as np
 
 from split_cli.errors import ExportError
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["Memory", "exported_model", "memory_of", "nothing_kept", "present"]
 
 Part = TypeVar("Part")
 
@@ -133,20 +129,14 @@ def memory_of(model: SingleTrack, plays: tuple[int, ...], step: float) -> Memory
     if not model.state_names and not any(late):
         return None
     if min(late) < 0.0:
-        raise ExportError(
-            f"a delay is {min(late):g} s: a step cannot look ahead",
-            where=where,
-            advice="Delays in the vehicle file are 0 or more.",
-        )
+        advice = "Delays in the vehicle file are 0 or more."
+        raise ExportError(f"a delay is {min(late):g} s: a step cannot look ahead", where=where, advice=advice)
     # What is an exact number of steps but for rounding needs no further one.
     torque_line, steer_line = (int(np.ceil(delay / step - 1e-9)) for delay in late)
     lengths = (torque_line, steer_line)
     if max(lengths) > _LONGEST_LINE:
-        raise ExportError(
-            f"a delay of {max(late):g} s takes {max(lengths)} past commands at a step of {step:g} s",
-            where=where,
-            advice="Export for a longer --step.",
-        )
+        what = f"a delay of {max(late):g} s takes {max(lengths)} past commands at a step of {step:g} s"
+        raise ExportError(what, where=where, advice="Export for a longer --step.")
     units = tuple(
         getattr(term, "state_units", {}).get(name, "?")
         for term in model.terms
@@ -165,10 +155,8 @@ def _rates(model: SingleTrack, step: float, where: str) -> tuple[float, float]:
         usual = term.fastest_rate(_USUAL_SPEEDS * model.vehicle.minimum_speed)
         # What no step resolves is told before the controller finds not-a-number.
         if usual * step > _FASTEST:
-            raise ExportError(
-                f"{term.id} reacts within {1.0 / usual:.2g} s, too fast for a step of {step:g} s",
-                where=where,
-                advice="Leave out a lag or a relaxation this short, or export for a shorter --step.",
-            )
+            what = f"{term.id} reacts within {1.0 / usual:.2g} s, too fast for a step of {step:g} s"
+            advice = "Leave out a lag or a relaxation this short, or export for a shorter --step."
+            raise ExportError(what, where=where, advice=advice)
         standing, moving = max(standing, slow), max(moving, (fast - slow) / _TOP_SPEED)
     return standing, moving

@@ -1,7 +1,5 @@
 """The projected process as numbers to export: points, weights and triangles, without what it learned them from."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -9,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.prediction.projected import ProjectedPredictor
-
-__all__ = ["PROJECTION_ARRAYS", "ProjectionData", "answer_of", "digest_of", "projection_data"]
 
 #: The arrays of `ProjectionData` that documents hold beside the set's.
 PROJECTION_ARRAYS = ("reference", "points", "weights", "whitening", "spread", "absent", "gain_limit")

@@ -1,7 +1,5 @@
 """What every export carries: where it comes from, what its numbers mean, and how it was verified."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +10,6 @@ from split_cli import __version__
 from split_cli.learning.training_set import TrainingSet
 from split_cli.scoring.export_warnings import reservations
 from split_cli.vehicle.parameters import vehicle_to_mapping
-
-__all__ = ["CONVENTIONS", "Provenance", "content_digest", "provenance_of"]
 
 CONVENTIONS = {
     "frame": "ISO 8855 at the centre of gravity: x forward, y left, z up, yaw counter-clockwise positive",

@@ -3,8 +3,6 @@
 That of the committee visits every cell for every query and shares neither tables nor code with the exports.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.export.projection import answer_of, projection_data
@@ -12,8 +10,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.predictor import Prediction
 from split_cli.prediction.projected import ProjectedPredictor
 from split_cli.prediction.table import TablePredictor
-
-__all__ = ["CommitteeReference", "ProcessReference", "Reference", "SplineReference"]
 
 _CHUNK = 256
 

@@ -16,12 +16,6 @@ from split_cli.export.symbolic import NominalGraph
 from split_cli.learning.running_trust import RunningTrust
 from split_cli.learning.training_set import TrainingSet
 
-__all__ = [
-    "OBSERVER_TOLERANCE", "STEP_TOLERANCE", "Intervals", "StepOracle", "Stepper", "compare_drives",
-    "compare_features", "compare_linearisation", "compare_memory", "compare_observer", "compare_states",
-    "make_step_oracle", "observed",
-]  # fmt: skip
-
 Stepper = Callable[[np.ndarray], np.ndarray]
 
 STEP_TOLERANCE = {"double": 1e-9, "float": 1e-4}

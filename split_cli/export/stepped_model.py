@@ -4,8 +4,6 @@ Single steps take past commands by `numpy.interp`; drives are followed as record
 along the whole of it, so that a line of past commands that shifts wrongly shows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +19,6 @@ from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.recording import Recording, shifted
 from split_cli.vehicle.integration import Situation, integrate_with_memory, phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["Drives", "SteppedModel", "random_memory", "rk4_substeps", "roll_drives"]
 
 _DRIVES, _STEPS = 4, 40
 _DIFFERENCES = 1e-5
@@ -132,12 +128,7 @@ class SteppedModel:
         return self.step * (phi @ mean[:, :, None])[..., 0], phi
 
     def advance(
-        self,
-        acting: np.ndarray,
-        driven: np.ndarray,
-        command: np.ndarray,
-        u: np.ndarray,
-        place_time: np.ndarray,
+        self, acting: np.ndarray, driven: np.ndarray, command: np.ndarray, u: np.ndarray, place_time: np.ndarray
     ) -> np.ndarray:
         """Return what acts after a linearised exact step, shape (N, 8 + S)."""
         f, A = self.linear(acting, driven, place_time)

@@ -1,12 +1,8 @@
 """Straight-line C99 from a loop-free CasADi function: one constant local a line, nothing else needed."""
 
-from __future__ import annotations
-
 import casadi
 
 from split_cli.errors import OUR_FAULT, ExportError
-
-__all__ = ["number", "straight_line"]
 
 _UNARY = {
     casadi.OP_NEG: "-{0}", casadi.OP_SQ: "{0} * {0}", casadi.OP_TWICE: "@TWO@ * {0}", casadi.OP_INV: "@ONE@ / {0}",

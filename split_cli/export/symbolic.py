@@ -1,7 +1,5 @@
 """The vehicle's right-hand side as a CasADi graph: every named term is exported as it was learned with."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -14,10 +12,6 @@ from split_cli.export.memory import Memory, exported_model, memory_of
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.labels import DEFAULT_HORIZON
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = [
-    "CASADI", "LOW_SPEED_SHARE", "STATES", "CasadiOperations", "NominalGraph", "build_nominal", "guarded_speed",
-]  # fmt: skip
 
 STATES = ("X", "Y", "yaw", "vx", "vy", "r", "T", "delta")
 
@@ -141,18 +135,13 @@ def _trace(model: SingleTrack, low_speed: float) -> _Trace:
         )
         rates = casadi.vertcat(*model.balance(flow))
     except (TypeError, NotImplementedError, RuntimeError, AttributeError) as error:
-        raise ExportError(
-            f"a term cannot be traced symbolically ({type(error).__name__}: {str(error).splitlines()[0]})",
-            where=where,
-            advice="A term may use only the shared operations of split_cli.vehicle.operations.",
-        ) from error
+        what = f"a term cannot be traced symbolically ({type(error).__name__}: {str(error).splitlines()[0]})"
+        advice = "A term may use only the shared operations of split_cli.vehicle.operations."
+        raise ExportError(what, where=where, advice=advice) from error
     silent = sorted(set(names) - set(flow.rates))
     if silent:
-        raise ExportError(
-            f"the state {silent[0]} is declared, but no term says how it changes",
-            where=where,
-            advice="States go through Term.first_order or Term.play.",
-        )
+        what = f"the state {silent[0]} is declared, but no term says how it changes"
+        raise ExportError(what, where=where, advice="States go through Term.first_order or Term.play.")
     rates = casadi.vertcat(rates, *(flow.rates[name] for name in names))
     return _Trace(a, place_time, rates, flow, speed)
 
@@ -176,11 +165,9 @@ def _jumps(model: SingleTrack, trace: _Trace, plays: tuple[int, ...]) -> casadi.
     jacobian = casadi.jacobian(pulled, trace.acting)
     allowed = {4, 5, *(6 + k for k in plays)}
     if set(jacobian.sparsity().get_col()) - allowed or casadi.depends_on(pulled, trace.place_time):
-        raise ExportError(
-            "a play follows something else than a command",
-            where=f"vehicle {model.vehicle.name}, effects",
-            advice="A step knows only its commands ahead.",
-        )
+        what = "a play follows something else than a command"
+        advice = "A step knows only its commands ahead."
+        raise ExportError(what, where=f"vehicle {model.vehicle.name}, effects", advice=advice)
     outputs = [casadi.densify(pulled), casadi.densify(jacobian)]
     return casadi.Function("jumps", [trace.acting, trace.place_time], outputs, {"cse": True})
 
@@ -309,10 +296,8 @@ def _feature_expressions(
 
 def _feature_function(z: casadi.SX, x: casadi.SX, u: casadi.SX, place_time: casadi.SX) -> casadi.Function:
     if casadi.depends_on(z, place_time):
-        raise ExportError(
-            "a feature depends on time or place through a term, which exported features do not take",
-            advice="Train with z2, or without that term.",
-        )
+        what = "a feature depends on time or place through a term, which exported features do not take"
+        raise ExportError(what, advice="Train with z2, or without that term.")
     z = casadi.densify(z)
     jacobian = casadi.densify(casadi.jacobian(z, casadi.vertcat(x, u)))
     return casadi.Function("features", [x, u], [z, jacobian], {"cse": True})

@@ -1,7 +1,5 @@
 """What an exported committee evaluates: points, eigenvectors and weights of every cell, far cells bounded."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -11,10 +9,6 @@ from split_cli.export.projection import ProjectionData, digest_of
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.bcm import committee_tables
 from split_cli.prediction.table import TablePredictor
-
-__all__ = [
-    "SKIP_TOLERANCE", "BcmTables", "Constants", "TableData", "build_tables", "require_usable", "table_data",
-]  # fmt: skip
 
 SKIP_TOLERANCE = {"double": 1e-13, "float": 1e-6}
 """Bound on what skipping far cells may change, in signal deviations (mean) and signal variances."""

@@ -1,7 +1,5 @@
 """One export: every target written into a folder and compared with Python before anyone sees it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -52,11 +50,6 @@ from split_cli.prediction.projected import ProjectedPredictor
 from split_cli.prediction.table import TablePredictor
 from split_cli.prediction.trusted import untrusted
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = [
-    "CHECK_POINTS", "MANIFEST", "PREDICTORS", "TARGETS", "ExportPlan", "TargetResult", "acados_source",
-    "plan_export", "write_export",
-]  # fmt: skip
 
 TARGETS = ("c", "casadi", "npz", "json", "ggv")
 PREDICTORS = ("bcm", "rbcm", "table", "projected")
@@ -307,12 +300,7 @@ def _write_casadi(
 
 
 def _write_document(
-    document: Document,
-    plan: ExportPlan,
-    oracle: Oracle,
-    target: str,
-    folder: Path,
-    check: PredictionCheck | None,
+    document: Document, plan: ExportPlan, oracle: Oracle, target: str, folder: Path, check: PredictionCheck | None
 ) -> TargetResult:
     path = folder / f"{plan.name}.{target}"
     written = [path.name]

@@ -1,13 +1,9 @@
 """The valid region of a trained model as one loop-free function."""
 
-from __future__ import annotations
-
 import casadi
 import numpy as np
 
 from split_cli.learning.training_set import TrainingSet
-
-__all__ = ["is_valid", "valid_function"]
 
 
 def valid_function(training_set: TrainingSet, name: str = "valid") -> casadi.Function:

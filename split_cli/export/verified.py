@@ -1,10 +1,6 @@
 """Result of one check of a file, without the slow imports of the checks themselves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-
-__all__ = ["VerifiedItem"]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Checking an export that already lies in a folder: hashes, then answers."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -28,8 +26,6 @@ from split_cli.files import ScratchFolder, parse_json, sha256_of_file
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import make_predictor
 
-__all__ = ["read_manifest", "verify_against_set", "verify_folder"]
-
 RELEARNED = 1e-6
 """Of means in signal deviations and variances in signal variances [1]: sums of thousands of labels are rounded
 otherwise by other libraries."""
@@ -47,20 +43,14 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         manifest = parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ExportError(
-            "holds no export: manifest.json is missing",
-            where=str(folder),
-            advice="Name a folder that `split export` wrote.",
-        ) from None
+        advice = "Name a folder that `split export` wrote."
+        raise ExportError("holds no export: manifest.json is missing", where=str(folder), advice=advice) from None
     except (OSError, ValueError) as error:
         raise ExportError(f"is damaged ({error})", where=str(path), advice="Export the set again.") from error
     if not isinstance(manifest, dict) or manifest.get("format") != MANIFEST_FORMAT:
         found = manifest.get("format") if isinstance(manifest, dict) else type(manifest).__name__
-        raise ExportError(
-            f"is of format {found!r}, this version reads {MANIFEST_FORMAT!r}",
-            where=str(path),
-            advice="Export the set again.",
-        )
+        what = f"is of format {found!r}, this version reads {MANIFEST_FORMAT!r}"
+        raise ExportError(what, where=str(path), advice="Export the set again.")
     if not _is_sound(manifest):
         raise ExportError(
             "is damaged (it lacks keys or names files elsewhere)", where=str(path), advice="Export the set again."
