@@ -1,7 +1,5 @@
 """Predictors applied to drives: at recorded rows and at simulated states; FITC gets the recorded future."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,8 +11,6 @@ from split_cli.logs.drive import Drive
 from split_cli.prediction import Prediction, Predictor
 from split_cli.prediction.fitc import CONTEXT_INTERVAL, CONTEXT_STATES
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["correction_from", "features_at", "future_rows", "predict_rows", "time_per_query"]
 
 _TIMED_QUERIES = 200
 _LONGEST_TIMING = 2.0

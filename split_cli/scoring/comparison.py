@@ -1,13 +1,9 @@
 """Models side by side on the same drives: free-running errors with intervals, skill, fit, and which is best."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["ModelScore", "RunErrors", "StateScore", "rank", "worse_than"]
 
 STATES = ("v_x", "v_y", "r")
 UNITS = ("m/s", "m/s", "rad/s")

@@ -15,20 +15,9 @@ from split_cli.scoring.application import correction_from, predict_rows
 from split_cli.scoring.metrics import ErrorSums, ProbabilitySums, skill
 from split_cli.scoring.noise import NoiseFloor, noise_floor
 from split_cli.scoring.persistence import label_persistence_errors, velocity_persistence_errors
-from split_cli.scoring.rollouts import (
-    Correction,
-    hold_velocity,
-    roll_out,
-    rollout_starts,
-)
+from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
 from split_cli.scoring.splits import BlockSplit
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = [
-    "LABEL_PERSISTENCE", "NOMINAL", "VELOCITY_PERSISTENCE", "HeldOutSamples", "Score", "ScoreTally",
-    "baseline_tallies", "pooled_noise_floor", "predictor_names", "predictor_tally", "rollout_trajectories",
-    "score",
-]  # fmt: skip
 
 NOMINAL = "nominal"
 VELOCITY_PERSISTENCE = "velocity held"

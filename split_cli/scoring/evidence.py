@@ -23,11 +23,6 @@ from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
 from split_cli.scoring.splits import with_guards
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = [
-    "FEWEST_BLOCKS", "HORIZONS", "MOST_ROWS", "WHOLE_DRIVES", "TrainingDrive", "TrustEvidence",
-    "held_out_evidence", "held_out_whole",
-]  # fmt: skip
-
 #: Horizons beyond one step at which trust is judged [s].
 HORIZONS = (0.5, 1.0, 2.0)
 _STATES = ("vx", "vy", "r")

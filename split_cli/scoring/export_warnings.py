@@ -1,12 +1,8 @@
 """Warnings that every export of a trained set carries: where its correction may do harm."""
 
-from __future__ import annotations
-
 from split_cli.learning.training_set import TrainingSet
 from split_cli.scoring.evidence import WHOLE_DRIVES
 from split_cli.scoring.torque_lag import found_lag, lag_note
-
-__all__ = ["reservations"]
 
 
 def reservations(training_set: TrainingSet) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """Feature sets compared at equal size: the N most informative samples of each, by marginal gain."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,8 +12,6 @@ from split_cli.learning.region import Grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.factorization import most_informative
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["ALL", "DEFAULT_SIZES", "MOST_SAMPLES", "PAPER_SIZE", "informative_sets", "point_set"]
 
 #: Size 0 stands for all training samples, thinned evenly to `MOST_SAMPLES` (the dense process is cubic).
 ALL = 0

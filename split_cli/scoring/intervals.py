@@ -1,7 +1,5 @@
 """Do the intervals of a set hold on a drive, near its points and beyond? A warning where they are too narrow."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -13,8 +11,6 @@ from split_cli.scoring.report import IntervalShares
 from split_cli.scoring.run import Trace
 from split_cli.scoring.vehicle_match import near_points
 from split_cli.scoring.verdict import STATES, number_blocks
-
-__all__ = ["interval_shares", "interval_warnings", "too_narrow"]
 
 _LEVEL = 0.95
 _LEVELS = (0.5, 0.9, _LEVEL)

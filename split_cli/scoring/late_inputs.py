@@ -1,7 +1,5 @@
 """Test for inputs that arrive late: correlation of the labels with the rate of an input."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,8 +8,6 @@ from split_cli.learning.labels import Labels
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["late_inputs", "torque_delay"]
 
 #: Correlation from which a label is said to go with an input's rate [1]; judgement: a tenth of its variance.
 _LEAST_CORRELATION = 0.3

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erfinv
 
-__all__ = ["INTERVALS", "ErrorSums", "ProbabilitySums", "skill"]
-
 #: Shares of probability whose central intervals are counted.
 INTERVALS = (0.5, 0.95)
 _LEVELS = np.linspace(0.05, 0.95, 19)

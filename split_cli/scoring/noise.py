@@ -1,7 +1,5 @@
 """The noise floor: the label rms that sensor noise alone makes, below which no model can go."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -14,8 +12,6 @@ from split_cli.logs.drive import Drive, NoiseEstimate
 from split_cli.scoring.persistence import phi_at
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import Windows
-
-__all__ = ["NoiseFloor", "covariance_in_labels", "covariance_of_ends", "fast_motion", "noise_floor", "white_noise"]
 
 Direction = np.ndarray | float
 _VELOCITIES = ("vx", "vy", "r")

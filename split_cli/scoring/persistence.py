@@ -1,7 +1,5 @@
 """Reference predictions: velocities held over the horizon (persistence), and the last label held."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.learning.labels import Labels, inputs_along
@@ -9,8 +7,6 @@ from split_cli.learning.pieces import pieces
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["label_persistence_errors", "phi_at", "velocity_persistence_errors"]
 
 
 def phi_at(model: SingleTrack, drive: Drive, rows: np.ndarray, horizon: float) -> np.ndarray:

@@ -1,7 +1,5 @@
 """What an evaluation reports, as dataclasses that print as JSON with these names as keys."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +11,6 @@ from split_cli.scoring.evaluation import Score
 from split_cli.scoring.noise import NoiseFloor
 from split_cli.scoring.verdict import Comparison
 from split_cli.vehicle.parameters import EffectSpec
-
-__all__ = [
-    "EVALUATION_FORMAT", "DriveFacts", "Evaluation", "EvaluationSettings", "IntervalShares", "RolloutScore",
-    "SetFacts", "SizeScore",
-]  # fmt: skip
 
 EVALUATION_FORMAT = "split-evaluation/1"
 

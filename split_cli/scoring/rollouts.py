@@ -17,8 +17,6 @@ from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import RecordedInputs
 
-__all__ = ["Correction", "RolloutSums", "hold_velocity", "roll_out", "rollout_starts", "score_rollouts"]
-
 Model = TypeVar("Model", bound=Hashable)
 
 _MOST_STARTS = 200

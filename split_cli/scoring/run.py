@@ -14,8 +14,6 @@ from split_cli.scoring.evaluation import HeldOutSamples, ScoreTally
 from split_cli.scoring.report import Evaluation
 from split_cli.scoring.rollouts import RolloutSums
 
-__all__ = ["DRAWN_ROWS", "EvaluationRun", "Trace"]
-
 #: Rows of a drive that a page draws at most [1].
 DRAWN_ROWS = 2**18
 

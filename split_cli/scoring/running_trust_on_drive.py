@@ -1,7 +1,5 @@
 """A set on a drive with its running trust: at every row, the share that the driving before it supports."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.learning.labels import inputs_along
@@ -13,8 +11,6 @@ from split_cli.scoring.evaluation import HeldOutSamples
 from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import Windows
-
-__all__ = ["FollowedPredictor"]
 
 #: Of central differences [m/s, m/s, rad/s]: truncation and rounding are both below 1e-6.
 _APART = 1e-4

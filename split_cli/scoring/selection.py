@@ -1,15 +1,11 @@
 """Settings of a set chosen on held-out blocks: every candidate's error and cost, their front, and the choice."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from split_cli.prediction import DEFAULT_PREDICTOR
-
-__all__ = ["SelectionSettings", "SetCandidate", "SetSelection", "choose", "relative_error"]
 
 
 @dataclass(frozen=True)

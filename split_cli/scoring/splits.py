@@ -1,18 +1,11 @@
 """Held-out blocks of time: contiguous, spread over the drive, with a guard on both sides."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
-
-__all__ = [
-    "DEFAULT_BLOCKS", "DEFAULT_GUARD", "DEFAULT_HOLDOUT", "BlockSplit", "hold_out_blocks", "whole_drive",
-    "with_guards",
-]  # fmt: skip
 
 DEFAULT_BLOCKS = 10
 DEFAULT_HOLDOUT = 0.3
@@ -32,10 +25,7 @@ class BlockSplit:
 
 
 def hold_out_blocks(
-    drive: Drive,
-    blocks: int = DEFAULT_BLOCKS,
-    holdout: float = DEFAULT_HOLDOUT,
-    guard: float = DEFAULT_GUARD,
+    drive: Drive, blocks: int = DEFAULT_BLOCKS, holdout: float = DEFAULT_HOLDOUT, guard: float = DEFAULT_GUARD
 ) -> BlockSplit:
     """Cut a drive into equal blocks of time and hold some out, evenly spread.
 
@@ -55,11 +45,9 @@ def hold_out_blocks(
         If the settings leave less than half of the other blocks' rows for training.
     """
     if blocks < 2 or not 0.0 < holdout < 1.0 or not 0.0 <= guard < float("inf"):
-        raise DriveError(
-            f"{blocks} blocks with a share of {holdout:g} held out and a guard of {guard:g} s cannot be made",
-            where=drive.name,
-            advice="Two blocks or more, a share between 0 and 1 and a guard of 0 s or more are needed.",
-        )
+        what = f"{blocks} blocks with a share of {holdout:g} held out and a guard of {guard:g} s cannot be made"
+        advice = "Two blocks or more, a share between 0 and 1 and a guard of 0 s or more are needed."
+        raise DriveError(what, where=drive.name, advice=advice)
     rows = len(drive)
     block = (np.arange(rows) * blocks // rows).astype(np.int32)
     count = min(max(1, round(holdout * blocks)), blocks - 1)

@@ -4,8 +4,6 @@ No feature of the moment tells what a lag leaves out; a state of the model does.
 otherwise in each style of driving, and the correction then does harm in the next one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
@@ -20,8 +18,6 @@ from split_cli.scoring.late_inputs import torque_delay
 from split_cli.scoring.trust import judge_correction
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["Prepared", "decide", "fit_torque_lag", "found_lag", "lag_note", "may_show_a_lag"]
 
 Made = TypeVar("Made")
 

@@ -1,7 +1,5 @@
 """Trust: the share of each correction that held-out blocks support, and the doubt, the variance beyond it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -11,8 +9,6 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust, kept_share
 from split_cli.scoring.evidence import FEWEST_BLOCKS, TrainingDrive, TrustEvidence, held_out_evidence
-
-__all__ = ["NEGLIGIBLE", "best_trust", "doubt_from", "judge_correction", "own_shares"]
 
 #: One-sided level of 95 %: a gain within chance is not believed. Of Student's t with many blocks; with few blocks
 #: the quantile of their own degrees of freedom is taken.

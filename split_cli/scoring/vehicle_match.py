@@ -1,7 +1,5 @@
 """Whether a drive can belong to a vehicle (geometry, grip, mass), and how much of it lies near points of a set."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +9,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["Belonging", "belonging", "near_points", "share_beyond"]
 
 #: Ratios beyond which no wrong value of one car explains it: a car of another size. A steering ratio left out or a
 #: mass off by half stay inside; a 1:10 car against a road car is off by 8.

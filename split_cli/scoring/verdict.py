@@ -1,7 +1,5 @@
 """A verdict in words: is the corrected model better than the nominal one and than persistence, beyond chance?"""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,11 +9,6 @@ from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, HeldOutS
 from split_cli.scoring.persistence import velocity_persistence_errors
 from split_cli.scoring.trust import NEGLIGIBLE
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = [
-    "BlockErrors", "Comparison", "compare", "does_harm", "number_blocks", "one_step_errors",
-    "rollout_errors", "verdict", "warnings_of",
-]  # fmt: skip
 
 STATES = ("v_x", "v_y", "r")
 #: Shortest block of time whose errors count as independent of the next one's [s]: twice the longest rollout.
@@ -233,10 +226,7 @@ def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
     """Return a warning for every state that is worse than the nominal model or than persistence beyond chance."""
     warnings = []
     for state in STATES:
-        for other, attribute in (
-            ("the nominal model", "to_nominal"),
-            ("holding the velocities", "to_held"),
-        ):
+        for other, attribute in (("the nominal model", "to_nominal"), ("holding the velocities", "to_held")):
             worse = [c for c in comparisons if c.state == state and getattr(c, attribute)[1] > 1.0]
             if worse:
                 c = max(worse, key=lambda c: getattr(c, attribute)[0])

@@ -1,7 +1,5 @@
 """Forces at the axles that a recording shows, beside those of models."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +10,6 @@ from split_cli.logs.drive import Drive
 from split_cli.prediction import Prediction
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["AxleForces", "axle_forces", "binned", "forces_of_rates"]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Measured motion and the model's own motion over the recorded inputs, on one clock and with accelerations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +7,6 @@ import numpy as np
 from split_cli.logs.drive import Drive
 from split_cli.scoring.rollouts import Correction, roll_out
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["derivative", "distance", "free_run", "lateral_acceleration", "measured_motion"]
 
 STEP = 0.05
 _SMOOTH = 0.25  # [s] of the quadratic that a derivative is read from

@@ -1,14 +1,10 @@
 """How yaw rate follows the steering over frequency, for a recording and for a model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from split_cli.logs.drive import Drive
-
-__all__ = ["SteeringResponse", "steering_response"]
 
 WINDOW = 8.0
 _LEAST_COHERENCE = 0.6

@@ -1,7 +1,5 @@
 """The understeer gradient and the steering ratio that a recording shows, transients included."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +7,6 @@ import numpy as np
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
-
-__all__ = ["DEG_PER_G", "Understeer", "nominal_understeer", "understeer_of"]
 
 #: From rad/(m/s^2) to degrees a g, as handling engineers quote it.
 DEG_PER_G = float(np.degrees(9.80665))

@@ -1,10 +1,6 @@
 """Whether what a model leaves is noise: its autocorrelation over time."""
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["autocorrelation"]
 
 _TWO_SIDED_99 = 2.575829
 
