@@ -4,16 +4,12 @@ Private; needs numba. Every sample is computed by itself in a fixed order of ope
 labels and sets do not depend on how samples are batched.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from numpy import ndarray
 
 from split_cli.compiled_code import compiled
-
-__all__ = ["blocks_likelihood", "cell_number", "refresh_cells", "update_cell", "update_cells"]
 
 _INSERTED, _REPLACED = 1, 2
 _JITTERS = np.array([0.0, 1e-13, 1e-12, 1e-11, 1e-10])

@@ -4,16 +4,12 @@ Private; needs numba. Every window is computed by itself in a fixed order of ope
 labels do not depend on how samples are batched.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from numpy import ndarray
 
 from split_cli.compiled_code import compiled
-
-__all__ = ["window_errors"]
 
 
 @compiled(cache=True)

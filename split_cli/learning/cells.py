@@ -1,7 +1,5 @@
 """Learning: every sample is offered to its cell, which keeps the points of greatest marginal gain."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -15,11 +13,6 @@ from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.training_set import SetSource, TrainingSet
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = [
-    "DEFAULT_CAPACITY", "DEFAULT_THRESHOLD", "empty_set", "extend", "learn", "recompute_gains", "warm_up",
-    "without_points",
-]  # fmt: skip
 
 DEFAULT_CAPACITY = 10
 DEFAULT_THRESHOLD = 1e-3
@@ -156,10 +149,8 @@ def extend(training_set: TrainingSet, labels: Iterable[Labels], *, batch: int | 
         If the labels are of another vehicle, or of other features, region or horizon than the set.
     """
     if training_set.learner != "split":
-        raise SetError(
-            f"was learned by {training_set.learner!r}, whose points are not kept cell by cell",
-            advice="Continue it with that learner.",
-        )
+        what = f"was learned by {training_set.learner!r}, whose points are not kept cell by cell"
+        raise SetError(what, advice="Continue it with that learner.")
     cells = _Cells(training_set)
     sources = list(training_set.sources)
     for drive in labels:

@@ -1,7 +1,5 @@
 """What the residual is a function of: z2 = [alpha_f, alpha_r, T/T_max], z1, or any list of named signals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,8 +11,6 @@ from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["Z1", "Z2", "FeatureSet", "flow_along", "parse_features", "place_of", "recording_of"]
 
 
 @dataclass(frozen=True)

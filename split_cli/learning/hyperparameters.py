@@ -1,7 +1,5 @@
 """Hyperparameters: defaults, and the maximum-likelihood fit over blocks of neighbouring cells."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,11 +10,6 @@ from split_cli.errors import SetError
 from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid
-
-__all__ = [
-    "FEWEST_TO_FIT", "LONGEST_SCALE", "KernelFit", "block_likelihood", "default_kernel", "fit_kernel",
-    "longest_scale", "neighbour_blocks", "scatter_variance",
-]  # fmt: skip
 
 LENGTH_SCALE_EDGES = 2.0
 # Bounds of the fit: length scales in cell edges, variances in the label's mean square.
@@ -205,10 +198,8 @@ def _blocks_to_fit(
     z, y = z[inside], y[inside]
     t = np.arange(float(len(z))) if times is None else times[inside]
     if len(z) < FEWEST_TO_FIT:
-        raise SetError(
-            f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed",
-            advice="Use --hyperparameters default.",
-        )
+        what = f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed"
+        raise SetError(what, advice="Use --hyperparameters default.")
     thinned = _evenly(len(z), _AT_MOST)
     z, y, t = z[thinned], y[thinned], t[thinned]
     blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)

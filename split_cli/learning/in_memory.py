@@ -1,7 +1,5 @@
 """A set from labels in memory, with hyperparameters fitted to them: for evaluation, notebooks and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,8 +18,6 @@ from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["fitted_grid_and_kernel", "train_in_memory"]
 
 
 def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
@@ -44,11 +40,8 @@ def fitted_grid_and_kernel(
     """
     z = np.concatenate([part.z[part.accepted] for part in labels])
     if not len(z):
-        raise DriveError(
-            "no training sample lies inside the valid region",
-            where=labels[0].drive,
-            advice="`split label` counts why; look at units and signs with `split info`.",
-        )
+        advice = "`split label` counts why; look at units and signs with `split info`."
+        raise DriveError("no training sample lies inside the valid region", where=labels[0].drive, advice=advice)
     y = np.concatenate([part.y[part.accepted] for part in labels])
     grid = build_grid(labels[0].features, vehicle, labels[0].region, z).coarser(cell_edge)
     kernel = default_kernel(grid, y, scatter_variance(labels[0]))

@@ -1,7 +1,5 @@
 """The online method of Kabzan et al. (2019) for comparison: one dictionary, compared with every sample."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -14,8 +12,6 @@ from split_cli.learning.cells import recompute_gains
 from split_cli.learning.kernel import Kernel, correlation
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.training_set import SetSource, TrainingSet
-
-__all__ = ["DEFAULT_DICTIONARY", "LEARNER", "Dictionary", "empty_dictionary", "extend_dictionary"]
 
 LEARNER = "iol"
 #: Points a dictionary keeps [1]. The SPLIT paper's rival held 268 after one lap and 361 after ten.
@@ -179,10 +175,8 @@ class Dictionary:
         try:
             factor = scipy.linalg.cho_factor(matrix, lower=True, check_finite=False)
         except scipy.linalg.LinAlgError:
-            raise SetError(
-                f"the {n} points of the dictionary cannot be told apart: their kernel matrix is singular",
-                advice="Raise --threshold or shorten the length scales.",
-            ) from None
+            what = f"the {n} points of the dictionary cannot be told apart: their kernel matrix is singular"
+            raise SetError(what, advice="Raise --threshold or shorten the length scales.") from None
         self._inverse[:n, :n] = scipy.linalg.cho_solve(factor, np.eye(n), check_finite=False)
 
 
@@ -212,10 +206,8 @@ def extend_dictionary(training_set: TrainingSet, labels: Iterable[Labels]) -> Tr
         If the set is not one of this learner.
     """
     if training_set.learner != LEARNER:
-        raise SetError(
-            f"the set was learned by {training_set.learner!r}, not by {LEARNER!r}",
-            advice="Leave out --append, or continue it with the learner that made it.",
-        )
+        advice = "Leave out --append, or continue it with the learner that made it."
+        raise SetError(f"the set was learned by {training_set.learner!r}, not by {LEARNER!r}", advice=advice)
     for drive in labels:
         training_set = _learn_drive(training_set, drive.inside(training_set.grid))
     return training_set

@@ -1,12 +1,8 @@
 """The squared-exponential kernel: one set of length scales for all outputs, variances an output."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-
-__all__ = ["OUTPUTS", "Kernel", "correlation"]
 
 OUTPUTS = ("vx", "vy", "r")
 

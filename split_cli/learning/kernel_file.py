@@ -1,7 +1,5 @@
 """Given hyperparameters, as a YAML file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,8 +11,6 @@ from split_cli.errors import SetError, nearest_names
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.yaml_file import read_yaml_mapping
-
-__all__ = ["kernel_to_yaml", "read_kernel"]
 
 _KEYS = ("length_scales", "signal_variance", "noise_variance")
 
@@ -51,10 +47,7 @@ def kernel_to_yaml(kernel: Kernel, features: FeatureSet) -> str:
 
 def _check_keys(content: Any, expected: Sequence[str], what: str, where: str) -> None:
     if not isinstance(content, dict):
-        raise SetError(
-            f"{what} must be a mapping with {', '.join(expected)}",
-            where=where,
-        )
+        raise SetError(f"{what} must be a mapping with {', '.join(expected)}", where=where)
     for key in content:
         if key not in expected:
             raise SetError(f"unknown key {key!r} in {what}", where=where, advice=nearest_names(str(key), expected))

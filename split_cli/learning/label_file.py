@@ -1,7 +1,5 @@
 """Labels as a file: Parquet, one row a window."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -19,8 +17,6 @@ from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Region
 from split_cli.learning.set_limits import check_labels_header
-
-__all__ = ["drive_of_labels", "label_columns", "read_labels", "write_labels"]
 
 LABELS_FORMAT = "split-labels/1"
 

@@ -20,10 +20,6 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
 
-__all__ = [
-    "DEFAULT_HORIZON", "Labels", "Reason", "compute_labels", "nominal_errors", "window_samples",
-]  # fmt: skip
-
 DEFAULT_HORIZON = 0.05
 _CHUNK = 4096  # temporaries of that length stay in the cache
 _VELOCITIES = ("vx", "vy", "r")

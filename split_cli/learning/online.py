@@ -1,7 +1,5 @@
 """Learning while driving: a set that takes one control interval after the other, by the code of `split train`."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import NamedTuple
 
@@ -12,9 +10,6 @@ from split_cli.learning.cells import _Cells, _check_belongs
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import valid_cell_count
 from split_cli.learning.training_set import SetSource, TrainingSet
-
-__all__ = ["CellChange", "OnlineSet"]
-
 
 #: What `cell_number` returns in place of a cell.
 _WITHOUT_CELL = {-1: int(Reason.GRID), -2: int(Reason.NON_FINITE)}

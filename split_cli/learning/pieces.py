@@ -1,7 +1,5 @@
 """Processing of a long drive piece by piece in bounded memory, with results that do not depend on the pieces."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -11,8 +9,6 @@ from split_cli.learning.features import FeatureSet, recording_of
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.recording import Handover, Recording
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["PIECE_ROWS", "DrivePiece", "features_along", "pieces"]
 
 #: Rows that are worked through at once [1]: a long drive then takes no more memory than what comes out.
 PIECE_ROWS = 2**18

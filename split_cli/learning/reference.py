@@ -1,14 +1,10 @@
 """The paper's update of a cell as printed (one inversion a point, M an update), the reference of the tests."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from split_cli.learning.kernel import correlation
-
-__all__ = ["PrintedCell", "PrintedLearner"]
 
 
 @dataclass

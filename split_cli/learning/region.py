@@ -12,8 +12,6 @@ from split_cli.learning.features import Z2, FeatureSet
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import lateral_force
 
-__all__ = ["Grid", "Region", "build_grid", "valid_cell_count", "valid_cells", "z2_grid"]
-
 Z2_EDGES = (0.02, 0.02, 0.1)
 _CELLS_A_RANGE = 18
 

@@ -1,12 +1,8 @@
 """Running trust: the share of each correction that the last seconds of driving support, found while driving."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
-
-__all__ = ["MEMORY", "SPAN", "SWEEPS", "RunningTrust"]
 
 #: Over how long errors add up before they fade [s]: the shortest rollout that `split evaluate` judges. One step
 #: alone does not show what a small rate does to the velocities later.

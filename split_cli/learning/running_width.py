@@ -1,13 +1,9 @@
 """Running width: intervals that hold the share of labels that they promise, on whatever is driven."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import ndtri
-
-__all__ = ["RunningWidth"]
 
 #: What a label outside adds to the logarithm of a width, times the level [1]: a 95 % interval grows by 10 % for
 #: each label outside, and shrinks by 0.5 % for each inside. Judgement: seven labels outside in a row double it.

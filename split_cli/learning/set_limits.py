@@ -1,15 +1,11 @@
 """What a trained set and labels can hold: a forged or damaged file is refused before it is computed with."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from split_cli.learning.features import Z2
-
-__all__ = ["check_header", "check_labels_header", "check_points"]
 
 LARGEST_CAPACITY = 1000
 """Points a cell may keep [1]; theory: an update costs M^2; at 1,000 it outlasts a control interval."""

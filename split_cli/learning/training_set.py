@@ -21,8 +21,6 @@ from split_cli.learning.set_limits import check_header, check_points
 from split_cli.learning.trust import Trust
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
-__all__ = ["SetFile", "SetSource", "TrainingSet", "content_digest", "read_set", "write_set"]
-
 SET_FORMAT = "split-set/2"
 _READABLE = (SET_FORMAT, "split-set/1")  # the first one knew no trust: all of it
 _RETRAIN = "Train it again with `split train`."

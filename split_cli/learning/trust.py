@@ -8,8 +8,6 @@ import numpy as np
 
 from split_cli.learning.kernel import OUTPUTS
 
-__all__ = ["Trust", "kept_share", "supported_variance"]
-
 ORIGINS = ("full", "given", "held-out", "unjudged")
 
 
