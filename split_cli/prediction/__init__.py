@@ -3,8 +3,6 @@
 May import: learning, vehicle, signals, files, errors.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

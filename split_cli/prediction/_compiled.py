@@ -4,14 +4,10 @@ A committee's query visits every cell whose box of points lies within the cell's
 scales. A spline's query reads 64 coefficients whatever the size of the set.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 
 from split_cli.compiled_code import compiled
-
-__all__ = ["jacobian", "predict", "spline", "weighted_sum"]
 
 #: Sums may be reordered and contracted; infinities and not-a-number keep their meaning.
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}

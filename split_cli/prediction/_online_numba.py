@@ -1,13 +1,9 @@
 """The committee over cells of fixed room, compiled: a cell's decomposition, and all answers in one visit."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 
 from split_cli.compiled_code import compiled
-
-__all__ = ["committee", "decompose"]
 
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 

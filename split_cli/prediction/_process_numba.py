@@ -3,14 +3,10 @@
 Symmetric matrices are kept as their lower triangles, which halves what an update reads and writes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 
 from split_cli.compiled_code import compiled
-
-__all__ = ["absorb", "answer"]
 
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 

@@ -1,15 +1,11 @@
 """The dense process through few of its points: what a table is filled from, whatever the size of the set."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpstrf
 
 from split_cli.learning.kernel import Kernel
 from split_cli.prediction.factorization import most_informative
-
-__all__ = ["MOST_INDUCING", "BatchProcess"]
 
 #: Points that span the process [1]; a decomposition of that order takes seconds. Sets of fewer are used whole.
 MOST_INDUCING = 2000

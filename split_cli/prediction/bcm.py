@@ -1,7 +1,5 @@
 """The Bayesian committee machine over the cells of the set: one small Gaussian process a cell, combined."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -11,8 +9,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import _compiled
 from split_cli.prediction.factorization import queries
 from split_cli.prediction.predictor import Prediction, Predictor
-
-__all__ = ["BcmPredictor", "CommitteeTables", "RbcmPredictor", "committee_tables"]
 
 
 @dataclass(frozen=True)

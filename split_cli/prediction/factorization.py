@@ -1,7 +1,5 @@
 """What the predictors share: checked queries, a Cholesky factor with bounded and loud repair, greedy selection."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -10,8 +8,6 @@ import scipy.linalg
 from split_cli.errors import NumericalRepairWarning, SetError
 from split_cli.learning.kernel import correlation
 from split_cli.learning.training_set import TrainingSet
-
-__all__ = ["cholesky", "most_informative", "queries"]
 
 _LARGEST_JITTER = 1e-6
 

@@ -12,8 +12,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.factorization import cholesky, most_informative, queries
 from split_cli.prediction.predictor import Prediction, Predictor
 
-__all__ = ["CONTEXT_INTERVAL", "CONTEXT_STATES", "FitcPredictor"]
-
 #: The SPLIT paper's FITC: ten future states, 100 ms apart, as in Hewing et al. (2018).
 CONTEXT_STATES = 10
 CONTEXT_INTERVAL = 0.1
@@ -61,10 +59,8 @@ class FitcPredictor(Predictor):
         """Return the predictor with `context`, shape (P, D), as pseudo-inputs."""
         context = queries(context, self.training_set)
         if len(context) == 0:
-            raise SplitError(
-                "fitc needs at least one future state as pseudo-input",
-                advice="Evaluate with a drive that goes on after the block.",
-            )
+            advice = "Evaluate with a drive that goes on after the block."
+            raise SplitError("fitc needs at least one future state as pseudo-input", advice=advice)
         stored, kernel = self.training_set, self.training_set.kernel
         kept, _ = most_informative(context, kernel.length_scales, len(context), threshold=_REDUNDANT)
         pseudo = context[np.sort(kept)]

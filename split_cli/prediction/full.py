@@ -1,7 +1,5 @@
 """The dense Gaussian process on every point of the set: the oracle the sparse predictors are compared with."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np
@@ -10,8 +8,6 @@ from scipy.linalg import solve_triangular
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.factorization import cholesky, queries
 from split_cli.prediction.predictor import Prediction, Predictor
-
-__all__ = ["FullPredictor"]
 
 _CHUNK = 512
 

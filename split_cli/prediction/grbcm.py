@@ -1,7 +1,5 @@
 """The generalised robust committee: every cell's expert shares one set of points with all the others."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,8 +9,6 @@ from scipy.linalg import solve_triangular
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.factorization import cholesky, most_informative, queries
 from split_cli.prediction.predictor import Prediction, Predictor
-
-__all__ = ["DEFAULT_SHARED", "GrbcmPredictor"]
 
 #: Points all experts share. Ten times a cell's capacity, so that a shared point costs as much as ten own ones.
 DEFAULT_SHARED = 100

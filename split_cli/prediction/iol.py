@@ -1,7 +1,5 @@
 """The online method of Kabzan et al. (2019) as a predictor: the exact process on one bounded dictionary."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +8,6 @@ from split_cli.learning.iol import DEFAULT_DICTIONARY, LEARNER, Dictionary
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.full import FullPredictor
 from split_cli.prediction.predictor import Prediction, Predictor
-
-__all__ = ["IolPredictor"]
 
 
 class IolPredictor(Predictor):

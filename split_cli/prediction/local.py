@@ -1,7 +1,5 @@
 """The exact process on the neighbourhood of the query."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
@@ -9,8 +7,6 @@ from scipy.spatial import cKDTree
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.factorization import cholesky, queries
 from split_cli.prediction.predictor import Prediction, Predictor
-
-__all__ = ["DEFAULT_NEIGHBOURS", "LocalPredictor"]
 
 #: Points in a neighbourhood. 50 to 100 came within 1.1 to 1.6 times the dense error on prototypes.
 DEFAULT_NEIGHBOURS = 80

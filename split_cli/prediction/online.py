@@ -1,15 +1,11 @@
 """The committee kept up to date while the set grows: an update decomposes its own cell and no other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
 
 from split_cli.learning.online import OnlineSet
 from split_cli.prediction._online_numba import committee, decompose
-
-__all__ = ["OnlineCommittee"]
 
 
 class OnlineCommittee:

@@ -1,7 +1,5 @@
 """A process that learns label by label in bounded time and memory: all labels, on the points that span them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,8 +9,6 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.online import OnlineSet
 from split_cli.prediction._process_numba import absorb, answer
 from split_cli.prediction.factorization import most_informative
-
-__all__ = ["MOST_SPANNING", "OnlineProcess", "OnlineProjection", "ProcessState"]
 
 #: Points that span the process at most [1]. It bounds memory (12 MB) and time (0.3 ms an update) where length
 #: scales are short; at two cells, 200 points span the valid region of a road car.

@@ -9,8 +9,6 @@ import numpy as np
 
 from split_cli.learning.training_set import TrainingSet
 
-__all__ = ["Prediction", "Predictor"]
-
 
 @dataclass(frozen=True)
 class Prediction:

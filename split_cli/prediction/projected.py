@@ -1,7 +1,5 @@
 """The online process as a predictor: all points of a set, on the few that span them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.learning.kernel import Kernel
@@ -9,8 +7,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.factorization import queries
 from split_cli.prediction.online_process import MOST_SPANNING, OnlineProcess
 from split_cli.prediction.predictor import Prediction, Predictor
-
-__all__ = ["ProjectedPredictor", "learning_order", "process_of", "process_of_labels"]
 
 
 def process_of(

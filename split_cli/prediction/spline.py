@@ -1,15 +1,11 @@
 """A tricubic B-spline over a box of three features: nodes, coefficients, and zero outside."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_banded
 
 from split_cli.prediction import _compiled
-
-__all__ = ["Lattice", "Spline", "fit_spline", "lattice_over", "smooth_step"]
 
 #: Coefficients that are 0 on each side of an axis, so that a query beyond the box meets nothing else.
 PADDING = 3

@@ -1,7 +1,5 @@
 """The dense process as a table: a tricubic B-spline of its mean and deviation, the same time at any size."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +11,6 @@ from split_cli.prediction.batch_process import MOST_INDUCING, BatchProcess
 from split_cli.prediction.factorization import queries
 from split_cli.prediction.predictor import Prediction, Predictor
 from split_cli.prediction.spline import Lattice, fit_spline, lattice_over, smooth_step
-
-__all__ = ["DEFAULT_BOUND", "TableError", "TablePredictor"]
 
 #: Largest error of the mean that the spacing may cause, in signal deviations. An error e beside a prediction
 #: error E raises the root mean square by e^2/(2 E^2): 2 % at e = 0.2 E. Label noise of a tenth of the signal makes
@@ -70,12 +66,7 @@ class TablePredictor(Predictor):
 
     name: str = "table"
 
-    def __init__(
-        self,
-        training_set: TrainingSet,
-        bound: float = DEFAULT_BOUND,
-        most: int = MOST_INDUCING,
-    ) -> None:
+    def __init__(self, training_set: TrainingSet, bound: float = DEFAULT_BOUND, most: int = MOST_INDUCING) -> None:
         super().__init__(training_set)
         width = len(training_set.features.names)
         if width != 3:

@@ -6,8 +6,6 @@ import numpy as np
 
 from split_cli.prediction.predictor import Prediction, Predictor
 
-__all__ = ["TrustedPredictor", "untrusted"]
-
 
 class TrustedPredictor(Predictor):
     """Mean, variance and Jacobian of another predictor, with the trust of its set applied.

@@ -1,7 +1,5 @@
 """The dense process with its weights solved once: a query sums over the points that can still matter."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.learning.training_set import TrainingSet
@@ -10,8 +8,6 @@ from split_cli.prediction.factorization import queries
 from split_cli.prediction.full import FullPredictor
 from split_cli.prediction.local import DEFAULT_NEIGHBOURS, LocalPredictor
 from split_cli.prediction.predictor import Prediction, Predictor
-
-__all__ = ["DEFAULT_BOUND", "WeightsPredictor"]
 
 #: Largest error of the mean by leaving far points out, in signal deviations.
 DEFAULT_BOUND = 1e-4
