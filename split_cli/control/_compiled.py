@@ -1,11 +1,7 @@
 """Inner loops of the controllers, compiled; the plain forms are in tests/control."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
-
-__all__ = ["discretize"]
 
 _TERMS = 10
 #: The Taylor series of 10 terms leaves 1e-12 where the scaled matrix has this norm.

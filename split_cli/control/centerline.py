@@ -1,7 +1,5 @@
 """Centre lines of users, read in the form of the TUM racetrack database or refused with the reason."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -9,8 +7,6 @@ import numpy as np
 from split_cli.control.path import Path, resampled
 from split_cli.errors import SplitError
 from split_cli.files import read_text
-
-__all__ = ["read_centerline"]
 
 _MOST_BYTES = 16 << 20
 """Of a centre line's file [bytes]; judgement: the longest circuit at 1 m takes 2 MB."""

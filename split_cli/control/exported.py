@@ -1,7 +1,5 @@
 """The residual of an export's CasADi file: what a controller has that knows nothing of this program."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import casadi
@@ -15,8 +13,6 @@ from split_cli.errors import ExportError, SetError
 from split_cli.export.verify import read_manifest
 from split_cli.learning.features import FeatureSet
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["ExportedResidual"]
 
 
 class ExportedResidual(Residual):

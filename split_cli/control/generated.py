@@ -1,7 +1,5 @@
 """A function of one state as compiled C, evaluated for many states at once; interpreted where no compiler is."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from pathlib import Path
@@ -13,8 +11,6 @@ from split_cli.compiled_code import cache_folder
 from split_cli.errors import ExportError
 from split_cli.export.compiler import find_compiler
 from split_cli.files import ScratchFolder
-
-__all__ = ["Batch", "compiled"]
 
 FLAGS = ("-O2", "-shared", "-fPIC")
 

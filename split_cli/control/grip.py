@@ -3,8 +3,6 @@
 The peaks bound the slip angles, and they are the prior mean of a residual: what it says where it has no data.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.control.policy import GRIP_DOUBT, GRIP_RANGE, GRIP_STEP, GRIP_TORQUE
@@ -12,8 +10,6 @@ from split_cli.learning.features import FeatureSet
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import lateral_force, lateral_force_slope
-
-__all__ = ["PeakShift", "learned_grip", "tells_peaks"]
 
 
 def tells_peaks(vehicle: Vehicle, features: FeatureSet) -> bool:

@@ -1,7 +1,5 @@
 """The online rival in closed loop: one dictionary, in a thread of its own that falls behind."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 
@@ -15,8 +13,6 @@ from split_cli.learning.iol import Dictionary, empty_dictionary, extend_dictiona
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet
-
-__all__ = ["DictionaryResidual", "IolLearner", "printed_update_cost"]
 
 
 def printed_update_cost(points: int) -> float:

@@ -1,7 +1,5 @@
 """Learning beside the controller: what each control interval adds to the residual."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -19,11 +17,6 @@ from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.online_process import OnlineProjection
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = [
-    "FOLLOWING", "LabellingLearner", "Learned", "Learner", "NoLearner", "SplitLearner", "learning_region",
-    "settling_time",
-]  # fmt: skip
 
 
 def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float) -> Region:

@@ -1,7 +1,5 @@
 """Rows that keep the car within the valid region: slip angles within the ellipse, and their difference."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,17 +20,6 @@ from split_cli.control.residual import ResidualValues
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = [
-    "SLIP_ROWS",
-    "Limits",
-    "first_share",
-    "load_shift",
-    "nominal_share",
-    "slip_limit",
-    "slip_rows",
-    "torque_limit",
-]
 
 SLIP_ROWS = 5
 

@@ -18,8 +18,6 @@ from split_cli.learning.features import Z2, FeatureSet
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-__all__ = ["ControlModel", "Linearization", "check_features"]
-
 
 @dataclass(frozen=True)
 class Linearization:
@@ -75,17 +73,11 @@ class ControlModel:
         graph = build_nominal(SingleTrack(vehicle), Z2, step)
         where = f"vehicle {vehicle.name}, effects"
         if graph.jumps is not None or (graph.memory is not None and graph.memory.line):
-            raise VehicleError(
-                "has a delay or a play among its effects, and a controller here follows neither",
-                where=where,
-                advice="Drive with a vehicle file without it.",
-            )
+            what = "has a delay or a play among its effects, and a controller here follows neither"
+            raise VehicleError(what, where=where, advice="Drive with a vehicle file without it.")
         if graph.needs_place_and_time:
-            raise VehicleError(
-                "has an effect that depends on time or track position, which a controller here does not know",
-                where=where,
-                advice="Drive with a vehicle file without it.",
-            )
+            what = "has an effect that depends on time or track position, which a controller here does not know"
+            raise VehicleError(what, where=where, advice="Drive with a vehicle file without it.")
         check_features(vehicle, residual.features, step)
         self.start = graph.start
         self.memory = graph.rates.size1_in(0) - 6

@@ -1,7 +1,5 @@
 """Model predictive control that tracks a line at a given speed; of the steering alone, or of torque as well."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,8 +9,6 @@ from split_cli.control.limits import Limits
 from split_cli.control.model import ControlModel, Linearization
 from split_cli.control.path import Path, PathPoint
 from split_cli.control.receding_horizon import Actuators, Plan, RecedingController, Weights, _stages
-
-__all__ = ["Mpc", "MpcSettings", "SpeedController"]
 
 
 @dataclass(frozen=True)

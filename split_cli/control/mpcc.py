@@ -1,7 +1,5 @@
 """Model predictive contouring control: planning and tracking in one programme that wants progress."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +9,6 @@ from split_cli.control.model import ControlModel, Linearization
 from split_cli.control.path import Path, PathPoint
 from split_cli.control.policy import PROGRESS_ACCELERATION
 from split_cli.control.receding_horizon import Actuators, Plan, RecedingController, Weights, _stages
-
-__all__ = ["Mpcc", "MpccSettings"]
 
 
 @dataclass(frozen=True)

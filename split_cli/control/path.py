@@ -1,15 +1,11 @@
 """The line a controller follows: a centre line with its borders, closed or open, and errors against it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from split_cli.errors import SplitError
-
-__all__ = ["Path", "PathPoint", "check_path", "contour_and_lag", "resampled"]
 
 
 @dataclass(frozen=True)
@@ -158,11 +154,9 @@ def check_path(path: Path, width: float) -> None:
     room = path.left + path.right
     tightest = int(np.argmin(room))
     if room[tightest] <= width:
-        raise SplitError(
-            f"is {room[tightest]:.2f} m wide at {tightest * path.spacing:.0f} m, the car is {width:.2f} m",
-            where=path.name,
-            advice="Give widths in metres, widen the track, or name a narrower car with --width.",
-        )
+        what = f"is {room[tightest]:.2f} m wide at {tightest * path.spacing:.0f} m, the car is {width:.2f} m"
+        advice = "Give widths in metres, widen the track, or name a narrower car with --width."
+        raise SplitError(what, where=path.name, advice=advice)
     inner = np.where(path.curvature > 0.0, path.left, path.right) * np.abs(path.curvature)
     fold = int(np.argmax(inner))
     if inner[fold] >= 1.0:
@@ -174,11 +168,8 @@ def check_path(path: Path, width: float) -> None:
         )
     found = _crossing(path)
     if found is not None:
-        raise SplitError(
-            f"crosses itself: {found[0]:.0f} m and {found[1]:.0f} m along it meet",
-            where=path.name,
-            advice="Draw the centre line so that it does not cross itself.",
-        )
+        what = f"crosses itself: {found[0]:.0f} m and {found[1]:.0f} m along it meet"
+        raise SplitError(what, where=path.name, advice="Draw the centre line so that it does not cross itself.")
 
 
 def _crossing(path: Path) -> tuple[float, float] | None:

@@ -4,17 +4,6 @@ What a user sets stands in the settings (`MpccSettings`, `MpcSettings`, `Limits`
 from here. Inputs are weighed in units of the largest torque a second and of 1 rad/s. Imports nothing.
 """
 
-from __future__ import annotations
-
-__all__ = [
-    "ALPHA_MAX", "ANEW", "ATTEMPTS", "DALPHA_MAX", "DEVIATION_KEPT", "DICTIONARY", "ELLIPSE_SLACK", "FAR",
-    "FEASIBLE", "FIRST_DEVIATION", "FIRST_STEPS", "FREE", "GRIP_DOUBT", "GRIP_RANGE", "GRIP_STEP", "GRIP_TORQUE",
-    "LEAST_KNOWN", "LEAST_SIDE", "MARGIN", "MAX_STEER", "OPEN_ELLIPSE", "PAST", "PATIENCE",
-    "PROGRESS_ACCELERATION", "PROXIMAL", "P_ELLIPSE", "P_LONG", "RACE_P_LONG", "RETURN_SHARE", "ROOM_SHARE",
-    "SATURATED", "SETTLED", "SHARE_LEARNED", "SHARE_NOMINAL", "SHARE_STEP", "SIZE", "SLIP_DIFFERENCE_SLACK",
-    "SLOWEST", "STEER_RATE", "TORQUE_RATE", "TRACK_SLACK", "WIDER",
-]  # fmt: skip
-
 # What may be asked of the tyres and of the actuators.
 
 P_LONG, P_ELLIPSE = 0.9, 0.95

@@ -5,8 +5,6 @@ x_N. States and inputs are differences from the trajectory about which the model
 has one signed slack s with the cost w s^2: lower <= C x + s <= upper.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,8 +13,6 @@ import casadi
 import numpy as np
 
 from split_cli.control.policy import ATTEMPTS, FEASIBLE, FREE
-
-__all__ = ["QPData", "QPSolution", "StageQP"]
 
 
 @dataclass(frozen=True)
@@ -140,11 +136,7 @@ class StageQP:
 
     def _pattern_of_programme(self) -> None:
         x, u, s, gap, row = self.x_at, self.u_at, self.s_at, self.gap_at, self.row_at
-        pairs_h = [
-            np.broadcast_arrays(x[:, :, None], x[:, None, :]),
-            (u, u),
-            (s, s),
-        ]
+        pairs_h = [np.broadcast_arrays(x[:, :, None], x[:, None, :]), (u, u), (s, s)]
         h, (self._Q, self._R, self._S) = self._pattern(pairs_h, (self.size, self.size))
         pairs_a = [
             np.broadcast_arrays(gap[1:, :, None], x[:-1, None, :]),

@@ -1,7 +1,5 @@
 """What MPC and MPCC share: a plan that moves on with time, one linearised programme a step, and a fallback."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -29,8 +27,6 @@ from split_cli.control.policy import (
 )
 from split_cli.control.qp import QPData, StageQP
 from split_cli.errors import SplitError
-
-__all__ = ["Actuators", "ControllerLost", "Plan", "RecedingController", "StepInfo", "Weights"]
 
 
 class ControllerLost(SplitError):
@@ -193,11 +189,9 @@ class RecedingController(ABC):
             if solved:
                 break
         if not solved:
-            raise ControllerLost(
-                f"no plan was found from {x[3]:.1f} m/s at {s:.0f} m",
-                where=self.path.name,
-                advice="Start slower, or inside the track and along it.",
-            )
+            what = f"no plan was found from {x[3]:.1f} m/s at {s:.0f} m"
+            advice = "Start slower, or inside the track and along it."
+            raise ControllerLost(what, where=self.path.name, advice=advice)
         self.failures_in_a_row = 0
 
     def step(self, x: np.ndarray) -> tuple[np.ndarray, StepInfo]:

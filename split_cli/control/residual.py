@@ -16,8 +16,6 @@ from split_cli.prediction.online import OnlineCommittee
 from split_cli.prediction.online_process import OnlineProjection
 from split_cli.prediction.predictor import Predictor
 
-__all__ = ["NoResidual", "OnlineResidual", "PredictorResidual", "Residual", "ResidualValues"]
-
 
 @dataclass(frozen=True)
 class ResidualValues:

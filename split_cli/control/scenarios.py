@@ -1,15 +1,11 @@
 """Manoeuvres between cones: ISO 3888-1, ISO 3888-2, and braking while avoiding."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from split_cli.control.path import Path, resampled
 from split_cli.errors import SplitError, nearest_names
-
-__all__ = ["SCENARIOS", "Scenario", "build_scenario", "cones_hit"]
 
 CONE_RADIUS = 0.15
 """Of a cone's base [m]; cones touch the lane's border from outside."""
@@ -70,11 +66,7 @@ class Scenario:
 def _iso_3888_1(width: float) -> tuple[Lane, ...]:
     entry, side, leave = 1.1 * width + 0.25, 1.2 * width + 0.25, 1.3 * width + 0.25
     right = -0.5 * entry
-    return (
-        Lane(0.0, 15.0, right, entry),
-        Lane(45.0, 70.0, right + 3.5, side),
-        Lane(95.0, 125.0, right, leave),
-    )
+    return (Lane(0.0, 15.0, right, entry), Lane(45.0, 70.0, right + 3.5, side), Lane(95.0, 125.0, right, leave))
 
 
 def _iso_3888_2(width: float) -> tuple[Lane, ...]:
