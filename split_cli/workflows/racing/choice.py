@@ -1,7 +1,5 @@
 """Which features a race learns, chosen on held-out blocks of its laps, and whether learning helped."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,8 +16,6 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import AUTO, RaceSettings
 from split_cli.workflows.training.select import select
-
-__all__ = ["FeatureChoice", "choose_features", "whether_learning_helped"]
 
 
 class FeatureChoice(NamedTuple):

@@ -1,7 +1,5 @@
 """The plant with its sensors on one side, a controller on the other: what passes between them in an interval."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,8 +12,6 @@ from split_cli.plant.dynamics import Surroundings, advance
 from split_cli.plant.sensors import ChannelSpec, Reading, sensors_of
 from split_cli.plant.simulation import initial_state
 from split_cli.plant.tracks import Track
-
-__all__ = ["SAMPLE_PERIOD", "World", "body_ends", "body_width", "path_of"]
 
 SAMPLE_PERIOD = 0.01
 """Of the drive that is recorded, and of the ramps that lead commands from one value to the next [s]."""

@@ -1,7 +1,5 @@
 """The laps themselves: plant, controller and learner side by side, one control interval after the other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
@@ -50,8 +48,6 @@ from split_cli.workflows.racing.first_lap import blank_header, make_learner, rem
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import RaceSettings
 from split_cli.workflows.racing.tally import Tally
-
-__all__ = ["Race", "next_deviation"]
 
 RUN_UP_SHARE, LONGEST_RUN_UP = 0.3, 200.0
 """Of a lap [1] and at most [m]: the way before the line, so that lap 0 starts flying as others do."""

@@ -1,7 +1,5 @@
 """Checks before a race: settings, tracks and sets that are refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path as FilePath
 
@@ -21,11 +19,6 @@ from split_cli.prediction import PREDICTORS
 from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
 from split_cli.workflows.racing.closed_loop import path_of
 from split_cli.workflows.racing.settings import AUTO, FITS, LEARNERS, RaceSettings
-
-__all__ = [
-    "check_car", "check_exported", "check_predictor", "check_settings", "check_start", "check_torque",
-    "check_trusted", "find_path",
-]  # fmt: skip
 
 LARGEST_LABEL = 30.0
 """Three times gravity [m/s^2]: no tyre force, and so no model of one, is wrong by more."""
@@ -56,11 +49,8 @@ def check_settings(settings: RaceSettings) -> None:
         read_kernel(settings.hyperparameters, features)
     check_predictor(settings.predictor, features if settings.learner == "split" else None)
     if settings.learner == "iol" and settings.start_set is not None:
-        raise SplitError(
-            "the learner iol begins without points, so it cannot start from a set",
-            where="--start-set",
-            advice="Use --learner none or split.",
-        )
+        what = "the learner iol begins without points, so it cannot start from a set"
+        raise SplitError(what, where="--start-set", advice="Use --learner none or split.")
 
 
 def check_predictor(name: str, features: FeatureSet | None) -> None:
@@ -204,11 +194,9 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
     if training_set.nominal_vehicle.digest() != vehicle.digest():
         name = training_set.vehicle.name
         other = f"({name}) than {vehicle.name}" if name != vehicle.name else f"of the same name, {name}"
-        raise SetError(
-            f"was trained for another vehicle {other}: {_differences(training_set.nominal_vehicle, vehicle)}",
-            where=str(where),
-            advice="Train a set for this vehicle, or name the vehicle file the set was trained with.",
-        )
+        what = f"was trained for another vehicle {other}: {_differences(training_set.nominal_vehicle, vehicle)}"
+        advice = "Train a set for this vehicle, or name the vehicle file the set was trained with."
+        raise SetError(what, where=str(where), advice=advice)
     if training_set.plain:
         raise SetError(
             "holds plain differences, which depend on the label interval", where=str(where),

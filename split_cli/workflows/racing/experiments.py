@@ -1,7 +1,5 @@
 """The paper's closed-loop experiments: a plan of races and manoeuvres, each run once and kept."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -16,8 +14,6 @@ from split_cli.workflows.racing.first_lap import PAST_TERM
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
-
-__all__ = ["PAST_FEATURES", "PLAN", "Experiment", "ExperimentPlan", "run_experiments", "stored"]
 
 
 @dataclass(frozen=True)

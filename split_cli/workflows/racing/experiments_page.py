@@ -1,7 +1,5 @@
 """Tables and figures of the closed-loop experiments, put between the markers of a page."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +21,6 @@ from split_cli.plots.style import save
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 from split_cli.workflows.racing.experiments import PAST_FEATURES, PLAN
-
-__all__ = ["fill_page", "read_page", "tables"]
 
 _TABLE = re.compile(r"<!-- table: ([\w-]+) -->\n.*?<!-- end -->", re.S)
 _LARGEST_PAGE = 4 << 20

@@ -1,7 +1,5 @@
 """What a race fixes after its first lap, lap 0: grid, kernel and learner."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,8 +21,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.workflows.racing.settings import FITS, RaceSettings, predictor_for
-
-__all__ = ["PAST_TERM", "blank_header", "make_learner", "remembering", "studied_header"]
 
 PAST_TERM = EffectSpec("feature_lag", {"tau": PAST})
 """The term whose states are the recent past of z2; no force depends on it."""

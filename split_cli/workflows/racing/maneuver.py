@@ -36,8 +36,6 @@ from split_cli.workflows.racing.entry import check_car, check_predictor, check_t
 from split_cli.workflows.racing.first_lap import remembering
 from split_cli.workflows.racing.settings import AUTO, predictor_for
 
-__all__ = ["ManeuverResult", "ManeuverRun", "ManeuverSettings", "run_maneuvers"]
-
 
 @dataclass(frozen=True)
 class ManeuverSettings:
@@ -232,11 +230,8 @@ def _learn(
     labels = compute_labels(world.recording(name="maneuver"), vehicle, features, region, horizon=step)
     good = labels.accepted
     if not good.any():
-        raise SplitError(
-            "the run gave no valid label, so no set can be trained on it",
-            where=str(output),
-            advice="Lower --speed, so that the run lasts longer.",
-        )
+        what = "the run gave no valid label, so no set can be trained on it"
+        raise SplitError(what, where=str(output), advice="Lower --speed, so that the run lasts longer.")
     grid = build_grid(features, vehicle, region, labels.z[good])
     kernel = default_kernel(grid, labels.y[good], scatter_variance(labels))
     if np.count_nonzero(good) >= FEWEST_TO_FIT:

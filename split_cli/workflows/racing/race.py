@@ -1,7 +1,5 @@
 """Laps of a track in closed loop: a contouring controller that learns while it drives the plant."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path as FilePath
 
@@ -10,8 +8,6 @@ from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.driving import Race
 from split_cli.workflows.racing.result import RaceResult
 from split_cli.workflows.racing.settings import RaceSettings
-
-__all__ = ["run_race"]
 
 
 def run_race(

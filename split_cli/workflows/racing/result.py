@@ -8,8 +8,6 @@ import numpy as np
 
 from split_cli.control.path import Path
 
-__all__ = ["Lap", "RaceResult"]
-
 
 @dataclass(frozen=True)
 class Lap:

@@ -1,7 +1,5 @@
 """Settings of a race."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
@@ -9,8 +7,6 @@ from split_cli.control.limits import Limits
 from split_cli.control.mpcc import MpccSettings
 from split_cli.control.policy import RACE_P_LONG, SHARE_LEARNED
 from split_cli.learning.features import FeatureSet
-
-__all__ = ["AUTO", "CANDIDATES", "FITS", "LEARNERS", "LEARNING", "RaceSettings", "predictor_for"]
 
 LEARNERS = ("none", "iol", "split")
 

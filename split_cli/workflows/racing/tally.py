@@ -1,14 +1,10 @@
 """Sums over one lap: errors, times and failures."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from split_cli.control.learner import Learned
 from split_cli.control.receding_horizon import StepInfo
 from split_cli.workflows.racing.result import Lap
-
-__all__ = ["Tally"]
 
 _GRAVITY = 9.80665
 
