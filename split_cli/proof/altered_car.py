@@ -21,8 +21,6 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.vehicle.windows import substep_count
 
-__all__ = ["ALTERATIONS", "altered_vehicle", "driven_by", "moved_reference"]
-
 #: Speed over the vehicle's minimum speed below which a car moves as recorded: it hardly slips there [1].
 _CREEP = 0.2
 #: Side slip, or yaw rate times wheelbase over speed, beyond what was recorded from which on a car has spun [1].
@@ -112,11 +110,9 @@ def driven_by(drive: Drive, vehicle: Vehicle, altered: Vehicle) -> Drive:
     gone = (np.abs(recorded + changed) - np.abs(recorded)) * [1.0, length] > _SPUN * speed[:, None]
     if not np.isfinite(changed).all() or gone[moving].any():
         first = int(np.argmax(moving & (gone | ~np.isfinite(changed)).any(axis=1)))
-        raise SplitError(
-            "the altered car would have spun with the recorded steering",
-            where=f"{drive.name}, t = {drive['t'][first]:.1f} s",
-            advice="Take a smaller alteration, or a drive further from the limit.",
-        )
+        what = "the altered car would have spun with the recorded steering"
+        advice = "Take a smaller alteration, or a drive further from the limit."
+        raise SplitError(what, where=f"{drive.name}, t = {drive['t'][first]:.1f} s", advice=advice)
     columns = dict(drive.columns)
     vx, vy, r = (np.asarray(drive[name], dtype=float) for name in ("vx", "vy", "r"))
     columns |= {"vy": vy + changed[:, 0], "r": r + changed[:, 1]}

@@ -3,8 +3,6 @@
 It is what baselines select from, and by what it is told how much of a strange effect the catalogue can absorb.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,8 +11,6 @@ import numpy as np
 from split_cli.proof.windows import window_errors
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["Library", "beyond_catalogue", "build_library", "greedy_selection"]
 
 _STRETCHES = 12
 

@@ -4,8 +4,6 @@ Both get the regressors of `library`, the prediction errors of the real drive, a
 given, have its errors as a cubic in the operating point taken off first. Neither can abstain.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 
@@ -17,8 +15,6 @@ from split_cli.proof.baseline_regressors import Library, build_library
 from split_cli.proof.outcome import Named, Statement
 from split_cli.proof.windows import FIRST, HORIZON, window_errors
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["Regression", "build_regression", "greedy_bic", "stlsq"]
 
 _STLSQ_THRESHOLD = 0.1
 """A term whose error has a smaller rms than this, over the noise's, is cut off: below the hard tier."""

@@ -1,7 +1,5 @@
 """The cars of the proof: varied about the plant's, bare or rich in physics, each with its vehicle file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -17,8 +15,6 @@ from split_cli.vehicle.calibration.samples import MotionRun
 from split_cli.vehicle.effects.actuators import SteerDelay
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula
-
-__all__ = ["CarOfProof", "bare", "build_car", "rich", "varied_car"]
 
 # A shorter relaxation would outrun the plant's integration step at top speed [m].
 _SHORT_RELAXATION = {"road_car": 0.027, "f1tenth_car": 0.004, "formula_car": 0.018}

@@ -1,7 +1,5 @@
 """A case: drives and a vehicle file that conceal an effect, and the answer that is sealed apart from them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -32,8 +30,6 @@ from split_cli.proof.windows import window_errors
 from split_cli.proof.world import ProofWorld, Trip, drive, effect_error
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["LAP_LENGTH", "Answer", "Case", "ConcealedEffect", "build_case", "draw_trip"]
 
 LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
 """Of the tracks of each of the plant's cars, before it is varied [m]."""

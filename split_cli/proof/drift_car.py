@@ -6,15 +6,11 @@ rolls or pitches. Parameters are those of the multi-body car.
 Source: Althoff and Wuersching, CommonRoad: Vehicle Models (2020), single-track drift model.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
 from split_cli.errors import SplitError
 from split_cli.proof.multibody import MULTIBODY_STATE, MultiBody, load_car
-
-__all__ = ["load_drift_car"]
 
 _STATES = 29
 _AT = MULTIBODY_STATE

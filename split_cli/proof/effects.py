@@ -1,7 +1,5 @@
 """Every effect of the catalogue as physics of the double track, one size each, found by its severity."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -11,8 +9,6 @@ from split_cli.plant.cars import CarParameters
 from split_cli.plant.tire import TireParameters
 from split_cli.proof.world import ProofWorld, road_of
 from split_cli.vehicle.effects.body import inertia_range, least_mass
-
-__all__ = ["EFFECTS", "Concealed", "draw_effect"]
 
 _GRAVITY = 9.80665
 _PLACES = 512

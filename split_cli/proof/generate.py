@@ -1,7 +1,5 @@
 """Making cases: in parallel, resumable, sealed at the end."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,8 +10,6 @@ from split_cli.proof.plan import MIXED, plan_case
 from split_cli.proof.sets import build_nominal_set
 from split_cli.proof.store import Seal, case_name, write_case, write_seal
 from split_cli.proof.whole_car import build_whole_car
-
-__all__ = ["generate_cases"]
 
 
 def generate_cases(
@@ -66,9 +62,6 @@ def _claim(root: Path, seed: int, kinds: tuple[str, ...]) -> None:
     mark = root / "seed.txt"
     text = f"{seed} {','.join(kinds)}\n"
     if mark.exists() and mark.read_text() != text:
-        raise SplitError(
-            f"holds cases of seed and kinds {mark.read_text().strip()!r}, not {text.strip()!r}",
-            where=str(root),
-            advice="Take another folder.",
-        )
+        what = f"holds cases of seed and kinds {mark.read_text().strip()!r}, not {text.strip()!r}"
+        raise SplitError(what, where=str(root), advice="Take another folder.")
     mark.write_text(text)

@@ -5,8 +5,6 @@ faulty actuator would have needed to do just that is written in place of the one
 forwards, see `altered_car`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,11 +15,6 @@ from split_cli.logs.drive import Drive
 from split_cli.proof.altered_car import ALTERATIONS, altered_vehicle, driven_by, moved_reference
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = [
-    "FAULTS", "FaultKind", "InjectedFault", "faults_for", "faults_of_sizes", "inject", "require_known",
-    "split_in_blocks", "split_in_halves",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -223,10 +216,7 @@ def split_in_blocks(drive: Drive, block: float) -> tuple[Drive, Drive]:
     """
     number = np.floor((drive["t"] - drive["t"][0]) / block).astype(int)
     if number.max() < 7:
-        raise DriveError(
-            f"has {number.max() + 1} blocks of {block:g} s, at least 8 are needed",
-            where=drive.name,
-            advice="Use a longer recording or --block.",
-        )
+        what = f"has {number.max() + 1} blocks of {block:g} s, at least 8 are needed"
+        raise DriveError(what, where=drive.name, advice="Use a longer recording or --block.")
     even = number % 2 == 0
     return drive.select(even), drive.select(~even)

@@ -5,8 +5,6 @@ its drive have splits of their own. The simulation is a single track calibrated 
 Source: Althoff and Wuersching, CommonRoad: Vehicle Models (2020), multi-body model after Allen et al.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -20,11 +18,6 @@ from split_cli.vehicle.calibration.calibrate import CalibrationSettings, calibra
 from split_cli.vehicle.calibration.samples import MotionRun
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula
-
-__all__ = [
-    "MULTIBODY_STATE", "MultiBody", "calibrated_vehicle", "circle_drive", "gentle_drives", "hard_drive",
-    "load_car",
-]  # fmt: skip
 
 _STEP = 2e-3
 _KEEP = 5

@@ -1,7 +1,5 @@
 """Known faults of the multi-body car: parameters of its own, forces from outside, or its recorded channels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -12,8 +10,6 @@ import numpy as np
 from split_cli.logs.drive import Drive
 from split_cli.proof.injection import InjectedFault, inject, require_known
 from split_cli.proof.multibody import MULTIBODY_STATE, MultiBody
-
-__all__ = ["MULTIBODY_FAULTS", "MultiBodyFault", "multibody_faults"]
 
 _GRAVITY = 9.81  # the package's
 _VX = MULTIBODY_STATE.vx

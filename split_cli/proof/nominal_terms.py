@@ -1,9 +1,5 @@
 """Catalogue terms that are put into a nominal car: the direction of each, and whether its sign is drawn."""
 
-from __future__ import annotations
-
-__all__ = ["NOMINAL_TERMS"]
-
 NOMINAL_TERMS: dict[str, tuple[dict[str, float], bool]] = {
     "combined_slip": ({"strength": 0.5}, False),
     "friction_scale": ({"scale": 0.1}, True),

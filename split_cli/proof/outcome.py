@@ -1,12 +1,8 @@
 """Score of one case (exact, class, abstained, missed, wrong), and rates with Wilson intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import sqrt
-
-__all__ = ["OUTCOMES", "Named", "Rate", "Statement", "judge", "rate_of", "wilson"]
 
 _Z = 1.959963984540054
 

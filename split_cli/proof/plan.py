@@ -1,7 +1,5 @@
 """Which cases a seed stands for: kinds, terms, tiers, in fixed proportions whatever their number."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +10,6 @@ from split_cli.proof.effects import EFFECTS
 from split_cli.proof.nominal_terms import NOMINAL_TERMS
 from split_cli.proof.strange import STRANGE
 from split_cli.vehicle.effects import CATALOGUE
-
-__all__ = ["FIRST_REPORTED_SEED", "KINDS", "TIERS", "CasePlan", "plan_case"]
 
 FIRST_REPORTED_SEED = 10**6
 """Seeds from here on are for reports and never used in development, which has those below 1000."""
@@ -65,10 +61,8 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = MIXED) -> CasePla
         If the seed is neither for development nor for reports, or a kind is unknown.
     """
     if not (0 <= seed < 1000 or seed >= FIRST_REPORTED_SEED):
-        raise SplitError(
-            f"seed {seed} is neither one of development (0 to 999) nor one to report ({FIRST_REPORTED_SEED} on)",
-            where="--seed",
-        )
+        what = f"seed {seed} is neither one of development (0 to 999) nor one to report ({FIRST_REPORTED_SEED} on)"
+        raise SplitError(what, where="--seed")
     for kind in kinds:
         if kind not in KINDS:
             raise SplitError(f"no kind of case is called {kind!r}", advice=nearest_names(kind, KINDS))

@@ -1,7 +1,5 @@
 """What a logger writes of a run of the plant: one clock, aligned commands, sensor faults and noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +9,6 @@ from split_cli.logs.drive import Drive, DriveMetadata
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.sensors import sensors_of
 from split_cli.plant.simulation import Trajectory, commands_at
-
-__all__ = ["START", "Alignment", "SensorFault", "alignment_of", "command_channels", "exact_motion", "record"]
 
 RATE = 100.0
 START = 0.2

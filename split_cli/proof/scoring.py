@@ -1,7 +1,5 @@
 """From statements and answers to rates: by kind and tier, confusions, interval coverage, gap removed."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +14,6 @@ from split_cli.proof.strange import NAMED_SINCE
 from split_cli.proof.truth import ExactDrive, removed_share
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = [
-    "CaseScore", "CaseSetScore", "found_terms_removed", "score_case", "statement_of", "summarise", "words_of",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -133,10 +127,7 @@ def summarise(scores: Sequence[CaseScore]) -> CaseSetScore:
     """Return rates, targets and confusions of scored cases."""
     names = sorted({score.group for score in scores}, key=_group_order)
     groups = tuple(
-        (
-            name,
-            {kind: rate_of([s.outcome == kind for s in scores if s.group == name]) for kind in OUTCOMES},
-        )
+        (name, {kind: rate_of([s.outcome == kind for s in scores if s.group == name]) for kind in OUTCOMES})
         for name in names
     )
     covered = [entry for score in scores for entry in score.covered]

@@ -5,8 +5,6 @@ is lost in the search, and not in the physics that a single track lacks. The dri
 and steer angle that the car keeps, run by run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -28,8 +26,6 @@ from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import MagicFormula, Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["build_nominal_set", "scripted_drive"]
 
 _GRAVITY = 9.80665
 _STEP = 2.5e-3  # [s], of the integration

@@ -6,8 +6,6 @@ OUT/seal.json                                               SHA-256 of every sea
 OUT/results/0001/                                           what was identified
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import asdict, dataclass
@@ -22,9 +20,6 @@ from split_cli.logs.drive import write_drive
 from split_cli.proof.cases import Answer, Case, ConcealedEffect
 from split_cli.proof.truth import ExactDrive
 from split_cli.vehicle.parameters import write_vehicle
-
-__all__ = ["Seal", "ShownCase", "case_name", "check_seal", "read_answer", "read_heldout", "shown_cases",
-           "write_case", "write_seal"]  # fmt: skip
 
 _COLUMNS = ("t", "s", "yaw", "vx", "vy", "r", "T", "delta")
 

@@ -1,7 +1,5 @@
 """Effects outside the catalogue, which a diagnosis should leave unexplained."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,8 +7,6 @@ import numpy as np
 
 from split_cli.proof.effects import Concealed
 from split_cli.proof.world import ProofWorld
-
-__all__ = ["STRANGE", "draw_strange"]
 
 
 def _fault(world: ProofWorld, **changes: float) -> ProofWorld:
@@ -97,10 +93,7 @@ def _pulses(rng, world):
     threshold = float(rng.uniform(0.02, 0.035))
     unit = 0.05 * car.max_brake_torque
     return Concealed(
-        "pulses",
-        lambda w, size: _fault(w, pulse_torque=size * unit, pulse_threshold=threshold),
-        1.0,
-        8.0,
+        "pulses", lambda w, size: _fault(w, pulse_torque=size * unit, pulse_threshold=threshold), 1.0, 8.0
     )
 
 

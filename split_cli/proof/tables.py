@@ -1,13 +1,9 @@
 """The score as tables."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from split_cli.proof.outcome import OUTCOMES, Rate
 from split_cli.proof.scoring import CaseSetScore, words_of
-
-__all__ = ["markdown_of", "target_rows"]
 
 
 def target_rows(score: CaseSetScore) -> list[list[str]]:

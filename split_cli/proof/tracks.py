@@ -1,14 +1,10 @@
 """Random smooth closed tracks, so that no case can be won by knowing the place."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from split_cli.errors import SplitError
 from split_cli.plant.tracks import Track
-
-__all__ = ["random_track"]
 
 
 def random_track(rng: np.random.Generator, length: float, spacing: float, half_width: float) -> Track:

@@ -1,7 +1,5 @@
 """How large an effect is, and which parameters of a catalogue term say it best: from noise-free paired runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,11 +11,6 @@ from split_cli.proof.recordings import RATE, Alignment, SensorFault, command_cha
 from split_cli.proof.windows import window_errors
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = [
-    "ExactDrive", "SizeFound", "Unreachable", "exact_drive", "fit_effective", "model_gain", "removed_share",
-    "search_size", "severity",
-]  # fmt: skip
 
 _GUESSES = {
     "strength": 0.5, "scale": 1.0, "final_loss": 0.05, "length": 0.1, "cg_height": 0.2, "front_scale": 1.0,

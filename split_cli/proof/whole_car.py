@@ -5,8 +5,6 @@ What is there is known from the parameters: each piece of physics is taken away 
 Both change what an axle's tyres do: grip or stiffness of an axle is right for them, and none is asked for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -21,8 +19,6 @@ from split_cli.proof.recordings import record
 from split_cli.proof.tracks import random_track
 from split_cli.proof.truth import severity
 from split_cli.proof.world import ProofWorld, drive, effect_error
-
-__all__ = ["PIECES", "Piece", "build_whole_car", "without_piece"]
 
 _DRAWS = 6
 

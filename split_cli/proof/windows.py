@@ -1,7 +1,5 @@
 """Prediction errors of the nominal model, with and without terms, over windows of a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -13,8 +11,6 @@ from split_cli.vehicle.integration import Situation
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import recorded_inputs
-
-__all__ = ["FIRST", "HORIZON", "window_errors"]
 
 HORIZON = 0.05
 """Length of a window [s]."""

@@ -1,7 +1,5 @@
 """A plant's car with its road, wind and instruments: everything an effect may change."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +13,6 @@ from split_cli.plant.simulation import Trajectory, drive_laps
 from split_cli.plant.tracks import Track
 from split_cli.proof.recordings import SensorFault, exact_motion
 from split_cli.proof.windows import FIRST, HORIZON
-
-__all__ = ["ProofWorld", "Trip", "drive", "effect_error", "road_of"]
 
 SAMPLE = 2e-3
 
