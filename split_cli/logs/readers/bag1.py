@@ -4,8 +4,6 @@ A bag is a row of records; the messages are in chunks, each followed by an index
 index is used rather than the one at the end, which a killed recorder never wrote.
 """
 
-from __future__ import annotations
-
 import bz2
 import struct
 from collections import Counter
@@ -22,8 +20,6 @@ from split_cli.logs.budget import Unfolded
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
 from split_cli.logs.scratch import let_go, mapped_file
-
-__all__ = ["BAG1_MAGIC", "Bag1Container"]
 
 BAG1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _INDEX, _CHUNK, _CONNECTION = 2, 4, 5, 7

@@ -1,14 +1,10 @@
 """The blocks of a BLF file, looked at before python-can unfolds them, whatever they become."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path
 
 from split_cli.logs.budget import refuse_unpacked_size
-
-__all__ = ["is_cut_blf"]
 
 _OBJECT = struct.Struct("<4sHHLL")
 _CONTAINER, _CONTAINER_HEAD, _DEFLATED = 10, 16, b"\x02\0"

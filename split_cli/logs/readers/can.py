@@ -1,7 +1,5 @@
 """Logs of CAN frames (BLF, ASC, candump, TRC, tables, MF4 bus logging), decoded with a DBC (extra ``can``)."""
 
-from __future__ import annotations
-
 import logging
 import re
 from collections import Counter
@@ -17,8 +15,6 @@ from split_cli.logs.readers.blf import is_cut_blf
 from split_cli.logs.readers.frames_csv import frames_of, is_table_of_frames
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import GrowingSignal, set_aside
-
-__all__ = ["DATABASE_SUFFIXES", "is_can_log", "open_can", "read_databases"]
 
 DATABASE_SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
 _LONGEST_TEXT = 1000
@@ -128,11 +124,8 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
         If no database is given, python-can or cantools is not installed, or no frame can be decoded.
     """
     if not databases:
-        raise LogError(
-            "holds CAN frames: what they mean stands in a DBC file",
-            where=path.name,
-            advice="Give it with --dbc FILE.dbc; it comes from the car's maker or from opendbc.",
-        )
+        advice = "Give it with --dbc FILE.dbc; it comes from the car's maker or from opendbc."
+        raise LogError("holds CAN frames: what they mean stands in a DBC file", where=path.name, advice=advice)
     try:
         import can  # noqa: F401
     except ImportError as error:
@@ -141,18 +134,12 @@ def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
     decoded, notes, ids, unfit = _decode(path, {message.frame_id: message for message in database.messages})
     if not decoded and unfit:
         known = ", ".join(name for name, _ in unfit.most_common(5))
-        raise LogError(
-            f"none of {sum(unfit.values())} frames fits its definition ({known})",
-            where=path.name,
-            advice="Is it the DBC of this car, and of this year's software?",
-        )
+        what = f"none of {sum(unfit.values())} frames fits its definition ({known})"
+        raise LogError(what, where=path.name, advice="Is it the DBC of this car, and of this year's software?")
     if not decoded:
         seen = ", ".join(f"0x{i:X}" for i, _ in ids.most_common(5)) or "none"
-        raise LogError(
-            "no frame is of a message that the database defines",
-            where=path.name,
-            advice=f"Frames have the ids {seen}. Is it the DBC of this car and this bus?",
-        )
+        advice = f"Frames have the ids {seen}. Is it the DBC of this car and this bus?"
+        raise LogError("no frame is of a message that the database defines", where=path.name, advice=advice)
     return _recording(path, database, decoded, notes)
 
 
@@ -251,10 +238,7 @@ def _unread_lines() -> Iterator[_Unread]:
 
 
 def _recording(
-    path: Path,
-    database: Any,
-    decoded: dict[str, GrowingSignal],
-    notes: list[ReadNote],
+    path: Path, database: Any, decoded: dict[str, GrowingSignal], notes: list[ReadNote]
 ) -> RawRecording:
     units = {f"/{m.name}/{s.name}": s.unit for m in database.messages for s in m.signals}
     origin = min(samples.first for samples in decoded.values())

@@ -12,8 +12,6 @@ from split_cli.errors import LogError, nearest_names
 from split_cli.files import read_text
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS
 
-__all__ = ["FILLER", "MOST_TEXT", "SEQUENCE", "Definitions", "Field", "Layout", "leaf_paths"]
-
 SEQUENCE = -1
 FILLER = "structure_needs_at_least_one_member"
 """What ROS 2 calls the one byte that it puts into a message without fields."""
@@ -82,10 +80,8 @@ class Definitions:
         if key not in self._cache:
             self._text += len(schema)
             if self._text > MOST_TEXT:
-                raise LogError(
-                    f"the definitions of message types have more than {MOST_TEXT >> 20} MB together",
-                    advice="Leave its topic out of the recording.",
-                )
+                what = f"the definitions of message types have more than {MOST_TEXT >> 20} MB together"
+                raise LogError(what, advice="Leave its topic out of the recording.")
             self._cache[key] = self._find(type_name, schema_encoding, schema)
         return self._cache[key]
 
@@ -198,10 +194,8 @@ def _count_leaves(type_name: str, known: dict[str, Any], counted: dict[str, int]
     total = 0
     for name, (node, content) in known[type_name][1]:
         if len(name) > LONGEST_NAME:
-            raise LogError(
-                f"a field of {type_name[:LONGEST_NAME]!r} has a name of {len(name):,} characters",
-                advice="Leave its topic out of the recording.",
-            )
+            what = f"a field of {type_name[:LONGEST_NAME]!r} has a name of {len(name):,} characters"
+            raise LogError(what, advice="Leave its topic out of the recording.")
         times = 1
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             times = content[1] if node == Nodetype.ARRAY and content[1] <= _LISTED_ELEMENTS else 1
@@ -210,10 +204,8 @@ def _count_leaves(type_name: str, known: dict[str, Any], counted: dict[str, int]
         inside = _count_leaves(nested, known, counted, above | {type_name}) if nested in known else 1
         total += times * max(inside, 1)
         if total > MOST_FIELDS:
-            raise LogError(
-                f"the definition of {type_name!r} has more than {MOST_FIELDS:,} numbers",
-                advice="Leave its topic out of the recording.",
-            )
+            advice = "Leave its topic out of the recording."
+            raise LogError(f"the definition of {type_name!r} has more than {MOST_FIELDS:,} numbers", advice=advice)
     counted[type_name] = total
     return total
 
@@ -246,10 +238,8 @@ def _field(name: str, described: Any, known: dict[str, Any], ros1: bool, depth: 
     if nested not in known:
         if nested.endswith("/wstring"):
             return Field(name, "wstring", length=length)
-        raise LogError(
-            f"the definition of message type {nested!r}, used by field {name!r}, is missing",
-            advice="Give the folder of its .msg files with --msg-path.",
-        )
+        what = f"the definition of message type {nested!r}, used by field {name!r}, is missing"
+        raise LogError(what, advice="Give the folder of its .msg files with --msg-path.")
     return Field(name, "struct", _expand(nested, known, ros1, depth + 1), length)
 
 
@@ -257,18 +247,12 @@ def _types_in_folders(paths: Sequence[str | Path]) -> dict[str, Any]:
     known: dict[str, Any] = {}
     for path in map(Path, paths):
         if not path.exists():
-            raise LogError(
-                "the folder of message definitions does not exist",
-                where=str(path),
-                advice="Give --msg-path the folder above msg/.",
-            )
+            what = "the folder of message definitions does not exist"
+            raise LogError(what, where=str(path), advice="Give --msg-path the folder above msg/.")
         files = sorted(path.rglob("*.msg")) if path.is_dir() else [path]
         if not files:
-            raise LogError(
-                "there are no .msg files in this folder",
-                where=str(path),
-                advice="Give --msg-path the folder above msg/.",
-            )
+            what = "there are no .msg files in this folder"
+            raise LogError(what, where=str(path), advice="Give --msg-path the folder above msg/.")
         for file in files:
             parts = file.parent.parts
             package = parts[-2] if len(parts) > 1 and parts[-1] == "msg" else parts[-1] if parts else ""

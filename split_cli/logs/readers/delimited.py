@@ -1,7 +1,5 @@
 """Delimited text: plain CSV, and logger exports with preambles, unit rows and decimal commas."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections import Counter
@@ -27,8 +25,6 @@ from split_cli.logs.raw import (
 from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_grouped, sniff, unwrapped
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
-
-__all__ = ["degrees_of", "number_of", "open_delimited", "read_columns", "seconds_of"]
 
 _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 #: What is parsed at once [bytes]; with 4 MB a plain file takes a tenth more processor time. A row must fit into

@@ -1,7 +1,5 @@
 """Finding out how a delimited text file is written, from its first lines."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import io
@@ -12,11 +10,6 @@ from pathlib import Path
 
 from split_cli.errors import LogError, NoTableError
 from split_cli.signals import find_unit
-
-__all__ = [
-    "EMPTY_CELLS", "KNOWN_FORMATS", "LONGEST_LINE", "Dialect", "Sniffed", "decoded", "is_grouped", "sniff",
-    "unwrapped",
-]  # fmt: skip
 
 KNOWN_FORMATS = (
     "Known are MCAP, rosbag2, ROS 1 bag, CSV, JSON lines, VBO, Parquet, Feather, MAT, NumPy, iRacing, MF4, "
@@ -32,11 +25,7 @@ _BLANKS = " "
 _CHECKED_ROWS = 200
 _CONFIRMING_ROWS = 3
 _ROWS_BELOW = 20
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF16_LE, "utf-16-le"),
-    (codecs.BOM_UTF16_BE, "utf-16-be"),
-)
+_MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
 _GROUPED = {
@@ -119,11 +108,9 @@ def sniff(path: Path) -> Sniffed:
         if first is not None:
             offset = len(mark) + sum(len(line.encode(encoding)) for line in lines[:first])
             return _described(rows, first, Dialect(separator, decimal, encoding, offset, quoted))
-    raise NoTableError(
-        "is no table of numbers: no rows of numbers were found in its beginning",
-        where=path.name,
-        advice="Values are expected in columns, separated by comma, semicolon, tab or blanks.",
-    )
+    what = "is no table of numbers: no rows of numbers were found in its beginning"
+    advice = "Values are expected in columns, separated by comma, semicolon, tab or blanks."
+    raise NoTableError(what, where=path.name, advice=advice)
 
 
 def unwrapped(line: str) -> str:

@@ -1,14 +1,10 @@
 """CAN frames in tables of text, as SavvyCAN (GVRET) and cabana write them: time, identifier and bytes a row."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-
-__all__ = ["TextFrame", "frames_of", "is_table_of_frames"]
 
 _TITLES = re.compile(rb"^\s*(time stamp,id,extended,.*\bd1\b|time,addr,bus,data\b)", re.IGNORECASE)
 

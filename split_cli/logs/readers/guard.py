@@ -1,7 +1,5 @@
 """Between a reader and the rest: what a damaged file makes a library raise, and what names do to a terminal."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,8 +8,6 @@ from typing import Any, TypeVar
 
 from split_cli.errors import LogError, SplitError, printable
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote
-
-__all__ = ["GuardedRecording", "guarded"]
 
 _T = TypeVar("_T")
 
@@ -41,11 +37,9 @@ def guarded(path: Path, step: Callable[[], _T]) -> _T:
         if os.environ.get("SPLIT_TRACEBACK"):
             raise
         reason = str(error).splitlines()[0][:160] if str(error) else "no reason given"
-        raise LogError(
-            f"is damaged, or not as its format demands ({type(error).__name__}: {reason})",
-            where=path.name,
-            advice="Save or record it again; set SPLIT_TRACEBACK=1 to see where reading stopped.",
-        ) from error
+        what = f"is damaged, or not as its format demands ({type(error).__name__}: {reason})"
+        advice = "Save or record it again; set SPLIT_TRACEBACK=1 to see where reading stopped."
+        raise LogError(what, where=path.name, advice=advice) from error
 
 
 class GuardedRecording:

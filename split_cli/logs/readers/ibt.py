@@ -1,7 +1,5 @@
 """iRacing telemetry (.ibt): a head, a list of variables, and one record of all of them for each tick."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,8 +7,6 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote
-
-__all__ = ["is_ibt", "open_ibt"]
 
 _HEAD = np.dtype([
     ("version", "<i4"), ("status", "<i4"), ("rate", "<i4"), ("update", "<i4"), ("info_size", "<i4"),

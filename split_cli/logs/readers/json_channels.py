@@ -1,7 +1,5 @@
 """JSON with an object for each channel: numbers, or pairs of time and number, in a list; unit, times, rate."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -22,8 +20,6 @@ from split_cli.logs.raw import (
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_document import parsed, plain_number
 from split_cli.signals import find_unit
-
-__all__ = ["LARGEST_DOCUMENT", "is_series", "open_json_channels"]
 
 _VALUES = ("data", "values", "samples", "value", "y")
 _NAMES = ("name", "channel", "signal", "id", "label", "title")

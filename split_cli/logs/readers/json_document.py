@@ -1,7 +1,5 @@
 """A JSON document that is parsed as it is read: a list of any length takes the memory of a few of its elements."""
 
-from __future__ import annotations
-
 import gc
 import io
 import json
@@ -11,8 +9,6 @@ from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-
-__all__ = ["LONGEST_ELEMENT", "PIECE", "JsonDocument", "parsed", "plain_number"]
 
 LONGEST_ELEMENT = 4 << 20
 """Of one row, or of one element of a list [bytes]; judgement: a row of a thousand numbers has 30 kB."""

@@ -1,7 +1,5 @@
 """Rows written as JSON: an object a line (JSON lines, donkeycar catalogs), a list of objects, a list a column."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import Counter, deque
@@ -29,8 +27,6 @@ from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, open_json_cha
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
-
-__all__ = ["is_json", "open_json"]
 
 _LISTED_ROWS = 200
 """Rows whose fields are listed: an event writes fields that the first row lacks [1]."""
@@ -131,11 +127,9 @@ def _table(
 def _refuse_rows_of_nothing(numbers: int, size: int, path: Path) -> None:
     """Refuse columns that are larger than any rows of that many bytes: all fields missing in nearly all rows."""
     if numbers > _NUMBERS_OF_ANY + _NUMBERS_A_BYTE * size:
-        raise LogError(
-            f"lacks nearly all fields in nearly all rows (over {_NUMBERS_A_BYTE} numbers for each byte)",
-            where=path.name,
-            advice="Map the channels that you need, or write a file for each kind of row.",
-        )
+        what = f"lacks nearly all fields in nearly all rows (over {_NUMBERS_A_BYTE} numbers for each byte)"
+        advice = "Map the channels that you need, or write a file for each kind of row."
+        raise LogError(what, where=path.name, advice=advice)
 
 
 def _names_of(rows: Iterable[dict[str, Any]], path: Path) -> list[str]:

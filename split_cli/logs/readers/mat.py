@@ -1,7 +1,5 @@
 """MATLAB files: versions 4 and 5 through SciPy, 7.3 (HDF5) through h5py."""
 
-from __future__ import annotations
-
 import math
 import re
 import warnings
@@ -18,8 +16,6 @@ from split_cli.logs.raw import RawRecording, ReadNote, note_once
 from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.readers.vectors import VALUE_FIELDS, recording_of_vectors
 from split_cli.logs.scratch import set_aside
-
-__all__ = ["open_mat", "open_mat_hdf5"]
 
 _DEEPEST = 8
 _MOST_COLUMNS = 64

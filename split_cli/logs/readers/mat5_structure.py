@@ -4,8 +4,6 @@ Source: MathWorks, "MAT-File Format", sections on version 5. A type or class tha
 a null pointer, and the process dies without a word.
 """
 
-from __future__ import annotations
-
 import mmap
 import zlib
 from collections.abc import Iterator
@@ -13,8 +11,6 @@ from pathlib import Path
 
 from split_cli.errors import LogError
 from split_cli.logs.budget import Unfolded
-
-__all__ = ["check_mat5"]
 
 _COMPRESSED, _MATRIX, _FLAGS, _INT32, _BYTES = 15, 14, 6, 5, (1, 2)
 _TYPES = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18})

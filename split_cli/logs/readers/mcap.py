@@ -4,8 +4,6 @@ The record layouts come from the `mcap` package. Messages are not read through i
 what stands before a damage nor hands over payloads fast enough.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import Counter
@@ -27,8 +25,6 @@ from split_cli.logs.budget import Unfolded
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
 from split_cli.logs.scratch import let_go, mapped_file
-
-__all__ = ["MCAP_MAGIC", "McapContainer"]
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _READ_AT_ONCE = 1 << 22

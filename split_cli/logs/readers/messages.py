@@ -18,8 +18,6 @@ from split_cli.logs.readers.payloads import Columns, PayloadDecoder
 from split_cli.logs.readers.serialized import SerializedDecoder
 from split_cli.logs.scratch import GrowingColumn, let_go, set_aside
 
-__all__ = ["MOST_CHANNELS", "Container", "MessageBatch", "MessageRecording", "Stream", "in_batches"]
-
 _FLUSH_BYTES = 32 << 20
 _BATCH_BYTES = 1 << 20
 MOST_CHANNELS = 200_000
@@ -172,11 +170,8 @@ class MessageRecording:
             raise LogError(problem.what, where=f"{self.name}, topic {topic}", advice=problem.advice)
         if not any(decoder.has(path) for decoder in decoders):
             fields = [field for decoder in decoders for field in decoder.paths()]
-            raise LogError(
-                f"topic {topic} ({self._topics[topic][0].type_name}) has no numeric field {path!r}",
-                where=self.name,
-                advice=nearest_names(path, fields),
-            )
+            what = f"topic {topic} ({self._topics[topic][0].type_name}) has no numeric field {path!r}"
+            raise LogError(what, where=self.name, advice=nearest_names(path, fields))
         return topic, path
 
     def _decode(self, wanted: dict[str, tuple[str, ...]]) -> dict[str, _Samples]:
@@ -240,8 +235,7 @@ class MessageRecording:
     def _header_times(self, topic: str, samples: _Samples, log: np.ndarray) -> np.ndarray:
         if not samples.all_stamped:
             note_once(
-                self.notes,
-                ReadNote("messages without a time stamp of their own: log time used", topic, len(log)),
+                self.notes, ReadNote("messages without a time stamp of their own: log time used", topic, len(log))
             )
             return log
         stamps = samples.stamps.finished()

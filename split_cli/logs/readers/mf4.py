@@ -1,7 +1,5 @@
 """Measurement files of vehicle buses (ASAM MDF 3 and 4, MF4), through asammdf (extra ``mf4``)."""
 
-from __future__ import annotations
-
 import io
 import logging
 import re
@@ -20,8 +18,6 @@ from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording,
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import find_unit
-
-__all__ = ["list_samples", "open_mf4"]
 
 _BUS_EVENT = re.compile(r"(CAN|LIN|FLX|ETH|MOST|K_LINE)_\w*(Frame|Error|Event|Symbol|PDU)\b")
 
@@ -94,20 +90,14 @@ def _open_within(path: Path, databases: Sequence[Path], copies: str, open_files:
     # By the bus-logging standard frames and events of a bus are groups of these names.
     frames = [n for n in places if _BUS_EVENT.match(n)]
     if any(n.startswith("CAN_") for n in frames) and not databases and 2 * len(frames) >= len(places):
-        raise LogError(
-            "holds CAN frames: what they mean stands in a DBC file",
-            where=path.name,
-            advice="Give it with --dbc FILE.dbc.",
-        )
+        advice = "Give it with --dbc FILE.dbc."
+        raise LogError("holds CAN frames: what they mean stands in a DBC file", where=path.name, advice=advice)
     infos = []
     for name, (group, index) in places.items():
         channel_group = file.groups[group].channel_group
         infos.append(
             RawChannelInfo(
-                name,
-                "mdf",
-                int(channel_group.cycles_nr),
-                _unit(file.get_channel_unit(group=group, index=index)),
+                name, "mdf", int(channel_group.cycles_nr), _unit(file.get_channel_unit(group=group, index=index))
             )
         )
     if not any(info.count for info in infos):
@@ -149,11 +139,8 @@ def _signal(
     except Exception as error:  # see open_mf4
         raise _damaged(path, error) from error
     if values.dtype.kind not in "biuf" or values.ndim != 1:
-        raise LogError(
-            f"channel {name!r} holds no numbers",
-            where=path.name,
-            advice="Map another channel; `split ingest LOG --list` shows all.",
-        )
+        advice = "Map another channel; `split ingest LOG --list` shows all."
+        raise LogError(f"channel {name!r} holds no numbers", where=path.name, advice=advice)
     values = np.array(values, dtype=np.float64)
     if found.invalidation_bits is not None:
         invalid = np.asarray(found.invalidation_bits, dtype=bool)

@@ -3,8 +3,6 @@
 Each name becomes a signal with a clock of its own.
 """
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,10 +29,6 @@ from split_cli.logs.readers.dialect import LONGEST_LINE, decoded
 from split_cli.logs.readers.json_document import plain_number
 from split_cli.logs.scratch import GrowingSignal
 from split_cli.signals import find_unit
-
-__all__ = [
-    "NAMES", "VALUES", "Places", "open_named_rows", "open_named_table", "places_in", "table_of_named_values",
-]  # fmt: skip
 
 NAMES = ("signal", "signal_name", "channel", "name", "variable", "parameter", "topic", "key", "field", "_field",
           "metric", "sensor")  # fmt: skip

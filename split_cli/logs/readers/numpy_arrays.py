@@ -1,7 +1,5 @@
 """NumPy arrays: archives (.npz), single arrays (.npy), and folders with a file for each array."""
 
-from __future__ import annotations
-
 import itertools
 import zipfile
 from collections import Counter
@@ -15,8 +13,6 @@ from split_cli.errors import LogError
 from split_cli.logs.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote
 from split_cli.logs.readers.vectors import is_time, recording_of_vectors
-
-__all__ = ["is_array_folder", "is_npz", "open_array_folder", "open_npy", "open_npz"]
 
 _MAGIC = b"\x93NUMPY"
 _MOST_FILES = 20_000

@@ -1,7 +1,5 @@
 """Decoding of protobuf and JSON payloads, message by message."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -14,8 +12,6 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.readers.payloads import STAMP_FIELDS, Columns
-
-__all__ = ["JsonDecoder", "ProtobufDecoder"]
 
 _DEEPEST = 12
 _LATEST_STAMP = 2**63  # of any unit [1]: nanoseconds have 64 bits with their sign

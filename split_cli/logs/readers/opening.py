@@ -1,7 +1,5 @@
 """Finding the reader for a recording: by its first bytes, then by its suffix."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,8 +17,6 @@ from split_cli.logs.readers.json_rows import is_json, open_json
 from split_cli.logs.readers.messages import Container, MessageRecording
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
-
-__all__ = ["is_prose", "open_recording"]
 
 _HEAD_BYTES = 4096
 _MOST_LISTED = 2000
@@ -138,11 +134,7 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
             advice="Copy or record it again.",
         )
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise LogError(
-            "is of no known format",
-            where=path.name,
-            advice=KNOWN_FORMATS,
-        )
+        raise LogError("is of no known format", where=path.name, advice=KNOWN_FORMATS)
     from split_cli.logs.readers.delimited import open_delimited
 
     return open_delimited(path)

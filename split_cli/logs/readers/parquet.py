@@ -1,7 +1,5 @@
 """Parquet, and Arrow IPC files (Feather)."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -23,8 +21,6 @@ from split_cli.logs.raw import (
 )
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import set_aside
-
-__all__ = ["column_values", "numbers_of", "open_arrow", "open_parquet", "read_arrow"]
 
 
 def open_parquet(path: Path) -> RawRecording:

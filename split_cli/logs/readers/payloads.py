@@ -1,14 +1,10 @@
 """The seam between containers and encodings: many serialized messages in, columns of numbers out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-
-__all__ = ["STAMP_FIELDS", "Columns", "PayloadDecoder"]
 
 STAMP_FIELDS = ("header.stamp", "stamp", "timestamp", "header.timestamp")
 

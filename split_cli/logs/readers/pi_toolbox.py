@@ -1,7 +1,5 @@
 """ASCII exports of Pi Toolbox (Cosworth): one block for all channels, or a block for each with its own clock."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,19 +9,10 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.budget import refuse_many_columns
-from split_cli.logs.raw import (
-    RawRecording,
-    RawSignal,
-    ReadNote,
-    TableRecording,
-    UniqueNames,
-    column_name_and_unit,
-)
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, UniqueNames, column_name_and_unit
 from split_cli.logs.readers.delimited import read_columns
 from split_cli.logs.readers.dialect import LONGEST_LINE, Dialect, decoded
 from split_cli.signals import find_unit
-
-__all__ = ["is_pi_toolbox", "open_pi_toolbox"]
 
 _BLOCK, _BRACE = b"{channelblock}", ord("{")
 

@@ -1,7 +1,5 @@
 """A first reading in a process of its own, for formats whose compiled reader can end the process it runs in."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal
@@ -12,8 +10,6 @@ from pathlib import Path
 
 from split_cli.errors import LogError
 from split_cli.files import ScratchFolder
-
-__all__ = ["probe"]
 
 _LEAST_MEMORY = 768 << 20
 """Memory of the probe [bytes]; judgement: its imports take 200 MB."""

@@ -1,7 +1,5 @@
 """Recordings of rosbag2: folders (SQLite or MCAP, split or not), bare ``.db3`` and compressed files."""
 
-from __future__ import annotations
-
 import re
 import sqlite3
 from collections import defaultdict
@@ -21,14 +19,6 @@ from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.mcap import McapContainer
 from split_cli.logs.readers.messages import Container, MessageBatch, Stream
 from split_cli.yaml_file import parse_yaml
-
-__all__ = [
-    "PACKED_SUFFIXES",
-    "ConcatenatedContainer",
-    "SqliteContainer",
-    "open_packed_file",
-    "open_rosbag2_folder",
-]
 
 _ROWS_AT_ONCE = 2048
 _LARGEST_METADATA = 16 << 20
@@ -96,11 +86,8 @@ class SqliteContainer:
             )
             if kind != "table" or computed or re.match(r"\s*CREATE\s+VIRTUAL", str(made), re.IGNORECASE):
                 what = "computed" if kind == "table" else f"a {kind}, not a table"
-                raise LogError(
-                    f"is no rosbag2 database ({name} is {what})",
-                    where=self.path.name,
-                    advice="Give a .db3 that `ros2 bag record` wrote.",
-                )
+                advice = "Give a .db3 that `ros2 bag record` wrote."
+                raise LogError(f"is no rosbag2 database ({name} is {what})", where=self.path.name, advice=advice)
 
     def _begin(self) -> None:
         self._steps = 0
@@ -183,11 +170,7 @@ class ConcatenatedContainer:
     """
 
     def __init__(
-        self,
-        parts: Sequence[Container],
-        notes: list[ReadNote],
-        packed: bool,
-        temporary: ScratchFolder | None,
+        self, parts: Sequence[Container], notes: list[ReadNote], packed: bool, temporary: ScratchFolder | None
     ) -> None:
         self._parts = parts
         self._packed = packed
@@ -273,8 +256,7 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
         mode = str(described.get("compression_mode") or "").lower()
     except (yaml.YAMLError, RecursionError, ValueError, KeyError, TypeError, AttributeError, SplitError) as error:
         note_once(
-            notes,
-            ReadNote("metadata.yaml cannot be read: files taken in the order of their numbers", path.name),
+            notes, ReadNote("metadata.yaml cannot be read: files taken in the order of their numbers", path.name)
         )
         if not present:
             advice = "Put the .db3 or .mcap of the recording beside it."

@@ -20,8 +20,6 @@ import numpy as np
 from split_cli.logs.readers.definitions import SEQUENCE, Field, Layout, leaf_paths
 from split_cli.logs.readers.payloads import STAMP_FIELDS, Columns
 
-__all__ = ["SerializedDecoder"]
-
 _SIZES = {
     "bool": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "int64": 8, "uint64": 8,
     "float32": 4, "float64": 8,

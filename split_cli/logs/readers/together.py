@@ -1,7 +1,5 @@
 """Several files that were recorded together, each with a clock of its own, as one recording."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,8 +9,6 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, time_column, unit_of_time
 from split_cli.signals import convert_to_si, find_unit
-
-__all__ = ["JointRecording", "open_together"]
 
 
 class JointRecording:
@@ -39,11 +35,9 @@ class JointRecording:
             infos = part.channels()
             time = time_column(infos)
             if time is None and not part.clocks and not _own_clock(part, infos):
-                raise LogError(
-                    "has no column of time, which several files together need",
-                    where=part.name,
-                    advice="Name one of its columns `time`, or ingest the files one by one.",
-                )
+                what = "has no column of time, which several files together need"
+                advice = "Name one of its columns `time`, or ingest the files one by one."
+                raise LogError(what, where=part.name, advice=advice)
             if time is not None:
                 self._time[id(part)] = time
         counts = Counter(info.name for part in parts for info in part.channels())

@@ -1,7 +1,5 @@
 """Racelogic .vbo files, as VBOX loggers and their CAN modules write them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +7,6 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording
 from split_cli.signals import find_unit
-
-__all__ = ["open_vbo"]
 
 # Units of the columns that every VBOX writes. Positions are converted while reading: no unit says "west positive".
 _STANDARD_UNITS = {

@@ -1,7 +1,5 @@
 """Named arrays as a recording: what MATLAB files and NumPy archives have in common."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,8 +17,6 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.logs.scratch import set_aside
-
-__all__ = ["VALUE_FIELDS", "is_time", "recording_of_vectors"]
 
 _MOST_COLUMNS = 64
 """Of a matrix, that become channels [1]; judgement: a state of a car has fewer."""
