@@ -1,7 +1,5 @@
 """Velocities and accelerations that are not along the car: another of its axes, or those of the world."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -10,8 +8,6 @@ from split_cli.logs.checking.kinematics import fit_slope
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.trial import Trial, TrialCandidate
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-
-__all__ = ["without_other_axes", "without_the_world"]
 
 _FORWARD_SHARE = 0.2
 """Of the speed, below which a velocity is not the forward one [1]: less than a wrong unit makes (1/3.6)."""
@@ -78,10 +74,7 @@ def _changes(east: np.ndarray, north: np.ndarray, rate: float) -> dict[str, tupl
     """Return what accelerations of the world, and of the car, are for a velocity along the world's axes."""
     speed, course = np.hypot(east, north), np.unwrap(np.arctan2(north, east))
     along, across = np.gradient(speed, 1.0 / rate), speed * np.gradient(course, 1.0 / rate)
-    return {
-        "ax": (np.gradient(east, 1.0 / rate), along),
-        "ay": (np.gradient(north, 1.0 / rate), across),
-    }
+    return {"ax": (np.gradient(east, 1.0 / rate), along), "ay": (np.gradient(north, 1.0 / rate), across)}
 
 
 def _correlation(values: np.ndarray, motion: np.ndarray) -> float:

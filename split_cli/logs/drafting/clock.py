@@ -1,7 +1,5 @@
 """The clock of a drafted map: the column that counts time, the steps between rows, or the rate that yaw tells."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 
@@ -22,8 +20,6 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.signals import find_unit
-
-__all__ = ["clock_of_rows"]
 
 _EVEN = 0.02
 """Of the step from row to row, which 99 of 100 keep where one period describes them [1]."""

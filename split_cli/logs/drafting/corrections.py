@@ -1,7 +1,5 @@
 """What the consistency checks change in a draft: units nobody states, signs, hands, the zero of yaw."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -13,8 +11,6 @@ from split_cli.logs.drafting.draft import UNITS_OF, Suggestion
 from split_cli.logs.drafting.handedness import HANDED, is_heading, path_is_certain
 from split_cli.logs.drafting.trial import Trial
 from split_cli.signals import find_unit
-
-__all__ = ["as_others_turn", "as_siblings", "correct", "with_status"]
 
 _UNIT_BY_FACTOR = {
     ("vx", 3.6): "km/h", ("vy", 3.6): "km/h", ("vx", 2.237): "mph", ("vy", 2.237): "mph", ("vx", 1.944): "kn",

@@ -1,7 +1,5 @@
 """A drafted signal map: what is said of each channel, and how it is written as YAML."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence
@@ -10,8 +8,6 @@ from dataclasses import dataclass
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
 from split_cli.signals import REQUIRED_CHANNELS
-
-__all__ = ["UNITS_OF", "Draft", "Suggestion", "in_ranges", "lines_on_presets", "quoted", "render_draft"]
 
 UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad",
             "engine_torque": "N m", "axle_torque": "N m"}  # fmt: skip

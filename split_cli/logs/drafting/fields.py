@@ -1,13 +1,9 @@
 """Which fields of messages hold pose, velocity and acceleration, whatever the maker calls topic and type."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 
 from split_cli.logs.raw import RawChannelInfo
-
-__all__ = ["asks_by_type", "field_candidates", "is_of_a_command"]
 
 _FIELDS: tuple[tuple[str, str, str], ...] = (
     ("X", r"(.*\.)?(position|translation)\.x", ""),

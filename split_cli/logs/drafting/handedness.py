@@ -1,7 +1,5 @@
 """Which side is left: what of a recording is beyond doubt, and what to say where nothing is."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,8 +9,6 @@ import numpy as np
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.raw import RawSignal
-
-__all__ = ["HANDED", "NOT_UP", "certain_of", "is_heading", "path_is_certain", "what_tells_left", "without_a_side"]
 
 NOT_UP = "z is not up"
 """Said of channels that were taken from another axis than the names say."""

@@ -1,7 +1,5 @@
 """Speeds that are logged in several units: as multiples of each other they tell which is which."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations

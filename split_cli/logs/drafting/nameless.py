@@ -1,7 +1,5 @@
 """Columns without names, as ``states[3]`` or ``column4``: known by how a car's motion ties them together."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Mapping, Sequence
@@ -12,8 +10,6 @@ import numpy as np
 from split_cli.logs.checking.plausible import DAMAGED
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawRecording
-
-__all__ = ["has_no_name", "is_of_a_state", "named_by_motion"]
 
 _NAMELESS = re.compile(r"(column|col|field[._]?data|data|value|.*\[)_?\d+\]?", re.IGNORECASE)
 # All numbers below are judgement, tried on public matrices of states (docs/ingest.md). Where one is wrong nothing

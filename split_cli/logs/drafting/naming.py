@@ -1,7 +1,5 @@
 """What a recorded name probably means: the words in it, its unit suffix, and the channels that they fit."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,11 +7,6 @@ from dataclasses import dataclass, replace
 from split_cli.logs.drafting.vocabulary import concepts_of, read_concepts, tokens_of, unfolded
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.signals import find_unit
-
-__all__ = [
-    "COMMANDED", "Meaning", "is_command", "meanings", "named_by_axis", "spelled_without_unit", "stated_unit",
-    "words_of",
-]  # fmt: skip
 
 _UNIT_WORDS = {
     "mps": "m/s", "mps2": "m/s^2", "mpss": "m/s^2", "ms2": "m/s^2", "kph": "km/h", "kmh": "km/h",

@@ -1,7 +1,5 @@
 """Channels that no relation judges without a vehicle file: torque by acceleration, side-slip angle by v_y."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Whether a recorded steering signal is the road wheels', the steering wheel's or a command without unit."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,8 +11,6 @@ from split_cli.logs.checking.kinematics import block_interval, fit_slope
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["apparent_wheelbase", "read_steering"]
 
 _LONGEST_WHEELBASE = 6.5
 """Of a lorry with understeer [m]; what steers more a turn than that is no road wheel."""

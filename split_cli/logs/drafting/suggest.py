@@ -1,7 +1,5 @@
 """A draft of a signal map: names and units suggest, the data and the consistency checks judge."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -48,13 +46,7 @@ from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity, unit_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheels import PARTS, note_on_engine, sums_of_torques, torques_alike
-from split_cli.logs.raw import (
-    RawChannelInfo,
-    RawRecording,
-    RawSignal,
-    time_column,
-    turned,
-)
+from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, time_column, turned
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
 

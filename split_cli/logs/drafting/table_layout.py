@@ -1,14 +1,10 @@
 """What to do with a table that has another form than a column, with a title, for each signal."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 
 from split_cli.logs.raw import RawChannelInfo, RawRecording
 from split_cli.logs.readers.named_values import NAMES, VALUES
-
-__all__ = ["hints_on_the_form"]
 
 
 def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> tuple[str, ...]:

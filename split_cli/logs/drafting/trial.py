@@ -1,7 +1,5 @@
 """Guesses of a draft as SI columns on one clock, to be judged by the consistency checks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,8 +17,6 @@ from split_cli.logs.drive import Drive
 from split_cli.logs.raw import RawSignal
 from split_cli.signals import REQUIRED_CHANNELS, find_unit
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["Trial", "TrialCandidate", "names_of"]
 
 _JUDGED = ("vx", "vy", "r", "yaw", "X", "Y", "ax", "ay", "delta")
 _GAP = 0.5

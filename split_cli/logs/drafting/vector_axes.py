@@ -1,7 +1,5 @@
 """Vectors recorded as three columns whose axes are not the car's: a sensor on its side, a game with y up."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -64,9 +62,7 @@ def names_of_triples(infos: Sequence[RawChannelInfo]) -> tuple[tuple[str, str, s
 
 
 def side_by_gravity(
-    chosen: Mapping[str, Suggestion],
-    triples: Sequence[tuple[str, str, str]],
-    signals: Mapping[str, RawSignal],
+    chosen: Mapping[str, Suggestion], triples: Sequence[tuple[str, str, str]], signals: Mapping[str, RawSignal]
 ) -> str:
     """Say which side a_y is positive to, by what the third axis of its accelerometer reads; empty where unclear.
 

@@ -5,13 +5,9 @@ stands for a concept; the set of concepts decides the channel. Words that say wh
 neutral.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from functools import lru_cache
-
-__all__ = ["concepts_of", "place_and_rest", "read_concepts", "tokens_of", "unfolded"]
 
 _WORDS: dict[str, str] = {
     "velocity": (

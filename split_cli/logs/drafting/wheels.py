@@ -1,13 +1,9 @@
 """Torques of wheels and axles: which belong together, and whether they are all of the car's."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.drafting.vocabulary import concepts_of, place_and_rest, tokens_of
-
-__all__ = ["PARTS", "note_on_engine", "note_on_part", "sums_of_torques", "torques_alike"]
 
 PARTS = ("wheel_torque", "axle_torque")
 """Meanings that together make T."""
