@@ -1,7 +1,5 @@
 """The report of a comparison: which model is best, by how much, and how sure that is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,8 +20,6 @@ from split_cli.workflows.report.payload import shows
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number
-
-__all__ = ["comparison_charts", "comparison_page", "headline"]
 
 _NAMES = {"v_x": "longitudinal velocity", "v_y": "lateral velocity", "r": "yaw rate"}
 

@@ -1,7 +1,5 @@
 """The report of an evaluation: does the correction help, where, and what the car does with and without it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -36,8 +34,6 @@ from split_cli.workflows.report.markup import (
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number, percent
-
-__all__ = ["evaluation_charts", "evaluation_page"]
 
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _HARM = "WORSE"

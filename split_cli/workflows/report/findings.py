@@ -1,14 +1,10 @@
 """The report's section on what was left out: findings, what else was tried, and what remains."""
 
-from __future__ import annotations
-
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import gap_left
 from split_cli.workflows.report.headline import finding_headline
 from split_cli.workflows.report.markup import bar, bar_row, items, section, table
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, term_title
-
-__all__ = ["what_section"]
 
 _RIVALS = (
     "χ² is the increase of the cost with the term in place of the chosen one. Std errors is that increase over "

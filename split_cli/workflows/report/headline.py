@@ -1,7 +1,5 @@
 """A finding as a headline: the part of the car first, then by how much; never what is as it should be."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -9,8 +7,6 @@ from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.statement.wording import number
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.workflows.report.words import term_title
-
-__all__ = ["finding_headline", "findings_headline"]
 
 #: Parameters that are factors: the part of the car, and the words for above and below 1.
 _FACTORS = {

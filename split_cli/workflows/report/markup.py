@@ -1,17 +1,10 @@
 """Pieces of HTML that several pages are made of; no element has a style or a handler of its own."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.words import escape, heading, prose
-
-__all__ = [
-    "bar", "bar_row", "charts_block", "facts_list", "figure", "items", "notes_section", "plain_table", "section",
-    "table", "verdict",
-]  # fmt: skip
 
 
 def section(name: str, title: str, body: str) -> str:

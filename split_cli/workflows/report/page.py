@@ -1,7 +1,5 @@
 """The report of a diagnosis, put together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.resources import files
 
@@ -10,8 +8,6 @@ from split_cli.plots.chart import Chart
 from split_cli.workflows.report.payload import chart_numbers
 from split_cli.workflows.report.sections import all_sections, headline
 from split_cli.workflows.report.shell import page
-
-__all__ = ["report_page"]
 
 
 def report_page(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:

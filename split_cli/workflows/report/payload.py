@@ -1,7 +1,5 @@
 """The numbers a report's charts are drawn from, small and safe to stand inside a page."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -14,8 +12,6 @@ from split_cli.diagnosis.statement.document import diagnosis_to_text
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import Diagnosis, GapSeries, Location
 from split_cli.workflows.report.words import CHANNELS, FORCE_IDS, FORCES, readable
-
-__all__ = ["chart_numbers", "embedded_json", "packed", "shown_digest", "shows"]
 
 _MOST_ROWS = 12_000
 _LEVELS = 5_000

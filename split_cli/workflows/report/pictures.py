@@ -1,13 +1,9 @@
 """Sections of charts that all HTML pages share, in the order in which an engineer looks at them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.markup import charts_block, section
-
-__all__ = ["picture_sections"]
 
 #: Names of sections: id, title, how the names of their charts begin, and whether three stand side by side.
 _SECTIONS = (

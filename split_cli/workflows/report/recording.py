@@ -1,7 +1,5 @@
 """The report of an ingest: what is wrong with a recording, what was done to it, and what it shows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,8 +9,6 @@ from split_cli.workflows.report.markup import facts_list, items, plain_table, se
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import number, prose
-
-__all__ = ["recording_page"]
 
 
 def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Chart]) -> str:

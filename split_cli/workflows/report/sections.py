@@ -1,7 +1,5 @@
 """The report's sections as HTML: verdict, where, does it help, what was not judged, and what was read."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from split_cli.diagnosis.statement.document import vehicle_name
@@ -27,8 +25,6 @@ from split_cli.workflows.report.words import (
     typeset,
     variable,
 )
-
-__all__ = ["all_sections", "headline"]
 
 _HEADLINES = {
     "match": ("=", "Simulation and reality agree."),

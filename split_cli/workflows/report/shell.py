@@ -1,7 +1,5 @@
 """One page: head, style, scripts and numbers of every report, with a policy that admits nothing else."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -14,8 +12,6 @@ from split_cli.plots.chart import Chart, ChartLine
 from split_cli.plots.palette import DARK, LIGHT
 from split_cli.workflows.report.payload import embedded_json, packed
 from split_cli.workflows.report.words import escape, readable
-
-__all__ = ["chart_payload", "page"]
 
 _NOSCRIPT = "<noscript><p>The charts need scripts, which are part of this file.</p></noscript>"
 

@@ -1,7 +1,5 @@
 """Names, numbers and p values as the HTML pages print them."""
 
-from __future__ import annotations
-
 import html
 import math
 import re
@@ -10,17 +8,8 @@ from collections.abc import Sequence
 
 from split_cli.diagnosis.statement.wording import variable_name
 
-__all__ = [
-    "CHANNELS", "FORCES", "FORCE_IDS", "chance", "escape", "heading", "number", "parameter", "percent", "prose",
-    "quantity", "readable", "span", "term_title", "typeset", "variable",
-]  # fmt: skip
-
 FORCE_IDS = ("longitudinal", "front_lateral", "rear_lateral")
-FORCES = {
-    "longitudinal": "Longitudinal",
-    "front_lateral": "Front lateral",
-    "rear_lateral": "Rear lateral",
-}
+FORCES = {"longitudinal": "Longitudinal", "front_lateral": "Front lateral", "rear_lateral": "Rear lateral"}
 CHANNELS = (("v_x", "Longitudinal", "m/s²"), ("v_y", "Lateral", "m/s²"), ("r", "Yaw", "rad/s²"))
 _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp", "Co", "Cn")
 

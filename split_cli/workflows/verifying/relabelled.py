@@ -1,7 +1,5 @@
 """Labels and points computed again from their drives, where these lie beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +16,6 @@ from split_cli.logs.drive import open_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.verifying.verification import VerifiedItem, item
-
-__all__ = ["labels_against_drive", "points_against_drives"]
 
 TOLERANCE = 1e-6
 """Of features and labels against those computed again, of 1 + their value [1]: other libraries round otherwise."""

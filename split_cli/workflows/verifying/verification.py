@@ -1,7 +1,5 @@
 """Result of `split verify`: the checks of a file or folder."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from split_cli.export.verified import VerifiedItem

@@ -1,7 +1,5 @@
 """Check one file or folder that this program wrote against itself: nothing else is needed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -61,11 +59,8 @@ def verify(path: str | Path) -> Verification:
     if (path.parent / "manifest.json").is_file():
         advice = f"Its folder is checked as a whole: `split verify {path.parent}`."
         raise SplitError("is checked with the export that it lies in", where=str(path), advice=advice)
-    raise SplitError(
-        "is no file that this program writes",
-        where=str(path),
-        advice="`split info` tells what it is.",
-    )
+    what = "is no file that this program writes"
+    raise SplitError(what, where=str(path), advice="`split info` tells what it is.")
 
 
 def _folder(path: Path) -> Verification:

@@ -1,7 +1,5 @@
 """Checks of drives, labels, vehicles, maps, hyperparameters and pages."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,8 +21,6 @@ from split_cli.vehicle.parameters import physics_as_written, read_vehicle
 from split_cli.workflows.verifying.relabelled import labels_against_drive
 from split_cli.workflows.verifying.verification import VerifiedItem, item
 from split_cli.yaml_file import read_yaml_mapping
-
-__all__ = ["compare_sources", "read_gap", "verify_drive", "verify_page", "verify_parquet", "verify_yaml"]
 
 
 def verify_parquet(path: Path) -> tuple[str, tuple[VerifiedItem, ...]]:

@@ -1,7 +1,5 @@
 """Checks of folders that this program wrote: a diagnosis, an evaluation, a comparison, drives."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable, Sequence
@@ -17,8 +15,6 @@ from split_cli.workflows.ingesting.ingest_manifest import IngestManifest
 from split_cli.workflows.report.payload import shown_digest
 from split_cli.workflows.verifying.verification import Verification, VerifiedItem, item
 from split_cli.workflows.verifying.verify_files import compare_sources, read_gap, verify_page, verify_parquet
-
-__all__ = ["in_one_line", "is_diagnosis", "verify_diagnosis", "verify_drives_folder", "verify_pages_folder"]
 
 _VERDICTS = ("match", "mismatch", "undecided")
 _TABLE = "compare.csv"
@@ -206,11 +202,8 @@ def verify_drives_folder(folder: Path, inner: Sequence[Path] = (), *, alone: boo
         items.append(item(f"{entry['drive']} of {place}", not bad, "as written", bad))
     drives = [p for p in sorted(folder.rglob("*.parquet")) if p.is_file() and not {*inner} & {*p.parents}]
     if alone and not drives and not items:
-        raise SplitError(
-            "holds neither an export, nor a diagnosis, nor drives",
-            where=str(folder),
-            advice="Name a file, or the folder that `split export`, `diagnose` or `ingest` wrote.",
-        )
+        advice = "Name a file, or the folder that `split export`, `diagnose` or `ingest` wrote."
+        raise SplitError("holds neither an export, nor a diagnosis, nor drives", where=str(folder), advice=advice)
     for path in drives:
         name = str(path.relative_to(folder))
         items.append(in_one_line(name, lambda path=path: Verification(str(path), *verify_parquet(path))))
