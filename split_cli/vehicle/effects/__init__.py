@@ -6,8 +6,6 @@ on its class.
 May import: vehicle (single_track, tire, operations, parameters), errors.
 """
 
-from __future__ import annotations
-
 import pkgutil
 from importlib import import_module
 
@@ -51,27 +49,18 @@ def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:
             )
         kind = CATALOGUE[effect.term]
         if effect.variant not in kind.variants:
-            raise VehicleError(
-                f"{effect.term} has no variant {effect.variant!r}",
-                where=where,
-                advice=nearest_names(effect.variant, kind.variants),
-            )
+            advice = nearest_names(effect.variant, kind.variants)
+            raise VehicleError(f"{effect.term} has no variant {effect.variant!r}", where=where, advice=advice)
         units = kind.parameter_units(effect.variant)
         unknown = set(effect.parameters) - set(units)
         missing = set(units) - set(effect.parameters)
         if unknown:
             name = sorted(unknown)[0]
-            raise VehicleError(
-                f"{effect.term} has no parameter {name!r}",
-                where=where,
-                advice=nearest_names(name, units),
-            )
+            advice = nearest_names(name, units)
+            raise VehicleError(f"{effect.term} has no parameter {name!r}", where=where, advice=advice)
         if missing:
-            raise VehicleError(
-                f"{effect.term} lacks {', '.join(sorted(missing))}",
-                where=where,
-                advice="Add it under `parameters`; docs/catalogue.md tells what each term needs.",
-            )
+            advice = "Add it under `parameters`; docs/catalogue.md tells what each term needs."
+            raise VehicleError(f"{effect.term} lacks {', '.join(sorted(missing))}", where=where, advice=advice)
         _refuse_beyond(kind, effect, vehicle, where)
         terms.append(kind(dict(effect.parameters), effect.variant))
     return tuple(terms)

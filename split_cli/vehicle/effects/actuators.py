@@ -1,7 +1,5 @@
 """Terms between command and car: what becomes of torque and steer angle on their way."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from split_cli.vehicle.effects.late import Delayed, Lagging

@@ -1,7 +1,5 @@
 """Terms of the body: mass, yaw inertia, the centre of gravity's place."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """The term without a force: lagged motion, kept as features for a learned correction."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from split_cli.vehicle.effects.search import LAG_SEARCH

@@ -1,7 +1,5 @@
 """Terms that add a force or a moment at the centre of gravity: air, rolling, a locked axle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar
 

@@ -3,8 +3,6 @@
 They are told by what the recording knows twice: position and yaw, accelerations, velocities.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Base of delays and lags: their unit, their search range, and how they act on the inputs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Where along the track a positional term acts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from split_cli.vehicle.effects.search import Range

@@ -1,17 +1,10 @@
 """Terms of the road's inclination: gravity along and across the car."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np
 
-from split_cli.vehicle.effects.place import (
-    PLACE_COMPLEXITY,
-    inside_stretch,
-    place_ranges,
-    stretch_in_words,
-)
+from split_cli.vehicle.effects.place import PLACE_COMPLEXITY, inside_stretch, place_ranges, stretch_in_words
 from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number

@@ -1,7 +1,5 @@
 """Terms of the measurement: they correct a recording and are no part of the car."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 

@@ -1,17 +1,10 @@
 """Terms of the tyres: grip of road, place and time, axle loads, combined slip, build-up over distance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from split_cli.vehicle.effects.place import (
-    PLACE_COMPLEXITY,
-    inside_stretch,
-    place_ranges,
-    stretch_in_words,
-)
+from split_cli.vehicle.effects.place import PLACE_COMPLEXITY, inside_stretch, place_ranges, stretch_in_words
 from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search, speed_unit
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number, percent, scaled
@@ -352,10 +345,7 @@ class LoadTransfer(Term):
             - car.drag_coefficient * flow.vx * flow.vx
         )
         moved = force_x * self.parameters["cg_height"] / car.wheelbase
-        for axle, change in (
-            (front, -moved / car.static_load_front),
-            (rear, moved / car.static_load_rear),
-        ):
+        for axle, change in ((front, -moved / car.static_load_front), (rear, moved / car.static_load_rear)):
             scale_load(axle, ops.maximum(1.0 + change, _LEAST_CAPACITY), self.variant)
 
 

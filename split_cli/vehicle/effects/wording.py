@@ -1,7 +1,5 @@
 """Numbers as a reader wants them in a statement: enough digits, signs as words, small lengths in millimetres."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Protocol
