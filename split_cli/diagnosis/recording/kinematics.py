@@ -19,8 +19,6 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.windows import changes, integrals, ways
 from split_cli.vehicle.effects import Term
 
-__all__ = ["KinematicResiduals", "build_kinematics", "common_habit", "integral", "quiet_change"]
-
 _WINDOW_SECONDS = 0.5
 _EDGE_SECONDS = 0.1
 _LEAST_WINDOWS = 12

@@ -4,8 +4,6 @@ What a sensor out of scale does to the rest looks like mass, grip or inertia, so
 Position and yaw tell: a car that reads 3 % too fast covers 3 % more ground than it does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,8 +11,6 @@ import numpy as np
 from split_cli.diagnosis.policy import STANDARD, Screening
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.vehicle.effects import Term
-
-__all__ = ["in_sentences", "out_of_scale", "scale_of"]
 
 _BLOCKS = 20
 _WORDS = {

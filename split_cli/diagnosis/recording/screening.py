@@ -1,7 +1,5 @@
 """Screening: what a recording lacks (duration, speed, excitation, live channels), before anything else is done."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,11 +11,6 @@ from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Course
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = [
-    "clean_drives", "cleaned", "idle", "measures", "moving", "torque_is_constant", "unfit",
-    "velocity_is_from_position",
-]  # fmt: skip
 
 SMOOTHED_SECONDS = 0.2  # over which samples are averaged before they are compared
 _STEP_SECONDS = 0.5  # over which a change of speed is taken

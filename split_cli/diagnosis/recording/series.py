@@ -1,7 +1,5 @@
 """A drive prepared for the diagnosis: smoothed states for evaluating physics, raw ones for judging it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,8 +15,6 @@ from split_cli.vehicle.effects.recording import over_samples
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["REMEMBERED", "Series", "build_series", "extended_model", "values_of"]
 
 #: Corrected velocities of a recording that are kept, with the flow at them [1]. A search moves other parameters
 #: far more often than those of sensors; more than those of four threads and their steps are never asked again.

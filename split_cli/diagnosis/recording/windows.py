@@ -1,11 +1,7 @@
 """Sums of rates over short windows of a recording, compiled, for the search of sensor faults."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
-
-__all__ = ["changes", "integrals", "ways"]
 
 
 def integrals(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int = 0) -> np.ndarray:

@@ -25,8 +25,6 @@ from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Witness", "build_witnesses", "habits_of", "is_witness_of_position", "late_against_position"]
-
 _CHANNELS = {"a_x": "ax", "a_y": "ay"}
 _KINDS = ("turn", "way", *_CHANNELS)
 _WINDOW_SECONDS = 0.5
