@@ -6,8 +6,6 @@ Where the centre of gravity lies elsewhere, the axles slip otherwise at the same
 that of its slip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,8 +15,6 @@ from split_cli.vehicle.effects import Term, build_terms
 from split_cli.vehicle.flow import AxleFlow, Flow
 from split_cli.vehicle.operations import NUMPY
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["alters_body", "at_another_body", "moved_axles", "moves_axles", "with_cg_ahead"]
 
 
 def alters_body(term: Term) -> bool:

@@ -5,8 +5,6 @@ smooth functions of slip angles, torque and speed, mirror-symmetric, take the re
 simulation; reality is judged with what the simulation leaves uncertain about them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -21,8 +19,6 @@ from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-
-__all__ = ["SharedDiscrepancy", "build_shared_discrepancy", "spread", "tangents"]
 
 # Powers of alpha_f, alpha_r, T and v_x in the smooth functions, even and odd in the slip angles.
 _POWERS = [

@@ -5,8 +5,6 @@ of it. Were it left as it is, the correction that a drive on rubber taught would
 the whole axle, and would take from a grip what that should explain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,8 +16,6 @@ from split_cli.vehicle.flow import AxleFlow
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import same_curve
 from split_cli.vehicle.tire import lateral_force
-
-__all__ = ["alters_tires", "at_other_tires"]
 
 
 def alters_tires(term: Term) -> bool:
