@@ -1,10 +1,6 @@
 """How rows vary together from one to the next: autocovariances, and their part of a long-run variance."""
 
-from __future__ import annotations
-
 import numpy as np
-
-__all__ = ["LAG_ROWS", "autocovariances", "bartlett_sum"]
 
 LAG_ROWS = 25  # of 0.04 s: a second
 

@@ -19,8 +19,6 @@ from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, ha
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["DiagnosisCase", "gather_case"]
-
 
 @dataclass(frozen=True)
 class DiagnosisCase:

@@ -5,8 +5,6 @@ is turned, take every turn away from where the simulation was asked to be, and t
 torque that is scaled does so on every straight, and the tyres still slip as they did and push as they did.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,8 +15,6 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.screening import SMOOTHED_SECONDS
 from split_cli.diagnosis.recording.series import extended_model
-
-__all__ = ["comparable"]
 
 
 def comparable(

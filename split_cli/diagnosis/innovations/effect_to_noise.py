@@ -1,7 +1,5 @@
 """Effect-to-noise ratio: the rms of an effect's prediction error over 0.05 s, over that of sensor noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -9,11 +7,6 @@ import numpy as np
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
-
-__all__ = [
-    "effect_to_noise", "effects_to_noise", "effects_to_noise_of", "products_of", "products_over_noise",
-    "rms_over_noise", "windowed",
-]  # fmt: skip
 
 _HORIZON = 0.05
 _ROWS_AT_ONCE = 8192  # [rows] that are joined for a product; decides memory alone

@@ -1,7 +1,5 @@
 """Whitened evidence of a recording: what it says against a model, one row of unit noise after another."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,8 +13,6 @@ from split_cli.diagnosis.policy import STANDARD, Believing
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["ROW_SECONDS", "Evidence", "gather_evidence", "graded_as", "rolling", "whitened_blocks"]
 
 ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000

@@ -34,8 +34,6 @@ _SHIFTS = 0.02
 #: Length [s] of stretches over which rows count as one, for errors of sums. Judgement: longer than transients.
 _BLOCK_SECONDS = 2.0
 
-__all__ = ["DiscrepancyPosterior", "MarginalLikelihood", "build_objective", "learn_discrepancy"]
-
 
 @dataclass(frozen=True)
 class DiscrepancyPosterior:

@@ -4,12 +4,8 @@ A library's product of a tall basis with one to six columns runs at a third of w
 for terms does little else.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
-
-__all__ = ["damped"]
 
 _FEW = 8  # columns, up to which the loops below are faster than a library
 

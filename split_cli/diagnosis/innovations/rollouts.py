@@ -20,10 +20,6 @@ from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, roll
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import phi_matrix
 
-__all__ = [
-    "HORIZONS", "LearnedCorrection", "RolloutErrors", "SharedRates", "Stage", "roll_out_stages", "shared_rates",
-]  # fmt: skip
-
 HORIZONS = (0.5, 1.0, 2.0)  # [s]
 _STEP_SECONDS = 0.05
 _MOST_STARTS = 120

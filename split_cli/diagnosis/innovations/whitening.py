@@ -14,8 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-__all__ = ["Whitener", "build_whitener"]
-
 
 @dataclass(frozen=True)
 class Whitener:
