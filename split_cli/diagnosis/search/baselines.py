@@ -14,8 +14,6 @@ a road that leans all along. Where neither leaves a name, witnesses are asked fo
 `late_channel`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -34,8 +32,6 @@ from split_cli.diagnosis.search.selection import Selection, explaining_as_well, 
 from split_cli.diagnosis.search.term_tests import term_p, witnessed_p
 from split_cli.diagnosis.search.variant_choice import with_variants_that_run
 from split_cli.diagnosis.statement.separation import exact_mimics
-
-__all__ = ["SearchOutcome", "ends_beyond", "search", "search_again", "settled"]
 
 
 @dataclass(frozen=True)
@@ -229,11 +225,7 @@ def _known(
     )
 
 
-def _search(
-    objective: MarginalLikelihood,
-    candidates: Sequence[Candidate],
-    known: SelfTest,
-) -> SearchOutcome:
+def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], known: SelfTest) -> SearchOutcome:
     objective = known.allow(objective)
     alone = objective.posterior is None
     structure = build_structure(

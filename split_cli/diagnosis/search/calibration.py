@@ -6,8 +6,6 @@ has to show clearly more. Where the simulation is clean, next to nothing is foun
 it is a recording itself, or where no dictionary holds its physics, the test shows how much.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -32,8 +30,6 @@ from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.parts_of_drive import most_saved
 from split_cli.vehicle.effects import CATALOGUE
-
-__all__ = ["SelfTest", "self_test"]
 
 _BINS = 40
 _WAVES = 12

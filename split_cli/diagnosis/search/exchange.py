@@ -1,7 +1,5 @@
 """Moves between sets of terms that adding, dropping and replacing one at a time do not reach."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -17,10 +15,6 @@ from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
 from split_cli.diagnosis.search.joint import promised_without, promised_without_several, without_needless
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.vehicle.effects import CATALOGUE
-
-__all__ = [
-    "alone", "is_better_beside_form_error", "joined", "merged", "relieved", "said_of", "split", "turned_over",
-]  # fmt: skip
 
 
 def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:

@@ -1,7 +1,5 @@
 """What each further term would save: linear approximations of all, then fits of the best."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,8 +24,6 @@ from split_cli.diagnosis.search.fitting import (
 )
 from split_cli.diagnosis.search.form_error import free_to_form_error, saved_beside_form_error
 from split_cli.diagnosis.statement.separation import look_alike
-
-__all__ = ["Explorer", "nearest_start"]
 
 
 @dataclass(frozen=True)

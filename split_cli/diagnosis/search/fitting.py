@@ -14,11 +14,6 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.descent import Slopes, descend
 from split_cli.vehicle.effects import Term
 
-__all__ = [
-    "SEARCHED_PLACES", "Fit", "Part", "Prior", "Tangent", "effect_everywhere", "fit_parts", "fit_with_prior",
-    "fits_without", "raw_slopes", "refitted", "scan_places", "sensitivity_of", "tangent",
-]  # fmt: skip
-
 _ITERATIONS = 12
 _JOINT_ITERATIONS = 6  # of all terms at once, to see which of them are needed
 _REFRESHES = 1

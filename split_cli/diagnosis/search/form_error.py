@@ -5,8 +5,6 @@ wrong, and where it does much that is far more than noise. Of two terms that do 
 happens to err less would win by it. With that share free, what decides is what they do differently.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,11 +18,6 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters
 from split_cli.diagnosis.search.fitting import Fit, sensitivity_of
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = [
-    "costs_beside_form_error", "divided_out", "form_error_columns", "free_to_form_error",
-    "moved_between_load_laws", "residuals_beside_form_error", "saved_beside_form_error",
-]  # fmt: skip
 
 _ROWS_AT_ONCE = 512  # [rows] of all parts' columns that are whitened at a time; decides memory alone
 _DISCREPANCY = "varied discrepancy"  # what is remembered of the shared discrepancy's columns, before whitening

@@ -1,7 +1,5 @@
 """Terms added one at a time while the evidence carries them, and why a further one is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,10 +21,6 @@ from split_cli.diagnosis.search.term_tests import (
     witnessed_p,
 )
 from split_cli.vehicle.effects import Term
-
-__all__ = [
-    "Found", "is_beyond_form_error", "other_beginnings", "refusal", "search_forward", "sizes_with_form_error",
-]  # fmt: skip
 
 _ONCE = "nearly all of it in a few moments"
 _FORM_ERROR = "within the model-form error of the other terms"

@@ -1,7 +1,5 @@
 """Which physics the recordings at hand can show at all, and the manoeuvre that would show the rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,8 +17,6 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.witnesses import late_against_position
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["identifiable", "limits_of"]
 
 
 def limits_of(

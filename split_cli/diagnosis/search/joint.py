@@ -5,8 +5,6 @@ that stands for a little of each is added, and none of the true ones saves much 
 part from the beginning, held by the prior of what a car of this size can have; then those leave that cost least.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -28,11 +26,6 @@ from split_cli.diagnosis.search.fitting import (
     sensitivity_of,
 )
 from split_cli.vehicle.effects import CATALOGUE
-
-__all__ = [
-    "all_at_once", "cheapest_first", "promised_by_all", "promised_without", "promised_without_several",
-    "without_needless",
-]  # fmt: skip
 
 _NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
 _NO_EFFECT = 1e-12  # curvature, in chi squared by a step, of what changes nothing

@@ -6,8 +6,6 @@ velocities were, and accelerations when both were. These have one valley, and ph
 of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,8 +18,6 @@ from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.search.term_tests import witnessed_p
 from split_cli.vehicle.calibration.least_squares import solve
 from split_cli.vehicle.effects import CATALOGUE
-
-__all__ = ["late_by_witnesses", "with_late_channel"]
 
 
 def with_late_channel(

@@ -5,8 +5,6 @@ as a drive has to be is asked what a drive is asked: whether what a term saves t
 than what is allowed, and whether the moments of that part agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,8 +20,6 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Part, Tangent
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.vehicle.effects import CATALOGUE
-
-__all__ = ["ActingPart", "PartReading", "Parts", "most_saved", "parts_of_drive", "strongest_part"]
 
 _MOST_BLOCKS = 240  # of which parts are made, eight minutes in blocks of 2 s: their number grows with its square
 
@@ -127,10 +123,7 @@ def most_saved(objective: MarginalLikelihood, columns: np.ndarray, residuals: np
 
 
 def strongest_part(
-    objective: MarginalLikelihood,
-    lines: Sequence[Tangent],
-    residuals: np.ndarray,
-    variance_inflation: float,
+    objective: MarginalLikelihood, lines: Sequence[Tangent], residuals: np.ndarray, variance_inflation: float
 ) -> ActingPart | None:
     """Return the part of the drive and the term whose effect there is surest; None where no part is long enough.
 

@@ -1,7 +1,5 @@
 """Which terms earn their place: forward selection, backward elimination, and what looks the same."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -45,11 +43,6 @@ from split_cli.diagnosis.search.term_tests import (
     witnessed_p,
 )
 from split_cli.vehicle.effects import Term
-
-__all__ = [
-    "Rival", "Selection", "explaining_as_well", "nothing", "rivals_of", "select_terms", "with_chosen",
-    "without_parts",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """What one term has to show: sizes against noise, differences block by block, and the minimum-effect test."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -15,13 +13,6 @@ from split_cli.diagnosis.remainder.structure import minimum_effect_p, term_allow
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit
 from split_cli.vehicle.effects import Term
-
-__all__ = [
-    "block_t", "block_z", "blocks_p", "effect_to_noise_of_terms", "error_of_sum", "is_apart_from_itself",
-    "is_form_error", "is_spread", "is_witnessed", "over_allowance", "p_of_effect", "part_over_allowance",
-    "part_sizes", "sizes_in_velocity", "systematic_error", "term_p", "term_size", "witnessed_p",
-    "witnesses_disagree",
-]  # fmt: skip
 
 
 def block_z(objective: MarginalLikelihood, fit: Fit, other: Fit) -> float:

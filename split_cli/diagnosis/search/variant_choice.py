@@ -4,8 +4,6 @@ Variants of a term differ by how a tyre takes a load or a loss of grip. Where mu
 more than they differ by in one step, and the one that bends best to it may lead a rollout astray.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,8 +16,6 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, with_chosen
-
-__all__ = ["free_running_errors", "with_variants_that_run"]
 
 _TINY = 1e-30
 
