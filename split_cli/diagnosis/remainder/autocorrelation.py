@@ -4,8 +4,6 @@ Gusts, a driver's hand on a loose column, a load that shifts: they have no place
 the track, yet they are no noise. Their slow variance is.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +11,6 @@ import numpy as np
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.policy import STANDARD, SelfTestRules
 from split_cli.diagnosis.remainder.structure import Structure
-
-__all__ = ["ResidualAutocorrelation", "residual_autocorrelation"]
 
 _NEAR_ROWS = 4
 

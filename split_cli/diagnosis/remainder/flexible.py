@@ -1,7 +1,5 @@
 """Functions of a flexible fit: operating point, its mirror images, memory, time and place."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice, product
@@ -15,8 +13,6 @@ from split_cli.diagnosis.parallel import cores, together
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = ["FlexiblePiece", "flexible_rows", "left_out"]
 
 _HARMONICS = 8
 _KNOTS = 9

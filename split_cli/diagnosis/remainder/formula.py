@@ -1,7 +1,5 @@
 """A sparse formula for what has no name: a lead, not a finding."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,8 +8,6 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Reporting
 from split_cli.diagnosis.remainder.location import FORCES, variables
 from split_cli.diagnosis.statement.wording import percent
-
-__all__ = ["sparse_formula"]
 
 _ROWS_APART = 5  # rows of 0.04 s: gap forces are averages over 0.2 s
 _SUBSAMPLES = 20

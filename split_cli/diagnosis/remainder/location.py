@@ -1,7 +1,5 @@
 """Where the gap is: in which force, depending on what, in which region, place and time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,8 +9,6 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Reporting
 from split_cli.diagnosis.statement.result import GapSeries, Location, Place
 from split_cli.vehicle.effects import Term
-
-__all__ = ["dependence", "force_noise", "gap_forces", "gap_series", "locate", "variables"]
 
 _AVERAGE_SECONDS = 0.2
 _ALIKE = 5  # rows of 0.04 s that say the same, since each is an average over 0.2 s

@@ -18,8 +18,6 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import Policy, Unnamed
 from split_cli.vehicle.effects import Term
 
-__all__ = ["Line", "strongest_line"]
-
 _BACKGROUND = 201  # bins
 _CHANNELS = ("v_x", "v_y", "r")
 #: Whitened samples count up to so many standard deviations [1]: a jump of a sensor is no line. Judgement.

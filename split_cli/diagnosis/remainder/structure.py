@@ -4,8 +4,6 @@ It needs no name for what it finds. The same test decides whether simulation and
 named terms left something behind.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,10 +15,6 @@ from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import FlexiblePiece
-
-__all__ = [
-    "FlexibleFit", "Structure", "build_structure", "minimum_effect_p", "term_allowances",
-]  # fmt: skip
 
 _RIDGE_SHARE = 2e-3
 
