@@ -9,8 +9,6 @@ more than it may be wrong is not all that acts; one that bends by the greater pa
 all that acts whose model-form error by operating point would have to be larger than a single track's ever is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,8 +22,6 @@ from split_cli.diagnosis.search.fitting import Fit, Part, raw_slopes, sensitivit
 from split_cli.diagnosis.search.form_error import form_error_columns
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import first_order_response
-
-__all__ = ["Bend", "Drift", "bends", "beyond_form_error", "parameter_drifts"]
 
 _WAVES = 4  # half waves over a recording
 _HEAT_SECONDS = (2.0, 6.0, 20.0)  # in which something heats and cools, those of the flexible fit's memory

@@ -1,7 +1,5 @@
 """The corrected vehicle file beside the given one, on held-out time and without a simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,8 +9,6 @@ from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, St
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, StateChange
 from split_cli.diagnosis.verdict.label_errors import BLOCK_SECONDS, blocks_of_time, in_standard_errors
 from split_cli.vehicle.effects import Term
-
-__all__ = ["judge_corrected"]
 
 _STEP = 0.05  # [s]
 _STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))

@@ -1,7 +1,5 @@
 """SPLIT on the remainder of a model: trained on training time, applied by its trust."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -14,8 +12,6 @@ from split_cli.learning.cells import learn
 from split_cli.learning.hyperparameters import default_kernel, scatter_variance
 from split_cli.learning.region import z2_grid
 from split_cli.prediction import make_predictor
-
-__all__ = ["learn_correction", "without_correction"]
 
 _FEWEST_TO_LEARN = 100
 _FOLDS = 4

@@ -1,7 +1,5 @@
 """Detection limits: the smallest size of each effect that would have been named if it were the only one."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -16,8 +14,6 @@ from split_cli.diagnosis.search.term_tests import over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE, Term
-
-__all__ = ["smallest_named"]
 
 _ROUNDS = 8  # an effect of twice the size saves nearly four times as much; past a tyre's peak it hardly saves more
 _FURTHEST = 1e4

@@ -1,7 +1,5 @@
 """Values, standard errors and intervals of the parameters of an explanation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +11,6 @@ from split_cli.diagnosis.search.term_tests import systematic_error, witnesses_di
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.joint_region import JointRegion, least_above, radius_95
 from split_cli.vehicle.effects.search import Range
-
-__all__ = ["PartEstimate", "estimate_parts", "parameter_estimates"]
 
 _CHI2_95 = 3.84  # of one parameter
 _PLACES = ("s_start", "s_end")

@@ -1,7 +1,5 @@
 """What may be said of an explanation: findings, what looks the same, and what is left without a name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -32,8 +30,6 @@ from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error
 from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
 from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along
 from split_cli.vehicle.effects import CATALOGUE
-
-__all__ = ["describe", "is_apart_from_none", "is_autocorrelated", "known_together", "with_shares"]
 
 _SHOWN_RIVALS = 6
 

@@ -1,7 +1,5 @@
 """Held-out time: whether terms fitted on the rest explain it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,8 +11,6 @@ from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, Marg
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
-
-__all__ = ["HeldOut", "explained_shares", "explained_together", "hold_out"]
 
 
 @dataclass(frozen=True)

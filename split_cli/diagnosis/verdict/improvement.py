@@ -1,7 +1,5 @@
 """Does the named physics help: held-out errors of one label and of rollouts, before and after."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -11,13 +9,7 @@ import numpy as np
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior
-from split_cli.diagnosis.innovations.rollouts import (
-    HORIZONS,
-    RolloutErrors,
-    Stage,
-    roll_out_stages,
-    shared_rates,
-)
+from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, Stage, roll_out_stages, shared_rates
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.verdict.correction import learn_correction, without_correction
 from split_cli.diagnosis.verdict.label_errors import (
@@ -28,8 +20,6 @@ from split_cli.diagnosis.verdict.label_errors import (
 )
 from split_cli.diagnosis.verdict.simulation_part import believed_parts, part_of
 from split_cli.vehicle.effects import Term
-
-__all__ = ["improvable_removed", "measure_improvement"]
 
 _BOOTSTRAPS = 400
 _MOSTLY = 0.9  # of the draws must leave something to improve, else a share has no interval

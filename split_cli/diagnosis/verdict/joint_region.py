@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
-__all__ = ["JointRegion", "apart_along", "least_above", "radius_95"]
-
 _STEPS = 500  # towards the point nearest to no effect
 
 

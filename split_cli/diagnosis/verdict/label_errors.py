@@ -1,7 +1,5 @@
 """Errors of labels over a step of 0.05 s, before and with terms, and the blocks of time they are drawn in."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,8 +14,6 @@ from split_cli.scoring.noise import covariance_in_labels, covariance_of_ends, wh
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.windows import recorded_inputs
-
-__all__ = ["BLOCK_SECONDS", "LabelErrors", "blocks_of_time", "in_standard_errors", "label_errors"]
 
 BLOCK_SECONDS = 2.0
 _WANTED_BLOCKS = 10

@@ -1,7 +1,5 @@
 """Explanations that no real car can have: no findings, but leads, with what they would need."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
@@ -10,8 +8,6 @@ from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Lead, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import lead_sentence
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
-
-__all__ = ["find_leads"]
 
 
 def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lead, ...]:

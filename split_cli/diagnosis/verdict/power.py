@@ -1,7 +1,5 @@
 """Power of a match: which effects could be hidden by differences between halves of the simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,8 +12,6 @@ from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.statement.wording import number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE, Term
-
-__all__ = ["HiddenEffect", "force_share", "hidden_effects", "hidden_in_words", "no_match_in_words"]
 
 _PREDICTED_SECONDS = 2.0  # the longest horizon of the report
 

@@ -1,7 +1,5 @@
 """How much of the correction learned from the simulation is used, by held-out simulation and real time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -20,8 +18,6 @@ from split_cli.diagnosis.innovations.rollouts import (
     shared_rates,
 )
 from split_cli.vehicle.effects import Term
-
-__all__ = ["OFFERS", "SimulationPart", "believed_parts", "part_of", "relative_error"]
 
 #: What a simulation offers to predict with: the nominal model alone; with what the simulation taught at the
 #: recorded states; and with what it taught of other states.
