@@ -1,7 +1,5 @@
 """`diagnosis.json`: the diagnosis as its schema has it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -11,8 +9,6 @@ from typing import Any
 from split_cli import __version__
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding, Lead, Location, ParameterEstimate
-
-__all__ = ["VEHICLES", "diagnosis_to_mapping", "diagnosis_to_text", "read_schema", "vehicle_name"]
 
 #: Names that the vehicle file with the findings may have; one is written if anything of the car was found.
 VEHICLES = frozenset({"vehicle_corrected.yaml", "vehicle_rejected.yaml"})

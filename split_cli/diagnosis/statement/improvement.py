@@ -1,11 +1,7 @@
 """What naming improves on held-out time: errors of a step and of free running, and the corrected vehicle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-
-__all__ = ["NORMAL_95", "CorrectedVehicle", "HorizonErrors", "Improvement", "StateChange"]
 
 NORMAL_95 = 1.96  # standard errors on either side that hold 95 % of a normal distribution
 _SHOWS = 1.25  # error before over the noise floor, from which on held-out rollouts show a gap

@@ -10,11 +10,6 @@ import numpy as np
 
 from split_cli.diagnosis.statement.improvement import NORMAL_95, CorrectedVehicle, Improvement
 
-__all__ = [
-    "Combination", "Detectable", "Diagnosis", "Finding", "InputFile", "Lead", "Location", "ParameterEstimate",
-    "Place", "RemainderTest", "RivalSummary", "Verdict",
-]  # fmt: skip
-
 _AS_GOOD = 2.5  # standard errors; of an exact degeneracy another variant may have been fitted, and be worse
 
 Verdict = Literal["match", "mismatch", "undecided"]

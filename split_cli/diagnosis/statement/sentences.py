@@ -1,7 +1,5 @@
 """Findings in words a reader can act on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, HorizonErrors, Improvement
@@ -10,11 +8,6 @@ from split_cli.diagnosis.statement.separation import separation
 from split_cli.diagnosis.statement.wording import number, percent, term_with_id, variable_name
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
-
-__all__ = [
-    "acting_in_a_part", "gap_left", "lead_sentence", "not_accepted", "scatter", "sentence_for", "separations",
-    "statement_for", "summarise", "unexplained_part",
-]  # fmt: skip
 
 # What a flexible fit calls its groups of functions, for a reader.
 _KINDS = {

@@ -1,14 +1,10 @@
 """Excitation that separates a finding from its alternatives."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 from split_cli.diagnosis.statement.wording import term_name
 from split_cli.vehicle.effects import CATALOGUE, Mimic
-
-__all__ = ["Separation", "exact_mimics", "look_alike", "separable_by_lacking", "separation"]
 
 
 @dataclass(frozen=True)

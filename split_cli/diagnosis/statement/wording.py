@@ -1,7 +1,5 @@
 """Numbers, terms and variables in words, for sentences of a diagnosis."""
 
-from __future__ import annotations
-
 from split_cli.vehicle.effects.wording import amount, number, percent
 
 __all__ = ["amount", "number", "percent", "term_name", "term_with_id", "variable_name"]
