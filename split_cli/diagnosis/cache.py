@@ -7,8 +7,6 @@ import sys
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
-__all__ = ["Recent", "give_back"]
-
 _Made = TypeVar("_Made")
 
 

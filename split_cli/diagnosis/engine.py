@@ -39,8 +39,6 @@ from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["diagnose"]
-
 _FAR = (
     "common operating points: the simulation has hardly any of those of the real drive, so samples further off "
     "than usual are compared; drive both over the same speeds, torques and turns"

@@ -3,16 +3,12 @@
 NumPy and compiled loops let go of Python's lock, so threads are enough on one machine.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
-
-__all__ = ["apart", "apart_with", "cores", "handing_out", "together", "use_threads"]
 
 _Item = TypeVar("_Item")
 _Out = TypeVar("_Out")

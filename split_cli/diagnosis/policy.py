@@ -98,10 +98,7 @@ class SelectionRules:
         THEORY + "between the prices of AIC (2) and BIC (ln n, about 9 for an hour's rows)",
     )
     most_nuisances: int = number(
-        2,
-        "terms",
-        "nuisance terms, which save more than chance but are too small to name",
-        CHOSEN,
+        2, "terms", "nuisance terms, which save more than chance but are too small to name", CHOSEN
     )
     few_names: int = number(
         3,
@@ -294,10 +291,7 @@ class Reporting:
     """What is said of a value, a place and a gap."""
 
     systematic: float = number(
-        0.03,
-        "effect-to-noise ratio",
-        "systematic error of a parameter: what one term may take of another",
-        CHOSEN,
+        0.03, "effect-to-noise ratio", "systematic error of a parameter: what one term may take of another", CHOSEN
     )
     least_dependence: float = number(
         0.15, "1", "share of the gap that a variable explains from which on a region of it is reported", CHOSEN

@@ -1,11 +1,7 @@
 """How a number that decides is written down: value, unit, meaning, origin; and on what it decides."""
 
-from __future__ import annotations
-
 from dataclasses import field
 from typing import Any
-
-__all__ = ["CHOSEN", "DECIDES", "JUDGEMENT", "KINDS", "THEORY", "kind_of", "number"]
 
 THEORY, JUDGEMENT = "theory: ", "judgement: "
 CHOSEN = JUDGEMENT + "chosen while developing on cases of `split prove`, without a study of its own"

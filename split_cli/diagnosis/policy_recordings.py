@@ -1,12 +1,8 @@
 """Numbers that decide what a recording is believed of: screening, wheels that slip, lines of the spectrum."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, number
-
-__all__ = ["Believing", "Screening", "Unnamed"]
 
 
 @dataclass(frozen=True)
@@ -24,10 +20,7 @@ class Screening:
         0.6, "1", "speed over the vehicle's minimum speed from which on rows are compared", CHOSEN
     )
     crawl: float = number(
-        0.5,
-        "1",
-        "the same below which rows are left out before anything is computed",
-        JUDGEMENT + "below the one",
+        0.5, "1", "the same below which rows are left out before anything is computed", JUDGEMENT + "below the one"
     )
     shortest_run: float = number(
         0.5,
@@ -68,10 +61,7 @@ class Screening:
         0.02, "1", "lateral acceleration over grip from which on steering is compared with the file", CHOSEN
     )
     gentle_to: float = number(
-        0.4,
-        "1",
-        "the same up to which it is compared",
-        JUDGEMENT + "a tyre is nearly linear up to there",
+        0.4, "1", "the same up to which it is compared", JUDGEMENT + "a tyre is nearly linear up to there"
     )
     fewest_rows: int = number(
         100, "samples", "rows below which steering and torque are not compared with the file", CHOSEN
