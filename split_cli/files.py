@@ -1,7 +1,5 @@
 """Writing files and folders whole or not at all, one writer at a time, and naming content. Imports `errors`."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import hashlib
@@ -18,14 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from split_cli.errors import SplitError
-
-__all__ = [
-    "DIGESTS", "ScratchFolder", "atomic_directory", "atomic_path", "atomic_write_bytes", "atomic_write_text",
-    "exclusive_access", "open_to_read", "parse_json", "read_text", "refuse_no_regular_file",
-    "refuse_overwriting_inputs", "refuse_place_without_access", "refuse_what_cannot_be_a_folder",
-    "refuse_what_cannot_be_written", "sha256_of_file",
-    "write_digests",
-]  # fmt: skip
 
 DIGESTS = "SHA256SUMS"
 """File of a folder that lists the digests of the others, as `sha256sum --check` reads it."""
@@ -393,11 +383,8 @@ def refuse_place_without_access(target: str | os.PathLike[str]) -> None:
     real = Path(os.path.realpath(target))
     place = real if real.is_dir() else real.parent
     if place.is_dir() and not os.access(place, os.W_OK | os.X_OK):
-        raise SplitError(
-            f"cannot be written: no permission to write into {place}, or it is read-only",
-            where=str(target),
-            advice="Nothing was computed. Name another place.",
-        )
+        what = f"cannot be written: no permission to write into {place}, or it is read-only"
+        raise SplitError(what, where=str(target), advice="Nothing was computed. Name another place.")
 
 
 def _real_target(target: str | os.PathLike[str]) -> Path:

@@ -22,8 +22,6 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.diagnose import diagnose_files
 from split_cli.workflows.ingesting.ingest import ingest_logs
 
-__all__ = ["EXPERIMENTS", "at_equal_slips", "dart_drive", "run", "saturated_acceleration"]
-
 MAPS = Path(__file__).parent / "maps"
 DART_CAR = MAPS / "dart_car.yaml"
 KTH_CAR = MAPS / "kth_car.yaml"

@@ -29,8 +29,6 @@ from tests.logs.test_readers_third_party import DBC, VBO
 from tests.studies import fuzz_seeds_newer as newer
 from tests.studies.fuzz_seeds_newer import Kind, read_recording
 
-__all__ = ["QUICK", "SLOW", "seeds"]
-
 GOLDEN = Path(__file__).parents[1] / "golden" / "files"
 SLOW = {"mf4": 0.01, "mf4 bus": 0.005, "dbc": 0.01, "feather": 0.02, "draft": 0.1}
 """Inputs of a kind against those of the others [1]: Feather, MF4 and a DBC are read in a process of their own, 1

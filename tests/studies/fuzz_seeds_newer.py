@@ -20,8 +20,6 @@ from split_cli.workflows.verifying.verify import verify
 from tests.logs import readers_support as support
 from tests.logs.test_readers_third_party import DBC
 
-__all__ = ["NEWER", "Kind", "frames", "in_pieces", "ours_verified", "read_recording", "rows", "tables"]
-
 GOLDEN = Path(__file__).parents[1] / "golden" / "files"
 LONG_HERE = 16
 """Values from which on a column is kept in a file [1]: so that the short ones of these files are."""

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["KINDS", "Lap", "arguments_of", "write_log"]
-
 _NOISE = {"vx": 0.02, "vy": 0.01, "r": 0.002}
 _TOPIC = "/car"
 _TYPE = "car_msgs/msg/Car"

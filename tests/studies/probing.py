@@ -20,8 +20,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Probe", "outcomes", "turned"]
-
 _Key = tuple[str, float]
 
 

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["LISTS", "Row"]
-
 
 @dataclass(frozen=True)
 class Row:
