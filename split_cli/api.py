@@ -58,7 +58,7 @@ def drive_table(drive: Drive) -> Any:
 
 
 def labels(drive: Drive, vehicle: Vehicle, features: str = "z2", *, horizon: float = 0.05) -> Any:
-    """Return what the vehicle file gets wrong, sample by sample, as a DataFrame.
+    """Return what the nominal model gets wrong, sample by sample, as a DataFrame.
 
     Parameters
     ----------
@@ -271,5 +271,5 @@ def diagnose(
 
 
 def charts(drive: Drive, vehicle: Vehicle | None = None) -> Mapping[str, Chart]:
-    """Return the charts of a recording by name, beside the model of a vehicle file where one is given."""
+    """Return the charts of a recording by name, beside the nominal model of a vehicle file where one is given."""
     return {chart.name: chart for chart in recording_charts(drive, vehicle)}

@@ -16,7 +16,7 @@ def catalogue_page() -> str:
         "This page is a reference for readers of a diagnosis. It lists the *terms*: physical effects and sensor",
         "faults that `split diagnose` can name, and that `effects:` in a [vehicle file](formats.md#vehicle-yaml)",
         "can hold. Only `feature_lag` is never named; training uses it. A parameter is the difference of the real",
-        "car from the nominal vehicle file. At its neutral value, in brackets in the table, the term has no",
+        "car from the nominal model. At its neutral value, in brackets in the table, the term has no",
         "effect. A *variant* is another form of the term; the diagnosis tries all. Frames, signs and symbols are",
         "those of the [nomenclature](nomenclature.md).",
         "",

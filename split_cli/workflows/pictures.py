@@ -29,16 +29,16 @@ from split_cli.workflows.recordings import RecordingCorrection
 _MOST_LEARNED = 1500
 _FOUND = "with the identified effects"
 _SHARED = (
-    " These are errors of the vehicle file alone. They also hold what the simulation has beyond that file, so "
+    " These are errors of the nominal model alone. They also hold what the simulation has beyond that model, so "
     "they may show structure where nothing of the gap is unexplained."
 )
 
 
 def recording_charts(drive: Drive, vehicle: Vehicle | None) -> tuple[Chart, ...]:
-    """Return the charts of one recording beside the model of its vehicle file, where there is one."""
+    """Return the charts of one recording beside its nominal model, where there is one."""
     subjects = [Subject("measured", "measured", drive)]
     if vehicle is not None:
-        subjects.append(Subject("vehicle file", "simulated", drive, vehicle))
+        subjects.append(Subject("nominal model", "simulated", drive, vehicle))
     makers: list[Callable[[], Iterable[Chart | None]]] = [
         lambda: drive_charts(subjects, vehicle),
         lambda: [track_chart([("measured", "measured", drive)])],
@@ -47,7 +47,7 @@ def recording_charts(drive: Drive, vehicle: Vehicle | None) -> tuple[Chart, ...]
         makers += [
             lambda: tire_charts(drive, vehicle),
             lambda: handling_charts(subjects, vehicle),
-            lambda: _whiteness([("vehicle file", "simulated", drive, vehicle)]),
+            lambda: _whiteness([("nominal model", "simulated", drive, vehicle)]),
         ]
     return gathered(makers)
 
@@ -66,9 +66,9 @@ def diagnosis_charts(
     if simulated:
         twin = max(simulated, key=len)
         subjects.append(Subject("simulation given", "nominal", twin))
-    subjects.append(Subject("vehicle file", "simulated", nominal_drive, vehicle))
+    subjects.append(Subject("nominal model", "simulated", nominal_drive, vehicle))
     corrected = None
-    residuals = [("vehicle file", "simulated", nominal_drive, vehicle)]
+    residuals = [("nominal model", "simulated", nominal_drive, vehicle)]
     if effects:
         found = vehicle.with_effects(*effects)
         corrected = RecordingCorrection(found)(drive), found

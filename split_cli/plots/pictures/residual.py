@@ -76,7 +76,7 @@ def coverage_charts(
         for k, (key, tally) in enumerate(others):
             promised, observed = tally.probability.reliability_curve
             name, role = (
-                ("vehicle file", "simulated") if key[0] == NOMINAL else (names[key], roles[k % len(roles)])
+                ("nominal model", "simulated") if key[0] == NOMINAL else (names[key], roles[k % len(roles)])
             )
             series.append(ChartLine(name, 100 * promised, 100 * observed[:, state], role))
             inside.append(f"{name} {100 * tally.probability.coverage[1, state]:.0f} %")

@@ -86,7 +86,7 @@ def _nominal(vehicle: Vehicle, column: int, x: np.ndarray, forces: AxleForces) -
     else:
         tire = vehicle.front_tire if column == 1 else vehicle.rear_tire
         y = lateral_force(tire.B, tire.C, tire.D, across)
-    return ChartLine("vehicle file", across, y, "simulated")
+    return ChartLine("nominal model", across, y, "simulated")
 
 
 def _left(forces: AxleForces, drive: Drive, corrected: Vehicle, nominal: Vehicle) -> np.ndarray:
@@ -107,5 +107,5 @@ def _learned(
     deviation = force_deviation(vehicle, learned.prediction)[theirs, column]
     centre, middle, _ = binned(x[mine], mean, width)
     _, half, _ = binned(x[mine], _TWO_SIDED_95 * deviation, width)
-    name = f"{'corrected vehicle' if found else 'vehicle file'} and {learned.name}"
+    name = f"{'corrected vehicle' if found else 'nominal model'} and {learned.name}"
     return ChartLine(name, centre, middle, "learned", low=middle - half, high=middle + half)

@@ -39,9 +39,9 @@ _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", 
 _HARM = "WORSE"
 _WARNING = "WARNING: "
 _RATIOS = (
-    "Error divided by that of the vehicle file: left of the line at 1 it is smaller. Bars are 95 % intervals."
+    "Error divided by that of the nominal model: left of the line at 1 it is smaller. Bars are 95 % intervals."
 )
-_MODELS = {NOMINAL: "vehicle file", VELOCITY_PERSISTENCE: "persistence: velocities held"}
+_MODELS = {NOMINAL: "nominal model", VELOCITY_PERSISTENCE: "persistence: velocities held"}
 _PREDICTORS = (
     "<p>Predictors such as bcm and projected evaluate the same trained set in different ways; docs/prediction.md "
     "compares them. <em>Full trust</em> applies the whole correction; the others apply the share named above.</p>"
@@ -69,7 +69,7 @@ def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
     vehicle = run.sets[0].vehicle
     drive = trace.held.drive
     part = drive if trace.held.split.test.all() else drive.select(trace.held.split.test)
-    subjects = [Subject("measured", "measured", part), Subject("vehicle file", "simulated", part, vehicle)]
+    subjects = [Subject("measured", "measured", part), Subject("nominal model", "simulated", part, vehicle)]
     own = next((one for one in run.sets if _same(one.features.names, trace)), run.sets[0])
     predictor = make_predictor(trace.name.split(",")[0], own)
     if not predictor.needs_context:
@@ -78,7 +78,7 @@ def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
         subjects.append(Subject(f"with {trace.name}", "learned", part, vehicle, correction))
     learned = LearnedForces(trace.name, trace.tested.row, trace.prediction)
     residuals = [
-        ("vehicle file", "simulated", trace.tested, trace.tested.y),
+        ("nominal model", "simulated", trace.tested, trace.tested.y),
         (f"with {trace.name}", "learned", trace.tested, trace.tested.y - trace.prediction.mean),
     ]
     return gathered([
@@ -199,7 +199,7 @@ def _tables(run: EvaluationRun) -> str:
         rows.append(("noise floor", *(number(float(v)) for v in floor.rms), number(floor.norm), ""))
     heads = ("Rms error of one step", "v_x [m/s²]", "v_y [m/s²]", "r [rad/s²]", "norm", "skill")
     words = (
-        "<p>Errors are those of the label, the rate that the vehicle file's model lacks. The norm is the root of "
+        "<p>Errors are those of the label, the rate that the nominal model lacks. The norm is the root of "
         "the sum of their squares. Skill is 1 − MSE over the MSE of persistence: 1 is perfect, 0 no better.</p>"
     )
     scores = words + plain_table(heads, rows, "table-scores")

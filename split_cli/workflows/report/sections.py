@@ -261,7 +261,7 @@ def _corrected(diagnosis: Diagnosis) -> str:
     said = "" if corrected.accepted else f"<p><strong>{escape(not_accepted(corrected))}</strong></p>"
     heads = ["Rms error", "Given file", "Corrected file", "Persistence", "Noise floor", "Change"]
     return (
-        "<h3>The corrected vehicle</h3><p>Errors of the vehicle file alone, without corrections learned from a "
+        "<h3>The corrected vehicle</h3><p>Errors of the nominal model alone, without corrections learned from a "
         "simulation. Sensor faults that were found are corrected for both.</p>"
         f"{said}{table(heads, rows, 'errors')}"
     )
