@@ -73,8 +73,8 @@ def decide(
     other = relabel(late)
     empty = replace(other.empty, found_effects=1)
     # The lag frees the correction of v_x from what it stood in for. Those of v_y and r are what they were, so the
-    # more cautious of two judgements of them counts. Where the file shows no gain at all, there is one: its errors of
-    # v_x hide what the others gain, and 0 for these would forbid the lag as well.
+    # more cautious of two judgements of them counts. Where the file shows no gain at all, there is one: its errors
+    # of v_x hide what the others gain, and 0 for these would forbid the lag as well.
     most = (1.0, *trust.share[1:]) if gain > 0.0 else (1.0, 1.0, 1.0)
     trust, other_gain = judge_correction(other.drives, empty, say=say, most=most)
     return replace(other, empty=replace(empty, trust=trust)) if other_gain > gain else by_file

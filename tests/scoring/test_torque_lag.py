@@ -84,7 +84,7 @@ def test_an_effect_beyond_the_file_is_judged_against_the_file():
 def test_no_trust_without_the_lag_bounds_that_with_it_only_where_something_was_found(
     late, monkeypatch, by_file, gain, most
 ):
-    """Two of seven drives of 22 s had no trust and no lag: v_y and r, bounded by 0, could not make up for the lag."""
+    """Two of seven drives of 22 s had no trust and no lag: v_y and r, bounded by 0, could not make up for it."""
     asked = []
 
     def judged(drives, empty, say, most=(1.0, 1.0, 1.0)):
