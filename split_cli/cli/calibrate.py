@@ -6,8 +6,6 @@ from split_cli.cli import options as shared
 from split_cli.cli.digits import pair_known, three_digits
 from split_cli.cli.verbosity import print_notes
 
-positive = click.FloatRange(0.0, min_open=True)
-
 
 @click.command("calibrate")
 @click.argument("files", nargs=-1, required=True, type=shared.existing_file, metavar="DRIVE...")
@@ -29,11 +27,15 @@ positive = click.FloatRange(0.0, min_open=True)
     "--measured-ay", is_flag=True, help="Use the channel ay instead of v_y' + v_x r; correct on a banked road."
 )
 @click.option(
-    "--max-ax", type=positive, default=2.0, metavar="A", help="Largest |a_x| of samples for the tyre fit [m/s^2]."
+    "--max-ax",
+    type=shared.positive,
+    default=2.0,
+    metavar="A",
+    help="Largest |a_x| of samples for the tyre fit [m/s^2].",
 )
 @click.option(
     "--max-ay",
-    type=positive,
+    type=shared.positive,
     default=2.0,
     metavar="A",
     help="Largest |a_y| of samples for the fit of drag and rolling resistance [m/s^2].",
@@ -47,7 +49,7 @@ positive = click.FloatRange(0.0, min_open=True)
 )
 @click.option(
     "--smooth",
-    type=positive,
+    type=shared.positive,
     metavar="SECONDS",
     help="Width of the smoothing kernel; by default from the wheelbase.",
 )

@@ -3,7 +3,7 @@
 import click
 
 from split_cli.cli.digits import three_digits, two_digits
-from split_cli.cli.options import existing_file, json_option, output_option, print_json, print_table
+from split_cli.cli.options import existing_file, json_option, output_option, positive, print_json, print_table
 from split_cli.cli.verbosity import print_notes
 
 
@@ -39,7 +39,7 @@ from split_cli.cli.verbosity import print_notes
 )
 @click.option(
     "--step",
-    type=click.FloatRange(min=0, min_open=True),
+    type=positive,
     metavar="S",
     help="Sampling time of the controller [s]; it matters only where the vehicle file delays commands [default: "
     "the set's label interval].",

@@ -1,6 +1,8 @@
 """Options that several commands share, and how results are printed."""
 
 import json
+import math
+import os
 import shlex
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, is_dataclass
@@ -10,12 +12,55 @@ from typing import Any
 import click
 
 from split_cli.cli.digits import Printed, plausible
-
-# Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
-existing_file = click.Path(path_type=Path, readable=False)
+from split_cli.errors import SplitError
 
 
-class OutputPath(click.Path):
+class _PlaceOfFile(click.Path):
+    """A path that no two options of a command may name, if one of them is an output.
+
+    Not checked here: a file that cannot be read is an input at fault (one line, exit code 1), not wrong usage.
+    """
+
+    kind = "input"
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path, readable=False)
+
+    def convert(self, value, param, ctx) -> Path:
+        """Return the path; refuse a file that another option names, where one of both is written."""
+        path = super().convert(value, param, ctx)
+        place = os.path.realpath(path)
+        seen = ctx.meta.setdefault(__name__, {}) if ctx is not None else {}
+        other, kind = seen.setdefault(place, (param, self.kind))
+        if param is not other and (self.kind, kind) != ("input", "input") and not os.path.isdir(place):
+            name = other.opts[-1] if isinstance(other, click.Option) else other.human_readable_name
+            raise SplitError(
+                f"is {name} too, it would be overwritten", where=str(path), advice="Name another file."
+            )
+        return path
+
+
+existing_file = _PlaceOfFile()
+
+
+class _Positive(click.FloatRange):
+    """A positive number; infinity and what is no number are none."""
+
+    def __init__(self) -> None:
+        super().__init__(0.0, min_open=True)
+
+    def convert(self, value, param, ctx) -> float:
+        """Return the number."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is no finite number", param, ctx)
+        return number
+
+
+positive = _Positive()
+
+
+class OutputPath(_PlaceOfFile):
     """A place to write to, which must be open to writing before the command begins its work.
 
     Parameters
@@ -24,7 +69,7 @@ class OutputPath(click.Path):
     """
 
     def __init__(self, kind: str) -> None:
-        super().__init__(path_type=Path, readable=False)
+        super().__init__()
         self.kind = kind
 
     def convert(self, value, param, ctx) -> Path:
@@ -129,7 +174,7 @@ def log_options(function: Callable) -> Callable:
         _definitions("--dbc", "databases", "FILE", "DBC database that decodes a CAN log."),
         _definitions("--msg-path", "message_paths", "DIR", "Folder with .msg definitions of ROS messages."),
         click.option(
-            "--row-rate", type=float, metavar="HZ", help="Sampling rate of a table without a time column."
+            "--row-rate", type=positive, metavar="HZ", help="Sampling rate of a table without a time column."
         ),
         click.option(
             "--together", is_flag=True, help="Join the logs into one drive; each file keeps its own clock."

@@ -75,6 +75,14 @@ class Grid:
         return Grid(tuple(factor * edge for edge in self.edges), self.lower, self.upper)
 
     @property
+    def size(self) -> float:
+        """Number of cells between the bounds of those features that have bounds."""
+        edges, lower, upper = self._arrays
+        bounded = np.isfinite(upper - lower)
+        with np.errstate(over="ignore"):
+            return float(np.prod(((upper - lower) / edges)[bounded]))
+
+    @property
     def bits(self) -> int:
         """Bits of a cell number each feature's index takes."""
         return 62 // len(self.edges)

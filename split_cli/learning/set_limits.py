@@ -9,8 +9,8 @@ from split_cli.learning.features import Z2
 
 LARGEST_CAPACITY = 1000
 """Points a cell may keep [1]; theory: an update costs M^2; at 1,000 it outlasts a control interval."""
-MOST_CELLS_OF_A_GRID = 10_000_000
-"""Cells between a grid's bounds [1]; theory: enumerated, they take 8 bytes each; by default 8,100."""
+MOST_CELLS_OF_A_GRID = 2_000_000
+"""Cells between a grid's bounds [1]; measured: enumerated, they take 122 bytes each; by default 8,100."""
 LONGEST_HORIZON = 10.0
 """Label interval [s]; judgement: the paper's is 0.05 s, and over seconds a label is no rate."""
 LONGEST_TEXT = 4096

@@ -24,6 +24,7 @@ from split_cli.plant.tracks import Track
 
 STEP = 1e-3
 CONTROL_PERIOD = 0.02
+MOST_LAPS = 200  # of one run, which is kept in memory [1]
 
 _PathTables = namedtuple("_PathTables", "spacing length turn x y direction curvature speed acceleration")
 _ScriptTables = namedtuple("_ScriptTables", "torque steer speed acceleration")
@@ -164,8 +165,8 @@ def drive_laps(
     """
     if not 0.0 < aggressiveness <= 1.0:
         raise SplitError(f"aggressiveness must lie above 0 and not above 1, got {aggressiveness:g}")
-    if not 0.0 < laps <= 200.0:
-        raise SplitError(f"laps must lie above 0 and not above 200, got {laps:g}")
+    if not 0.0 < laps <= MOST_LAPS:
+        raise SplitError(f"laps must lie above 0 and not above {MOST_LAPS}, got {laps:g}")
     if duration is not None and not 0.1 <= duration <= 7200.0:
         raise SplitError(f"the duration must lie between 0.1 s and 7200 s, got {duration:g} s")
     person = varied(style, seed)

@@ -43,7 +43,7 @@ def generate_cases(
     _claim(root, seed, kinds)
     plan_case(seed, 0, kinds)
     open_ = [n for n in range(cases) if not (root / "cases" / case_name(n)).is_dir()]
-    tasks = [(root.resolve(), seed, number, kinds) for number in open_]
+    tasks = [(root.absolute(), seed, number, kinds) for number in open_]
     for done, _ in enumerate(apply(_make, tasks), cases - len(open_) + 1):
         if report:
             report(done, cases)

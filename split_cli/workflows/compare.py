@@ -116,10 +116,11 @@ def compare_models(
     names = [model.name for model in models]
     if len(set(names)) != len(names):
         raise SplitError(f"two models are called {_first_twice(names)!r}", advice="Name them: NEW=car.split.")
-    if not models or not all(0.0 < time < np.inf for time in horizons):
-        raise SplitError(
-            f"horizons {tuple(horizons)} s: positive times were expected", advice="Give --horizon in seconds."
-        )
+    if not models:
+        raise SplitError("no model was named", advice="Name a vehicle file or a trained set.")
+    if not horizons or not all(0.0 < time < np.inf for time in horizons):
+        given = ", ".join(f"{time:g}" for time in horizons) or "nothing"
+        raise SplitError(f"is {given}, positive times were expected", where="--horizon", advice="Give seconds.")
     horizons = sorted(set(horizons))
     parts: list[tuple[str, list[RunErrors], int]] = []
     first_block = 0

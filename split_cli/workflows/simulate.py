@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import SplitError
-from split_cli.files import refuse_what_cannot_be_written, sha256_of_file
+from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_written, sha256_of_file
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, write_drive
 from split_cli.plant.cars import CarParameters, find_car
 from split_cli.plant.drivers import find_driver
@@ -95,8 +95,7 @@ def simulate_log(
     _check(settings)
     format_name = _format(settings, output)
     if truth is not None:
-        if Path(truth).resolve() == output.resolve():
-            raise SplitError("is the log itself", where="--truth", advice="Name another file.")
+        refuse_overwriting_inputs(truth, [output])
         refuse_what_cannot_be_written(truth)
     refuse_what_cannot_be_written(output)
     effects = tuple(map(parse_effect, settings.effects))

@@ -3,6 +3,7 @@
 import contextlib
 import glob
 import hashlib
+import os
 import re
 import shutil
 from collections import Counter
@@ -161,8 +162,8 @@ def local_drives(addresses: Sequence[str | Path]) -> Iterator[list[Path]]:
 
 def _is_below(address: str, folder: str | Path) -> bool:
     """Tell whether an address is a local file or folder below another folder, or that folder."""
-    path = Path(address.removeprefix("file://"))
-    return not is_remote(address) and path.resolve().is_relative_to(Path(folder).resolve())
+    path = Path(os.path.realpath(address.removeprefix("file://")))
+    return not is_remote(address) and path.is_relative_to(os.path.realpath(folder))
 
 
 def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = None) -> dict[str, int]:

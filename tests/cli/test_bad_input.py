@@ -50,6 +50,7 @@ def spoiled(channel: str, row: int, value: float) -> str:
         (("train", "d1.parquet", "d0.parquet", "--vehicle", "car.yaml", "-o", "./d0.parquet"), "d0.parquet"),
         (("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "link.split"), "d0.parquet"),
         (("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "d0.parquet"), "d0.parquet"),
+        (("ingest", "lap.csv", "-o", "x.parquet", "--report", "./lap.csv"), "lap.csv"),
     ],
 )
 def test_an_input_is_never_overwritten(here, command, lost):
@@ -60,7 +61,9 @@ def test_an_input_is_never_overwritten(here, command, lost):
 
 def test_a_log_is_not_its_own_truth_and_both_places_are_checked_before_driving(here):
     common = ("simulate", "--track", "small", "--duration", 3)
-    refused(*common, "--truth", "z.parquet", "-o", "z.parquet", says=("--truth", "log itself"), output="z.parquet")
+    refused(
+        *common, "--truth", "z.parquet", "-o", "z.parquet", says=("--truth", "overwritten"), output="z.parquet"
+    )
     refused(
         *common, "--truth", "no/t.parquet", "-o", "z.mcap", says=("no/t.parquet", "Create no"), output="z.mcap"
     )
@@ -330,6 +333,7 @@ def test_the_log_at_fault_and_its_damage_are_named(here):
         ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--features", ""),
         ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--features", "alpha_f,alpha_f"),
         ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--capacity", 0),
+        ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--cell-edge", "1e-308"),
         ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--guard", "nan"),
         ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--rollout", "nan"),
         ("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--fit", ","),
@@ -339,6 +343,10 @@ def test_the_log_at_fault_and_its_damage_are_named(here):
         ("simulate", "--track", "small", "--laps", "nan", "-o", "x.csv"),
         ("ingest", "lap.csv", "-o", "o.parquet", "--gap", "nan"),
         ("ingest", "lap.csv", "-o", "o.parquet", "--rate", "1e9"),
+        ("ingest", "lap.csv", "-o", "o.parquet", "--dbc", "no_such.dbc"),
+        ("compare", "car.yaml", "--on", "d0.parquet", "--horizon", "0"),
+        ("compare", "car.yaml", "--on", "d0.parquet", "--horizon", ","),
+        ("race", "--vehicle", "car.yaml", "--laps", 10**21, "-o", "o.parquet"),
         ("verify", "lap.csv"),
         ("verify", "no_such_file.split"),
         ("info", "bad\udcff.csv"),

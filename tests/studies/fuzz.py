@@ -7,6 +7,7 @@ were read, read with counted drops, and refused, and each that broke a rule; exi
 from __future__ import annotations
 
 import argparse
+import copy
 import gzip
 import json
 import multiprocessing
@@ -99,6 +100,50 @@ def mutate(content: bytes, other: bytes, rng: random.Random) -> bytes:
     return bytes(out)
 
 
+_VALUES = (
+    None, True, -1, 0, 10**30, 10**400, 1e308, -1e308, float("nan"), float("inf"), "", "nan", "\x1b[31m\u202e",
+    "x" * 9999, "../../etc/passwd", [], {}, [[]], {"x": None}, [1e308] * 999,
+)  # fmt: skip
+
+
+def mutate_json(content: bytes, rng: random.Random) -> bytes:
+    """Return JSON with one to four of its values exchanged for others, moved, repeated, renamed or left out."""
+    tree = json.loads(content)
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        places = list(_places(tree))
+        if not places:
+            break
+        (parent, key), (other, elsewhere) = rng.choice(places), rng.choice(places)
+        kind = rng.randrange(5)
+        if kind == 0:
+            del parent[key]
+        elif kind == 1:
+            parent[key] = copy.deepcopy(other[elsewhere])
+        elif kind == 2 and isinstance(parent, dict):
+            parent[rng.choice(("", "x", str(elsewhere)))] = parent.pop(key)
+        elif kind == 3 and isinstance(parent, list):
+            parent[key:key] = parent * rng.choice((1, 30))
+        else:
+            parent[key] = copy.deepcopy(rng.choice(_VALUES))
+    return json.dumps(tree).encode()
+
+
+def _places(tree: object) -> Iterator[tuple[dict | list, str | int]]:
+    """Yield every value of a tree as its container and its key there."""
+    keys = tree if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ()
+    for key in keys:
+        yield tree, key
+        yield from _places(tree[key])
+
+
+def mutant(path: Path, content: bytes, others: list[bytes], rng: random.Random) -> bytes:
+    """Return a mutant of a file: of its bytes, of JSON in three of four cases of its values."""
+    other = rng.choice(others)
+    if path.suffix == ".json" and rng.random() < 0.75:
+        return mutate_json(content, rng)
+    return mutate(content, other, rng)
+
+
 def judge(path: Path, read: Callable[[Path], object], tally: Tally) -> str | None:
     """Read one input; count it, or return which rule it broke."""
 
@@ -168,7 +213,7 @@ def fuzz(
                         keep.mkdir(parents=True, exist_ok=True)
                         name = f"{kind.replace(', ', '_').replace(' ', '_')}-{seed}-{at}{path.suffix}.gz"
                         rng = random.Random(f"{seed} {kind} {at}")
-                        (keep / name).write_bytes(gzip.compress(mutate(content, rng.choice(others), rng)))
+                        (keep / name).write_bytes(gzip.compress(mutant(path, content, others, rng)))
                 # What a reader that was killed left in the folder for temporary files.
                 shutil.rmtree(scratch, ignore_errors=True)
             # Mutants stand in the file's own place: some are read with what lies beside them.
@@ -197,7 +242,7 @@ def _try_inputs(
     start = _peak()  # of whoever began this process, too: a test run may have had more than what is promised
     for number in range(first, last):
         rng = random.Random(f"{seed} {number}")
-        target.write_bytes(mutate(content, rng.choice(others), rng))
+        target.write_bytes(mutant(target, content, others, rng))
         said.send(("begin", number, None))
         one, before = Tally(), _peak()
         broken, peak = judge(target, read, one), _peak()

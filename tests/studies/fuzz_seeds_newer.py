@@ -12,10 +12,13 @@ from unittest.mock import patch
 
 import numpy as np
 
+from split_cli.files import sha256_of_file
 from split_cli.logs import scratch
 from split_cli.logs.readers import can as can_reader
 from split_cli.logs.readers import open_recording
 from split_cli.logs.readers.together import open_together
+from split_cli.workflows.info import describe_file
+from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME, IngestManifest
 from split_cli.workflows.verifying.verify import verify
 from tests.logs import readers_support as support
 from tests.logs.test_readers_third_party import DBC
@@ -30,7 +33,8 @@ NEWER = (
     "mcap ros2 in pieces", "mcap json in pieces", "bag in pieces", "db3 in pieces", "mat 5 in pieces",
     "mat 7.3 in pieces", "csv in pieces", "can asc in pieces", "json rows in pieces", "verify drive",
     "verify labels", "verify set", "verify vehicle", "verify map", "verify diagnosis", "json channels",
-    "named csv", "named json", "set of the past",
+    "named csv", "named json", "set of the past", "info diagnosis", "info export", "verify manifest",
+    "verify document", "verify answers", "verify drives",
 )  # fmt: skip
 """The kinds of this module."""
 
@@ -202,3 +206,30 @@ def ours_verified(folder: Path) -> Iterator[Kind]:
         "diagnosis": "diagnosis-1/diagnosis.json",
     }.items():
         yield f"verify {kind}", kept / name, lambda path: verify(path) and False
+    yield "info diagnosis", Path(shutil.copytree(kept / "diagnosis-1", folder / "told")) / "diagnosis.json", told
+    exported = Path(shutil.copytree(kept / "export-1", folder / "exported"))
+    yield "info export", exported / "manifest.json", told
+    for kind, name in {"manifest": "manifest", "document": "set_2", "answers": "set_2_check"}.items():
+        copy = Path(shutil.copytree(kept / "export-1", folder / f"export {kind}"))
+        yield f"verify {kind}", copy / f"{name}.json", verify_export
+    drives = folder / "drives"
+    drives.mkdir()
+    manifest = IngestManifest(drives / MANIFEST_NAME)
+    manifest.add("lap.csv", "0" * 64, "0", "drive-1.parquet", Path(shutil.copy(kept / "drive-1.parquet", drives)))
+    manifest.write()
+    yield "verify drives", manifest.path, lambda path: verify(path) and False
+
+
+def told(path: Path) -> bool:
+    """Describe a file as `split info` does."""
+    return describe_file(path) and False
+
+
+def verify_export(path: Path) -> bool:
+    """Verify the export in which a file lies, with a manifest that has the file's digest."""
+    manifest = path.parent / "manifest.json"
+    if path != manifest:
+        content = json.loads(manifest.read_text())
+        content["files"][path.name] = sha256_of_file(path)
+        manifest.write_text(json.dumps(content))
+    return verify(path.parent) and False

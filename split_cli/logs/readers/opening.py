@@ -1,6 +1,7 @@
 """Finding the reader for a recording: by its first bytes, then by its suffix."""
 
 import itertools
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -87,6 +88,10 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     """
     path = Path(path)
     refuse_no_regular_file(path, LogError)
+    for definitions in message_paths:
+        if not os.path.exists(definitions):
+            advice = "Name a folder of .msg files, or a DBC file."
+            raise LogError("is not there, or closed to you", where=str(definitions), advice=advice)
     return GuardedRecording(guarded(path, lambda: _open(path, message_paths)))
 
 

@@ -51,7 +51,7 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
     paths = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
     seconds = math.ceil(_LONGEST_SECONDS + _SECONDS_A_MEGABYTE * size / 1e6)
     limits = [str(_LEAST_MEMORY + _MEMORY_A_BYTE * size), str(seconds)]
-    command = [sys.executable, "-c", _CODE, str(path.resolve()), *limits, read.__module__, read.__name__]
+    command = [sys.executable, "-c", _CODE, str(path.absolute()), *limits, read.__module__, read.__name__]
     try:
         # asammdf unfolds into files in the temporary folder: a probe that is killed leaves none behind.
         with ScratchFolder() as scratch:

@@ -53,7 +53,7 @@ class SqliteContainer:
         self.notes: list[ReadNote] = []
         # A killed recorder leaves its last messages in the write-ahead log, which an immutable opening ignores.
         pending = path.with_name(path.name + "-wal").exists()
-        uri = f"file:{quote(str(path.resolve()))}?mode=ro" + ("" if pending else "&immutable=1")
+        uri = f"file:{quote(str(path.absolute()))}?mode=ro" + ("" if pending else "&immutable=1")
         try:
             self._database = sqlite3.connect(uri, uri=True)
             self._refuse_what_no_recorder_writes()

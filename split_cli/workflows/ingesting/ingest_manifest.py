@@ -7,12 +7,12 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from split_cli import __version__
 from split_cli.errors import SplitError
-from split_cli.files import atomic_write_text, sha256_of_file
+from split_cli.files import atomic_write_text, parse_json, sha256_of_file
 from split_cli.logs.assembling.assemble import IngestSettings
 from split_cli.logs.map_entries import SignalMap
 from split_cli.vehicle.parameters import Vehicle
@@ -45,14 +45,16 @@ class IngestManifest:
         if not path.is_file():
             return cls(path)
         try:
-            stored = json.loads(path.read_text(encoding="utf-8"))
+            stored = parse_json(path.read_text(encoding="utf-8"))
             if stored["format"] != MANIFEST_FORMAT:
                 raise ValueError(f"format {stored['format']!r}")
             entries = {
                 str(place): {name: str(entry[name]) for name in ("source", "settings", "drive", "sha256")}
                 for place, entry in stored["drives"].items()
             }
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            if any(not _is_below(entry["drive"]) for entry in entries.values()):
+                raise ValueError("it names a drive elsewhere")
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             what = f"is no manifest of this version ({error})"
             raise SplitError(what, where=str(path), advice="Remove it to ingest all again.") from error
         return cls(path, entries)
@@ -78,6 +80,12 @@ class IngestManifest:
         self._written = time.monotonic()
         content = {"format": MANIFEST_FORMAT, "drives": dict(sorted(self.entries.items()))}
         atomic_write_text((folder or self.path.parent) / MANIFEST_NAME, json.dumps(content, indent=1) + "\n")
+
+
+def _is_below(drive: str) -> bool:
+    """Tell whether a drive's place, as a manifest has it, is one that a folder can hold."""
+    parts = PurePosixPath(drive).parts
+    return bool(parts) and all(part not in ("/", "..") and len(part.encode()) <= 255 for part in parts)
 
 
 def settings_digest(

@@ -74,7 +74,7 @@ def identify_cases(
     Seal
         Of the answers, checked before the first case.
     """
-    root = root.resolve()
+    root = root.absolute()
     seal = check_seal(root)
     cases = shown_cases(root)[:limit]
     results = root / "results"

@@ -14,6 +14,7 @@ from split_cli.learning.features import FeatureSet, parse_features
 from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.training_set import TrainingSet
 from split_cli.plant.cars import CarParameters
+from split_cli.plant.simulation import MOST_LAPS
 from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.prediction import PREDICTORS
 from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
@@ -41,8 +42,10 @@ def check_settings(settings: RaceSettings) -> None:
             f"no learner is called {settings.learner!r}", where="--learner",
             advice=f"There are: {', '.join(LEARNERS)}.",
         )  # fmt: skip
-    if settings.laps < 0:
-        raise SplitError(f"is {settings.laps}, a number of laps from 0 was expected", where="--laps")
+    if not 0 <= settings.laps <= MOST_LAPS:
+        raise SplitError(
+            f"is {settings.laps:g}, a number of laps from 0 to {MOST_LAPS} was expected", where="--laps"
+        )
     _check_numbers(settings)
     features = parse_features(settings.candidates[-1])
     if settings.hyperparameters not in (*FITS, "default"):

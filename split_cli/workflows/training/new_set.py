@@ -19,6 +19,7 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid, build_grid
+from split_cli.learning.set_limits import MOST_CELLS_OF_A_GRID
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive, held_out_whole
@@ -119,6 +120,11 @@ def _blank(
     if not 0.0 < cell_edge < np.inf:
         raise SetError(f"--cell-edge is {cell_edge:g}, it must be positive", advice="1 is the standard edge.")
     grid = build_grid(how.features, how.vehicle, how.region, first.z[valid]).coarser(cell_edge)
+    if grid.size > MOST_CELLS_OF_A_GRID:
+        raise SetError(
+            f"--cell-edge {cell_edge:g} makes {grid.size:.3g} cells, more than {MOST_CELLS_OF_A_GRID:,}",
+            advice="1 is the standard edge.",
+        )
     kernel, fit = default_kernel(grid, first.y[valid], scatter_variance(first)), None
     if hyperparameters == "fit":
         fit = _fit(drives, grid, kernel)

@@ -1,0 +1,234 @@
+"""Give every option of every command what a hostile or hurried user might; see that each run ends as it should.
+
+Example: ``python -m tests.studies.hostile --only train``. A run may end with 0 to 3, or is stopped when it works
+on; it prints no traceback and no control characters, waits for nothing, and stays below 1 GB. A run that fails
+leaves every file as it was, and no run changes an input. Prints a row a command, and each run that broke a rule.
+Run as root, commands lose root's capabilities, so that folders may be closed to them.
+"""
+
+import argparse
+import ctypes
+import importlib
+import os
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from split_cli.cli.main import COMMANDS, main
+from split_cli.files import sha256_of_file
+from tests.studies.kill import prepare
+
+NUMBERS = ("nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "-0", "0", "-1", "", "1e400", "9" * 20, "9" * 5000)
+WORDS = (
+    "", " ", ",", "nan", "-1", "1e308", "0", "a\nb", "\x1b[31mx", "u\u202ex", "x" * 100_000, "../x", "{[", "a=nan",
+)  # fmt: skip
+INPUTS = (
+    "", "-", "missing", ".", "/", "fifo", "socket", "loop", "closed/car.yaml", "/dev/zero", "/dev/full",
+    "new\nline", "u\u202e\x1b[31m.parquet", "empty", "x" * 300, "car.yaml/below", "lap.csv", "a.split",
+    "d0.parquet", "circle",
+)  # fmt: skip
+OUTPUTS = (
+    "", "-", ".", "/", "fifo", "socket", "loop", "closed/out", "closed", "/dev/full", "missing/deeper/out",
+    "x" * 300, "car.yaml/below", "new\nline", "u\u202e.x", "archive", "circle", "/proc/out",
+)  # fmt: skip
+BASE = {
+    "init": ("lap.csv", "-o", "out"),
+    "ingest": ("lap.csv", "-o", "out.parquet"),
+    "label": ("d0.parquet", "--vehicle", "car.yaml", "-o", "out.parquet"),
+    "train": ("d0.parquet", "--vehicle", "car.yaml", "-o", "out.split"),
+    "evaluate": ("d1.parquet", "--vehicle", "car.yaml", "--set", "a.split"),
+    "compare": ("car.yaml", "a.split", "--on", "d1.parquet"),
+    "export": ("a.split", "--target", "json", "-o", "out"),
+    "calibrate": ("d0.parquet", "--vehicle", "car.yaml", "-o", "out.yaml"),
+    "diagnose": ("--real", "d1.parquet", "--vehicle", "car.yaml", "--out", "out"),
+    "prove generate": ("out", "--seed", "1", "--cases", "1"),
+    "prove identify": ("archive",),
+    "prove score": ("archive",),
+    "prove recording": ("d0.parquet", "--vehicle", "car.yaml", "-o", "out"),
+    "prove multibody": ("-o", "out"),
+    "race": ("--vehicle", "road_car.yaml", "--laps", "0", "--max-speed", "11"),
+    "maneuver": ("brake-avoid", "--vehicle", "road_car.yaml"),
+    "experiments": ("--vehicle", "road_car.yaml", "-o", "out", "--only", "none"),
+    "simulate": ("--track", "small", "--duration", "1", "-o", "out.csv"),
+    "explain": ("train",),
+    "info": ("car.yaml",),
+    "verify": ("a.split",),
+    "demo": ("-o", "out"),
+}
+"""Arguments of every command with which it succeeds, or fails for want of something else."""
+SOMEONE_ELSE = 65534
+_NO_CAPABILITIES = ((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)())  # what capset takes
+
+
+def hostile_runs(only: str = "") -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield command and arguments, with one argument of the base exchanged, or one option added."""
+    for name, base in BASE.items():
+        if only not in name:
+            continue
+        command = importlib.import_module(f"split_cli.cli.{name.split()[0]}").command
+        for part in name.split()[1:]:
+            command = command.commands[part]
+        yield name, base
+        for parameter in command.params:
+            if getattr(parameter, "is_flag", False):
+                continue
+            option = parameter.opts[-1] if isinstance(parameter, click.Option) else None
+            given = [at for at, word in enumerate(base) if option is not None and word in parameter.opts]
+            for value in _values(parameter.type, [word for word in base if "." in word]):
+                if option is None:
+                    yield name, (value, *base[1:])
+                elif given:
+                    yield name, (*base[: given[0] + 1], value, *base[given[0] + 2 :])
+                else:
+                    yield name, (*base, option, value)
+
+
+def _values(kind: click.ParamType, of_base: list[str]) -> tuple[str, ...]:
+    if isinstance(kind, click.Path):
+        return (*OUTPUTS, *of_base) if "Output" in type(kind).__name__ else INPUTS
+    if kind.name in ("float", "integer", "float range", "integer range"):
+        return NUMBERS
+    return (*WORDS, *INPUTS[3:9]) if kind.name == "text" else WORDS
+
+
+def make_strange(folder: Path) -> None:
+    """Make what no command expects in the folder in which it runs."""
+    os.mkfifo(folder / "fifo")
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(folder / "socket"))
+    (folder / "loop").symlink_to("loop")
+    (folder / "circle").mkdir()
+    (folder / "circle" / "again").symlink_to("..")
+    (folder / "empty").write_bytes(b"")
+    for name in ("new\nline", "u\u202e\x1b[31m.parquet"):
+        shutil.copy(folder / "d0.parquet", folder / name)
+    (folder / "closed").mkdir()
+    shutil.copy(folder / "car.yaml", folder / "closed" / "car.yaml")
+
+
+def state(folder: Path) -> dict[str, str]:
+    """Return a digest of every file in and below a folder."""
+    return {
+        str(path.relative_to(folder)): sha256_of_file(path) if path.is_file() else "-"
+        for path in folder.rglob("*")
+        if "again" not in path.parts
+    }
+
+
+def try_run(source: Path, work: Path, name: str, arguments: tuple[str, ...], patience: float) -> tuple[str, str]:
+    """Run one command on a fresh copy of the inputs; return how it ended, and which rule it broke, if any."""
+    shutil.rmtree(work, ignore_errors=True)
+    shutil.copytree(source, work, symlinks=True)
+    make_strange(work)
+    printed = work.parent / "printed"
+    (work / "closed").chmod(0)
+    if os.getuid() == 0:
+        os.chown(work / "closed", SOMEONE_ELSE, SOMEONE_ELSE)
+    before = state(work)
+    process = os.fork()
+    if process == 0:
+        _become(work, printed, name, arguments)
+    ended, status, used = _wait(process, patience)
+    stopped = not ended
+    if stopped:
+        os.kill(process, signal.SIGTERM)
+        ended, status, used = _wait(process, 15.0)
+    if not ended:
+        os.killpg(process, signal.SIGKILL)
+        os.waitpid(process, 0)
+        return "stopped", "does not end when it is stopped"
+    code, text = os.waitstatus_to_exitcode(status), printed.read_text(encoding="utf-8", errors="replace")
+    after = state(work)
+    failed = code not in (0, 3)
+    changed = sorted(p for p in {*before, *after} if before.get(p) != after.get(p))
+    if not failed:  # what is named once, as the output, may be written over
+        changed = [p for p in changed if p in before and arguments.count(p) != 1]
+    changed += sorted(path.name for path in (work.parent / "tmp").iterdir())
+    how = "stopped" if stopped else {0: "done", 1: "refused", 2: "usage", 3: "done"}.get(code, "other")
+    if code not in (0, 1, 2, 3, 130) or (code == 130 and not stopped):
+        return how, f"exit code {code}"
+    if "Traceback" in text or "error of this program" in text:
+        return how, text.strip().splitlines()[-1][:300]
+    if not text.replace("\n", "").replace("\r", "").isprintable():
+        return how, "prints control characters"
+    if changed:
+        return how, f"leaves or changes {changed[:3]}"
+    if used.ru_maxrss > 1 << 20:
+        return how, f"takes {used.ru_maxrss >> 10} MB"
+    if stopped and used.ru_utime + used.ru_stime < 0.2 * patience:
+        return how, "waits"
+    return how, ""
+
+
+def _become(work: Path, printed: Path, name: str, arguments: tuple[str, ...]) -> None:
+    """Be the command, in a process that was forked for it."""
+    os.setsid()
+    os.chdir(work)
+    stream = os.open(printed, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
+    for number, target in enumerate((os.open(os.devnull, os.O_RDONLY), stream, stream)):
+        os.dup2(target, number)
+    if os.getuid() == 0:
+        ctypes.CDLL(None).capset(*_NO_CAPABILITIES)
+    code = 99
+    try:
+        main([*name.split(), *arguments])
+    except SystemExit as left:
+        code = left.code if isinstance(left.code, int) else 0
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _wait(process: int, seconds: float) -> tuple[bool, int, object]:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found, status, used = os.wait4(process, os.WNOHANG)
+        if found:
+            return True, status, used
+        time.sleep(0.02)
+    return False, 0, None
+
+
+def run(only: str, patience: float) -> list[str]:
+    """Try all runs of the commands whose name holds `only`; return what broke a rule."""
+    broken: list[str] = []
+    with tempfile.TemporaryDirectory() as place:
+        source, work = Path(place) / "source", Path(place) / "work"
+        for folder in (source, Path(place) / "tmp"):
+            folder.mkdir()
+        os.environ |= {"TMPDIR": f"{place}/tmp", "HOME": f"{place}/home"}
+        prepare(source, ["train"])
+        shutil.rmtree(source / "tmp")
+        counts: dict[str, Counter[str]] = {}
+        for name, arguments in hostile_runs(only):
+            how, fault = try_run(source, work, name, arguments, patience)
+            counts.setdefault(name, Counter())[how] += 1
+            if fault:
+                counts[name]["broken"] += 1
+                broken.append(f"split {name} {' '.join(ascii(word)[:80] for word in arguments)}: {fault}")
+                print(broken[-1], flush=True)
+        hows = ("done", "refused", "usage", "stopped", "other", "broken")
+        print(f"{'command':18}" + "".join(f"{how:>9}" for how in ("runs", *hows)))
+        for name, count in counts.items():
+            runs = count.total() - count["broken"]
+            print(f"{name:18}{runs:9}" + "".join(f"{count[how]:9}" for how in hows))
+    return broken
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", default="", help="commands whose name holds this")
+    parser.add_argument("--patience", type=float, default=20.0, help="seconds after which a run is stopped")
+    given = parser.parse_args()
+    for loaded in COMMANDS:
+        importlib.import_module(f"split_cli.cli.{loaded}")
+    sys.exit(1 if run(given.only, given.patience) else 0)
