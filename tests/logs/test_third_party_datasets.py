@@ -129,11 +129,21 @@ def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_i
     wheel = draft.of("delta")
     assert wheel.sources == ("steering_angle_calculated", "steering_angle_calculated_sign")
     assert "unit: deg, scale: 1/RATIO" in wheel.reason
-    # Of a document that is too large for its objects to be held it was said that no numbers stand in it.
+    # A document that is too large for its objects to be held is read list by list.
+    names = [info.name for info in recording.channels()]
+    whole = recording.read(names)
     for module in (json_channels, json_rows):
         monkeypatch.setattr(module, "LARGEST_DOCUMENT", 100_000)
-    with pytest.raises(LogError, match="up to that size"):
-        open_recording(tmp_path / "bus_signals.json")
+    streamed = open_recording(tmp_path / "bus_signals.json")
+    assert [(info.name, info.unit) for info in streamed.channels()] == [(n, whole[n].unit) for n in names]
+    for name, signal in streamed.read(names).items():
+        np.testing.assert_array_equal(signal.values, whole[name].values)
+        np.testing.assert_array_equal(signal.time, whole[name].time)
+    # Channels in a list, not in an object by their names, are not: it was said that no numbers stand in them.
+    listed = [{"name": name, "data": list(map(float, whole[name].values))} for name in names]
+    (tmp_path / "listed.json").write_text(json.dumps({"bus": listed}))
+    with pytest.raises(LogError, match="from an object by their names"):
+        open_recording(tmp_path / "listed.json")
 
 
 def test_the_torque_of_a_steering_column_is_no_t_and_an_angle_that_follows_the_path_is_of_the_steering(

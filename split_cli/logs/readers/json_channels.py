@@ -1,8 +1,9 @@
 """JSON with an object for each channel: numbers, or pairs of time and number, in a list; unit, times, rate."""
 
+import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.logs.readers.delimited import seconds_of
-from split_cli.logs.readers.json_document import parsed, plain_number
+from split_cli.logs.readers.json_document import JsonDocument, parsed, plain_number
+from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
 _VALUES = ("data", "values", "samples", "value", "y")
@@ -35,15 +37,17 @@ _BEGINNING = 1 << 16
 
 
 def open_json_channels(path: Path) -> RawRecording | None:
-    """Open a document of this form; None if it has another, or is too large to be held as a whole."""
+    """Open a document of this form; None if it has another.
+
+    One too large to be held as a whole is read list by list. Then channels stand in objects, by their names.
+    """
     with path.open("rb") as stream:
         begins = stream.read(_BEGINNING)
         if not re.search(rb'"(data|values|samples|value|y)"\s*:\s*\[|:\s*\[\s*\[', begins, re.IGNORECASE):
             return None
-        if path.stat().st_size > LARGEST_DOCUMENT:
-            return None
-        document = parsed(begins + stream.read())
-    channels = next(_groups(document, 0), None)
+        large = path.stat().st_size > LARGEST_DOCUMENT
+        document = None if large else parsed(begins + stream.read())
+    channels = _groups_of_lists(path) if large else next(_groups(document, 0), None)
     if channels is None:
         return None
     refuse_many_columns(len(channels), path.name)
@@ -56,6 +60,42 @@ def open_json_channels(path: Path) -> RawRecording | None:
         known = find_unit(stated) if stated else None
         signals[name] = RawSignal(name, time, values, known.symbol if known else stated or None)
     return TableRecording(path.name, path, signals)
+
+
+def _groups_of_lists(path: Path) -> dict[str, Mapping[str, Any]] | None:
+    """Return the channels of a long document by name, with arrays for their lists; None of another form."""
+    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    try:
+        for place, item in JsonDocument(path).items(_DEEPEST + 1):
+            own = place[-1].lower() if place else ""
+            refuse_many_columns(len(found), path.name)
+            if not isinstance(item, Iterator):
+                if own:
+                    found.setdefault(place[:-1], {})[place[-1]] = item
+                continue
+            first = list(itertools.islice(item, _SHORTEST_SERIES))
+            rest = itertools.chain(first, item)
+            if is_series(first):
+                channel = found.setdefault(place[:-1] if own in _VALUES else place, {})
+                channel[_VALUES[0]], channel[_TIMES[0]] = _grown(rest, (1, 0))
+            elif own in (*_VALUES, *_TIMES):
+                found.setdefault(place[:-1], {})[place[-1]] = _grown(rest, (None,))[0]
+    except (ValueError, RecursionError):
+        pass  # what stands before the damage counts
+    channels = {place[-1]: one for place, one in found.items() if place and _key(one, _VALUES) is not None}
+    channels = {name: one for name, one in channels.items() if np.size(one[_key(one, _VALUES)]) > 1}
+    return channels if len(channels) > 1 else None
+
+
+def _grown(elements: Iterator[Any], places: Sequence[int | None]) -> list[np.ndarray]:
+    """Return the numbers of a list, or those at some places of its pairs, shape (N,) each."""
+    columns = [GrowingColumn() for _ in places]
+    while piece := list(itertools.islice(elements, 1 << 14)):
+        for column, place in zip(columns, places, strict=True):
+            if place is not None:
+                piece_of = [pair[place] if isinstance(pair, list) and len(pair) == 2 else None for pair in piece]
+            column.append(_numbers(piece if place is None else piece_of))
+    return [column.finished() for column in columns]
 
 
 def _groups(node: Any, depth: int) -> Iterator[dict[str, Mapping[str, Any]]]:
@@ -93,6 +133,12 @@ def _holds_numbers(channel: Mapping[str, Any]) -> bool:
     return isinstance(values, list) and len(values) > 1 and bool(np.any(np.isfinite(_numbers(values[:64]))))
 
 
+def is_channel(row: Mapping[str, Any]) -> bool:
+    """Tell an object that is a channel, with its name in words and its numbers, from a row of several."""
+    name = _key(row, _NAMES)
+    return name is not None and isinstance(row[name], str) and _holds_numbers(row)
+
+
 def is_series(values: Any) -> bool:
     """Tell a list of pairs of numbers, time and value: its first numbers never fall."""
     if not isinstance(values, list) or len(values) < _SHORTEST_SERIES:
@@ -107,6 +153,8 @@ def is_series(values: Any) -> bool:
 def _samples(channel: Mapping[str, Any]) -> tuple[np.ndarray | None, np.ndarray]:
     """Return times [s], None where the channel has none, and values of a channel, shapes (N,)."""
     values = channel[_key(channel, _VALUES)]
+    if isinstance(values, np.ndarray):
+        return _clock(channel, len(values)), values
     if not is_series(values):
         return _clock(channel, len(values)), _numbers(values)
     pairs = [pair if isinstance(pair, list) and len(pair) == 2 else (math.nan, math.nan) for pair in values]
@@ -126,8 +174,8 @@ def _numbers(values: list[Any]) -> np.ndarray:
 def _clock(channel: Mapping[str, Any], count: int) -> np.ndarray | None:
     """Return the times of a channel [s], by its own list, its rate or its period; None where it has neither."""
     key = _key(channel, _TIMES)
-    if key is not None and isinstance(channel[key], list) and len(channel[key]) == count:
-        time = _numbers(channel[key])
+    if key is not None and isinstance(channel[key], list | np.ndarray) and len(channel[key]) == count:
+        time = channel[key] if isinstance(channel[key], np.ndarray) else _numbers(channel[key])
         return time * find_unit(unit_of_time(time)).factor
     for names, power in ((_RATES, -1.0), (_PERIODS, 1.0)):
         stated = channel.get(_key(channel, names) or "")

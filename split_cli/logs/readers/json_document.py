@@ -52,34 +52,49 @@ class JsonDocument:
         self._text, self._at, self._unsplit, self._failed = "", 0, True, 0
 
     def lists(self) -> Iterator[tuple[str, Iterator[Any]]]:
-        """Yield the key of each list (none of a document that is one) and its elements, to be taken in this order.
+        """Yield the key of each list (none of a document that is one) and its elements; see `items`."""
+        for place, item in self.items(1):
+            if isinstance(item, Iterator):
+                yield "".join(place), item
+
+    def items(self, deepest: int) -> Iterator[tuple[tuple[str, ...], Any]]:
+        """Yield the keys that lead to each list, with its elements, and to what is no list, with its value.
+
+        Objects inside others are walked through, `deepest` of them one in another. Elements are to be taken before
+        the next item.
 
         Raises
         ------
         ValueError
-            Where the document stops to be JSON, or an element is longer than `LONGEST_ELEMENT`.
+            Where the document stops to be JSON, or an element or value is longer than `LONGEST_ELEMENT`.
         RecursionError
             Where it is nested too deep.
         """
         with self._path.open("rb") as raw:
             self._stream = io.TextIOWrapper(raw, "utf-8-sig", errors="surrogatepass")
             self._text, self._at, self._failed = "", 0, 0
-            if self._next() == "[":
-                yield "", self._elements()
-                return
+            yield from self._items((), deepest)
+
+    def _items(self, place: tuple[str, ...], deepest: int) -> Iterator[tuple[tuple[str, ...], Any]]:
+        begins = self._next()
+        if begins == "[":
+            elements = self._elements()
+            yield place, elements
+            deque(elements, maxlen=0)  # what the caller did not want
+            return
+        if begins != "{" or len(place) >= deepest:
+            yield place, self._value()
+            return
+        self._at += 1
+        while self._next() == '"':
+            key = str(self._value())
+            self._take(":")
+            yield from self._items((*place, key), deepest)
+            if self._next() != ",":
+                break
             self._at += 1
-            while self._next() == '"':
-                key = self._value()
-                self._take(":")
-                if self._next() == "[":
-                    elements = self._elements()
-                    yield str(key), elements
-                    deque(elements, maxlen=0)  # what the caller did not want
-                else:
-                    self._value()
-                if self._next() != ",":
-                    return
-                self._at += 1
+        if self._next() == "}":
+            self._at += 1
 
     def _elements(self) -> Iterator[Any]:
         self._at += 1

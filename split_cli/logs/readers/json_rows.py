@@ -23,7 +23,7 @@ from split_cli.logs.raw import (
     note_once,
 )
 from split_cli.logs.readers.delimited import seconds_of
-from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, open_json_channels
+from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, is_channel, open_json_channels
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
@@ -180,6 +180,8 @@ def _whole(path: Path) -> RawRecording:
 
 def _refuse_columns_in_rows(row: dict[str, Any], key: str, count: int, path: Path) -> None:
     """Refuse a list whose objects are stretches, such as laps, with a list for each channel: none is a row."""
+    if is_channel(row):
+        raise _no_rows(path)
     lists = {name: len(one) for name, one in row.items() if isinstance(one, list)}
     if not _are_columns(list(lists.values())):
         return
@@ -282,7 +284,10 @@ def _are_columns(lengths: Sequence[int]) -> bool:
 def _no_rows(path: Path) -> LogError:
     if path.stat().st_size > LARGEST_DOCUMENT:
         what = f"is one JSON document of more than {LARGEST_DOCUMENT >> 20} MB without a list of rows of numbers"
-        advice = "An object for each channel is read up to that size: write a shorter stretch, or CSV or Parquet."
+        advice = (
+            'Beyond that size channels are read from an object by their names, {"speed": {"values": [...]}}, not '
+            "from a list: write it so, or a shorter stretch, or CSV or Parquet."
+        )
         return LogError(what, where=path.name, advice=advice)
     advice = (
         "Write one object a line, each with its time; or an object for each channel, with its name and the list "
