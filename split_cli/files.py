@@ -275,9 +275,7 @@ def _remove_if_abandoned(path: Path) -> None:
             os.close(handle)
 
 
-_NO_FILES = {
-    stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
-}  # fmt: skip
+_NO_FILES = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
 
 def refuse_no_regular_file(path: str | os.PathLike[str], error: type[SplitError] = SplitError) -> None:
@@ -343,9 +341,8 @@ def refuse_overwriting_inputs(output: str | os.PathLike[str], inputs: Iterable[s
     real = os.path.realpath(output)
     for source in inputs:
         if os.path.realpath(source) == real:
-            raise SplitError(
-                "is an input too, it would be overwritten", where=str(output), advice="Name another output."
-            )
+            advice = "Name another output."
+            raise SplitError("is an input too, it would be overwritten", where=str(output), advice=advice)
 
 
 def refuse_what_cannot_be_written(target: str | os.PathLike[str]) -> None:

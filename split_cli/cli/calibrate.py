@@ -178,8 +178,9 @@ def _stiffness(curve) -> tuple[float | str, float | str]:
 
 def _show_conversion(conversion, output, as_json) -> None:
     if as_json:
-        shared.print_json({"vehicle": output, "kind": conversion.kind, "tires": conversion.tires,
-                    "assumed": conversion.assumed})  # fmt: skip
+        shared.print_json(
+            {"vehicle": output, "kind": conversion.kind, "tires": conversion.tires, "assumed": conversion.assumed}
+        )
         return
     rows = [(t.axle, t.law, t.peak, t.largest_deviation, t.at) for t in conversion.tires]
     shared.print_table(("axle", "in the source", "D [N]", "largest deviation [N]", "at [rad]"), rows)

@@ -234,8 +234,9 @@ def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
     found = [source.address for source in find_sources(logs)]
     for log in [tuple(found)] if options["together"] else found:
         if options["suggest_map"]:
-            draft = suggest_map_for(log, message_paths=message_paths, row_rate=options["row_rate"],
-                                    vehicle_path=vehicle_path)  # fmt: skip
+            draft = suggest_map_for(
+                log, message_paths=message_paths, row_rate=options["row_rate"], vehicle_path=vehicle_path
+            )
             described.append({"log": str(log), "map": draft})
             if not as_json:
                 click.echo(draft)

@@ -36,9 +36,7 @@ COMMANDS = {
     "demo": "Run all steps on the bundled samples.",
 }
 
-_COREUTILS_OPTIONS = (
-    "-a", "-b", "-C", "-d", "-e", "-l", "-n", "-t", "-u", "-x", "--bytes", "--lines", "--number",
-)  # fmt: skip
+_COREUTILS_OPTIONS = ("-a", "-b", "-C", "-d", "-e", "-l", "-n", "-t", "-u", "-x", "--bytes", "--lines", "--number")
 
 
 #: Options of the group that a user may write behind the command as well.

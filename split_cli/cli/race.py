@@ -100,8 +100,9 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
               help="Move the track borders inwards by this many standard deviations of the predicted "
               "position.")  # fmt: skip
 @shared.sensor_options
-@click.option("--set", "set_output", type=shared.OutputPath("file"), metavar="FILE",
-              help="Save the set after each lap.")  # fmt: skip
+@click.option(
+    "--set", "set_output", type=shared.OutputPath("file"), metavar="FILE", help="Save the set after each lap."
+)
 @click.option("--report", type=shared.OutputPath("file"), metavar="FILE", help="Write an HTML report of the laps.")
 @shared.output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @shared.json_option

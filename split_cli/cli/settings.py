@@ -78,8 +78,8 @@ def _by_parameter(command: click.Command, options: Mapping[str, Any], path: Path
             raise SplitError(f"{name} has no option {option!r}", where=str(path), advice=advice)
         values = value if isinstance(value, list) else [value]
         if not all(isinstance(one, str | int | float) for one in values):
-            raise SplitError(f"{name}: {option} is {value!r}, a value or a list of values was expected",
-                             where=str(path))  # fmt: skip
+            what = f"{name}: {option} is {value!r}, a value or a list of values was expected"
+            raise SplitError(what, where=str(path))
         parameter = known[option]
         if parameter.multiple and not isinstance(value, list):
             value = [value]

@@ -43,6 +43,5 @@ def command(path, as_json) -> None:
         print_table(["check", "result", "detail"], [[i.check, words[i.passed], i.detail] for i in result.items])
     failed = [item.check for item in result.items if item.passed is False]
     if failed:
-        raise SplitError(
-            f"fails {len(failed)} of {len(result.items)} checks: {'; '.join(failed)}", where=result.path
-        )
+        what = f"fails {len(failed)} of {len(result.items)} checks: {'; '.join(failed)}"
+        raise SplitError(what, where=result.path)

@@ -21,7 +21,7 @@ from split_cli.plant._compiled import (
     VY,
     YAW,
     R,
-)  # fmt: skip
+)
 
 inner = njit(error_model="numpy")  # not kept by itself: the loops keep it, see `_loops_numba`
 

@@ -22,7 +22,7 @@ from split_cli.plant._compiled import (
     VY,
     WHEEL,
     R,
-)  # fmt: skip
+)
 
 # What faults remember.
 MEM_WHEEL_ANGLE, MEM_BRAKE_HEAT, MEM_TIRE_HEAT, MEM_STUCK, MEM_SLOSH, MEM_SLOSH_RATE, MEM_PULSE = (

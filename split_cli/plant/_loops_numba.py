@@ -25,7 +25,7 @@ from split_cli.plant._compiled import (
     Y,
     derivative,
     rk4_step,
-)  # fmt: skip
+)
 from split_cli.plant._driver_numba import commands, project, surroundings
 from split_cli.plant._faults_numba import MEM_SIZE, arriving, disturb
 

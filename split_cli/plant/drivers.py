@@ -71,9 +71,8 @@ def find_driver(name: str) -> DriverStyle:
         If there is none; names the nearest.
     """
     if name not in DRIVER_STYLES:
-        raise SplitError(
-            f"no driver is called {name!r}", where="--driver", advice=nearest_names(name, DRIVER_STYLES)
-        )
+        advice = nearest_names(name, DRIVER_STYLES)
+        raise SplitError(f"no driver is called {name!r}", where="--driver", advice=advice)
     return DRIVER_STYLES[name]
 
 

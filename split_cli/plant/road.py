@@ -7,9 +7,7 @@ import numpy as np
 
 from split_cli.errors import SplitError
 
-_RoadTables = namedtuple(
-    "_RoadTables", "spacing closed friction grade bank time_spacing grip wind_x wind_y"
-)  # fmt: skip
+_RoadTables = namedtuple("_RoadTables", "spacing closed friction grade bank time_spacing grip wind_x wind_y")
 
 
 def _one(value: float):

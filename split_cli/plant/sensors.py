@@ -66,9 +66,10 @@ def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
             "vy": ChannelSpec(0.008, 0.0, 1e-3), "r": ChannelSpec(0.006, 0.0, 1e-3),
         }  # fmt: skip
         inertial = {
-            "r": ChannelSpec(0.006, 0.003, 1e-3), "ax": ChannelSpec(0.08, 0.02, 5e-3),
+            "r": ChannelSpec(0.006, 0.003, 1e-3),
+            "ax": ChannelSpec(0.08, 0.02, 5e-3),
             "ay": ChannelSpec(0.08, 0.02, 5e-3),
-        }  # fmt: skip
+        }
         command = {"T": ChannelSpec(resolution=1e-4), "delta": ChannelSpec(resolution=1e-5)}
         report = {
             "delta_actual": ChannelSpec(0.001, 0.0, 5e-4, delay=0.010),
@@ -82,9 +83,10 @@ def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
             "vy": ChannelSpec(0.008, 0.0, 1e-3), "r": ChannelSpec(0.0015, 0.0, 2e-4),
         }  # fmt: skip
         inertial = {
-            "r": ChannelSpec(0.002, 0.0004, 2e-4), "ax": ChannelSpec(0.03, 0.01, 2e-3),
+            "r": ChannelSpec(0.002, 0.0004, 2e-4),
+            "ax": ChannelSpec(0.03, 0.01, 2e-3),
             "ay": ChannelSpec(0.03, 0.01, 2e-3),
-        }  # fmt: skip
+        }
         command = {"T": ChannelSpec(resolution=0.01), "delta": ChannelSpec(resolution=1e-5)}
         report = {
             "delta_actual": ChannelSpec(0.0004, 0.0, 1e-4, delay=0.015),

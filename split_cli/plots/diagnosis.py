@@ -261,9 +261,9 @@ def _draw_growth(
     axis.fill_between(horizons, [one.noise_floor[state] for one in rollouts], color=EMPTY, linewidth=0)
     for k, (stage, name, colour) in enumerate(stages):
         values = np.array([getattr(one, stage)[state] for one in rollouts])
-        intervals = np.array([
-            (one.confidence.get(stage) or [[v, v]] * 3)[state] for one, v in zip(rollouts, values, strict=True)
-        ])  # fmt: skip
+        intervals = np.array(
+            [(one.confidence.get(stage) or [[v, v]] * 3)[state] for one, v in zip(rollouts, values, strict=True)]
+        )
         error = np.abs(intervals.T - values)
         shift = horizons * (1.0 + 0.012 * (k - 0.5 * (len(stages) - 1)))
         axis.errorbar(

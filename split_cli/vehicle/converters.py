@@ -82,9 +82,8 @@ def convert_parameters(sources: Sequence[str | Path], *, alpha_max: float = 0.18
         if "tire" not in content:
             beside = Path(sources[0]).with_name("parameters_tire.yaml")
             if not beside.is_file():
-                raise VehicleError(
-                    "holds no tyre", where=where, advice="Name parameters_tire.yaml as a second file."
-                )
+                what = "holds no tyre"
+                raise VehicleError(what, where=where, advice="Name parameters_tire.yaml as a second file.")
             content |= _read(beside)
         return _finish("CommonRoad", *_commonroad(content, where), name, where, alpha_max)
     if {"C_Pf", "C_Pr"} <= content.keys() or ("l_f" in content and {"C_Sf", "C_Sr"} <= content.keys()):
@@ -127,9 +126,8 @@ def _read(path: Path) -> dict[str, Any]:
         if inner is None:
             return dict(content)
         content = inner
-    raise VehicleError(
-        "holds no keys", where=str(path), advice="Name the project's YAML file with the parameters."
-    )
+    advice = "Name the project's YAML file with the parameters."
+    raise VehicleError("holds no keys", where=str(path), advice=advice)
 
 
 def _value(content: Mapping[str, Any], key: str, where: str) -> float:

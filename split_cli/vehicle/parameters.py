@@ -314,9 +314,8 @@ def _effects(content: Any, where: str) -> tuple[EffectSpec, ...]:
         term = str(entry["term"])
         parameters = entry.get("parameters") or {}
         if not isinstance(parameters, Mapping):
-            raise VehicleError(
-                f"effects.{term}.parameters is {parameters!r}, {{name: number}} expected", where=where
-            )
+            what = f"effects.{term}.parameters is {parameters!r}, {{name: number}} expected"
+            raise VehicleError(what, where=where)
         values = {str(k): _finite_number(f"effects.{term}.{k}", v, where) for k, v in parameters.items()}
         effects.append(EffectSpec(term, values, str(entry.get("variant") or "")))
     return tuple(effects)

@@ -67,12 +67,11 @@ def calibrate_files(
         if drive.metadata.torque_follows_motion:
             follows.add(drive.name)
     if follows and {"drag", "rolling"} & set(settings.parts):
-        raise DriveError(
+        what = (
             "the torque was derived from the motion with drag and rolling resistance of the vehicle file, or the "
-            "drive does not say from what; it cannot determine them",
-            where=", ".join(sorted(follows)),
-            advice="Calibrate the tyres alone: --fit tires.",
+            "drive does not say from what; it cannot determine them"
         )
+        raise DriveError(what, where=", ".join(sorted(follows)), advice="Calibrate the tyres alone: --fit tires.")
     calibration = calibrate_vehicle(runs, vehicle, settings)
     if output is not None:
         write_vehicle(calibration.vehicle, output, comment=_provenance(used, settings, training_blocks))

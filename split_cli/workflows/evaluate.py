@@ -47,7 +47,7 @@ from split_cli.scoring.verdict import (
     rollout_errors,
     verdict,
     warnings_of,
-)  # fmt: skip
+)
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.engine import HERE, Engine

@@ -175,9 +175,8 @@ def _load_json(path: Path) -> dict:
     try:
         content = parse_json(path.read_text(encoding="utf-8"))
     except (ValueError, OSError) as error:
-        raise SplitError(
-            f"is not JSON ({error})", where=str(path), advice="Copy the file again, or make it anew."
-        ) from error
+        advice = "Copy the file again, or make it anew."
+        raise SplitError(f"is not JSON ({error})", where=str(path), advice=advice) from error
     if not isinstance(content, dict):
         raise SplitError("is JSON that this program did not write", where=str(path), advice=_READS)
     return content

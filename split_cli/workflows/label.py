@@ -117,9 +117,8 @@ def label_drives(
     targets = [Path(folder) / PurePosixPath(s.place).with_suffix(".labels.parquet") for s in sources]
     twice = next((target for number, target in enumerate(targets) if target in targets[:number]), None)
     if twice is not None:
-        raise SplitError(
-            "two drives have this name", where=str(twice), advice="Label them into folders of their own."
-        )
+        advice = "Label them into folders of their own."
+        raise SplitError("two drives have this name", where=str(twice), advice=advice)
     for target in targets:
         target.parent.mkdir(parents=True, exist_ok=True)
     jobs = [(s.address, vehicle_path, target, settings) for s, target in zip(sources, targets, strict=True)]

@@ -85,9 +85,8 @@ def _system(address: str) -> tuple[Any, str]:
     try:
         import fsspec
     except ImportError as error:
-        raise SplitError(
-            "needs the package fsspec", where=address, advice="Install it with `pip install 'split-cli[cluster]'`."
-        ) from error
+        advice = "Install it with `pip install 'split-cli[cluster]'`."
+        raise SplitError("needs the package fsspec", where=address, advice=advice) from error
     with _in_one_line(address):
         return fsspec.core.url_to_fs(_text(address))
 

@@ -100,8 +100,9 @@ def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | N
         x, y = most * np.cos(angle), most * np.sin(angle)
         series.append(ChartLine("friction ellipse of the vehicle file", x, y, "other"))
         note = "The ellipse is (D_f + D_r)/m: the peak forces of both axles together."
-    return Chart("gg", "Accelerations (GG)", "a_y, left positive [m/s²]", "a_x [m/s²]", tuple(series), note,
-                 equal=True)  # fmt: skip
+    return Chart(
+        "gg", "Accelerations (GG)", "a_y, left positive [m/s²]", "a_x [m/s²]", tuple(series), note, equal=True
+    )
 
 
 def track_chart(drives: Sequence[tuple[str, str, Drive]]) -> Chart | None:

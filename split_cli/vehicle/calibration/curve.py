@@ -229,10 +229,9 @@ def _problem_of(
     """Return the fit's samples and bounds, without noise in the slip angle."""
     blocks = len(np.unique(block))
     if len(slip_angle) < _MINIMUM_SAMPLES or blocks < _MINIMUM_BLOCKS:
-        raise VehicleError(
-            f"{len(slip_angle)} usable samples in {blocks} blocks of time are too few for the {axle} tyres",
-            advice=f"At least {_MINIMUM_SAMPLES} samples in {_MINIMUM_BLOCKS} blocks are needed.",
-        )
+        what = f"{len(slip_angle)} usable samples in {blocks} blocks of time are too few for the {axle} tyres"
+        advice = f"At least {_MINIMUM_SAMPLES} samples in {_MINIMUM_BLOCKS} blocks are needed."
+        raise VehicleError(what, advice=advice)
     largest = max(largest_force, 0.9 * float(np.quantile(np.abs(force), 0.995)), 1e-9)
     lower = np.array([np.log(0.02 * static_load), np.log(largest), _C_BOUNDS[0], -0.1])
     upper = np.array([np.log(400.0 * static_load), np.log(4.0 * static_load + largest), _C_BOUNDS[1], 0.1])

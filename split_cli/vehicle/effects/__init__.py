@@ -44,9 +44,8 @@ def build_terms(vehicle: Vehicle) -> tuple[Term, ...]:
     for effect in vehicle.effects:
         where = f"vehicle {vehicle.name}, effects"
         if effect.term not in CATALOGUE:
-            raise VehicleError(
-                f"unknown term {effect.term!r}", where=where, advice=nearest_names(effect.term, CATALOGUE)
-            )
+            what = f"unknown term {effect.term!r}"
+            raise VehicleError(what, where=where, advice=nearest_names(effect.term, CATALOGUE))
         kind = CATALOGUE[effect.term]
         if effect.variant not in kind.variants:
             advice = nearest_names(effect.variant, kind.variants)

@@ -278,8 +278,9 @@ class ChannelDelay(_Instrument):
     variants: ClassVar = ("r", "vx", "vy", "velocity", "ax", "ay")
     units: ClassVar = {"r": "s"}
     variant_units: ClassVar = {
-        **{name: {name: "s"} for name in ("r", "vx", "vy", "ax", "ay")}, "velocity": {"vx": "s", "vy": "s"},
-    }  # fmt: skip
+        **{name: {name: "s"} for name in ("r", "vx", "vy", "ax", "ay")},
+        "velocity": {"vx": "s", "vy": "s"},
+    }
     neutral: ClassVar = {"r": 0.0, "vx": 0.0, "vy": 0.0, "ax": 0.0, "ay": 0.0}
     variant_needs: ClassVar = {
         **{name: frozenset({"witness", "measured velocities"}) for name in ("r", "vx")},

@@ -400,9 +400,8 @@ def _check_topics(topics: dict[str, str], signal_map: SignalMap) -> None:
     used = {topic_of(name) if name.startswith("/") else name.split(":", 1)[0] for name in names}
     for name in topics:
         if name not in used:
-            raise MapError(
-                f"no source of the map is of {name!r}", where="--topic", advice=nearest_names(name, used)
-            )
+            advice = nearest_names(name, used)
+            raise MapError(f"no source of the map is of {name!r}", where="--topic", advice=advice)
 
 
 #: What a name ends in that a user means as a file, and not as a folder of drives.
@@ -414,9 +413,8 @@ def _check_folder(output: Path, sources: Sequence[SourceFile]) -> None:
         what = f"a drive is written as Parquet, not as {output.suffix}"
         raise SplitError(what, where=str(output), advice=f"Name {output.with_suffix('.parquet')}, or a folder.")
     if len(sources) > 1 and output.suffix.lower() in (".parquet", ".pq"):
-        raise SplitError(
-            f"{len(sources)} recordings cannot go into one drive", where=str(output), advice="Name a folder."
-        )
+        advice = "Name a folder."
+        raise SplitError(f"{len(sources)} recordings cannot go into one drive", where=str(output), advice=advice)
     names = [_drive_name(source) for source in sources]
     twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
     if twice:

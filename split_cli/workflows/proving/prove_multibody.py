@@ -131,6 +131,5 @@ def _kept_on_track(
                 ), number  # fmt: skip
             except SplitError:
                 continue
-    raise SplitError(
-        "the foreign car left each of twelve tracks, even when driven calmly", advice="Take another seed."
-    )
+    advice = "Take another seed."
+    raise SplitError("the foreign car left each of twelve tracks, even when driven calmly", advice=advice)

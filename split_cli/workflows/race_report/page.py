@@ -85,7 +85,7 @@ def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
         Chart("gap", gap, y="gap [s]", series=tuple(series["gap"]), **along),
         *(Chart(key, title, y=y, series=tuple(series[key]), **along) for key, (title, y, _, _) in _ALONG.items()),
         Chart("gg", "Accelerations (GG)", *plane, tuple(series["gg"]), equal=True),
-    ]  # fmt: skip
+    ]
 
 
 def _called(race: RaceResult) -> str:

@@ -149,9 +149,7 @@ class Race:
         warm_up()
         s = self.settings
         speed = min(0.5 * s.max_speed, self._careful_speed(-np.linspace(0.0, -self.start, 200)))
-        self.world = World(
-            self.car, self.path, speed, self.start, s.grip, None if s.exact_sensors else s.seed
-        )  # fmt: skip
+        self.world = World(self.car, self.path, speed, self.start, s.grip, None if s.exact_sensors else s.seed)
         if self.start_set is None:
             self.header = blank_header(self.vehicle, self.features, self.mpcc)
             self.learner: Learner = NoLearner(self.header, self.exported)
@@ -196,10 +194,8 @@ class Race:
             )
             if bend < lock:
                 advice = f"Full lock gives a radius of {lock:.1f} m, and the tightest bend has {bend:.1f} m."
-            raise SplitError(
-                f"the car did not reach the line of the first lap: {self.ended}", where=self.path.name,
-                advice=advice,
-            )  # fmt: skip
+            what = f"the car did not reach the line of the first lap: {self.ended}"
+            raise SplitError(what, where=self.path.name, advice=advice)
         if self.begins_nominal:
             self.say("lap 0, nominal")
             self.drive_lap(0)
@@ -239,9 +235,7 @@ class Race:
             self.learner.begin_lap(lap.name, float(lap["t"][0]))
             updates = self.learner.watch(part)
             trained = self.learner.end_lap(float(lap["t"][-1] - lap["t"][0]))
-        self.laps[-1] = replace(
-            self.laps[-1], updates=updates, size=self.learner.size, cells=self.learner.cells
-        )  # fmt: skip
+        self.laps[-1] = replace(self.laps[-1], updates=updates, size=self.learner.size, cells=self.learner.cells)
         self._keep(trained)
         del self.grips[number:]
         driven = Labels.joined(labels)

@@ -38,14 +38,11 @@ def check_settings(settings: RaceSettings) -> None:
         Naming the option and what it may be.
     """
     if settings.learner not in LEARNERS:
-        raise SplitError(
-            f"no learner is called {settings.learner!r}", where="--learner",
-            advice=f"There are: {', '.join(LEARNERS)}.",
-        )  # fmt: skip
+        advice = f"There are: {', '.join(LEARNERS)}."
+        raise SplitError(f"no learner is called {settings.learner!r}", where="--learner", advice=advice)
     if not 0 <= settings.laps <= MOST_LAPS:
-        raise SplitError(
-            f"is {settings.laps:g}, a number of laps from 0 to {MOST_LAPS} was expected", where="--laps"
-        )
+        what = f"is {settings.laps:g}, a number of laps from 0 to {MOST_LAPS} was expected"
+        raise SplitError(what, where="--laps")
     _check_numbers(settings)
     features = parse_features(settings.candidates[-1])
     if settings.hyperparameters not in (*FITS, "default"):
@@ -67,10 +64,8 @@ def check_predictor(name: str, features: FeatureSet | None) -> None:
     if name not in (AUTO, *PREDICTORS):
         raise SplitError(f"no predictor {name!r}", where="--predictor", advice=nearest_names(name, PREDICTORS))
     if name == "table" and features is not None and len(features.names) != 3:
-        raise SplitError(
-            f"a table needs three features, there are {len(features.names)}: {', '.join(features.names)}",
-            where="--predictor", advice="Use --predictor projected.",
-        )  # fmt: skip
+        what = f"a table needs three features, there are {len(features.names)}: {', '.join(features.names)}"
+        raise SplitError(what, where="--predictor", advice="Use --predictor projected.")
 
 
 def _check_numbers(settings: RaceSettings) -> None:
@@ -90,8 +85,9 @@ def _check_numbers(settings: RaceSettings) -> None:
     if settings.max_speed <= SLOWEST:
         raise SplitError(
             f"is {settings.max_speed:g} m/s, where the controller's model is not valid; more than {SLOWEST:g} m/s "
-            "was expected", where="--max-speed",
-        )  # fmt: skip
+            "was expected",
+            where="--max-speed",
+        )
     shares = [
         ("--p-ellipse", limits.p_ellipse),
         ("--p-ellipse-lap0", settings.first_share),
@@ -139,10 +135,8 @@ def check_torque(vehicle: Vehicle, most: float) -> None:
     """
     needed = (vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear) * vehicle.wheel_radius
     if most <= needed:
-        raise SplitError(
-            f"is {most:g} N m, and rolling resistance alone takes {needed:.0f} N m", where="--max-torque",
-            advice="Raise it, so that the car can keep its speed.",
-        )  # fmt: skip
+        what = f"is {most:g} N m, and rolling resistance alone takes {needed:.0f} N m"
+        raise SplitError(what, where="--max-torque", advice="Raise it, so that the car can keep its speed.")
 
 
 def check_start(path: Path, start: float, width: float, margin: float) -> None:
@@ -172,9 +166,10 @@ def check_start(path: Path, start: float, width: float, margin: float) -> None:
     if nearest < 0.5 * width:
         raise SplitError(
             f"the border is {nearest:.2f} m from the centre line at the start ({start % path.length:.0f} m), "
-            f"where half the car is {0.5 * width:.2f} m wide", where=path.name,
+            f"where half the car is {0.5 * width:.2f} m wide",
+            where=path.name,
             advice="Move the centre line to the middle of the track there, or let the file begin elsewhere.",
-        )  # fmt: skip
+        )
 
 
 def find_path(name: str) -> Path:
@@ -202,22 +197,25 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
         raise SetError(what, where=str(where), advice=advice)
     if training_set.plain:
         raise SetError(
-            "holds plain differences, which depend on the label interval", where=str(where),
+            "holds plain differences, which depend on the label interval",
+            where=str(where),
             advice="Train it without --plain-labels.",
-        )  # fmt: skip
+        )
     huge = np.abs(training_set.y[:, :2]).max(initial=0.0)
     if not np.isfinite(training_set.y).all() or huge > LARGEST_LABEL:
         raise SetError(
             f"holds labels up to {huge:.3g} m/s^2: no car's model is wrong by more than three times gravity",
-            where=str(where), advice="Check the recordings it was trained on with `split evaluate`.",
-        )  # fmt: skip
+            where=str(where),
+            advice="Check the recordings it was trained on with `split evaluate`.",
+        )
     if not any(training_set.trust.share):
         reason = "its drives were too short to judge it" if training_set.trust.origin == "unjudged" else (
             "it helped no output on held-out driving")  # fmt: skip
         raise SetError(
             f"holds a correction that is not to be trusted: {reason}. The nominal model alone would drive",
-            where=str(where), advice="Train on longer or harder drives, or leave out --start-set.",
-        )  # fmt: skip
+            where=str(where),
+            advice="Train on longer or harder drives, or leave out --start-set.",
+        )
 
 
 def check_exported(exported: ExportedResidual, settings: RaceSettings) -> None:
@@ -229,15 +227,12 @@ def check_exported(exported: ExportedResidual, settings: RaceSettings) -> None:
         If a learner is asked for, or the export has other features than z2.
     """
     if settings.learner != "none":
-        raise SplitError(
-            f"is an export, from which the learner {settings.learner} cannot go on",
-            where=str(settings.start_set), advice="Use --learner none, or name the set itself.",
-        )  # fmt: skip
+        what = f"is an export, from which the learner {settings.learner} cannot go on"
+        raise SplitError(what, where=str(settings.start_set), advice="Use --learner none, or name the set itself.")
     if not exported.features.is_z2:
-        raise SplitError(
-            f"has the features {', '.join(exported.features.names)}, and a race drives with exports of z2 alone",
-            where=str(settings.start_set), advice="Name the set itself, or use `split maneuver`.",
-        )  # fmt: skip
+        what = f"has the features {', '.join(exported.features.names)}, and a race drives with exports of z2 alone"
+        advice = "Name the set itself, or use `split maneuver`."
+        raise SplitError(what, where=str(settings.start_set), advice=advice)
 
 
 def _differences(trained: Vehicle, given: Vehicle) -> str:

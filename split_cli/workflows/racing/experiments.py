@@ -145,9 +145,7 @@ def _maneuvers() -> list[Experiment]:
     for seed in _SEEDS:
         for (scenario, grip), speeds in _SWEEPS.items():
             road = "dry" if grip == 1.0 else "wet"
-            basic = ManeuverSettings(
-                scenario=scenario, grip=grip, seed=seed, speeds=tuple(map(float, speeds))
-            )  # fmt: skip
+            basic = ManeuverSettings(scenario=scenario, grip=grip, seed=seed, speeds=tuple(map(float, speeds)))
             for vehicle in ("gentle", "physics") if seed == 0 else ("gentle",):
                 found += _sweeps(f"{scenario}-{road}", basic, vehicle)
             found += _sweeps_with_the_past(f"{scenario}-{road}", basic)
@@ -237,9 +235,8 @@ def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callabl
         if settings.start_set is not None:
             origin = folder / f"{settings.start_set}.split"
             if not origin.exists():
-                raise SplitError(
-                    f"needs the set of {settings.start_set}, which was not run yet", where=str(origin)
-                )
+                what = f"needs the set of {settings.start_set}, which was not run yet"
+                raise SplitError(what, where=str(origin))
             settings = replace(settings, start_set=origin)
         learns = experiment.model.startswith("nominal") and settings.scenario == "iso3888-1"
         result = run_maneuvers(settings, vehicle, set_output=trained if learns else None)

@@ -27,9 +27,7 @@ _LARGEST_PAGE = 4 << 20
 """Of the page [bytes]; judgement: that of this project has 20 kB."""
 
 
-def fill_page(
-    page: str | Path, results: dict[str, dict], vehicle: Vehicle
-) -> tuple[list[str], list[str]]:  # fmt: skip
+def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> tuple[list[str], list[str]]:
     """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, and figures beside the page.
 
     A table none of whose experiments was kept stays as it is.
@@ -157,11 +155,7 @@ def clean_times(race: dict) -> list[float]:
 
     Lap 0 of a learner is driven by the nominal model, so it is none of its own.
     """
-    return [
-        lap["time"]
-        for lap in _own_laps(race)
-        if lap["time"] is not None and lap["outside"] == 0.0
-    ]  # fmt: skip
+    return [lap["time"] for lap in _own_laps(race) if lap["time"] is not None and lap["outside"] == 0.0]
 
 
 def _own_laps(race: dict) -> list[dict]:
@@ -177,9 +171,7 @@ def _race_table(group: list[dict], races: list[dict]) -> str:
     """
     bases = [race for race in group if race["model"] == "nominal"]
     bases = bases or [race for race in group if race["model"].startswith("nominal")]
-    bases = bases or [
-        race for race in races if race["model"] == "nominal" and _road(race) == _road(group[0])
-    ]  # fmt: skip
+    bases = bases or [race for race in races if race["model"] == "nominal" and _road(race) == _road(group[0])]
     nominal = {race["settings"]["seed"]: clean_times(race) for race in bases}
     models = _by_model(group)
     rows = []

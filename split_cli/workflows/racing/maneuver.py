@@ -171,9 +171,8 @@ def _check(settings: ManeuverSettings) -> None:
             raise SplitError(f"is {value:g}, a positive number below 1e6 was expected", where=name)
     share = settings.p_ellipse
     if share is not None and not 0.0 < share < 1.0:
-        raise SplitError(
-            f"is {share:g}, a share of the peak force between 0 and 1 was expected", where="--p-ellipse"
-        )
+        what = f"is {share:g}, a share of the peak force between 0 and 1 was expected"
+        raise SplitError(what, where="--p-ellipse")
     if settings.seed < 0:
         raise SplitError(f"is {settings.seed}, a whole number from 0 was expected", where="--seed")
 
@@ -220,9 +219,7 @@ def _write(world: World, output: FilePath) -> None:
         write_drive(drive, output)
 
 
-def _learn(
-    world: World, vehicle: Vehicle, features: FeatureSet, step: float, output: str | FilePath
-) -> None:  # fmt: skip
+def _learn(world: World, vehicle: Vehicle, features: FeatureSet, step: float, output: str | FilePath) -> None:
     """Learn one run into a new set, its kernel fitted to the same run."""
     vehicle, added = remembering(vehicle, features)
     limits = Limits()

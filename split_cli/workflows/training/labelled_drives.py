@@ -246,9 +246,8 @@ def _paired(paths: Sequence[Path]) -> list[_Source]:
         if digest is None:
             drives.append((position, path))
         elif digest in files:
-            raise SetError(
-                f"and {files[digest].name} are labels of one drive", where=str(path), advice="Give one of them."
-            )
+            advice = "Give one of them."
+            raise SetError(f"and {files[digest].name} are labels of one drive", where=str(path), advice=advice)
         else:
             files[digest] = path
             order.append((position, digest))

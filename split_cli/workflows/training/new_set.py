@@ -139,10 +139,9 @@ def _blank(
 def _recorded(drives: LabelledDrives) -> list[TrainingDrive]:
     bare = drives.without_recording()
     if bare:
-        raise SetError(
-            f"trust is estimated by predicting recordings, but of {', '.join(bare)} only labels were given",
-            advice="Give the drives too, or --trust full, or three shares such as --trust 0.5,0.8,1.",
-        )
+        what = f"trust is estimated by predicting recordings, but of {', '.join(bare)} only labels were given"
+        advice = "Give the drives too, or --trust full, or three shares such as --trust 0.5,0.8,1."
+        raise SetError(what, advice=advice)
     parts, rows = [], 0
     for number in range(len(drives)):
         drive = drives.drive(number)

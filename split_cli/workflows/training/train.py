@@ -227,9 +227,8 @@ def _train_set(
     horizons = tuple(source.horizon for source in trained.sources[-len(table) :])
     notes = (*drives.notes, *notes_on_rejections(total, trained.region))
     return TrainResult(
-        str(output), tuple(table), total, horizons, trained.kernel, fit, trained.trust,
-        notes, tuple(laps),
-    )  # fmt: skip
+        str(output), tuple(table), total, horizons, trained.kernel, fit, trained.trust, notes, tuple(laps)
+    )
 
 
 def notes_on_rejections(total: TrainRow, region: Region) -> tuple[str, ...]:
