@@ -59,9 +59,8 @@ def refuse_many_columns(count: int, where: str) -> None:
         If there are more than `MOST_FIELDS`.
     """
     if count > MOST_FIELDS:
-        raise LogError(
-            f"has more than {MOST_FIELDS:,} columns", where=where, advice="Export the channels that you need."
-        )
+        advice = "Export the channels that you need."
+        raise LogError(f"has more than {MOST_FIELDS:,} columns", where=where, advice=advice)
 
 
 def refuse_unpacked_size(size: int, bytes_in: int, what: str, where: str, most: int | None = None) -> None:

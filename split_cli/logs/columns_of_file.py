@@ -102,9 +102,8 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
                     break
         except (pa.ArrowException, OSError) as error:
             reason = str(error).splitlines()[0][:160]
-            raise DriveError(
-                f"is damaged ({reason})", where=str(self.path), advice="Ingest the log again."
-            ) from error
+            advice = "Ingest the log again."
+            raise DriveError(f"is damaged ({reason})", where=str(self.path), advice=advice) from error
         return out
 
 

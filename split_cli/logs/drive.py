@@ -93,9 +93,8 @@ class Drive:
             If the drive has no such channel; names the nearest.
         """
         if channel not in self.columns:
-            raise DriveError(
-                f"no channel {channel!r}", where=self.name, advice=nearest_names(channel, self.columns)
-            )
+            advice = nearest_names(channel, self.columns)
+            raise DriveError(f"no channel {channel!r}", where=self.name, advice=advice)
         return self.columns[channel]
 
     @property

@@ -118,9 +118,8 @@ class TableRecording:
         """Return the named columns; see `Recording.read`."""
         missing = [name for name in names if name not in self.signals]
         if missing:
-            raise LogError(
-                f"no column {missing[0]!r}", where=self.name, advice=nearest_names(missing[0], self.signals)
-            )
+            advice = nearest_names(missing[0], self.signals)
+            raise LogError(f"no column {missing[0]!r}", where=self.name, advice=advice)
         return {name: self.signals[name] for name in names}
 
 

@@ -87,17 +87,15 @@ def _with_presets(content: dict[str, Any], where: str, above: tuple[str, ...]) -
     presets = [presets] if isinstance(presets, str) else presets
     if not isinstance(presets, list) or not all(isinstance(preset, str) for preset in presets):
         advice = "`split ingest --list-maps` shows the names."
-        raise MapError(
-            f"preset is {presets!r}, a name or a list of names was expected", where=where, advice=advice
-        )
+        what = f"preset is {presets!r}, a name or a list of names was expected"
+        raise MapError(what, where=where, advice=advice)
     if len(set(presets)) < len(presets):
         raise MapError("names a preset twice", where=where, advice="Leave one; the last one overrides the others.")
     base: dict[str, Any] = {}
     for preset in presets:
         if preset in above:
-            raise MapError(
-                f"preset {preset!r} includes itself", where=where, advice="Leave out its `preset:` line."
-            )
+            what = f"preset {preset!r} includes itself"
+            raise MapError(what, where=where, advice="Leave out its `preset:` line.")
         if preset_path(preset) is None:
             raise MapError(f"no preset {preset!r}", where=where, advice=nearest_names(preset, preset_names()))
         base = _merge(base, _load(preset, (*above, preset)))
@@ -132,9 +130,8 @@ def _channel(name: str, entry: Any, kind: Any, where: str) -> ChannelMap:
         raise MapError("needs either source or sum", where=where, advice=advice)
     if "sum" in entry:
         if not isinstance(entry["sum"], list) or not entry["sum"]:
-            raise MapError(
-                "sum must be a list of entries", where=where, advice="Write `sum: [{source: A}, {source: B}]`."
-            )
+            what = "sum must be a list of entries"
+            raise MapError(what, where=where, advice="Write `sum: [{source: A}, {source: B}]`.")
         outer = {key: entry[key] for key in ("unit", "delay", "frame", "world") if key in entry}
         misplaced = [key for key in ("convert", "scale", "offset", "curve") if key in entry]
         if misplaced:

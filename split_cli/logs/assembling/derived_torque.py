@@ -112,9 +112,8 @@ def _run_torque_from_acceleration(situation: DerivationInputs) -> Derived:
         ax = _acceleration_of_the_velocity(situation)
         how = "from dv_x/dt - v_y r of smoothed v_x"
     else:
-        raise MapError(
-            f"derivations.torque_from_acceleration.acceleration is {source!r}", advice="It is ax or vx."
-        )
+        advice = "It is ax or vx."
+        raise MapError(f"derivations.torque_from_acceleration.acceleration is {source!r}", advice=advice)
     T = torque_from_acceleration(ax, c["vx"], c["vy"], c["r"], c["delta"], vehicle)
     warning = (
         "T is derived from acceleration: the longitudinal label holds noise and what the derivation got wrong, "

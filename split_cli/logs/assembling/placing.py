@@ -46,10 +46,9 @@ def move_to_cg(
             x, y = _place(position, vehicle)
             support = "yaw" if before else "r"
             if support not in columns:
-                raise MapError(
-                    f"{channel} is measured off the CG, and {support} is needed to move it",
-                    advice=f"Map {support}, or leave out `position` if the sensor is near the CG.",
-                )
+                what = f"{channel} is measured off the CG, and {support} is needed to move it"
+                advice = f"Map {support}, or leave out `position` if the sensor is near the CG."
+                raise MapError(what, advice=advice)
             shift = _shift(pair, axis, columns, period, slices, x, y)
             columns[channel] = set_aside(columns[channel] + shift)
             conversions.append(f"{channel}: moved from the sensor at x {x:g} m, y {y:g} m to the CG")

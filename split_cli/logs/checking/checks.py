@@ -240,12 +240,13 @@ class Checks:
             return
         k, car, name = self.k, self.vehicle, "delta against the steady steer angle"
         gradient = (
-            car.mass / car.wheelbase
+            car.mass
+            / car.wheelbase
             * (
                 car.cg_to_rear_axle / car.front_tire.cornering_stiffness
                 - car.cg_to_front_axle / car.rear_tire.cornering_stiffness
             )
-        )  # fmt: skip
+        )
         vx = np.where(k.moving, k.columns["vx"], np.nan)
         parts = (
             k.of("L r/vx", lambda: car.wheelbase * k.columns["r"] / np.where(np.abs(vx) > 0, vx, 1.0)),

@@ -236,8 +236,7 @@ class Trial:
         if "vx" not in used or len(self.grid) < 200 or not self.time_is_known:
             return Consistency()
         nothing = {channel: np.zeros(len(self.grid)) for channel in kinds if channel not in used}
-        drive = Drive("draft", {"t": self.grid - self.grid[0], **used, **nothing},
-                      self.segment, 1.0 / self.rate)  # fmt: skip
+        drive = Drive("draft", {"t": self.grid - self.grid[0], **used, **nothing}, self.segment, 1.0 / self.rate)
         with np.errstate(all="ignore"):
             return check_consistency(drive, self.vehicle, kinds, certain)
 

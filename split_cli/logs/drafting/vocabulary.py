@@ -98,9 +98,7 @@ _WORDS: dict[str, str] = {
 }
 _CONCEPT = {word: concept for concept, words in _WORDS.items() for word in words.split()}
 _CORNERS = ("fl", "fr", "rl", "rr")
-_FOLD = str.maketrans({
-    "ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ψ": "psi", "β": "beta", "δ": "delta",
-})  # fmt: skip
+_FOLD = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ψ": "psi", "β": "beta", "δ": "delta"})
 _PARTS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 _SIDES = ("left", "right")
 _AXES = ("x", "y", "z")

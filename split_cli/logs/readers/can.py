@@ -81,9 +81,8 @@ def read_databases(paths: Sequence[Path]) -> Any:
         except Exception as error:  # cantools has an error for each grammar
             reason = str(error).splitlines()[0][:160]
             advice = "Give a DBC, ARXML, KCD or SYM file, as the car's maker or a CAN tool saves it."
-            raise LogError(
-                f"cannot be read as a CAN database ({reason})", where=str(path), advice=advice
-            ) from error
+            what = f"cannot be read as a CAN database ({reason})"
+            raise LogError(what, where=str(path), advice=advice) from error
     database.refresh()
     return database
 

@@ -69,9 +69,8 @@ def open_ibt(path: Path) -> RawRecording:
         kind = _TYPES[v["type"]] if 0 <= v["type"] < len(_TYPES) else ""
         count, offset = int(v["count"]), int(v["offset"])
         if not name or not kind or count < 1 or offset < 0 or offset + count * np.dtype(kind).itemsize > record:
-            raise LogError(
-                f"has a variable {name!r} outside its records", where=path.name, advice="Copy it again."
-            )
+            advice = "Copy it again."
+            raise LogError(f"has a variable {name!r} outside its records", where=path.name, advice=advice)
         if count > 1 and not v["as_time"]:
             of_cars += 1
         elif kind != "S1":

@@ -350,9 +350,8 @@ def _decompressed(content: memoryview, most: int) -> bytes | memoryview:
     _, _, plain_size, crc, name_length = _CHUNK.unpack_from(content)
     start = _CHUNK.size + name_length + 8
     if start > len(content) or plain_size > most:
-        raise _McapDamageError(
-            "its header is damaged, or claims more than a chunk, or a file, of so few bytes can hold"
-        )
+        what = "its header is damaged, or claims more than a chunk, or a file, of so few bytes can hold"
+        raise _McapDamageError(what)
     compression = bytes(content[_CHUNK.size : start - 8])
     stored = struct.unpack_from("<Q", content, start - 8)[0]
     cut = stored > len(content) - start

@@ -133,9 +133,8 @@ class MessageRecording:
         if clock is None:
             clock = self.clocks[0]
         if clock not in self.clocks:
-            raise LogError(
-                f"has no {clock} time", where=self.name, advice=f"Choose one of: {', '.join(self.clocks)}."
-            )
+            advice = f"Choose one of: {', '.join(self.clocks)}."
+            raise LogError(f"has no {clock} time", where=self.name, advice=advice)
         wanted: dict[str, list[str]] = defaultdict(list)
         for name in dict.fromkeys(names):
             topic, path = self._split(name)
@@ -156,9 +155,8 @@ class MessageRecording:
         while topic not in self._topics and below:
             topic, below, _ = topic.rpartition("/")
         if not below or topic not in self._topics:
-            raise LogError(
-                f"no topic of {name!r}", where=self.name, advice=_nearest_topics(name, list(self._topics))
-            )
+            advice = _nearest_topics(name, list(self._topics))
+            raise LogError(f"no topic of {name!r}", where=self.name, advice=advice)
         path = name[len(topic) + 1 :]
         decoders, problem = [], None
         for stream in self._topics[topic]:

@@ -52,9 +52,8 @@ def open_mf4(path: Path, databases: Sequence[Path] = ()) -> RawRecording:
     try:
         import asammdf  # noqa: F401
     except ImportError as error:
-        raise LogError(
-            "is an MDF file, which needs asammdf", where=path.name, advice="pip install 'split-cli[mf4]'"
-        ) from error
+        what = "is an MDF file, which needs asammdf"
+        raise LogError(what, where=path.name, advice="pip install 'split-cli[mf4]'") from error
     for database in databases:
         refuse_no_regular_file(database, LogError)
         if not database.is_file():

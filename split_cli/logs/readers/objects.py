@@ -162,9 +162,8 @@ def _listed(paths: Iterator[str | None]) -> list[str]:
     """Return the addresses, if they and the messages around them (None) are few enough to be listed."""
     found = list(itertools.islice(paths, MOST_FIELDS + 1))
     if len(found) > MOST_FIELDS:
-        raise LogError(
-            f"a message type has more than {MOST_FIELDS:,} fields", advice="Leave its topic out of the recording."
-        )
+        advice = "Leave its topic out of the recording."
+        raise LogError(f"a message type has more than {MOST_FIELDS:,} fields", advice=advice)
     return [path for path in found if path is not None]
 
 

@@ -55,7 +55,7 @@ _OTHERS = {
     ".fit": ("a FIT file", "Export it as CSV."),
     **dict.fromkeys((".pkl", ".pickle"), ("a pickle of Python", "Save it as Parquet or CSV.")),
     **dict.fromkeys((".xls", ".xlsx", ".ods"), ("a spreadsheet", "Export it as CSV.")),
-}  # fmt: skip
+}
 """Files that other programs write and that are not read, by suffix: what they are and the way out."""
 _BINARY_SUFFIXES = {
     ".mcap": "an MCAP file", ".bag": "a ROS 1 bag", ".db3": "a rosbag2 database", ".parquet": "a Parquet file",

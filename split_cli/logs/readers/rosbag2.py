@@ -62,9 +62,8 @@ class SqliteContainer:
             query = "SELECT MIN(timestamp) FROM messages WHERE typeof(timestamp) = 'integer' AND timestamp >= 0"
             first = self._database.execute(query).fetchone()[0]
         except sqlite3.Error as error:
-            raise LogError(
-                f"is damaged, or no rosbag2 database ({error})", where=path.name, advice="Record it again."
-            ) from error
+            what = f"is damaged, or no rosbag2 database ({error})"
+            raise LogError(what, where=path.name, advice="Record it again.") from error
         if not isinstance(first, int):
             raise LogError("holds no message", where=path.name, advice="Record it again.")
         self.origin = first
@@ -260,9 +259,8 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
         )
         if not present:
             advice = "Put the .db3 or .mcap of the recording beside it."
-            raise LogError(
-                "cannot be read, and there is no storage file", where=str(metadata), advice=advice
-            ) from error
+            what = "cannot be read, and there is no storage file"
+            raise LogError(what, where=str(metadata), advice=advice) from error
         return present, False
     missing = [name for name in names if not (path / name).exists()]
     if missing:
@@ -293,10 +291,9 @@ def _unpacked_file(file: Path, folder: Path) -> Path:
                 while part := reader.read(_UNPACKED_AT_ONCE):
                     left -= len(part)
                     if left < 0:
-                        raise LogError(
-                            f"unpacks into over {_MOST_RATIO} times its size: no recording is like that",
-                            where=file.name, advice="Unpack it yourself with `zstd -d` if it is sound.",
-                        )  # fmt: skip
+                        what = f"unpacks into over {_MOST_RATIO} times its size: no recording is like that"
+                        advice = "Unpack it yourself with `zstd -d` if it is sound."
+                        raise LogError(what, where=file.name, advice=advice)
                     plain.write(part)
     except zstandard.ZstdError as error:
         raise LogError(f"cannot be decompressed ({error})", where=file.name, advice="Copy it again.") from error
