@@ -83,9 +83,8 @@ def _row(parts: list[str], names: tuple[str, ...], row_text: str, path: FilePath
         raise SplitError(f"{row_text}, where {len(names)} numbers were expected", where=str(path), advice=_ADVICE)
     chosen = [values[names.index(name)] for name in _COLUMNS]
     if min(chosen[2:]) <= 0.0:
-        raise SplitError(
-            f"{row_text}: a width is not positive", where=str(path), advice="Give both widths in metres, above 0."
-        )
+        advice = "Give both widths in metres, above 0."
+        raise SplitError(f"{row_text}: a width is not positive", where=str(path), advice=advice)
     return chosen
 
 
@@ -101,34 +100,25 @@ def _checked_length(table: np.ndarray, numbers: list[int], where: str) -> float:
     step = np.linalg.norm(steps, axis=1)
     far, same, usual = int(np.argmax(step)), int(np.argmin(step)), np.median(step)
     if step[same] < 1e-9:
-        raise SplitError(
-            f"row {numbers[same]} and the next are the same point", where=where,
-            advice="Remove one of the two rows.",
-        )  # fmt: skip
+        advice = "Remove one of the two rows."
+        raise SplitError(f"row {numbers[same]} and the next are the same point", where=where, advice=advice)
     if step[far] > 20.0 * usual:
         last = far == len(table) - 1
         place = "between its last point and its first" if last else f"after row {numbers[far]}"
-        raise SplitError(
-            f"has a gap of {step[far]:.1f} m {place}, where {usual:.2g} m are usual", where=where,
-            advice="A track is a closed line." if last else "Remove the point that lies apart, or fill the gap.",
-        )  # fmt: skip
+        what = f"has a gap of {step[far]:.1f} m {place}, where {usual:.2g} m are usual"
+        advice = "A track is a closed line." if last else "Remove the point that lies apart, or fill the gap."
+        raise SplitError(what, where=where, advice=advice)
     length, lane = float(step.sum()), float(table[:, 2:].min())
     if not length <= _LONGEST_LAP:
-        raise SplitError(
-            f"is {length:.3g} m long, at most {_LONGEST_LAP:.0f} m were expected", where=where,
-            advice="Give coordinates in metres.",
-        )  # fmt: skip
+        what = f"is {length:.3g} m long, at most {_LONGEST_LAP:.0f} m were expected"
+        raise SplitError(what, where=where, advice="Give coordinates in metres.")
     if length < 2.0 * np.pi * lane:
         # A closed line that bends nowhere tighter than its border is at least as long as the border's circle.
-        raise SplitError(
-            f"is {length:.3g} m long, while its border is {lane:.3g} m or more away from it", where=where,
-            advice="Give coordinates in metres, not in kilometres or degrees.",
-        )  # fmt: skip
+        what = f"is {length:.3g} m long, while its border is {lane:.3g} m or more away from it"
+        raise SplitError(what, where=where, advice="Give coordinates in metres, not in kilometres or degrees.")
     back = np.flatnonzero((steps * np.roll(steps, 1, axis=0)).sum(axis=1) < 0.0)
     if len(back):
         problem = f"turns back on itself at row {numbers[back[0]]}" if back[0] else "ends beyond its first point"
-        raise SplitError(
-            problem, where=where,
-            advice="Sort the points along the track, leave out what was driven twice, or smooth the line.",
-        )  # fmt: skip
+        advice = "Sort the points along the track, leave out what was driven twice, or smooth the line."
+        raise SplitError(problem, where=where, advice=advice)
     return length

@@ -42,28 +42,23 @@ class ExportedResidual(Residual):
         self.name, self.predictor = manifest["name"], manifest["predictor"]
         file = folder / f"{self.name}.casadi"
         if not file.is_file():
-            raise ExportError(
-                f"holds no CasADi function: {file.name} is missing", where=str(folder),
-                advice="Export the set with --target casadi.",
-            )  # fmt: skip
+            what = f"holds no CasADi function: {file.name} is missing"
+            raise ExportError(what, where=str(folder), advice="Export the set with --target casadi.")
         terms = {name.partition(".")[0] for name in manifest["features"] if "." in name}
         lacking = sorted(terms - {effect.term for effect in vehicle.effects})
         if lacking:
-            raise SetError(
-                f"has states of {', '.join(lacking)} as features, which {vehicle.name} lacks", where=str(folder),
-                advice="Name the set itself in place of its export: the set brings the term.",
-            )  # fmt: skip
+            what = f"has states of {', '.join(lacking)} as features, which {vehicle.name} lacks"
+            advice = "Name the set itself in place of its export: the set brings the term."
+            raise SetError(what, where=str(folder), advice=advice)
         if manifest["vehicle_digest"] != vehicle.digest():
-            raise SetError(
-                f"was exported for another vehicle than {vehicle.name}", where=str(folder),
-                advice="Name the vehicle file the set was trained with, or export a set of this vehicle.",
-            )  # fmt: skip
+            what = f"was exported for another vehicle than {vehicle.name}"
+            advice = "Name the vehicle file the set was trained with, or export a set of this vehicle."
+            raise SetError(what, where=str(folder), advice=advice)
         try:
             predict = casadi.Function.load(str(file))
         except RuntimeError as error:
-            raise ExportError(
-                "is damaged: CasADi cannot read it", where=str(file), advice="Export the set again."
-            ) from error
+            advice = "Export the set again."
+            raise ExportError("is damaged: CasADi cannot read it", where=str(file), advice=advice) from error
         self.features = FeatureSet(tuple(manifest["features"]))
         z = casadi.MX.sym("z", predict.size1_in(0))
         mean, variance = predict(z)

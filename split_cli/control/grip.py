@@ -23,7 +23,7 @@ def tells_peaks(vehicle: Vehicle, features: FeatureSet) -> bool:
 
 def learned_grip(
     vehicle: Vehicle, features: FeatureSet, z: np.ndarray, y: np.ndarray, assumed: float = 1.0
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Return the peak of front and rear over the vehicle file's, shape (2,) [1].
 
     Parameters

@@ -152,11 +152,9 @@ def check_features(vehicle: Vehicle, features: FeatureSet, step: float) -> None:
     """
     foreign = build_nominal(SingleTrack(vehicle), features, step).foreign_features
     if foreign:
-        raise VehicleError(
-            f"the correction needs {', '.join(foreign)}, which the states of the controller do not determine",
-            where=f"vehicle {vehicle.name}",
-            advice="Use z2, z1, vx, vy, r, delta, T, or states of the terms in the vehicle file.",
-        )  # fmt: skip
+        what = f"the correction needs {', '.join(foreign)}, which the states of the controller do not determine"
+        advice = "Use z2, z1, vx, vy, r, delta, T, or states of the terms in the vehicle file."
+        raise VehicleError(what, where=f"vehicle {vehicle.name}", advice=advice)
 
 
 def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casadi.Function:

@@ -366,9 +366,10 @@ class RecedingController(ABC):
         if self.limits.guarded:
             # A torque that is beyond its bound already comes back to it at a rate that is sure to be allowed.
             back = RETURN_SHARE * a.torque_rate * self.model.step * np.arange(1, N + 1)
-            braking, driving = (np.append(one[1:], one[-1]) for one in torque_limit(
-                self.limits, found, self.model.vehicle, self.grip, self.load_shift
-            ))  # fmt: skip
+            braking, driving = (
+                np.append(one[1:], one[-1])
+                for one in torque_limit(self.limits, found, self.model.vehicle, self.grip, self.load_shift)
+            )
             x_lower[:, 6] = np.minimum(-np.minimum(braking, a.max_brake_torque), now[6] + back)
             x_upper[:, 6] = np.maximum(np.minimum(driving, a.max_torque), now[6] - back)
         x_lower[:, 7], x_upper[:, 7] = min(-a.max_steer, now[7]), max(a.max_steer, now[7])

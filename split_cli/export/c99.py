@@ -313,7 +313,7 @@ def _memory_values(graph: NominalGraph, memory: Memory | None, name: str, real: 
         "RATES_TEXT": ": what arrives now, [T, delta], is an argument" if delayed else "",
         "RATES_INDENT": " " * len(f"void {name}_rates("),
         "STEP_TEXT": f" (not-a-number when h is not {memory.step:g})" if delayed else "",
-    }  # fmt: skip
+    }
     return values
 
 

@@ -174,9 +174,8 @@ def _check_valid(training_set: TrainingSet, oracle: Oracle, driver: Driver) -> N
     found = driver.answers(11, oracle.z, 1)[:, 0] > 0.5
     wrong = int((found != expected)[clear].sum())
     if wrong or clear.mean() < 0.5:
-        raise ExportError(
-            f"C: the valid region differs at {wrong} of {int(clear.sum())} queries", advice=OUR_FAULT
-        )
+        what = f"C: the valid region differs at {wrong} of {int(clear.sum())} queries"
+        raise ExportError(what, advice=OUR_FAULT)
 
 
 def run_selftest(compiler: Compiler, folder: Path, name: str) -> str:

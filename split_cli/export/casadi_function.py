@@ -370,9 +370,8 @@ def check_hessian(predict: casadi.Function, oracle: Oracle) -> float:
             )
             worst = max(worst, float((np.abs(found[:, :, feature].T - expected) / size).max()))
     if not worst <= 1e-6:
-        raise ExportError(
-            f"CasADi: the Hessian is {worst:.3g} off finite differences; nothing was written", advice=OUR_FAULT
-        )
+        what = f"CasADi: the Hessian is {worst:.3g} off finite differences; nothing was written"
+        raise ExportError(what, advice=OUR_FAULT)
     return worst
 
 

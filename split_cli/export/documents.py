@@ -141,14 +141,12 @@ def read_npz(path: Path) -> Document:
             metadata = parse_json(str(content["metadata"]))
             arrays = {name: content[name] for name in _names(metadata, content.files)}
     except (OSError, ValueError, KeyError, EOFError) as error:
-        raise ExportError(
-            f"is not a whole npz export ({error})", where=str(path), advice="Export the set again."
-        ) from error
+        advice = "Export the set again."
+        raise ExportError(f"is not a whole npz export ({error})", where=str(path), advice=advice) from error
     except Exception as error:
         # zipfile and zlib have errors of their own, of no common base.
-        raise ExportError(
-            f"is damaged ({type(error).__name__}: {error})", where=str(path), advice="Export the set again."
-        ) from error
+        what = f"is damaged ({type(error).__name__}: {error})"
+        raise ExportError(what, where=str(path), advice="Export the set again.") from error
     return _checked(Document(arrays, metadata), path)
 
 
@@ -161,9 +159,8 @@ def read_json(path: Path) -> Document:
             for name in _names(content, content)
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ExportError(
-            f"is not a whole json export ({error})", where=str(path), advice="Export the set again."
-        ) from error
+        advice = "Export the set again."
+        raise ExportError(f"is not a whole json export ({error})", where=str(path), advice=advice) from error
     return _checked(Document(arrays, content), path)
 
 
@@ -188,9 +185,8 @@ def _checked(document: Document, path: Path) -> Document:
     fits = fits and a["offsets"].shape == (cells + 1,) and a["offsets"][0] == 0 and a["offsets"][-1] == points
     fits = fits and np.array_equal(np.sort(a.get(_ORDER, np.arange(points))), np.arange(points))
     if not (fits and (np.diff(a["offsets"]) > 0).all()):
-        raise ExportError(
-            f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path), advice="Export the set again."
-        )
+        advice = "Export the set again."
+        raise ExportError(f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path), advice=advice)
     return document
 
 
@@ -292,9 +288,10 @@ def _table_answer(a: dict[str, np.ndarray], z: np.ndarray) -> tuple[np.ndarray, 
     first = np.minimum(place.astype(int), sizes - 3)
     t = place - first
     left = 1.0 - t
-    weight = np.stack(
-        [left**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * left**2 + 3.0 * left**3, t**3], axis=-1
-    ) / 6.0  # fmt: skip
+    weight = (
+        np.stack([left**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * left**2 + 3.0 * left**3, t**3], axis=-1)
+        / 6.0
+    )
     value = np.zeros((len(z), 6))
     for i, j, k in np.ndindex(4, 4, 4):
         node = a["coefficients"][first[:, 0] - 1 + i, first[:, 1] - 1 + j, first[:, 2] - 1 + k]

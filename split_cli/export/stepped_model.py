@@ -258,9 +258,8 @@ class SteppedModel:
             wrong = np.abs(found[:, :, column - 2] - expected) > _DIFFERENCES * (1.0 + np.abs(rates(acting)))
             # A kink within the move: either side's slope is right there.
             if wrong.any(axis=1).mean() > 0.05:
-                raise ExportError(
-                    "the traced model's Jacobian is not that of Python; nothing was written", advice=OUR_FAULT
-                )
+                what = "the traced model's Jacobian is not that of Python; nothing was written"
+                raise ExportError(what, advice=OUR_FAULT)
 
 
 def random_memory(memory_model: SteppedModel, x: np.ndarray, place_time: np.ndarray) -> np.ndarray:
@@ -376,6 +375,5 @@ def _require_features(m: SteppedModel, drives: Drives, late: np.ndarray) -> None
         acting = np.column_stack([x[:, :6], late[:-1, drive], x[:, 8 : m.memory.continuous]])
         found = m.features(acting, x[:, 6:8], drives.u[:, drive])[0][:, followed]
         if not np.allclose(found, expected, rtol=1e-9, atol=1e-9):
-            raise ExportError(
-                "features along a drive are not those of training; nothing was written", advice=OUR_FAULT
-            )
+            what = "features along a drive are not those of training; nothing was written"
+            raise ExportError(what, advice=OUR_FAULT)

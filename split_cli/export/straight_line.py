@@ -98,6 +98,5 @@ def _expression(operation: int, names: list[str], suffix: str) -> str:
         return _BINARY[operation].format(*names)
     if operation in _FUNCTIONS:
         return f"{_FUNCTIONS[operation]}{suffix}({', '.join(names)})"
-    raise ExportError(
-        f"the nominal model uses CasADi operation {operation}, which C99 export does not know", advice=OUR_FAULT
-    )
+    what = f"the nominal model uses CasADi operation {operation}, which C99 export does not know"
+    raise ExportError(what, advice=OUR_FAULT)

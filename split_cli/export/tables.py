@@ -140,9 +140,8 @@ def require_usable(training_set: TrainingSet) -> None:
         If the set is empty or holds non-finite numbers.
     """
     if training_set.size == 0:
-        raise ExportError(
-            "the trained set is empty, there is nothing to export", advice="Train it on a drive first."
-        )
+        advice = "Train it on a drive first."
+        raise ExportError("the trained set is empty, there is nothing to export", advice=advice)
     for name in ("z", "y"):
         if not np.isfinite(getattr(training_set, name)).all():
             raise ExportError(f"the trained set holds non-finite {name}", advice="Run `split verify` on it.")

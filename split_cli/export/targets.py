@@ -103,9 +103,8 @@ def plan_export(
     if real not in ("double", "float"):
         raise ExportError(f"no real number {real!r}", advice="double or float.")
     if predictor not in PREDICTORS:
-        raise ExportError(
-            f"the predictor {predictor!r} has no export", advice=nearest_names(predictor, PREDICTORS)
-        )
+        advice = nearest_names(predictor, PREDICTORS)
+        raise ExportError(f"the predictor {predictor!r} has no export", advice=advice)
     if queries < 100:
         raise ExportError(f"{queries} queries verify nothing", advice="Use at least 100; 10000 is the default.")
     if step is not None and not 0.0 < step < np.inf:

@@ -131,9 +131,8 @@ def _verify_casadi(folder: Path, name: str) -> VerifiedItem:
     try:
         predict = casadi.Function.load(str(folder / f"{name}.casadi"))
     except RuntimeError as error:
-        raise ExportError(
-            f"cannot be loaded ({str(error).splitlines()[-1]})", advice="Export the set again on this machine."
-        ) from error
+        advice = "Export the set again on this machine."
+        raise ExportError(f"cannot be loaded ({str(error).splitlines()[-1]})", advice=advice) from error
     asked = _ask(casadi_answer(predict), folder, name, "casadi")
     stored = json.loads((folder / f"{name}_check.json").read_text())
     passed, details = asked.passed, [asked.detail]
