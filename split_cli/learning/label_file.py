@@ -89,9 +89,8 @@ def read_labels(path: str | Path) -> Labels:
         table = pa.parquet.read_table(path, page_checksum_verification=True)
         stored = parse_json((table.schema.metadata or {})[b"split"])
         if stored["format"] != LABELS_FORMAT:
-            raise DriveError(
-                f"is of format {stored['format']!r}, {LABELS_FORMAT!r} was expected", where=where, advice=advice
-            )
+            what = f"is of format {stored['format']!r}, {LABELS_FORMAT!r} was expected"
+            raise DriveError(what, where=where, advice=advice)
         check_labels_header(stored)
         labels = _labels_from_table(table, stored)
     except (AttributeError, pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:

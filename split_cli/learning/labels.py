@@ -322,12 +322,11 @@ def _window_starts(drive: Drive, window: int, stride: int) -> np.ndarray:
     runs = drive.segments()
     longest = max((run.stop - run.start for run in runs), default=0)
     if longest <= window:
-        raise DriveError(
+        what = (
             f"is too short for a label: its longest stretch without a gap has {longest} samples, "
-            f"a window of {window * drive.period:g} s needs {window + 1}",
-            where=drive.name,
-            advice="Use a shorter horizon.",
+            f"a window of {window * drive.period:g} s needs {window + 1}"
         )
+        raise DriveError(what, where=drive.name, advice="Use a shorter horizon.")
     starts = [np.arange(run.start, run.stop, stride) for run in runs[:-1]]
     starts.append(np.arange(runs[-1].start, runs[-1].stop - window, stride))
     return np.concatenate(starts).astype(np.int64)

@@ -184,9 +184,8 @@ def build_grid(features: FeatureSet, vehicle: Vehicle, region: Region, z: np.nda
             raise DriveError(f"no valid samples to take the range of {name} from")
         low, high = np.quantile(z[:, position], [0.001, 0.999])
         if not high - low > 1e-9 * max(abs(low), abs(high), 1e-300):
-            raise DriveError(
-                f"the feature {name} does not vary, it is {low:g}", advice="Leave it out of --features."
-            )
+            advice = "Leave it out of --features."
+            raise DriveError(f"the feature {name} does not vary, it is {low:g}", advice=advice)
         columns.append((float(high - low) / _CELLS_A_RANGE, -np.inf, np.inf))
     edges, lower, upper = zip(*columns, strict=True)
     return Grid(edges, lower, upper)

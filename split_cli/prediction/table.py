@@ -70,9 +70,8 @@ class TablePredictor(Predictor):
         super().__init__(training_set)
         width = len(training_set.features.names)
         if width != 3:
-            raise SetError(
-                f"a table needs three features, the set has {width}", advice="Use projected, or train with z2."
-            )
+            advice = "Use projected, or train with z2."
+            raise SetError(f"a table needs three features, the set has {width}", advice=advice)
         if not 0.0 < bound < 1.0:
             raise ValueError(f"bound is {bound!r}, it must lie between 0 and 1")
         self.bound, self.most = bound, most

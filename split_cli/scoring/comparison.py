@@ -168,7 +168,8 @@ def _rank_at(one: RunErrors) -> list[ModelScore]:
             )  # fmt: skip
         low, high = _ends(total[name][1:])
         scores.append(
-            ModelScore(name, one.horizon, tuple(states), float(total[name][0]), (float(low), float(high)),
-                       name == first)
-        )  # fmt: skip
+            ModelScore(
+                name, one.horizon, tuple(states), float(total[name][0]), (float(low), float(high)), name == first
+            )
+        )
     return scores

@@ -249,8 +249,9 @@ def _rivals(drive: Drive, labels: Labels) -> np.ndarray:
     first = np.concatenate([[0], change])[np.searchsorted(change, labels.row, side="right")]
     edges = [np.maximum(labels.row - back * window, first) for back in (-1, 0, 1, 2)]
     edges[0] = np.minimum(labels.row + window, len(drive) - 1)
-    columns = [drive[name][late] - drive[name][early]
-               for name in ("T", "delta") for late, early in pairwise(edges)]  # fmt: skip
+    columns = [
+        drive[name][late] - drive[name][early] for name in ("T", "delta") for late, early in pairwise(edges)
+    ]
     speed = drive["vx"][labels.row]
     rivals: np.ndarray = np.nan_to_num(np.stack([*columns, speed, speed**2], axis=1))
     return rivals

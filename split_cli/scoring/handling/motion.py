@@ -114,9 +114,7 @@ def free_run(
     period = window * drive.period
     vx, vy, r = (path[:, :, k] for k in range(3))
     rate = [np.gradient(one, period, axis=1) for one in (vx, vy)]
-    columns = {
-        "vx": vx, "vy": vy, "r": r, "ax": rate[0] - vy * r, "ay": rate[1] + vx * r,
-    }  # fmt: skip
+    columns = {"vx": vx, "vy": vy, "r": r, "ax": rate[0] - vy * r, "ay": rate[1] + vx * r}
     columns = {name: values.ravel() for name, values in columns.items()}
     columns |= {name: drive[name][rows] for name in ("t", "T", "delta")} | {"s": distance(drive)[rows]}
     segment = np.repeat(np.arange(len(starts), dtype=np.int32), steps + 1)

@@ -60,8 +60,9 @@ def steering_response(drive: Drive, minimum_speed: float = 0.0) -> SteeringRespo
             part = slice(begin, begin + length)
             if drive["vx"][part].min() < minimum_speed:
                 continue
-            steer, yaw = (np.fft.rfft(window * (drive[name][part] - drive[name][part].mean()))
-                          for name in ("delta", "r"))  # fmt: skip
+            steer, yaw = (
+                np.fft.rfft(window * (drive[name][part] - drive[name][part].mean())) for name in ("delta", "r")
+            )
             power_in, power_out = power_in + np.abs(steer) ** 2, power_out + np.abs(yaw) ** 2
             cross = cross + np.conj(steer) * yaw
             count += 1
