@@ -54,7 +54,7 @@ def _small_terms(vehicle: Vehicle, lap_length: float) -> list[Term]:
         "sensor_lever_arm": [{"dx": 0.03 * vehicle.wheelbase}],
         "sensor_misalignment": [{"angle": 0.003}],
         "sensor_delay": [{"delay": 0.01}],
-    }  # fmt: skip
+    }
     small = [CATALOGUE[term](parameters) for term, several in steps.items() for parameters in several]
     for wind in ({"wx": speed / 6, "wy": 0.0}, {"wx": 0.0, "wy": speed / 6}):
         small.append(CATALOGUE["wind"](wind, "side"))
@@ -76,9 +76,10 @@ def _large_terms(vehicle: Vehicle) -> list[Term]:
 
     With them a regression can say of a large effect what a fit of the term itself would.
     """
-    scales = [CATALOGUE["friction_scale"]({"scale": scale}, variant) for scale, variant in (
-        (0.8, ""), (0.95, "curve"), (0.8, "curve"),
-    )]  # fmt: skip
+    scales = [
+        CATALOGUE["friction_scale"]({"scale": scale}, variant)
+        for scale, variant in ((0.8, ""), (0.95, "curve"), (0.8, "curve"))
+    ]
     fades = [
         CATALOGUE["grip_fade"]({"final_loss": loss, "tau": tau}, variant)
         for tau in (3.0, 20.0, 60.0)

@@ -32,9 +32,7 @@ class Regression:
 
 def build_regression(real: Drive, sim: Drive | None, vehicle: Vehicle) -> Regression:
     """Return what the baselines work on."""
-    noise = np.array([
-        np.sqrt(2.0) * difference_noise(real[name], [(0, len(real))]) for name in ("vx", "vy", "r")
-    ])  # fmt: skip
+    noise = np.array([np.sqrt(2.0) * difference_noise(real[name], [(0, len(real))]) for name in ("vx", "vy", "r")])
     columns, lap = _with_place(real)
     library = build_library(columns, vehicle, lap, noise)
     error = window_errors(columns, vehicle, ())

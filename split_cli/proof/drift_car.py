@@ -29,9 +29,8 @@ def load_drift_car(number: int = 2) -> MultiBody:
     try:
         from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
     except ImportError as error:
-        raise SplitError(
-            "this commonroad-vehicle-models has no drift model", advice="pip install -U 'split-cli[proof]'"
-        ) from error
+        advice = "pip install -U 'split-cli[proof]'"
+        raise SplitError("this commonroad-vehicle-models has no drift model", advice=advice) from error
 
     def derivative(x, u, p) -> list[float]:
         """Return rates in the places of the multi-body car's state; the model's own are speed and slip angle."""

@@ -56,9 +56,10 @@ def _combined_slip(rng, world):
     return Concealed(
         "combined_slip",
         lambda w, size: _tires(w, strength(size)),
-        0.5, 1.0,
+        0.5,
+        1.0,
         neutral=lambda w: _tires(w, strength(0.0)),
-    )  # fmt: skip
+    )
 
 
 def _friction_scale(rng, world):
@@ -66,8 +67,9 @@ def _friction_scale(rng, world):
     return Concealed(
         "friction_scale",
         lambda w, size: replace(w, road=replace(w.road, friction=np.array([1.0 + sign * size]))),
-        0.15, 0.6,
-    )  # fmt: skip
+        0.15,
+        0.6,
+    )
 
 
 def _stretch(rng, world: ProofWorld, least: float, most: float) -> tuple[float, float]:
@@ -116,18 +118,20 @@ def _tire_relaxation(rng, world):
     return Concealed(
         "tire_relaxation",
         lambda w, size: _tires(w, length(least + size)),
-        0.2 * world.car.wheelbase / 2.7, 3.0 * world.car.wheelbase / 2.7,
+        0.2 * world.car.wheelbase / 2.7,
+        3.0 * world.car.wheelbase / 2.7,
         neutral=lambda w: _tires(w, length(least)),
-    )  # fmt: skip
+    )
 
 
 def _load_transfer(rng, world):
     return Concealed(
         "load_transfer",
         lambda w, size: _car(w, pitch_transfer=size / w.car.cg_height),
-        0.2 * world.car.wheelbase, 0.45 * world.car.wheelbase,
+        0.2 * world.car.wheelbase,
+        0.45 * world.car.wheelbase,
         neutral=lambda w: _car(w, pitch_transfer=0.0),
-    )  # fmt: skip
+    )
 
 
 def _tire_stiffness(rng, world):
@@ -246,9 +250,8 @@ def _drive_lag(rng, world):
 
 def _drive_delay(rng, world):
     return Concealed(
-        "drive_delay",
-        lambda w, size: _car(w, drive_delay=size), 0.05, 0.5, known=lambda w, size: {"delay": size},
-    )  # fmt: skip
+        "drive_delay", lambda w, size: _car(w, drive_delay=size), 0.05, 0.5, known=lambda w, size: {"delay": size}
+    )
 
 
 def _rolling_resistance(rng, world):

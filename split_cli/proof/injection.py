@@ -148,9 +148,8 @@ def require_known(names: Iterable[str], known: Collection[str]) -> None:
     """Raise SplitError, listing those there are, if a name is no fault."""
     for name in names:
         if name not in known:
-            raise SplitError(
-                f"no fault is called {name!r}", where="--faults", advice=f"There are {', '.join(known)}."
-            )
+            advice = f"There are {', '.join(known)}."
+            raise SplitError(f"no fault is called {name!r}", where="--faults", advice=advice)
 
 
 def inject(drive: Drive, fault: InjectedFault, vehicle: Vehicle | None = None) -> Drive:

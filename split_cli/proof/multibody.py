@@ -60,9 +60,8 @@ def load_car(number: int = 2) -> MultiBody:
         from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
         from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
     except ImportError as error:
-        raise SplitError(
-            "commonroad-vehicle-models is not installed", advice="pip install 'split-cli[proof]'"
-        ) from error
+        advice = "pip install 'split-cli[proof]'"
+        raise SplitError("commonroad-vehicle-models is not installed", advice=advice) from error
     return MultiBody(
         _plain(setup_vehicle_parameters(vehicle_id=number)),
         vehicle_dynamics_mb,

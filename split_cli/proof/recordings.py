@@ -102,6 +102,4 @@ def record(
 def noise_of(car_name: str) -> np.ndarray:
     """Return the noise of the measured channels, shape (8,): standard deviations, SI."""
     state, inertial = sensors_of(car_name)[:2]
-    return np.array([
-        (inertial if c in ("ax", "ay") else state).channels[c].noise for c in _MEASURED
-    ])  # fmt: skip
+    return np.array([(inertial if c in ("ax", "ay") else state).channels[c].noise for c in _MEASURED])

@@ -108,9 +108,8 @@ def check_seal(root: Path) -> Seal:
     """
     path = root / "seal.json"
     if not path.exists():
-        raise SplitError(
-            "has no seal", where=str(root), advice="`split prove generate` was not finished: run it again."
-        )
+        advice = "`split prove generate` was not finished: run it again."
+        raise SplitError("has no seal", where=str(root), advice=advice)
     content = json.loads(path.read_text())
     listed = content.pop("files")
     seal = Seal(**content)
@@ -118,9 +117,8 @@ def check_seal(root: Path) -> Seal:
         raise SplitError("the list of sealed files does not fit its hash", where=str(path))
     present = {p.name for p in (root / "sealed").glob("*") if p.suffix in (".json", ".npz")}
     for name in sorted(present ^ set(listed)):
-        raise SplitError(
-            "was added after sealing" if name in present else "is gone", where=str(root / "sealed" / name)
-        )
+        what = "was added after sealing" if name in present else "is gone"
+        raise SplitError(what, where=str(root / "sealed" / name))
     for name, digest in listed.items():
         if sha256_of_file(root / "sealed" / name) != digest:
             raise SplitError("was changed after sealing", where=str(root / "sealed" / name))

@@ -110,9 +110,8 @@ def _gusts(rng, world):
 
     pace = (car.wheelbase / 2.7) ** 0.5
     return Concealed(
-        "gusts", blow, 6.0 * pace, 30.0 * pace,
-        neutral=lambda w: replace(w, car=replace(w.car, side_area=side)),
-    )  # fmt: skip
+        "gusts", blow, 6.0 * pace, 30.0 * pace, neutral=lambda w: replace(w, car=replace(w.car, side_area=side))
+    )
 
 
 def _steer_rate(rng, world):

@@ -44,7 +44,7 @@ def gap_series(evidence: Evidence, compared: np.ndarray, forces: np.ndarray, rem
     point = features(series, evidence.vehicle)[at]
     return GapSeries(
         series.name, series.drive["t"][at], series.s[at], at, *position, point, compared, forces[at], remainder[at]
-    )  # fmt: skip
+    )
 
 
 def variables(evidence: Evidence) -> dict[str, np.ndarray]:

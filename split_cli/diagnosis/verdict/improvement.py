@@ -158,9 +158,7 @@ def _bootstrap(squared: Mapping[str, np.ndarray], floor: np.ndarray, block: np.n
     removed = {}
     for name in ("physics", "split_only", "after"):
         share = improvable_removed(whole["before"], whole[name], level)
-        drawn = np.array([
-            improvable_removed(*row) for row in zip(rms["before"], rms[name], noise, strict=True)
-        ])  # fmt: skip
+        drawn = np.array([improvable_removed(*row) for row in zip(rms["before"], rms[name], noise, strict=True)])
         drawn = drawn[np.isfinite(drawn)]
         known = math.isfinite(share) and len(drawn) > _MOSTLY * _BOOTSTRAPS
         removed[name] = (share, *np.minimum(interval(drawn, share), 1.0).tolist()) if known else None
