@@ -25,9 +25,10 @@ def test_the_vehicle_file_of_the_docs_is_a_vehicle_with_a_working_effect():
     car = vehicle_from_mapping(content)
     plain = SingleTrack(car, terms=())
     # 0.08 N/(m/s)^2 of added drag at 30 m/s on 1500 kg.
-    loss = plain.velocity_derivative(30.0, 0.0, 0.0, 0.0, 0.0)[0] - SingleTrack(car).velocity_derivative(
-        30.0, 0.0, 0.0, 0.0, 0.0
-    )[0]  # fmt: skip
+    loss = (
+        plain.velocity_derivative(30.0, 0.0, 0.0, 0.0, 0.0)[0]
+        - SingleTrack(car).velocity_derivative(30.0, 0.0, 0.0, 0.0, 0.0)[0]
+    )
     assert loss == pytest.approx(0.08 * 900.0 / 1500.0)
 
 

@@ -286,8 +286,9 @@ def casadi_full(stream: Stream, compiler: Compiler) -> Row:
         times = each(call, list(stream.queries))
         size = (Path(scratch) / "full.c").stat().st_size / 1e6
     name = "full GP, CasADi's C, mean and Jacobian"
-    return Row(name, len(stream.z), s.size, None, None, None, None, None, *times,
-               megabytes=size, compile_s=seconds)  # fmt: skip
+    return Row(
+        name, len(stream.z), s.size, None, None, None, None, None, *times, megabytes=size, compile_s=seconds
+    )
 
 
 def measure(

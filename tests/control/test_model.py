@@ -191,8 +191,9 @@ def test_braking_moves_the_peak_from_the_rear_axle_to_the_front_one():
     alpha, slope = slip_limit(limits, rolling(CAR, torque), grip, shift)
     whole = torque / CAR.wheel_radius - CAR.rolling_resistance_front - CAR.rolling_resistance_rear
     moved = whole * CAR.cg_height / CAR.wheelbase
-    for axle, (tire, load, sign) in enumerate(((CAR.front_tire, CAR.static_load_front, -1.0),
-                                               (CAR.rear_tire, CAR.static_load_rear, 1.0))):  # fmt: skip
+    for axle, (tire, load, sign) in enumerate(
+        ((CAR.front_tire, CAR.static_load_front, -1.0), (CAR.rear_tire, CAR.static_load_rear, 1.0))
+    ):
         kappa = np.where(torque < 0, CAR.brake_split_front, CAR.drive_split_front)
         kappa = kappa if axle == 0 else 1.0 - kappa
         resistance = (CAR.rolling_resistance_front, CAR.rolling_resistance_rear)[axle]

@@ -58,8 +58,9 @@ def test_a_wrong_function_is_refused(small_set):
     oracle = oracle_of(small_set, 500)
     with pytest.raises(ExportError, match="mean is"):
         check_casadi(CasadiFunctions(bent, None), oracle, None)
-    heavier = build_nominal(SingleTrack(type(small_set.vehicle)(**{**vars(small_set.vehicle), "mass": 1500.1})),
-                            small_set.features)  # fmt: skip
+    heavier = build_nominal(
+        SingleTrack(type(small_set.vehicle)(**{**vars(small_set.vehicle), "mass": 1500.1})), small_set.features
+    )
     wrong = model_step(functions.predict, heavier, "wrong")
     steps = make_step_oracle(graph, small_set, oracle.reference)
     with pytest.raises(ExportError, match="step"):

@@ -101,6 +101,7 @@ def test_the_command_trains_appends_and_refuses(tmp_path):
     assert run("train", tmp_path / "d1.parquet", "--vehicle", car_path, "--append", "-o", set_path).exit_code == 0
     trained = read_set(set_path)
     assert trained.learner == "iol" and trained.size == 50 and len(trained.sources) == 2
-    told = run("train", tmp_path / "d1.parquet", "--vehicle", car_path, "--append", "--learner", "split",
-               "-o", set_path)  # fmt: skip
+    told = run(
+        "train", tmp_path / "d1.parquet", "--vehicle", car_path, "--append", "--learner", "split", "-o", set_path
+    )
     assert told.exit_code != 0

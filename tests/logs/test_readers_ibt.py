@@ -29,8 +29,9 @@ def write(path, columns, promised=None):
         listed += variable(name.encode(), values.dtype, table.fields[name][1], count, unit.encode(), as_time)
     info = b"---\nWeekendInfo:\n"
     place, data = 144, 144 + len(listed) + len(info)
-    head = struct.pack("<10i2x2x4x", 2, 1, RATE, 0, len(info), 144 + len(listed), len(columns), place, 1,
-                       table.itemsize) + struct.pack("<ii8x", 0, data)  # fmt: skip
+    head = struct.pack(
+        "<10i2x2x4x", 2, 1, RATE, 0, len(info), 144 + len(listed), len(columns), place, 1, table.itemsize
+    ) + struct.pack("<ii8x", 0, data)
     disk = struct.pack("<qddii", 1_700_000_000, 0.0, 1.0, 1, len(rows) if promised is None else promised)
     path.write_bytes(head.ljust(112, b"\0") + disk + listed + info + rows.tobytes())
 

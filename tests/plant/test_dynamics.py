@@ -66,9 +66,10 @@ def test_steady_cornering_at_small_lateral_acceleration_is_the_bicycle_model(car
     # r/delta = v/(L + K v^2), K = m/L (l_r/C_f - l_f/C_r); beta from the rear axle's slip angle.
     car = plain(car, drag_area=0.0, side_area=0.0, downforce_area_front=0.0, downforce_area_rear=0.0)
     car = replace(
-        car, front_tire=replace(car.front_tire, rolling_resistance=0.0),
+        car,
+        front_tire=replace(car.front_tire, rolling_resistance=0.0),
         rear_tire=replace(car.rear_tire, rolling_resistance=0.0),
-    )  # fmt: skip
+    )
     stiff_front = axle_stiffness(car.front_tire, car.static_load_front)
     stiff_rear = axle_stiffness(car.rear_tire, car.static_load_rear)
     speed = 18.0 * np.sqrt(car.wheelbase / 2.7)

@@ -51,7 +51,7 @@ FELT = {
     "torque_bend": ("bend=0.3", "bend=0"),
     "torque_steer": ("angle=0.05", "angle=0"),
     "brake_fade": ("loss=0.5", "loss=0"),
-}  # fmt: skip
+}
 
 
 def simulated(folder, *effects, settings=QUICK):

@@ -70,9 +70,10 @@ def rows(folder: Path, planted: support.Planted) -> Iterator[Kind]:
     columns.write_text(json.dumps({"time": times, "vx [km/h]": [*planted.vx, *planted.vy]}))
     yield "json columns", columns, read_recording
     channels = folder / "channels.json"
-    told = [{"name": name, "unit": unit, "frequency": 50, "data": [*values]} for name, unit, values in (
-        ("vx", "km/h", planted.vx), ("r", "deg/s", planted.r),
-    )]  # fmt: skip
+    told = [
+        {"name": name, "unit": unit, "frequency": 50, "data": [*values]}
+        for name, unit, values in (("vx", "km/h", planted.vx), ("r", "deg/s", planted.r))
+    ]
     channels.write_text(json.dumps({"session": "FP1", "channels": told}))
     yield "json channels", channels, read_recording
     named = [(0.01 * k, name, v) for k in range(count) for name, v in (("vx", planted.vx[k]), ("r", planted.r[k]))]
@@ -162,11 +163,12 @@ def frames(folder: Path) -> Iterator[Kind]:
     titles = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
     savvy = folder / "savvycan.csv"
     savvy.write_text(
-        titles + "".join(
+        titles
+        + "".join(
             f"{10_000 * k},00000101,false,Rx,0,{len(data)},{','.join(f'{byte:02X}' for byte in data)},\n"
             for k, data in enumerate(payloads)
         )
-    )  # fmt: skip
+    )
     yield "can savvycan", savvy, read
     cabana = folder / "cabana.csv"
     cabana.write_text(

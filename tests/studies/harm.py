@@ -31,7 +31,7 @@ from tests.foreign.natural import (
     autorally_drive,
     dart_drive,
     kth_drive,
-)  # fmt: skip
+)
 
 PARTS = ("recordings", "fresh", "natural", "dirt")
 #: (Trained on, judged on) by the title in `results_tables.CASES`; one name twice stands for the halves of a drive.

@@ -242,7 +242,7 @@ YAML_BOMBS = {
     "date": "name: 2023-02-31\n",
     "deep": "a: " + "[" * 5000 + "]" * 5000 + "\n",
     "size": "name: |\n" + "  x\n" * 2_000_000,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", YAML_BOMBS)

@@ -87,7 +87,7 @@ EXAMPLES = {
     ("channel_delay", "velocity"): {"vx": 0.04, "vy": 0.05},
     ("channel_delay", "ax"): {"ax": 0.04},
     ("channel_delay", "ay"): {"ay": 0.04},
-}  # fmt: skip
+}
 ONE_SIDED = {"steer_offset", "road_bank", "wind"}
 
 

@@ -22,9 +22,9 @@ def again(tmp_path, written):
     return convert_parameters([path])
 
 
-@pytest.mark.parametrize(("kind", "read_as"), [
-    ("f1tenth", "F1TENTH"), ("forzaeth", "ForzaETH"), ("commonroad", "CommonRoad"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "read_as"), [("f1tenth", "F1TENTH"), ("forzaeth", "ForzaETH"), ("commonroad", "CommonRoad")]
+)
 def test_mass_geometry_and_stiffness_come_back(tmp_path, kind, read_as):
     car = road_car()
     written = foreign_parameters(car, kind)
