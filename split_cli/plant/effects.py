@@ -36,13 +36,19 @@ class Bounds:
     default: float | None = None
 
 
+_Apply = Callable[[Setting, Mapping[str, float]], Setting]
+"""(setting, values) -> setting with the effect."""
+_Change = Callable[[CarParameters, Mapping[str, float]], float]
+"""(car, values) -> value of a field."""
+
+
 @dataclass(frozen=True)
 class EffectKind:
     """An effect that can be asked for."""
 
     about: str  # what the car, road or sensors then have
     parameters: Mapping[str, Bounds]
-    apply: Callable[[Setting, Mapping[str, float]], Setting]  # (setting, values) -> setting with the effect
+    apply: _Apply
 
 
 @dataclass(frozen=True)
@@ -109,31 +115,31 @@ def apply_effects(setting: Setting, effects: tuple[Effect, ...]) -> Setting:
     return setting
 
 
-def _car(**change: Callable[[CarParameters, Mapping[str, float]], float]):
-    """Return an `apply` that replaces fields of the car."""
+def _changed(part: str, fixed: Mapping[str, bool], change: Mapping[str, _Change]) -> _Apply:
+    """Return an `apply` that replaces fields of a part of the setting."""
 
     def apply(setting: Setting, v: Mapping[str, float]) -> Setting:
         changed = {name: value(setting.car, v) for name, value in change.items()}
-        return replace(setting, car=replace(setting.car, **changed))
+        return replace(setting, **{part: replace(getattr(setting, part), **fixed, **changed)})
 
     return apply
 
 
-def _tires(change: Callable[[TireParameters, CarParameters, Mapping[str, float], str], TireParameters]):
+def _car(**change: _Change) -> _Apply:
+    return _changed("car", {}, change)
+
+
+def _fault(**change: _Change) -> _Apply:
+    return _changed("faults", {"active": True}, change)
+
+
+def _tires(change: Callable[[TireParameters, CarParameters, Mapping[str, float], str], TireParameters]) -> _Apply:
     """Return an `apply` that changes the tyres of both axles."""
 
     def apply(setting: Setting, v: Mapping[str, float]) -> Setting:
         car = setting.car
         front, rear = (change(getattr(car, f"{axle}_tire"), car, v, axle) for axle in ("front", "rear"))
         return replace(setting, car=replace(car, front_tire=front, rear_tire=rear))
-
-    return apply
-
-
-def _fault(**change: Callable[[CarParameters, Mapping[str, float]], float]):
-    def apply(setting: Setting, v: Mapping[str, float]) -> Setting:
-        changed = {name: value(setting.car, v) for name, value in change.items()}
-        return replace(setting, faults=replace(setting.faults, active=True, **changed))
 
     return apply
 
@@ -163,7 +169,7 @@ def _patch(setting: Setting, v: Mapping[str, float]) -> Setting:
     return _along_lap(setting, friction=lambda old, s: old * (1.0 + (v["scale"] - 1.0) * _inside(s, v, lap)))
 
 
-def _incline(axis: str):
+def _incline(axis: str) -> _Apply:
     def apply(setting: Setting, v: Mapping[str, float]) -> Setting:
         waves = 2.0 * np.pi * v["waves"] / max(setting.lap_length, 1.0)
         return _along_lap(setting, **{axis: lambda old, s: old + v["amplitude"] * np.sin(waves * s + v["phase"])})

@@ -5,14 +5,13 @@ Every test takes an intensity, the share of the car's grip it asks for: 0.35 is 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from split_cli.errors import SplitError, nearest_names
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.drivers import DRIVER_STYLES, Grip, grip_of
-from split_cli.plant.faults import SOUND, Faults
-from split_cli.plant.road import Road
 from split_cli.plant.simulation import CONTROL_PERIOD, Script, Trajectory, drive_script
 from split_cli.plant.tracks import Track, circle
 
@@ -58,6 +57,17 @@ class _ManeuverCar:
             self.grip.slip_difference,
         )
         return float(np.sign(lateral) * (np.arctan(self.car.wheelbase * abs(lateral) / speed**2) + extra))
+
+    def most_torque(self, share: float = 1.0, *, braking: bool = False) -> float:
+        """Return the size of the wheel torque that asks for a share of the intensity, at most the car's [N m]."""
+        grip = self.grip.braking if braking else self.grip.driving
+        limit = self.car.max_brake_torque if braking else self.car.max_torque
+        return min(limit, share * self.intensity * grip * self.car.mass * self.car.wheel_radius)
+
+    def turn(self, share: float) -> tuple[Track, float]:
+        """Return a circle and the speed at which it asks for a share of the intensity [m/s]."""
+        radius = 60.0 * self.car.wheelbase / 2.7
+        return circle(radius), float(np.sqrt(share * self.intensity * self.grip.lateral * radius))
 
 
 def _free(clock: np.ndarray) -> np.ndarray:
@@ -117,8 +127,7 @@ def _constant_radius_right(setting: _ManeuverCar) -> Maneuver:
 def _throttle_steps(setting: _ManeuverCar) -> Maneuver:
     """Steps of driving torque with lift-offs between, straight ahead."""
     clock = setting.clock(30.0)
-    most = min(setting.car.max_torque, setting.intensity * setting.grip.driving * setting.car.mass
-               * setting.car.wheel_radius)  # fmt: skip
+    most = setting.most_torque()
     torque = _steps(clock, (0.5 * most, 0, 0.9 * most, 0, 0.35 * most, 0.7 * most), 0.1 * setting.pace)
     return Maneuver("throttle_steps", Script(torque, np.zeros(len(clock)), _free(clock)), setting.speed(10.0))
 
@@ -126,8 +135,7 @@ def _throttle_steps(setting: _ManeuverCar) -> Maneuver:
 def _brake_steps(setting: _ManeuverCar) -> Maneuver:
     """Steps of braking torque with rolling between, straight ahead."""
     clock = setting.clock(24.0)
-    most = min(setting.car.max_brake_torque, setting.intensity * setting.grip.braking * setting.car.mass
-               * setting.car.wheel_radius)  # fmt: skip
+    most = setting.most_torque(braking=True)
     torque = _steps(clock, (0, -0.25 * most, 0, -0.5 * most, 0, -0.9 * most), 0.1 * setting.pace)
     return Maneuver("brake_steps", Script(torque, np.zeros(len(clock)), _free(clock)), setting.speed(36.0))
 
@@ -141,48 +149,36 @@ def _coast_down(setting: _ManeuverCar) -> Maneuver:
 
 def _brake_in_turn(setting: _ManeuverCar) -> Maneuver:
     """A steady turn, then the brakes with the wheel held (ISO 7975)."""
-    radius = 60.0 * setting.car.wheelbase / 2.7
+    track, speed = setting.turn(0.7)
     clock = setting.clock(12.0)
-    speed = np.sqrt(0.7 * setting.intensity * setting.grip.lateral * radius)
     braking = clock >= 7.0 * setting.pace
-    torque = _free(clock)
-    steer = _free(clock)
-    most = min(setting.car.max_brake_torque, 0.7 * setting.intensity * setting.grip.braking
-               * setting.car.mass * setting.car.wheel_radius)  # fmt: skip
+    torque, steer = _free(clock), _free(clock)
+    most = setting.most_torque(0.7, braking=True)
     ramp = np.clip((clock - 7.0 * setting.pace) / (0.3 * setting.pace), 0.0, 1.0)
     torque[braking] = -most * ramp[braking]
     steer[braking] = np.inf
-    return Maneuver(
-        "brake_in_turn", Script(torque, steer, np.full(len(clock), speed)), float(speed), circle(radius)
-    )
+    return Maneuver("brake_in_turn", Script(torque, steer, np.full(len(clock), speed)), speed, track)
 
 
 def _throttle_in_turn(setting: _ManeuverCar) -> Maneuver:
     """A steady turn, then power on and lift-off in turn with the wheel held (ISO 9816)."""
-    radius = 60.0 * setting.car.wheelbase / 2.7
+    track, speed = setting.turn(0.6)
     clock = setting.clock(16.0)
-    speed = np.sqrt(0.6 * setting.intensity * setting.grip.lateral * radius)
     held = clock >= 7.0 * setting.pace
-    most = min(setting.car.max_torque, 0.5 * setting.intensity * setting.grip.driving * setting.car.mass
-               * setting.car.wheel_radius)  # fmt: skip
+    most = setting.most_torque(0.5)
     torque, steer = _free(clock), _free(clock)
     torque[held] = _steps(clock[held] - clock[held][0], (0.8 * most, 0.0, 0.8 * most, 0.0), 0.15 * setting.pace)
     steer[held] = np.inf
-    script = Script(torque, steer, np.full(len(clock), speed))
-    return Maneuver("throttle_in_turn", script, float(speed), circle(radius))
+    return Maneuver("throttle_in_turn", Script(torque, steer, np.full(len(clock), speed)), speed, track)
 
 
 _BUILDERS: dict[str, Callable[[_ManeuverCar], Maneuver]] = {
-    "step_steer": _step_steer,
-    "sine_sweep": _sine_sweep,
-    "constant_radius": _constant_radius,
-    "constant_radius_right": _constant_radius_right,
-    "throttle_steps": _throttle_steps,
-    "brake_steps": _brake_steps,
-    "coast_down": _coast_down,
-    "brake_in_turn": _brake_in_turn,
-    "throttle_in_turn": _throttle_in_turn,
-}
+    build.__name__.removeprefix("_"): build
+    for build in (
+        _step_steer, _sine_sweep, _constant_radius, _constant_radius_right, _throttle_steps, _brake_steps,
+        _coast_down, _brake_in_turn, _throttle_in_turn,
+    )
+}  # fmt: skip
 MANEUVER_NAMES = tuple(_BUILDERS)
 
 
@@ -210,30 +206,13 @@ def build_maneuver(name: str, car: CarParameters, intensity: float = 0.35) -> Ma
     return _BUILDERS[name](_ManeuverCar(car, grip_of(car), intensity, float(np.sqrt(car.wheelbase / 2.7))))
 
 
-def run_maneuver(
-    car: CarParameters,
-    maneuver: Maneuver,
-    *,
-    seed: int = 0,
-    road: Road | None = None,
-    faults: Faults = SOUND,
-    sample_period: float = 2e-3,
-) -> Trajectory:
-    """Drive a test.
+def run_maneuver(car: CarParameters, maneuver: Maneuver, **circumstances: Any) -> Trajectory:
+    """Drive a test; `circumstances` are seed, road, faults and sample period of `drive_script`.
 
     Raises
     ------
     SplitError
         If the car left its circle or spun.
     """
-    return drive_script(
-        car,
-        maneuver.script,
-        DRIVER_STYLES["smooth"],
-        speed=maneuver.speed,
-        track=maneuver.track,
-        seed=seed,
-        road=road,
-        faults=faults,
-        sample_period=sample_period,
-    )
+    calm = DRIVER_STYLES["smooth"]
+    return drive_script(car, maneuver.script, calm, speed=maneuver.speed, track=maneuver.track, **circumstances)
