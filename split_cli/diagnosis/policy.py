@@ -109,12 +109,6 @@ class SelectionRules:
     full_fits: int = number(
         9, "fits", "candidates that are fitted fully in each step", JUDGEMENT + "computing time"
     )
-    followed: int = number(
-        5,
-        "fits",
-        "best candidates in which the shared model discrepancy follows the inputs they change",
-        JUDGEMENT + "computing time",
-    )
     form_error_across: float = number(
         0.07, "1", "model-form error over the size of the chosen terms, where they hardly act", CHOSEN
     )

@@ -25,7 +25,6 @@ KINDS = {
     "effort": (
         "selection.few_names",
         "selection.full_fits",
-        "selection.followed",
         "selection.considered",
         "selection.rounds",
         "selection.swaps",

@@ -53,8 +53,9 @@ def against_itself(simulation: Drive, reality: Drive) -> SelfTest:
         build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
     )
     case = gather_case(car, [real, sim])
+    candidates = build_candidates(car, real)
     return self_test(
-        case.graded, case.discrepancy, build_candidates(car, real), variance_inflation=1.5, reach=0.35
+        case.graded, case.discrepancy, candidates, variance_inflation=1.5, reach=0.35, posterior=case.posterior
     )
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
@@ -83,26 +83,6 @@ def test_promises_beside_another_term_are_close_to_fits(objective, explore, curr
     best = explore(current)[0]
     assert label(best) == "yaw_inertia" and current.cost - best.cost > 100.0
     assert np.all(np.diff([fit.cost for fit in explore(current)][:2]) > 0.0)
-
-
-def test_what_looks_like_the_best_and_alters_inputs_is_followed_as_it_was(objective):
-    names = ("steer_lag", "steer_delay", "sensor_delay", "steer_backlash", "yaw_inertia", "aero_drag")
-    candidates = {one.term: one for one in candidates_of(objective, *names)}
-    count = objective.discrepancy.columns(objective.evidence[0].series).shape[2]
-    taught = replace(objective, posterior=DiscrepancyPosterior(np.zeros(count), np.eye(count)), memo={})
-    fits = {
-        name: fit_parts(objective, [Part(one, dict(one.starts[0]))])
-        for name, one in candidates.items()
-        if name in ("steer_lag", "steer_delay", "aero_drag")
-    }
-    lag, delay, drag = (fits[name] for name in ("steer_lag", "steer_delay", "aero_drag"))
-    explore = Explorer(taught, tuple(candidates.values()), VARIANCE_INFLATION)
-    # An inertia looks like a lag too, but alters no input; a play declares to look like a delay alone.
-    assert {label(fit) for fit in explore._relatives([lag, drag], [lag])} == {"steer_delay", "sensor_delay"}
-    assert {label(fit) for fit in explore._relatives([lag, delay], [lag, delay])} == {"sensor_delay"}
-    # Where nothing is common, or the best term leaves the inputs alone, none is held back.
-    assert explore._relatives([drag, lag], [drag]) == [] == explore._relatives([], [])
-    assert Explorer(objective, explore.candidates, VARIANCE_INFLATION)._relatives([lag], [lag]) == []
 
 
 def test_a_relative_starts_where_it_is_as_large(objective):

@@ -127,7 +127,7 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
 
     monkeypatch.setattr("split_cli.workflows.diagnose.handing_out", noting)
     # What travels is asked for here, not what a long search finds.
-    short = STANDARD.altered("selection", full_fits=3, followed=2, rounds=2)
+    short = STANDARD.altered("selection", full_fits=3, rounds=2)
     monkeypatch.setattr("split_cli.workflows.diagnose.diagnose", partial(diagnose, policy=short))
     for name, way in ways(address).items():
         told[name] = json.loads(run("diagnose", *given, "--out", tmp_path / name, "--json", *way))

@@ -211,7 +211,7 @@ class MarginalLikelihood:
     def shift(self, terms: Sequence[Term]) -> np.ndarray:
         """Return how the shared discrepancy's rows change where terms alter inputs or sensors, shape (R,).
 
-        Zero unless one of them does; it is costly and taken as constant while parameters move a little.
+        Zero unless one of them does.
         """
         altering = [term for term in terms if alters_inputs(term)]
         if self.posterior is None or not altering:
@@ -264,12 +264,8 @@ class MarginalLikelihood:
         return at(below) if share < 1e-9 else (1.0 - share) * at(below) + share * at(below + 1.0)
 
     def left_by(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return what terms leave while they are fitted, shape (R,).
-
-        With a fixed baseline the shared discrepancy follows them at every step; else it is moved along in between.
-        """
-        left = self.residual(terms)
-        return left - self.shift(terms) if self.fixed_baseline else left
+        """Return what terms leave, the shared discrepancy moved along with the inputs they alter, shape (R,)."""
+        return self.residual(terms) - self.shift(terms)
 
     def whiten(self, rows: np.ndarray) -> np.ndarray:
         """Return residuals from which the still free part of the shared discrepancy is taken out, shape as given.
@@ -282,7 +278,7 @@ class MarginalLikelihood:
 
     def cost(self, terms: Sequence[Term]) -> float:
         """Return an explanation's cost in units of chi squared, the shared discrepancy moved along."""
-        residuals = self.whiten(self.residual(terms) - self.shift(terms))
+        residuals = self.whiten(self.left_by(terms))
         return float(residuals @ residuals)
 
     @property

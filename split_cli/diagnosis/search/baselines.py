@@ -220,7 +220,8 @@ def _known(
         case.kinematics,
         variance_inflation=policy.comparison.variance_inflation,
         reach=reach,
-        posterior=case.posterior if fixed_baseline else None,
+        posterior=case.posterior,
+        fixed_baseline=fixed_baseline,
         policy=policy,
     )
 

@@ -92,7 +92,8 @@ def self_test(
     *,
     variance_inflation: float,
     reach: float,
-    posterior: DiscrepancyPosterior | None = None,
+    posterior: DiscrepancyPosterior | None,
+    fixed_baseline: bool = False,
     policy: Policy = STANDARD,
 ) -> SelfTest:
     """Judge each half of a simulation by the other.
@@ -107,8 +108,10 @@ def self_test(
         Of the real recordings; nothing but their noise is taken.
     variance_inflation, reach : float
         As for reality.
-    posterior : DiscrepancyPosterior, optional
-        Of the whole simulation: then halves are taken as a fixed baseline.
+    posterior : DiscrepancyPosterior or None
+        Of the whole simulation: what terms would explain there, is moved along with the inputs they alter.
+    fixed_baseline : bool
+        Whether halves are taken as a fixed baseline.
 
     Notes
     -----
@@ -125,13 +128,11 @@ def self_test(
         if one.kind in scales
     )
     all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
-    objective = build_objective(
-        graded, posterior, discrepancy, all_rows, [one for _, one in positions], policy=policy
-    )
-    offers = _offers(objective.with_fixed_baseline() if posterior else objective, candidates)
+    objective = build_objective(graded, None, discrepancy, all_rows, [one for _, one in positions], policy=policy)
+    offers = _offers(replace(objective, posterior=posterior), candidates)
     rows = tuple(tuple(flexible_rows(one, discrepancy)) for one in graded)
     sides = _Sides(
-        tuple(graded), positions, rows, discrepancy, variance_inflation, reach, posterior is not None, policy
+        tuple(graded), positions, rows, discrepancy, variance_inflation, reach, fixed_baseline, policy
     )
     dealings = (_every_other_block(graded, policy), _first_half(graded))
     halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from split_cli.diagnosis.cache import give_back
-from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import apart_with, together
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
@@ -17,13 +17,11 @@ from split_cli.diagnosis.search.fitting import (
     Tangent,
     effect_everywhere,
     fit_parts,
-    refitted,
     scan_places,
     sensitivity_of,
     tangent,
 )
 from split_cli.diagnosis.search.form_error import free_to_form_error, saved_beside_form_error
-from split_cli.diagnosis.statement.separation import look_alike
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,8 @@ class Explorer:
     # they are asked for, so this decides memory and time; of a result, what forward differences leave open.
     # Judgement: an eighth of the gigabyte that a diagnosis may take.
     held: int = 2**27
-    # Explanations, the costs that were asked for, and fits beside each: to compare, and before they were followed.
-    _explored: list[tuple[Fit, float, list[Fit], list[Fit]]] = field(
+    # Explanations, the costs that were asked for, and fits beside each.
+    _explored: list[tuple[Fit, float, list[Fit]]] = field(
         default_factory=list, init=False, repr=False, compare=False
     )
 
@@ -57,17 +55,16 @@ class Explorer:
         Beside the few that promise most, only those are fitted that promise a cost below `worth`.
         """
         begun: dict[str, Fit] = {}
-        for known, as_much, fits, first in self._explored:
+        for known, as_much, fits in self._explored:
             close = abs(known.cost - current.cost) < self.rules.tie * self.variance_inflation
             if close and _labels(known) == _labels(current):
                 if as_much >= worth:
                     return fits
-                begun |= {fit.parts[-1].candidate.label: fit for fit in reversed(first)}
+                begun |= {fit.parts[-1].candidate.label: fit for fit in fits}
         starts = self._starts(current, worth=worth)
         found = self._fits(current, {label: several for label, several in starts.items() if label not in begun})
-        first = sorted([*begun.values(), *found], key=self.price)
-        fits = self._followed(first)
-        self._explored.append((current, worth, fits, first))
+        fits = _best_of_each(sorted([*begun.values(), *found], key=self.price))
+        self._explored.append((current, worth, fits))
         self._forget_oldest()
         give_back()
         return fits
@@ -79,8 +76,8 @@ class Explorer:
     def _forget_oldest(self) -> None:
         """Let go of explanations beyond what is held; what is still in use elsewhere, of its sensitivity."""
         held, seen, kept = 0, set(), 1
-        for number, (current, _, fits, first) in enumerate(reversed(self._explored), start=1):
-            for fit in {id(fit): fit for fit in (current, *fits, *first)}.values():
+        for number, (current, _, fits) in enumerate(reversed(self._explored), start=1):
+            for fit in {id(fit): fit for fit in (current, *fits)}.values():
                 held += 0 if id(fit) in seen else fit.residuals.nbytes + fit.sensitivity.nbytes
                 if held > self.held and id(fit) not in seen:
                     fit.forget()
@@ -96,7 +93,7 @@ class Explorer:
         known = {fit.parts[-1].candidate.label: fit for fit in self(current)}
         starts = self._starts(current, free_to_form_error(self.objective, current))
         fits = [known[label] for label in starts if label in known]
-        fits += self._followed(self._fits(current, {k: v for k, v in starts.items() if k not in known}))
+        fits += _best_of_each(self._fits(current, {k: v for k, v in starts.items() if k not in known}))
 
         def worth(fit: Fit) -> float:
             saved = saved_beside_form_error(self.objective, current, fit) / self.variance_inflation
@@ -171,42 +168,6 @@ class Explorer:
         fits = [fit for several in found for fit in several]
         return sorted((fit for fit in fits if not self.is_everywhere(fit.parts[-1])), key=self.price)
 
-    def _followed(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Return the best fit of each variant; in the first few the shared discrepancy follows what they alter."""
-        best: dict[str, Fit] = {}
-        for fit in fits:
-            best.setdefault(fit.parts[-1].candidate.label, fit)
-
-        # Only what may win is worth following with the shared discrepancy.
-        first, rest = list(best.values())[: self.rules.followed], list(best.values())[self.rules.followed :]
-        follows = self.objective.posterior is not None
-        altering = [k for k, fit in enumerate(first) if follows and any(map(alters_inputs, fit.terms))]
-        moved = apart_with(self.objective, refitted, [(first[k].parts, first[k]) for k in altering])
-        for k, fit in zip(altering, moved, strict=True):
-            first[k] = fit
-        found = sorted([*first, *rest], key=self.price)
-        relatives = {fit.parts[-1].candidate.label: fit for fit in self._relatives(found, first)}
-        others = [fit for fit in found if fit.parts[-1].candidate.label not in relatives]
-        return sorted([*others, *relatives.values()], key=self.price)
-
-    def _relatives(self, found: Sequence[Fit], followed: Sequence[Fit]) -> list[Fit]:
-        """Return what looks like the best term and alters inputs as it does, followed as it was.
-
-        With the shared discrepancy held, such a term may save nothing where it is large, and never be followed.
-        """
-        if not found or self.objective.posterior is None or not alters_inputs(found[0].parts[-1].term):
-            return []
-        *others, own = found[0].parts
-        done = {fit.parts[-1].candidate.label for fit in followed}
-        taken = {part.candidate.term for part in found[0].parts}
-        parts = [
-            Part(one, nearest_start(one, own))
-            for one in self.candidates
-            if one.label not in done and one.term not in taken and one.starts and look_alike(own.term.id, one.term)
-        ]
-        parts = [part for part in parts if alters_inputs(part.term)]
-        return apart_with(self.objective, refitted, [((*others, part), found[0]) for part in parts])
-
     def is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none, or a term is another one."""
         if part.candidate.is_another(part.values):
@@ -220,14 +181,21 @@ class Explorer:
 def _fitted(objective: MarginalLikelihood, asked: tuple[Fit, list[tuple[float, Tangent]]]) -> list[Fit]:
     """Return fits of the starts of one variant beside an explanation."""
     current, promises = asked
-    settled = int(any(alters_inputs(one.term) for one in current.parts))
     fits: list[Fit] = []
     for promised, line in promises:
         # Another start may have kept more than this one promises.
         if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
             parts = (*current.parts, line.part)
-            fits.append(fit_parts(objective, parts, refreshes=settled, known=current, lines=(line,)))
+            fits.append(fit_parts(objective, parts, known=current, lines=(line,)))
     return fits
+
+
+def _best_of_each(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the first fit of each variant, in their order."""
+    best: dict[str, Fit] = {}
+    for fit in fits:
+        best.setdefault(fit.parts[-1].candidate.label, fit)
+    return list(best.values())
 
 
 def nearest_start(candidate: Candidate, part: Part) -> dict[str, float]:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import apart_with
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.descent import Slopes, descend
@@ -16,7 +16,6 @@ from split_cli.vehicle.effects import Term
 
 _ITERATIONS = 12
 _JOINT_ITERATIONS = 6  # of all terms at once, to see which of them are needed
-_REFRESHES = 1
 _LEAST_GAIN = 0.02  # of a step [chi squared], below which a fit ends
 #: Share of a step's change of the residuals that derivatives may miss and still be followed to the next step.
 #: Judgement: nine drives of development keep their verdicts, names and sizes to 0.01 standard errors with it.
@@ -94,7 +93,6 @@ def fit_parts(
     objective: MarginalLikelihood,
     parts: Sequence[Part],
     *,
-    refreshes: int = _REFRESHES,
     known: Fit | None = None,
     lines: Sequence[Tangent] = (),
 ) -> Fit:
@@ -102,9 +100,6 @@ def fit_parts(
 
     Parameters
     ----------
-    refreshes : int
-        How often the shared discrepancy follows what the terms do to the inputs; 0 to leave it where the recording
-        puts it, for a first look at many candidates.
     known : Fit, optional
         On the same objective; the derivatives of parts that it shares with these serve the first step.
     lines : sequence of Tangent
@@ -113,15 +108,7 @@ def fit_parts(
     parts = tuple(parts)
     # What a place does has corners at its ends: no step there tells what the next one will do.
     lines = () if any(part.candidate.located for part in parts) else lines
-    follows = objective.posterior is not None and not objective.fixed_baseline
-    if not (follows and refreshes and any(alters_inputs(part.term) for part in parts)):
-        return _fit(objective, parts, np.zeros(len(objective.weight)), _ITERATIONS, known=known, lines=lines)
-    fit = _fit(
-        objective, parts, objective.shift([part.term for part in parts]), _ITERATIONS, known=known, lines=lines
-    )
-    for _ in range(refreshes):
-        fit = _fit(objective, fit.parts, objective.shift(fit.terms), _ITERATIONS, known=fit)
-    return fit
+    return _fit(objective, parts, _ITERATIONS, known=known, lines=lines)
 
 
 def refitted(objective: MarginalLikelihood, asked: tuple[Sequence[Part], Fit]) -> Fit:
@@ -161,9 +148,7 @@ def fit_with_prior(
             means.append(prior[name].mean / step if name in prior else 0.0)
             roots.append(step / prior[name].deviation if name in prior else 0.0)
     pulls = np.array(means), np.array(roots) ** 2
-    altering = not objective.fixed_baseline and any(alters_inputs(part.term) for part in parts)
-    shift = objective.shift([part.term for part in parts]) if altering else np.zeros(len(objective.weight))
-    fit = _fit(objective, parts, shift, _JOINT_ITERATIONS, pulls)
+    fit = _fit(objective, parts, _JOINT_ITERATIONS, pulls)
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
     curvature = np.outer(steps, steps) * (fit.sensitivity.T @ fit.sensitivity) + np.diag(pulls[1])
     fit.forget()
@@ -173,13 +158,12 @@ def fit_with_prior(
 def _fit(
     objective: MarginalLikelihood,
     parts: tuple[Part, ...],
-    shift: np.ndarray,
     iterations: int,
     pulls: tuple[np.ndarray, np.ndarray] | None = None,
     known: Fit | None = None,
     lines: Sequence[Tangent] = (),
 ) -> Fit:
-    """Refit all parameters from where they are, the shared discrepancy's shift held.
+    """Refit all parameters from where they are.
 
     `pulls` are the means and the precisions of priors, in steps of the parameters.
 
@@ -203,7 +187,7 @@ def _fit(
 
     def evaluate(x: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
         here = residual_at(x)
-        residuals = objective.whiten(here - shift)
+        residuals = objective.whiten(here)
         return float(residuals @ residuals) + float(precision @ (x - mean) ** 2), (here, residuals)
 
     def slopes_of(jacobian: np.ndarray, x: np.ndarray, state: tuple, missed: float = 0.0) -> Slopes:
