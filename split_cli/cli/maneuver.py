@@ -65,6 +65,11 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     """
     from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 
+    shared.refuse_one_file_twice(o=output, set=set_output)
+    shared.refuse_without_use({
+        "predictor": (options["start_set"] is not None, "--start-set"),
+        "features": (set_output is not None, "--set"),
+    })  # fmt: skip
     settings = ManeuverSettings(scenario=scenario, delay=not no_delay, **options)
     with StepBar(max(len(settings.speeds), 1)) as bar:
         result = run_maneuvers(settings, vehicle_path, output=output, set_output=set_output, progress=bar)

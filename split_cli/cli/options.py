@@ -4,12 +4,13 @@ import json
 import math
 import os
 import shlex
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from split_cli.cli.digits import Printed, plausible
 from split_cli.errors import SplitError
@@ -102,6 +103,32 @@ class TimeSpan(click.ParamType):
         if not start < stop:
             self.fail(f"{value!r} does not end after it starts", param, ctx)
         return start, stop
+
+
+def refuse_one_file_twice(**outputs: Path | None) -> None:
+    """Refuse two options that name one file to write; keywords are the options' names without dashes."""
+    from os.path import realpath
+
+    seen: dict[str, str] = {}
+    for option, path in outputs.items():
+        shown = f"-{option}" if len(option) == 1 else f"--{option}"
+        if path is not None and seen.setdefault(realpath(path), shown) != shown:
+            raise click.UsageError(f"{seen[realpath(path)]} and {shown} name the same file, {path}.")
+
+
+def refuse_without_use(used: Mapping[str, tuple[bool, str]]) -> None:
+    """Refuse options that were given and would change nothing.
+
+    Parameters
+    ----------
+    used : mapping of str to (bool, str)
+        By an option's parameter: whether it has a use, and what it belongs to.
+    """
+    context = click.get_current_context()
+    for parameter, (useful, belongs) in used.items():
+        given = context.get_parameter_source(parameter) is ParameterSource.COMMANDLINE
+        if given and not useful:
+            raise click.UsageError(f"--{parameter.replace('_', '-')} belongs to {belongs}; leave it out.")
 
 
 def list_of(kind: Callable) -> Callable:

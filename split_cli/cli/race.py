@@ -128,8 +128,16 @@ def command(
     from split_cli.workflows.racing.race import run_race
     from split_cli.workflows.racing.settings import RaceSettings
 
+    learners = tuple(dict.fromkeys(learners))
     if len(learners) > 1 and (output or set_output):
         raise click.UsageError("-o and --set take the drive and the set of one learner; name one.")
+    shared.refuse_one_file_twice(o=output, set=set_output, report=report)
+    asks_a_set = "split" in learners or options["start_set"] is not None
+    shared.refuse_without_use({
+        "predictor": (asks_a_set, "--learner split, or to --start-set"),
+        "hyperparameters": (any(name != "none" for name in learners), "--learner split or iol"),
+        "iol_update": ("iol" in learners, "--learner iol"),
+    })  # fmt: skip
     first_share = p_ellipse if p_ellipse_lap0 is None else p_ellipse_lap0
     p_ellipse = SHARE_LEARNED if p_ellipse is None else p_ellipse
     limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown, guarded=guarded)

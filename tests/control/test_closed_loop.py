@@ -299,6 +299,9 @@ def test_a_cone_is_hit_when_the_body_reaches_it():
         ({"track": "nowhere"}, "no track"),
         ({"learner": "guess"}, "no learner"),
         ({"laps": -1}, "number of laps"),
+        ({"laps": 10**21}, "below 1e6"),
+        ({"laps": 0, "start_set": "a.split"}, "nothing would be driven"),
+        ({"hyperparameters": "default", "start_set": "a.split"}, "start set keeps the kernel"),
         ({"grip": 0.0}, "positive"),
         ({"track": "small", "width": 9.0}, "wide at"),
         ({"assumed_friction": 0.0}, "positive"),
@@ -347,6 +350,26 @@ def test_a_table_of_a_set_with_other_than_three_features_is_refused_before_the_f
         run_maneuvers(ManeuverSettings(**set_of_two), CAR)
     with pytest.raises(SplitError, match="three features, there are 2"):
         run_race(RaceSettings(learner="none", **set_of_two), CAR)
+    with pytest.raises(SplitError, match="--features: asks for z2, and .*two.split corrects by speed, steer_rate"):
+        run_race(RaceSettings(start_set=tmp_path / "two.split", features="z2"), CAR)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ("race --learner none --set a.split", "no set would be written"),
+        ("race -o a.parquet --set ./a.parquet", "-o and --set name the same file"),
+        ("race --iol-update incremental", "--iol-update belongs to --learner iol"),
+        ("race --learner none --predictor bcm", "--predictor belongs to --learner split"),
+        ("maneuver iso3888-1 --features z1", "--features belongs to --set"),
+        ("maneuver iso3888-1 --max-torque 1", "rolling resistance alone takes 52 N m"),
+        ("experiments --only limit -o results", "needs? --limit-vehicle"),
+    ],
+)
+def test_options_that_would_change_nothing_or_contradict_are_refused(options, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused = invoke(*options.split(), "--vehicle", CAR)
+    assert refused.exit_code != 0 and re.search(says, refused.output + str(refused.exception))
 
 
 def test_on_half_the_grip_a_set_passes_where_the_file_of_a_dry_road_does_not(tmp_path):

@@ -131,9 +131,7 @@ def self_test(
     objective = build_objective(graded, None, discrepancy, all_rows, [one for _, one in positions], policy=policy)
     offers = _offers(replace(objective, posterior=posterior), candidates)
     rows = tuple(tuple(flexible_rows(one, discrepancy)) for one in graded)
-    sides = _Sides(
-        tuple(graded), positions, rows, discrepancy, variance_inflation, reach, fixed_baseline, policy
-    )
+    sides = _Sides(tuple(graded), positions, rows, discrepancy, variance_inflation, reach, fixed_baseline, policy)
     dealings = (_every_other_block(graded, policy), _first_half(graded))
     halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]
     tests = apart(lambda teaching: _test_half(sides, teaching, offers), halves)

@@ -38,6 +38,7 @@ from split_cli.workflows.racing.entry import (
     check_car,
     check_exported,
     check_predictor,
+    check_same_features,
     check_settings,
     check_start,
     check_torque,
@@ -126,11 +127,18 @@ class Race:
         if settings.start_set is not None and FilePath(settings.start_set).is_dir():
             self.exported = ExportedResidual(FilePath(settings.start_set), vehicle)
             check_exported(self.exported, settings)
+            check_same_features(settings.features, self.exported.features, settings.start_set)
         elif settings.start_set is not None:
             self.start_set = read_set(settings.start_set)
             check_trusted(self.start_set, vehicle, settings.start_set)
             check_predictor(settings.predictor, self.start_set.features)
+            check_same_features(settings.features, self.start_set.features, settings.start_set)
         self.notes: list[str] = []
+        if settings.max_torque is not None and settings.max_torque > vehicle.max_torque:
+            self.notes.append(
+                f"--max-torque is {settings.max_torque:g} N m; the {vehicle.max_torque:g} N m of the vehicle file "
+                "are the limit"
+            )
         self.laps: list[Lap] = []
         self.traces: list[np.ndarray] = []
         self.spans: dict[int, tuple[int, int]] = {}

@@ -48,9 +48,46 @@ def check_settings(settings: RaceSettings) -> None:
     if settings.hyperparameters not in (*FITS, "default"):
         read_kernel(settings.hyperparameters, features)
     check_predictor(settings.predictor, features if settings.learner == "split" else None)
-    if settings.learner == "iol" and settings.start_set is not None:
-        what = "the learner iol begins without points, so it cannot start from a set"
-        raise SplitError(what, where="--start-set", advice="Use --learner none or split.")
+    if settings.start_set is not None:
+        _check_begins_with_a_set(settings)
+
+
+def _check_begins_with_a_set(settings: RaceSettings) -> None:
+    """Refuse what a race that begins with a set has no use for."""
+    if settings.learner == "iol":
+        raise SplitError(
+            "the learner iol begins without points, so it cannot start from a set",
+            where="--start-set",
+            advice="Use --learner none or split.",
+        )
+    if settings.laps == 0:
+        raise SplitError(
+            "is 0, and lap 0 is left out where a set is known: nothing would be driven",
+            where="--laps",
+            advice="Ask for one lap or more, or leave out --start-set.",
+        )
+    if settings.hyperparameters != "fit":
+        raise SplitError(
+            f"is {settings.hyperparameters}, and the start set keeps the kernel that it was trained with",
+            where="--hyperparameters",
+            advice="Leave it out, or train the set with this kernel.",
+        )
+
+
+def check_same_features(asked: str, known: FeatureSet, where: str | FilePath) -> None:
+    """Refuse features that differ from those of the set that a race begins with.
+
+    Raises
+    ------
+    SplitError
+        Naming both.
+    """
+    if asked != AUTO and parse_features(asked).names != known.names:
+        raise SplitError(
+            f"asks for {asked}, and {where} corrects by {', '.join(known.names)}",
+            where="--features",
+            advice="Leave it out, or train a set over these features.",
+        )
 
 
 def check_predictor(name: str, features: FeatureSet | None) -> None:

@@ -213,8 +213,12 @@ def run_experiments(
         lagged = folder / "vehicle_lagged.yaml"
         write_vehicle(read_vehicle(vehicles["gentle"]).with_effects(PAST_TERM), lagged)
         vehicles = {**vehicles, "lagged": lagged}
-    ran = []
-    for experiment in PLAN.chosen(only):
+    ran, chosen = [], PLAN.chosen(only)
+    lacking = sorted({experiment.vehicle for experiment in chosen} - set(vehicles))
+    if only and all(experiment.vehicle in lacking for experiment in chosen):
+        options = " and ".join(f"--{name}-vehicle" for name in lacking)
+        raise SplitError(f"names experiments that need {options}", where="--only", advice="Give these files.")
+    for experiment in chosen:
         if (folder / f"{experiment.name}.json").exists() or experiment.vehicle not in vehicles:
             continue
         say(experiment.name)

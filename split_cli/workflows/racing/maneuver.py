@@ -32,7 +32,7 @@ from split_cli.plant.cars import CarParameters, find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
-from split_cli.workflows.racing.entry import check_car, check_predictor, check_trusted
+from split_cli.workflows.racing.entry import check_car, check_predictor, check_torque, check_trusted
 from split_cli.workflows.racing.first_lap import remembering
 from split_cli.workflows.racing.settings import AUTO, predictor_for
 
@@ -251,6 +251,7 @@ class _Run:
         )  # fmt: skip
         self.model = ControlModel(vehicle, residual, scenario.step)
         torque = min(settings.max_torque or vehicle.max_torque, vehicle.max_torque)
+        check_torque(vehicle, torque)
         self.actuators = Actuators(torque, vehicle.max_brake_torque, steer_rate=car.steer_rate)
         mpc = MpcSettings(
             horizon=scenario.horizon, step=scenario.step, steering_alone=scenario.steering_alone,

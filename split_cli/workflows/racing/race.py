@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path as FilePath
 
+from split_cli.errors import SplitError
 from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_written
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.driving import Race
@@ -35,6 +36,12 @@ def run_race(
         if path is not None:
             refuse_overwriting_inputs(path, (vehicle_path, settings.start_set or vehicle_path))
             refuse_what_cannot_be_written(path)
+    if set_output is not None and settings.learner == "none":
+        raise SplitError(
+            "the learner none learns nothing, so no set would be written",
+            where="--set",
+            advice="Use --learner split, or train on the drive that -o writes.",
+        )
     race = Race(settings, read_vehicle(vehicle_path), set_output, progress or (lambda text: None))
     race.begin()
     race.run()
