@@ -39,6 +39,7 @@ class Prepared(Generic[Made]):
     empty: TrainingSet  # without points; its vehicle is that of the labels
     drives: Sequence[TrainingDrive]  # what its trust is found on
     made: Made  # what else whoever prepared it needs of it later
+    needed: int | None = None  # times as much driving as there is that would show a gain; see `driving_needed`
 
 
 def decide(
@@ -62,8 +63,8 @@ def decide(
     Prepared
         One of the two, its set with its trust: that with a lag only if held-out blocks gain more with it.
     """
-    trust, gain = judge_correction(by_file.drives, by_file.empty, say=say)
-    by_file = replace(by_file, empty=replace(by_file.empty, trust=trust))
+    trust, gain, needed = judge_correction(by_file.drives, by_file.empty, say=say)
+    by_file = replace(by_file, empty=replace(by_file.empty, trust=trust), needed=needed)
     if relabel is None or trust.origin == "unjudged":
         return by_file
     say("looking for a torque that arrives late")
@@ -76,8 +77,8 @@ def decide(
     # more cautious of two judgements of them counts. Where the file shows no gain at all, there is one: its errors
     # of v_x hide what the others gain, and 0 for these would forbid the lag as well.
     most = (1.0, *trust.share[1:]) if gain > 0.0 else (1.0, 1.0, 1.0)
-    trust, other_gain = judge_correction(other.drives, empty, say=say, most=most)
-    return replace(other, empty=replace(empty, trust=trust)) if other_gain > gain else by_file
+    trust, other_gain, needed = judge_correction(other.drives, empty, say=say, most=most)
+    return replace(other, empty=replace(empty, trust=trust), needed=needed) if other_gain > gain else by_file
 
 
 def may_show_a_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> bool:

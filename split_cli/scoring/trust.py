@@ -1,6 +1,7 @@
 """Trust: the share of each correction that held-out blocks support, and the doubt, the variance beyond it."""
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
@@ -22,8 +23,18 @@ _NEGLIGIBLE_MOVEMENT = 0.01
 #: Trust must do no harm in any third even if the correction were this many times as strong: the next drive's gain
 #: differs from this one's. docs/decisions/0032 has what other factors gave.
 _MARGIN = 1.5
+#: Of the driving there is: what would take more is called no gain. It decides what is said, not what is trusted.
+_MOST_TIMES = 10
 _LEVELS_OF_INTERVALS = (0.5, 0.9, 0.95)
 _GRID = np.linspace(0.0, 1.0, 21)
+
+
+class Judgement(NamedTuple):
+    """What held-out blocks say of a correction."""
+
+    trust: Trust
+    gain: float  # of `best_trust` [1]; minus infinity where there are too few blocks
+    needed: int | None  # of `driving_needed`, where no output is trusted
 
 
 def judge_correction(
@@ -31,8 +42,8 @@ def judge_correction(
     empty: TrainingSet,
     say: Callable[[str], None] = lambda text: None,
     most: Sequence[float] = (1.0, 1.0, 1.0),
-) -> tuple[Trust, float]:
-    """Return the trust of each output, found on held-out blocks of the drives, and its gain (`best_trust`).
+) -> Judgement:
+    """Return the trust of each output, found on held-out blocks of the drives, and its gain.
 
     Parameters
     ----------
@@ -45,23 +56,33 @@ def judge_correction(
 
     Returns
     -------
-    trust : Trust
-        ``unjudged`` and 0 when the drives are too short for five blocks: what no held-out driving speaks for is
-        not applied.
-    gain : float
-        Minus infinity then.
+    Judgement
+        With the trust ``unjudged`` and 0 when the drives are too short for five blocks: what no held-out driving
+        speaks for is not applied.
     """
     # Not with the default predictor: the trust it finds of itself did more harm on other drives (decision 0030).
     evidence, blocks = held_out_evidence(drives, empty, "rbcm", say)
     if blocks < FEWEST_BLOCKS:
-        return Trust((0.0, 0.0, 0.0), "unjudged", blocks), -np.inf
+        return Judgement(Trust((0.0, 0.0, 0.0), "unjudged", blocks), -np.inf, None)
     share, gain = best_trust(evidence, most)
     doubt = doubt_from(evidence, share, empty.kernel)
-    return Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist())), gain
+    needed = None if share.any() else driving_needed(evidence, most)
+    return Judgement(Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist())), gain, needed)
+
+
+def driving_needed(evidence: Sequence[TrustEvidence], most: Sequence[float] = (1.0, 1.0, 1.0)) -> int | None:
+    """Return how many times as much driving would show a gain beyond chance, None where ten times would not.
+
+    Notes
+    -----
+    With n times as many blocks of the same gain and scatter the standard error is 1/sqrt(n) of what it is, and the
+    quantile that of n times as many blocks. More driving also teaches more, so this is no lower bound.
+    """
+    return next((n for n in range(2, _MOST_TIMES + 1) if best_trust(evidence, most, n)[0].any()), None)
 
 
 def best_trust(
-    evidence: Sequence[TrustEvidence], most: Sequence[float] = (1.0, 1.0, 1.0)
+    evidence: Sequence[TrustEvidence], most: Sequence[float] = (1.0, 1.0, 1.0), times: int = 1
 ) -> tuple[np.ndarray, float]:
     """Return the trust of each output that the evidence supports, shape (3,), and its gain over the vehicle file.
 
@@ -69,6 +90,8 @@ def best_trust(
     ----------
     most : sequence of float, shape (3,)
         Largest trust of each output.
+    times : int
+        As if there were so many times as many blocks, of the same errors.
 
     Notes
     -----
@@ -95,7 +118,8 @@ def best_trust(
         base, unnoticed = _sizes(part, everything)
         if base + unnoticed > 0.0:
             worse, error = _increase(part, everything, shares)
-            gain -= (worse + _quantile(len(np.unique(part.block))) * error) / (base + unnoticed)
+            quantile = _quantile(times * len(np.unique(part.block)))
+            gain -= (worse + quantile * error / np.sqrt(times)) / (base + unnoticed)
             gain[worse > NEGLIGIBLE * base + unnoticed] = -np.inf
     # The file as it is gains nothing and is always allowed; what gains less need not be looked at.
     kept = np.flatnonzero(gain >= 0.0)
@@ -104,7 +128,7 @@ def best_trust(
         for inside in _thirds(part.conditions):
             base, unnoticed = _sizes(part, inside)
             worse, error = _increase(part, inside, _MARGIN * shares)
-            allowed = worse <= _NEGLIGIBLE_IN_A_THIRD * base + unnoticed + error
+            allowed = worse <= _NEGLIGIBLE_IN_A_THIRD * base + unnoticed + error / np.sqrt(times)
             shares, gain = shares[allowed], gain[allowed]
     if not len(gain):
         return np.zeros(3), -np.inf

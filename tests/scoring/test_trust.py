@@ -1,5 +1,7 @@
 """Trust found on held-out blocks: a true correction is kept, chance is not believed, and harm is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from split_cli.learning.cells import empty_set
@@ -9,7 +11,7 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence, held_out_evidence, held_out_whole
-from split_cli.scoring.trust import best_trust, doubt_from, judge_correction, own_shares
+from split_cli.scoring.trust import best_trust, doubt_from, driving_needed, judge_correction, own_shares
 from tests.factories import MissingForce, make_drive, road_car
 
 BLOCKS, EACH = 20, 100
@@ -42,6 +44,30 @@ def test_gains_within_chance_are_not_believed():
     given = np.array([best_trust(evidence((0.0, 0.0, 0.0), seed=seed))[0] for seed in range(6)])
     # A one-sided level of 95 % lets 1 of 20 shares through, and then no further than the grid's first step.
     assert (given > 0.0).sum() <= 3 and given.max() <= 0.05
+
+
+def test_the_driving_that_is_needed_is_what_then_shows_a_gain():
+    """Half of the correction of v_y is right in the mean over blocks, and scatters by twice that between them."""
+    rng, each = np.random.default_rng(3), 20
+
+    def drives(blocks: int) -> list[TrustEvidence]:
+        block, parts = np.repeat(np.arange(blocks), each), []
+        for state in range(3):
+            change = np.zeros((len(block), 3))
+            change[:, state] = rng.normal(size=len(block))
+            by_block = rng.normal(0.5, 1.0, blocks)[block]
+            error = by_block * change[:, state] * (state == 1) + rng.normal(size=len(block))
+            still, anywhere = np.zeros(len(block)), np.zeros((len(block), 7))
+            parts.append(TrustEvidence(state, 0.0, error, change, still, block, anywhere))
+        return parts
+
+    few = [one for one in (drives(6) for _ in range(20)) if not best_trust(one)[0].any()]
+    needed = [n for n in map(driving_needed, few) if n is not None]
+    shown = [best_trust(drives(6 * n))[0].any() for n in needed]
+    # As likely as not the gain that six blocks show is larger than the true one, and then asks for too little.
+    assert len(few) >= 5 and len(needed) >= 4 and np.mean(shown) >= 0.5
+    # Nothing is learned from what harms: more of it would not show a gain either.
+    assert driving_needed([replace(part, change=-part.change) for part in evidence((1.0, 1.0, 1.0))]) is None
 
 
 def test_a_correction_that_harms_a_third_of_the_driving_is_refused_though_it_gains_on_the_whole():

@@ -88,6 +88,12 @@ def create_set(
         chosen = decide(prepared(), None if dictionary or lag == "none" else prepared, drives.say)
         empty, (fit, drives) = chosen.empty, chosen.made
         drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust))
+        if chosen.needed is not None:
+            seconds = sum(len(part.drive) * part.drive.period for part in chosen.drives)
+            drives.note(
+                f"the gain of the correction is within chance on {seconds:.0f} s of driving. At the same gain and "
+                f"scatter {chosen.needed * seconds:.0f} s would show it: record more, and train on all of it"
+            )
         whole = held_out_whole(chosen.drives) if empty.trust.origin == "held-out" else 0
         if whole:
             drives.note(

@@ -252,9 +252,12 @@ def notes_on_rejections(total: TrainRow, region: Region) -> tuple[str, ...]:
     if 2 * whole <= total.samples:
         return ()
     each = ", ".join(f"{count} {where}" for count, where in sorted(left_out, reverse=True))
+    advice = ""
+    if max(left_out)[1] == limits["ellipse"]:
+        advice = ". Where the tyres carry more than the file says, `split calibrate` with --fit tires finds it"
     return (
         f"{whole} of {total.samples} samples are outside the valid region, in which alone the nominal model is "
-        f"corrected: {each}",
+        f"corrected: {each}{advice}",
     )
 
 
