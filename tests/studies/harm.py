@@ -94,6 +94,7 @@ def main() -> None:
     parser.add_argument(
         "--predictors", default="projected,rbcm", help="Rows show the first; trust is found with rbcm."
     )
+    parser.add_argument("--features", default="z2", help="Of the sets, as `split train` takes them.")
     given = parser.parse_args()
     parts, predictors = given.parts.split(","), given.predictors.split(",")
     if unknown := set(parts) - set(PARTS):
@@ -106,7 +107,7 @@ def main() -> None:
         print(HEADER)
         reports = []
         for pair in pairs(parts, folder, given.datasets, given.first_seed):
-            reports.append((pair.title, judgement(pair, given.predictors, folder)))
+            reports.append((pair.title, judgement(pair, given.predictors, folder, given.features)))
             print("\n".join(lines_of(*reports[-1], predictors[0])), flush=True)
     print()
     for predictor in predictors:
@@ -136,11 +137,12 @@ HEADER = """| trained on → judged on | trust v_x, v_y, r | state | one step | 
 |---|---|---|---|---|---|---|---|---|---|"""  # noqa: E501
 
 
-def judgement(pair: Pair, predictors: str, folder: Path) -> dict:
+def judgement(pair: Pair, predictors: str, folder: Path, features: str = "z2") -> dict:
     """Train and judge one pair, or return what the folder holds of it already."""
-    made = folder / f"{pair.trains.stem}.split"
+    made = folder / f"{pair.trains.stem}{'' if features == 'z2' else f'_{features}'}.split"
     if not made.exists():
-        split("train", str(pair.trains), "--vehicle", pair.vehicle, "--any-vehicle", "-o", str(made))
+        asked = ("--vehicle", pair.vehicle, "--any-vehicle", "--features", features)
+        split("train", str(pair.trains), *asked, "-o", str(made))
     found = folder / f"{made.stem}_{pair.judges.stem}_{predictors}.json"
     if not found.exists():
         told = split(
