@@ -72,7 +72,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     "--derive",
     multiple=True,
     metavar="NAME",
-    help="Compute a missing channel. docs/ingest.md lists the names, and so does a wrong one.",
+    help="Compute a missing channel. docs/ingest.md lists the names; so does the error for an unknown one.",
 )
 @click.option(
     "--topic",

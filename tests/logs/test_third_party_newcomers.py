@@ -60,7 +60,10 @@ def test_an_axis_that_reads_gravity_tells_the_unit_of_the_others(tmp_path):
     draft = drafted_table(sensor, tmp_path)
     assert (draft.of("ax").unit, draft.of("ax").scale) == ("g", 1e-3)
     assert "acc_z reads 102" in draft.of("ay").reason and draft.of("ay").status == "assumed"
-    del sensor["acc_z"]
+    # Standing, the largest reading is gravity, not a smaller one that happens to be 1.
+    sensor |= {"acc_x": 1.1 + 1e-3 * small, "acc_y": 1e-3 * small, "acc_z": 9.6 + 0.01 * small / 60.0}
+    assert drafted_table(sensor, tmp_path).of("ay").unit == "m/s^2"
+    sensor = {"acc_x": small, "acc_y": -0.5 * small}
     sensor = {name: 4.0 * values for name, values in sensor.items()}
     assert drafted_table(sensor, tmp_path).of("ax").status == "open"
 
@@ -91,6 +94,13 @@ def test_columns_of_several_quantities_with_the_same_numbers_are_measured_by_nob
     assert {s.channel for s in draft.suggestions if "another quantity" in s.reason} == {"r", "ax", "ay"}
     found = meanings(RawChannelInfo("imu_gz_rps", "column", None))
     assert [meaning.channel for meaning in found] == ["r"]
+
+
+def test_the_stamp_of_a_message_of_velocities_is_none():
+    """`/gps/fix_velocity/header.stamp.nanosec` was drafted as v_x, in mm/s."""
+    for field in ("seq", "stamp.sec", "stamp.nanosec"):
+        info = RawChannelInfo(f"/gps/fix_velocity/header.{field}", "geometry_msgs/TwistStamped", 200)
+        assert meanings(info) == ()
 
 
 def test_a_yaw_rate_of_unknown_size_and_other_hand_leaves_the_satellite_fix_alone(columns, tmp_path):
@@ -141,3 +151,14 @@ def test_what_no_step_mends_stands_first(columns, tmp_path):
     steps = init_project([tmp_path / "log.csv"], tmp_path / "car").next_steps
     assert steps[0].startswith("Nothing in this log gives vy, r, delta")
     assert steps[-1].startswith("With vy, r, delta, run: split ingest")
+
+
+def test_an_acceleration_that_the_change_of_speed_denies_is_left_open_with_the_other_of_its_sensor(
+    columns, tmp_path
+):
+    """A phone's x is to the right and in g: a tenth of what dv_x/dt says, and nothing to do with it."""
+    t, c = columns
+    fast = 20.0 + 12.0 * np.sin(0.4 * t)
+    table = {"Time": t, "Speed (m/s)": fast, "Accel X": 0.02 * np.sin(3.3 * t), "Accel Y": 0.05 * np.cos(2.1 * t)}
+    draft = drafted_table(table, tmp_path)
+    assert "does not go with it" in draft.of("ax").reason and draft.of("ay").status == "open"

@@ -116,7 +116,7 @@ _MAKERS = {
     "esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff", "pf",
 }  # fmt: skip
 """Words in front that say which device measured."""
-_JUDGED = {"innovation", "innovations", "innov", "innovs", "variances", "ratios", "inconsistency"}
+_JUDGED = {"innovation", "innovations", "innov", "innovs", "variances", "ratios", "inconsistency", "integ"}
 """Words of what an estimator says of measurements, whatever quantity its fields are called."""
 _COMMAND_WORDS = {"cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference"}
 COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")
@@ -232,7 +232,9 @@ def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
     bare = spelled_without_unit(info)
     if (bare, stated_unit(info)) in _LETTERS:
         return (Meaning(_LETTERS[bare, stated_unit(info)], 2),)
-    if info.name.startswith("/") and re.search("orientation|rotation|covariance|quaternion", info.name):
+    if info.name.startswith("/") and re.search(
+        r"orientation|rotation|covariance|quaternion|header\.(seq|stamp)", info.name
+    ):
         return ()
     if _JUDGED & set(tokens_of(info.name)):
         return ()

@@ -28,6 +28,7 @@ _REST_SECONDS = 3.0
 _TILTED = 2.5
 """At rest on level ground a sensor along the car reads 0, on a slope of 1 in 4 a quarter of gravity [m/s^2]."""
 _GRAVITY_AT_REST = "while the car stands: gravity"
+_OTHER_AXIS = "and does not go with it: along another axis?"
 _BY_CHANCE = 3.0
 """Standard errors of a correlation that is none [1]."""
 _RADII = 0.02, 0.9
@@ -158,9 +159,19 @@ def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
 
 
 def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
-    """Leave out an acceleration that nothing supports and that reads gravity while the car stands."""
+    """Leave out an acceleration that nothing supports and that reads gravity while the car stands.
+
+    An a_x that varies less than v_x makes it vary, and has nothing to do with it, lies along another axis.
+    """
     if s.status not in ("assumed", "stated") or not {s.channel, "vx"} <= set(columns):
         return s
+    if s.channel == "ax" and s.status == "assumed":
+        k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+        own, change = k.signal("ax"), k.rate("vx")
+        use = k.moving & np.isfinite(own * change)
+        less = np.count_nonzero(use) > _REST_SECONDS * rate and np.std(own[use]) < np.std(change[use])
+        if less and _go_apart(own, change, k.moving):
+            return replace(s, status="open", reason=f"varies less than dv_x/dt {_OTHER_AXIS}")
     standing = np.abs(columns["vx"]) < _AT_REST
     values = columns[s.channel][standing & np.isfinite(columns[s.channel])]
     if len(values) < _REST_SECONDS * rate or abs(np.median(values)) < _TILTED:
@@ -171,10 +182,11 @@ def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: fl
 
 def without_the_tilted(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
     """Leave out what nothing supports of a sensor whose other axis reads gravity: neither is along the car."""
-    tilted = next((s for s in suggestions if s.channel in ("ax", "ay") and _GRAVITY_AT_REST in s.reason), None)
-    if tilted is None:
+    why = {_GRAVITY_AT_REST: "reads gravity while the car stands", _OTHER_AXIS: "is not along the car"}
+    both = [(s, why[mark]) for s in suggestions for mark in why if s.channel[0] == "a" and mark in s.reason]
+    if not both:
         return list(suggestions)
-    remark = f"of the sensor of {tilted.sources[0]}, which reads gravity while the car stands"
+    remark = f"of the sensor of {both[0][0].sources[0]}, which {both[0][1]}"
     return [
         replace(s, status="open", reason=remark)
         if s.channel in ("ax", "ay") and s.status in ("assumed", "stated")

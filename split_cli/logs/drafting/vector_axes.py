@@ -19,6 +19,8 @@ _CLEARLY = 3.0
 """How many times more one axis must turn or move than the one that the names say [1]."""
 _SECONDS = 5.0
 """Over which a car that rolls and pitches comes back, and one that yaws does not [s]."""
+_HEAVE = 0.5
+"""Of the velocity of what stands or hovers, by waves and drift [m/s]; judgement: half a walking pace."""
 _GRAVITY = 9.80665
 _READINGS = (
     ("m/s^2", 1.0, _GRAVITY, "m/s^2"), ("g", 1.0, 1.0, "g"), ("g", 1e-3, 1000.0, "thousandths of g"),
@@ -106,12 +108,11 @@ def unit_by_gravity(
     if s.channel not in ("ax", "ay") or s.status != "assumed" or s.unit != "m/s^2" or s.scale not in (1.0, -1.0):
         return s
     three = next((t for t in triples if s.sources[0] in t), ())
-    for name in three:
-        values = signals[name].values if name in signals and name != s.sources[0] else np.zeros(0)
-        values = values[np.isfinite(values)]
-        reads = abs(float(np.median(values))) if len(values) else 0.0
-        if reads < _CLEARLY * float(np.std(values, ddof=1) if len(values) > 1 else np.inf):
-            continue  # not what lasts
+    others = {name: signals[name].values for name in three if name in signals and name != s.sources[0]}
+    levels = {name: abs(float(np.nanmedian(v))) for name, v in others.items() if np.isfinite(v).any()}
+    name = max(levels, key=lambda name: levels[name], default="")
+    if name and levels[name] > _CLEARLY * float(np.nanstd(others[name])):
+        reads = levels[name]
         for unit, scale, size, called in _READINGS:
             if abs(reads / size - 1.0) < _ABOUT_GRAVITY:
                 reason = f"unit not stated; {name} reads {reads:.4g}, which is gravity in {called}"
@@ -183,7 +184,7 @@ def _axes(
 
     turning, travel, pull = sizes("rate", without_bias=True), sizes("velocity"), sizes("acceleration")
     forward = None
-    if travel is not None and int(np.argmax(travel)) == 2 and travel[2] > _CLEARLY * max(travel[:2]):
+    if travel is not None and travel[2] > max(_CLEARLY * max(travel[:2]), _HEAVE):
         forward = 2
     elif pull is not None and pull[2] > _CLEARLY * max(pull[:2]):
         return None  # gravity lies along z: on a straight a car pitches more than it yaws
