@@ -12,7 +12,7 @@ from split_cli.files import sha256_of_file
 from split_cli.logs.assembling.clean import join_clock_resets
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.derivation import DerivationInputs, Derived
-from split_cli.logs.assembling.derive import DERIVATIONS, derivation_named, reachable
+from split_cli.logs.assembling.derive import DERIVATIONS, can_derive, derivation_named, reachable
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.placing import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport
@@ -314,7 +314,7 @@ def _way_to(channel: str, signal_map: SignalMap, reached: Collection[str]) -> st
     """Return how a required channel comes into the drive: as the map configures, or the recording allows."""
     ways = [name for name, entry in DERIVATIONS.items() if channel in entry.makes and channel not in entry.needs]
     ways = [name for name in ways if name.replace("-", "_") in signal_map.derivations] or ways
-    possible = [name for name in ways if set(DERIVATIONS[name].needs) <= set(reached)]
+    possible = [name for name in ways if can_derive(name, channel, reached)]
     if possible or not ways:
         derived = f", or derive it with --derive {' or '.join(possible)}" if possible else ""
         return f"{channel}: map a recorded signal{derived}."

@@ -10,6 +10,7 @@ from split_cli.logs.assembling.derived_torque import TORQUES
 DERIVATIONS: dict[str, Derivation] = {entry.name: entry for entry in (*MOTIONS, *TORQUES)}
 """In the order in which they run: velocities before what needs them."""
 
+_TORQUE_OF_MOTION = "torque-from-acceleration"
 #: Derivations with what they are asked for, the most trustworthy first.
 _CHOICES = (
     ("lateral-velocity-from-sideslip", {"vy"}),
@@ -44,6 +45,17 @@ def reachable(recorded: Collection[str]) -> set[str]:
     return reached
 
 
+def can_derive(name: str, channel: str, reached: Collection[str]) -> bool:
+    """Tell whether a derivation makes a channel of what is recorded or derived.
+
+    A torque takes what every drive has, and a pedal or a current that is recorded, or nothing but the motion.
+    """
+    entry = DERIVATIONS[name]
+    if channel == "T":
+        return name == _TORQUE_OF_MOTION or bool({default for _, default in entry.choices} & set(reached))
+    return set(entry.needs) <= set(reached)
+
+
 def derivations_for(missing: Collection[str], mapped: Collection[str]) -> list[str]:
     """Return the derivations that a log asks for, in the order to run them.
 
@@ -53,7 +65,7 @@ def derivations_for(missing: Collection[str], mapped: Collection[str]) -> list[s
     while name := next((n for n, wanted in _CHOICES if _serves(n, wanted & set(missing) - there, there)), ""):
         chosen.append(name)
         there |= set(DERIVATIONS[name].makes)
-    return [*chosen, "torque-from-acceleration"] if "T" in missing else chosen
+    return [*chosen, _TORQUE_OF_MOTION] if "T" in missing else chosen
 
 
 def _serves(name: str, wanted: Collection[str], there: Collection[str]) -> bool:

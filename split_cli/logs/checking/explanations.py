@@ -80,6 +80,8 @@ def explain(
         return replace(rest, findings=(backwards, *rest.findings), cost=rest.cost + UNKNOWN)
     clock = _clock(relations)
     if clock is not None:
+        # What the path's rate of change reaches was measured by this clock.
+        plausible = [magnitude for magnitude in plausible if "X" not in magnitude.powers]
         rest = explain([_by_this_clock(r, clock.measured or 1.0) for r in relations], vehicle, plausible)
         return replace(rest, findings=(clock, *rest.findings), cost=rest.cost + UNKNOWN)
     beyond = [magnitude for magnitude in plausible if magnitude.cost({}) > 0.0]
