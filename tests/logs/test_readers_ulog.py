@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 from split_cli.errors import LogError
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import map_from_mapping
+from tests.logs.planted import PlantedDrive
 
 SYNC = bytes((0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12))
 FORMATS = {
@@ -19,6 +23,7 @@ FORMATS = {
     "vehicle_attitude": "uint64_t timestamp;float[4] q",
     "vehicle_local_position": "uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz",
     "estimator_innovations": "uint64_t timestamp;float heading;float yawspeed",
+    "sensor_combined": "uint64_t timestamp;float[3] accelerometer_m_s2",
 }
 ESC = struct.Struct("<QfB3xfB3x4s?")  # without what pads its end
 
@@ -125,3 +130,47 @@ def test_what_an_estimator_finds_wrong_is_no_measured_yaw(tmp_path):
     (tmp_path / "a.ulg").write_bytes(log)
     draft = draft_map(open_recording(tmp_path / "a.ulg"))
     assert not any("innovation" in source for entry in draft.suggestions for source in entry.sources)
+
+
+def test_a_rover_whose_axes_are_forward_right_down_has_no_sides_that_are_called_judged(tmp_path):
+    """Mirrored as a whole it agrees with itself; slashes in its addresses had passed for conventions of ROS."""
+    planted = PlantedDrive(seconds=60.0, yaw=2.0)
+    t = np.arange(0.0, 60.0, 0.04)
+    c = {name: planted.at(name, t) for name in ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")}
+    over_ground = np.exp(1j * c["yaw"]) * (c["vx"] + 1j * c["vy"])  # east, north
+    half = 0.5 * (0.5 * np.pi - c["yaw"])
+    topics = ("vehicle_local_position", "vehicle_attitude", "vehicle_angular_velocity", "sensor_combined")
+    log = [head(), *(subscribe(*pair) for pair in enumerate(topics))]
+    for k, s in enumerate((1e6 * t).astype(int)):
+        north = (c["Y"][k], c["X"][k], 0.0, over_ground[k].imag, over_ground[k].real, 0.0)
+        log += [
+            logged(0, struct.pack("<Q6f", s, *north)),
+            logged(1, struct.pack("<Q4f", s, np.cos(half[k]), 0.0, 0.0, np.sin(half[k]))),
+            logged(2, struct.pack("<Q3f", s, 0.0, 0.0, -c["r"][k])),
+            logged(3, struct.pack("<Q3f", s, c["ax"][k], -c["ay"][k], -9.81 + 0.1 * np.sin(7.0 * t[k]))),
+        ]
+    (tmp_path / "a.ulg").write_bytes(b"".join(log))
+    recording = open_recording(tmp_path / "a.ulg")
+    draft = draft_map(recording)
+    assert {draft.of(name).status for name in ("X", "Y", "r", "ay")} == {"unsided"}
+    assert "set `frame: frd`, and `world: ned`" in draft.by_gravity and not draft.left
+    assert draft.of("vx").status == "open" and "axes of the world" in draft.of("vx").reason
+    # As the advice says, the planted motion comes back.
+    channels = {
+        n: {"source": draft.of(n).sources[0], "unit": draft.of(n).unit} for n in ("X", "Y", "r", "ax", "ay")
+    }
+    quaternion = [f"/vehicle_attitude/q[{k}]" for k in (1, 2, 3, 0)]
+    channels["yaw"] = {"source": quaternion, "convert": "yaw_from_quaternion"}
+    channels["delta"] = {"source": "delta", "unit": "rad", "frame": "flu"}
+    signals = recording.read([info.name for info in recording.channels()])
+    signals["delta"] = RawSignal("delta", t, planted.at("delta", t), "rad")
+    content = map_from_mapping({"frame": "frd", "world": "ned", "channels": channels}, where="map")
+    settings = IngestSettings(derive=("velocity-from-pose", "torque-from-acceleration"))
+    whole = TableRecording("a.ulg", tmp_path / "a.ulg", signals)
+    columns = assemble_drive(whole, content, planted.vehicle, settings).drive.columns
+    # Positions are stored to 4 mm; velocities are differences over some tenths of a second.
+    for name, tolerance in (("r", 1e-3), ("ay", 2e-2), ("vx", 2e-2), ("vy", 3e-2)):
+        away = columns[name] - planted.at(name, columns["t"])
+        np.testing.assert_allclose(away[20:-20], 0.0, atol=tolerance, err_msg=name)
+    turned = np.exp(1j * (columns["yaw"] - planted.at("yaw", columns["t"])))
+    np.testing.assert_allclose(np.angle(turned), 0.0, atol=1e-3)

@@ -1,14 +1,14 @@
 """Which side is left: what of a recording is beyond doubt, and what to say where nothing is."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.raw import RawSignal
+from split_cli.logs.raw import RawChannelInfo, RawSignal
 
 NOT_UP = "z is not up"
 """Said of channels that were taken from another axis than the names say."""
@@ -46,18 +46,20 @@ def certain_of(chosen: Mapping[str, Suggestion]) -> frozenset[str]:
     return frozenset(certain)
 
 
-def what_tells_left(chosen: Mapping[str, Suggestion]) -> str:
+def what_tells_left(chosen: Mapping[str, Suggestion], infos: Sequence[RawChannelInfo]) -> str:
     """Return what decides which side is left, empty where nothing does or no channel has a side.
 
-    Messages of ROS are left-positive by its conventions (REP 103).
+    Messages of ROS are left-positive by its conventions (REP 103), which their types show. An address with slashes
+    of a bus or another logger shows none.
     """
+    of_ros = {info.name.rpartition("/")[0] for info in infos if "/" in info.type_name}
     if not set(HANDED) & set(chosen):
         return "no channel has a side"
     if path_is_certain(chosen):
         return "east and north"
     if "yaw" in chosen and chosen["yaw"].world == "ned":
         return "the compass"
-    if any(s.sources[0].startswith("/") and c in HANDED for c, s in chosen.items()):
+    if any(s.sources[0].rpartition("/")[0] in of_ros and c in HANDED for c, s in chosen.items()):
         return "the conventions of ROS"
     if any("right by its name" in s.reason for s in chosen.values()):
         return "names"

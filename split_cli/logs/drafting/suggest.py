@@ -134,7 +134,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     opened = [s for s in opened if s.channel not in known and not set(s.sources) & taken]
     unused = tuple(info.name for info in infos if info.name not in taken)
     undefined = dict.fromkeys(i.type_name for i in infos if i.name.startswith("/") and _is_bare_topic(i, infos))
-    left_by = what_tells_left({s.channel: s for s in suggestions if s.status != "open"})
+    left_by = what_tells_left({s.channel: s for s in suggestions if s.status != "open"}, infos)
     if not left_by:
         suggestions = [without_a_side(s) for s in suggestions]
     by_gravity = "" if left_by else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)
@@ -230,7 +230,7 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
         info = next((i for i in infos if i.name == sources[0]), None)
         stated = stated_unit(info) if info is not None else None
         fixed = bool(convert) or channel in ("latitude", "longitude")
-        by_convention = stated is None and not fixed and info is not None and info.type_name != "column"
+        by_convention = stated is None and not fixed and info is not None and "/" in info.type_name
         unit = unit if fixed or by_convention else None
         asked = info is not None and asks_by_type(info)
         found.append(TrialCandidate(channel, sources, 3, stated or unit, convert, by_convention, asked=asked))
