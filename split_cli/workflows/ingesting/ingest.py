@@ -150,25 +150,24 @@ def ingest_logs(
     vehicle = read_vehicle(vehicle_path) if vehicle_path is not None else None
     output = Path(output)
     sources = find_sources(logs, outside=output)
+    signal_map = read_map(maps) if maps else None
+    prepared = _Job(signal_map, vehicle, settings, tuple((topics or {}).items()), tuple(map(str, message_paths)))
     if together:
-        paths = [Path(source.address) for source in sources]
-        return IngestRun((_ingest_together(paths, output, maps, vehicle, settings, message_paths),), (), ())
+        return IngestRun((_ingest_together([Path(one.address) for one in sources], output, prepared),), (), ())
     single = len(sources) == 1 and not output.is_dir() and output.suffix.lower() in (".parquet", ".pq")
     if not single:
         _check_folder(output, sources)
     inputs = [source.address for source in sources if not is_remote(source.address)]
     for source in sources:
         refuse_overwriting_inputs(output if single else output / _drive_name(source), inputs)
-    signal_map = read_map(maps) if maps else None
-    prepared = _Job(signal_map, vehicle, settings, tuple((topics or {}).items()), tuple(map(str, message_paths)))
     if single:
         progress(sources[0].name)
         made = _make_drive(replace(prepared, source=sources[0], target=str(output), shown=str(output)))
-        if isinstance(made, IngestFailure):
-            if not keep_going:
-                raise made.error
-            return IngestRun((), (made,), ())
-        return IngestRun((made,), (), ())
+        if not isinstance(made, IngestFailure):
+            return IngestRun((made,), (), ())
+        if not keep_going:
+            raise made.error
+        return IngestRun((), (made,), ())
     if keep_going:
         existed = output.is_dir()
         output.mkdir(exist_ok=True)
@@ -280,7 +279,7 @@ def _make_drive(job: _Job) -> IngestResult | IngestFailure:
     """Read one recording and write its drive, whole or not at all; an error is returned, to be told in order."""
     try:
         with job.source.local() as path:
-            made = _assemble(path, job.signal_map, job.vehicle, job.settings, dict(job.topics), job.message_paths)
+            made = _assemble(open_recording(path, message_paths=job.message_paths), path, job)
             write_drive(made.drive, job.target)
             return _result(path, Path(job.shown), made)
     except SplitError as error:
@@ -291,22 +290,11 @@ def _drive_name(source: SourceFile) -> str:
     return str(PurePosixPath(source.place).with_suffix(".parquet"))
 
 
-def _ingest_together(
-    paths: Sequence[Path],
-    output: Path,
-    maps: Sequence[str | Path],
-    vehicle: Vehicle | None,
-    settings: IngestSettings | None,
-    message_paths: Sequence[str | Path],
-) -> IngestResult:
+def _ingest_together(paths: Sequence[Path], output: Path, job: _Job) -> IngestResult:
     """Make one drive of several files; see `ingest_logs`."""
     refuse_overwriting_inputs(output, paths)
-    recording = open_logs(paths, message_paths)
-    signal_map = read_map(maps) if maps else None
-    try:
-        made = _assemble_recording(recording, paths[0], signal_map, vehicle, settings, {})
-    except SplitError as error:
-        raise _with_notes(error, recording) from error
+    recording = open_logs(paths, job.message_paths)
+    made = _assemble(recording, paths[0], replace(job, topics=()))
     write_drive(made.drive, output)
     return _result(Path(recording.name), output, made)
 
@@ -345,17 +333,9 @@ def suggest_map_for(
     return suggest_map(open_logs(log, message_paths), row_rate=row_rate, vehicle=vehicle)
 
 
-def _assemble(
-    path: Path,
-    signal_map: SignalMap | None,
-    vehicle: Vehicle | None,
-    settings: IngestSettings | None,
-    topics: dict[str, str],
-    message_paths: Sequence[str | Path],
-) -> Assembled:
-    recording = open_recording(path, message_paths=message_paths)
+def _assemble(recording: RawRecording, path: Path, job: _Job) -> Assembled:
     try:
-        return _assemble_recording(recording, path, signal_map, vehicle, settings, topics)
+        return _assemble_recording(recording, path, job)
     except SplitError as error:
         raise _with_notes(error, recording) from error
 
@@ -371,14 +351,8 @@ def _with_notes(error: SplitError, recording: RawRecording) -> SplitError:
     return type(error)(error.what, where=where, advice=advice or None)
 
 
-def _assemble_recording(
-    recording: RawRecording,
-    path: Path,
-    signal_map: SignalMap | None,
-    vehicle: Vehicle | None,
-    settings: IngestSettings | None,
-    topics: dict[str, str],
-) -> Assembled:
+def _assemble_recording(recording: RawRecording, path: Path, job: _Job) -> Assembled:
+    signal_map, topics = job.signal_map, dict(job.topics)
     if signal_map is None:
         presets = fitting_presets(recording)
         own = next((name for name in _OWN_MAPS if name in presets), None)
@@ -391,7 +365,7 @@ def _assemble_recording(
     if topics:
         _check_topics(topics, signal_map)
         signal_map = replace(signal_map, topics={**signal_map.topics, **topics})
-    return assemble_drive(recording, signal_map, vehicle, settings)
+    return assemble_drive(recording, signal_map, job.vehicle, job.settings)
 
 
 def _check_topics(topics: dict[str, str], signal_map: SignalMap) -> None:

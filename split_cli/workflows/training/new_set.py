@@ -14,7 +14,7 @@ from split_cli.learning.hyperparameters import (
     longest_scale,
     scatter_variance,
 )
-from split_cli.learning.iol import DEFAULT_DICTIONARY, empty_dictionary
+from split_cli.learning.iol import DEFAULT_DICTIONARY, LEARNER, empty_dictionary
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.labels import Labels
@@ -26,19 +26,11 @@ from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive, held_out_whole
 from split_cli.scoring.torque_lag import Prepared, decide, lag_note
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.training.labelled_drives import LabelledDrives
+from split_cli.workflows.training.settings import TrainSettings
 
 
 def create_set(
-    drives: LabelledDrives,
-    *,
-    hyperparameters: str = "fit",
-    trust: str | None = None,
-    lag: str | None = None,
-    dictionary: bool = False,
-    capacity: int | None = None,
-    threshold: float | None = None,
-    cell_edge: float | None = None,
-    forgetting: float | None = None,
+    drives: LabelledDrives, settings: TrainSettings
 ) -> tuple[TrainingSet, KernelFit | None, LabelledDrives]:
     """Return an empty set: its grid from the first drive with valid samples, its kernel and trust as asked for.
 
@@ -46,46 +38,24 @@ def create_set(
     the vehicle file, if held-out blocks gain more with it and are harmed nowhere. The drives come back as they are
     labelled for the set's vehicle.
 
-    Parameters
-    ----------
-    hyperparameters : str
-        ``fit``, ``default``, or a YAML file.
-    trust : str or None
-        As `parse_trust` takes it, or ``held-out``; None for the usual one of the learner.
-    lag : str or None
-        ``held-out`` (default), or ``none``: the vehicle file as it is.
-    dictionary : bool
-        One dictionary over the whole feature space instead of cells.
-    cell_edge : float or None
-        Edge of the cells in usual edges; None for 1.
-    capacity, threshold, forgetting
-        As for `empty_set`; None for the defaults.
-
     Raises
     ------
     SetError
         If no sample is valid, the cell edge is not positive, or trust is to be found without a recording.
     """
-    dictionary_of = (DEFAULT_DICTIONARY if capacity is None else capacity) if dictionary else None
-    settings = {
-        "hyperparameters": hyperparameters,
-        "capacity": DEFAULT_CAPACITY if capacity is None or dictionary else capacity,
-        "threshold": DEFAULT_THRESHOLD if threshold is None else threshold,
-        "cell_edge": 1.0 if cell_edge is None else cell_edge,
-        "forgetting": forgetting,
-    }
-    if lag not in (None, "held-out", "none"):
-        raise SetError(f"the lag {lag!r} is unknown", advice="There are held-out and none.")
+    dictionary = settings.learner == LEARNER
+    if settings.lag not in (None, "held-out", "none"):
+        raise SetError(f"the lag {settings.lag!r} is unknown", advice="There are held-out and none.")
     # The rival's way is to believe all.
-    asked = trust or ("full" if dictionary else "held-out")
+    asked = settings.trust or ("full" if dictionary else "held-out")
     if asked == "held-out":
 
         def prepared(vehicle: Vehicle | None = None) -> Prepared[tuple[KernelFit | None, LabelledDrives]]:
             own = drives if vehicle is None else drives.labelled_for(vehicle)
-            blank, its_fit = _blank(own, **settings)
+            blank, its_fit = _blank(own, settings)
             return Prepared(blank, _recorded(own), (its_fit, own))
 
-        chosen = decide(prepared(), None if dictionary or lag == "none" else prepared, drives.say)
+        chosen = decide(prepared(), None if dictionary or settings.lag == "none" else prepared, drives.say)
         empty, (fit, drives) = chosen.empty, chosen.made
         drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust))
         if chosen.needed is not None:
@@ -105,24 +75,19 @@ def create_set(
                 "more to cover the difference between drives"
             )
     else:
-        empty, fit = _blank(drives, **settings)
+        empty, fit = _blank(drives, settings)
         empty = replace(empty, trust=parse_trust(asked))
-    return empty if dictionary_of is None else empty_dictionary(empty, dictionary_of), fit, drives
+    if dictionary:
+        empty = empty_dictionary(empty, DEFAULT_DICTIONARY if settings.capacity is None else settings.capacity)
+    return empty, fit, drives
 
 
-def _blank(
-    drives: LabelledDrives,
-    *,
-    hyperparameters: str,
-    capacity: int,
-    threshold: float,
-    cell_edge: float,
-    forgetting: float | None,
-) -> tuple[TrainingSet, KernelFit | None]:
+def _blank(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSet, KernelFit | None]:
     """Return an empty set with grid and kernel, everything believed."""
     how = drives.labelling
     first = _first_valid(drives)
     valid = first.accepted
+    cell_edge = 1.0 if settings.cell_edge is None else settings.cell_edge
     if not 0.0 < cell_edge < np.inf:
         raise SetError(f"--cell-edge is {cell_edge:g}, it must be positive", advice="1 is the standard edge.")
     grid = build_grid(how.features, how.vehicle, how.region, first.z[valid]).coarser(cell_edge)
@@ -132,14 +97,20 @@ def _blank(
             advice="1 is the standard edge.",
         )
     kernel, fit = default_kernel(grid, first.y[valid], scatter_variance(first)), None
+    hyperparameters = settings.hyperparameters or "fit"
     if hyperparameters == "fit":
         fit = _fit(drives, grid, kernel)
         kernel = kernel if fit is None else fit.kernel
     elif hyperparameters != "default":
         kernel = read_kernel(hyperparameters, how.features)
-    how_much = {"capacity": capacity, "threshold": threshold, "forgetting": forgetting}
-    settings = {"horizon": how.horizon, "plain": how.plain, **how_much}
-    return empty_set(how.vehicle, how.features, how.region, grid, kernel, **settings), fit
+    usual = settings.capacity is None or settings.learner == LEARNER
+    blank = empty_set(
+        how.vehicle, how.features, how.region, grid, kernel, horizon=how.horizon, plain=how.plain,
+        capacity=DEFAULT_CAPACITY if usual else settings.capacity,
+        threshold=DEFAULT_THRESHOLD if settings.threshold is None else settings.threshold,
+        forgetting=settings.forgetting,
+    )  # fmt: skip
+    return blank, fit
 
 
 def _recorded(drives: LabelledDrives) -> list[TrainingDrive]:

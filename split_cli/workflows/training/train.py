@@ -26,32 +26,7 @@ from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
 from split_cli.workflows.training.labelled_drives import LabelledDrives, Labelling, drive_digest
 from split_cli.workflows.training.laps import LapRow, lap_rows
 from split_cli.workflows.training.new_set import create_set
-
-
-@dataclass(frozen=True)
-class TrainSettings:
-    """How to train; None means the default for a new set, and the set's own when appending."""
-
-    features: str | None = None  # ``z2`` (default), ``z1`` or a comma-separated list of names
-    hyperparameters: str | None = None  # ``fit`` (default), ``default``, or a YAML file; only for a new set
-    horizon: float | None = None  # label interval [s], 0.05 by default
-    stride: int | None = None  # samples between labels; the horizon by default
-    capacity: int | None = None  # points a cell, 10 by default
-    threshold: float | None = None  # gain that a point needs to enter a cell with room, 1e-3 by default
-    cell_edge: float | None = None  # edge of the cells in usual edges, 1 by default; only for a new set
-    forgetting: float | None = None  # time constant [s]; off by default
-    plain: bool = False  # use the paper's plain difference as label
-    exclude: tuple[tuple[float, float], ...] = ()  # stretches of time of every drive [s] that are not learned
-    # ``split`` (default), or ``iol``: one dictionary of `capacity` points, 300 by default.
-    learner: str | None = None
-    held: tuple[str, ...] = ()  # inputs that keep their value between samples, whatever the files say
-    # ``held-out`` (default): found on held-out blocks of the drives; ``full``: the plain method; or three numbers
-    # from 0 to 1 for v_x, v_y and r, separated by commas. Only for a new set.
-    trust: str | None = None
-    # ``held-out`` (default): a lag of the torque that labels show is put into the set's model where held-out
-    # blocks gain by it; ``none``: the vehicle file as it is. Only for a new set whose trust is held-out.
-    lag: str | None = None
-    any_vehicle: bool = False  # learn drives that contradict the vehicle all the same, with a warning
+from split_cli.workflows.training.settings import TrainSettings
 
 
 @dataclass(frozen=True)
@@ -92,7 +67,7 @@ def train_set(
     drive_paths: Sequence[str | Path],
     vehicle_path: str | Path,
     output: str | Path,
-    settings: TrainSettings = TrainSettings(),
+    settings: TrainSettings | None = None,
     *,
     append: bool = False,
     rows: Sequence[np.ndarray] | None = None,
@@ -127,7 +102,7 @@ def train_set(
     SplitError
         If an input is at fault; `output` is then as it was before.
     """
-    say = progress or (lambda text: None)
+    settings, say = settings or TrainSettings(), progress or (lambda text: None)
     kernel_file = {settings.hyperparameters} - {None, "fit", "default"}
     refuse_overwriting_inputs(output, (*drive_paths, vehicle_path, *kernel_file))
     sources = find_sources(drive_paths, DRIVE_SUFFIXES, what="drive")
@@ -200,7 +175,7 @@ def _train_set(
     drives.label_together()
     trained, fit = known, None
     if trained is None:
-        trained, fit, drives = _create(drives, settings)
+        trained, fit, drives = create_set(drives, settings)
     seconds, table, laps = 0.0, [], []
     for number in range(len(drives)):
         drive = drives.drive(number)
@@ -279,22 +254,6 @@ def _labelling(vehicle: Vehicle, settings: TrainSettings, known: TrainingSet | N
         settings.exclude,
         settings.held,
         settings.any_vehicle,
-    )
-
-
-def _create(
-    drives: LabelledDrives, settings: TrainSettings
-) -> tuple[TrainingSet, KernelFit | None, LabelledDrives]:
-    return create_set(
-        drives,
-        hyperparameters=settings.hyperparameters or "fit",
-        trust=settings.trust,
-        lag=settings.lag,
-        dictionary=settings.learner == LEARNER,
-        capacity=settings.capacity,
-        threshold=settings.threshold,
-        cell_edge=settings.cell_edge,
-        forgetting=settings.forgetting,
     )
 
 
