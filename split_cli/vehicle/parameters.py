@@ -206,7 +206,7 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
     for key in _SHARES:
         if not 0.0 <= numbers.get(key, 0.0) <= 1.0:
             raise VehicleError(f"{key} is {numbers[key]:g}, it must lie in 0 to 1", where=where)
-    _refuse_no_car(_VALUES_OF_CARS, numbers, where)
+    _refuse_no_car(numbers, where)
     numbers.setdefault("brake_split_front", numbers["drive_split_front"])
     numbers.setdefault("max_brake_torque", numbers["max_torque"])
     tires = [_tire(key, content.get(key), values) for key in ("front_tire", "rear_tire")]
@@ -277,7 +277,7 @@ def _tire(key: str, content: Any, source: _Values) -> MagicFormula:
             raise VehicleError(f"{key}.{name} is {values[name]:g}, it must be positive", where=where)
     if values["C"] >= 2.0:
         raise VehicleError(f"{key}.C is {values['C']:g}: the force would change sign at large slip", where=where)
-    _refuse_no_car(_VALUES_OF_CARS, values, where, f"{key}.")
+    _refuse_no_car(values, where, f"{key}.")
     return MagicFormula(**values)
 
 
@@ -294,12 +294,10 @@ _VALUES_OF_CARS = {
 }  # fmt: skip
 
 
-def _refuse_no_car(
-    limits: Mapping[str, tuple[float, float, str]], values: Mapping[str, float], where: str, prefix: str = ""
-) -> None:
+def _refuse_no_car(values: Mapping[str, float], where: str, prefix: str = "") -> None:
     for key, value in values.items():
-        if key in limits and not limits[key][0] <= value <= limits[key][1]:
-            least, most, unit = limits[key]
+        least, most, unit = _VALUES_OF_CARS.get(key, (-np.inf, np.inf, ""))
+        if not least <= value <= most:
             what = f"{prefix}{key} is {value:g} {unit}".rstrip() + f", no vehicle is outside {least:g} to {most:g}"
             raise VehicleError(what, where=where, advice="Is it in SI units?")
 

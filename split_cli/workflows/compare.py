@@ -114,8 +114,9 @@ def compare_models(
     vehicle file names are taken off the recording for that vehicle. Drives that a set was trained on are named.
     """
     names = [model.name for model in models]
-    if len(set(names)) != len(names):
-        raise SplitError(f"two models are called {_first_twice(names)!r}", advice="Name them: NEW=car.split.")
+    twice = [name for k, name in enumerate(names) if name in names[:k]]
+    if twice:
+        raise SplitError(f"two models are called {twice[0]!r}", advice="Name them: NEW=car.split.")
     if not models:
         raise SplitError("no model was named", advice="Name a vehicle file or a trained set.")
     if not horizons or not all(0.0 < time < np.inf for time in horizons):
@@ -170,15 +171,12 @@ def _run_on(
     found = []
     for time, step in zip(horizons, steps, strict=True):
         ends = {name: one[kept, step - 1] for name, one in errors.items()}
-        asked = _horizon_as_asked(time, step * window * drive.period)
+        made = step * window * drive.period
+        # As it was asked for, where whole samples come within 1 % of it.
+        asked = time if abs(made - time) <= 0.01 * time else made
         parts = held[kept, step - 1], measured[kept, step - 1], block[starts[kept]]
         found.append(RunErrors(asked, ends, *parts))
     return found, int((~kept).sum())
-
-
-def _horizon_as_asked(asked: float, made: float) -> float:
-    """Return the horizon as it was asked for, where whole samples come within 1 % of it, else as it is."""
-    return asked if abs(made - asked) <= 0.01 * asked else made
 
 
 def _correction(model: ComparedModel, drive: Drive, starts: np.ndarray) -> Correction | None:
@@ -213,7 +211,3 @@ def _notes(models: Sequence[ComparedModel], drives: Sequence[Drive], parts: Sequ
     missing = [drive.name for drive in drives if drive.name not in scored]
     notes += [f"{name} has no stretch that is long and fast enough" for name in missing]
     return tuple(notes)
-
-
-def _first_twice(names: Sequence[str]) -> str:
-    return next(name for k, name in enumerate(names) if name in names[:k])

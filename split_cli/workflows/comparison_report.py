@@ -7,7 +7,6 @@ from pathlib import Path
 
 from split_cli.errors import spreadsheet_text
 from split_cli.files import atomic_directory, write_digests
-from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart
 from split_cli.plots.palette import ROLES
@@ -58,13 +57,13 @@ def _pictures(models: Sequence[ComparedModel], drive: Drive) -> tuple[Chart, ...
     subjects = [Subject("measured", "measured", drive)]
     for model, role in zip(models[:_SHOWN], ROLES[1:], strict=False):
         own = RecordingCorrection(model.vehicle)(drive)
-        subjects.append(Subject(model.name, role, own, model.vehicle, _correction(model.trained, model, own)))
+        subjects.append(Subject(model.name, role, own, model.vehicle, _correction(model, own)))
     vehicle = models[0].vehicle
     return gathered([lambda: drive_charts(subjects, vehicle), lambda: handling_charts(subjects, vehicle)])
 
 
-def _correction(trained: TrainingSet | None, model: ComparedModel, drive: Drive) -> Correction | None:
-    if trained is None:
+def _correction(model: ComparedModel, drive: Drive) -> Correction | None:
+    if model.trained is None:
         return None
-    z = trained.features.compute(SingleTrack(model.vehicle), drive)
-    return Correction(trained.features, z, make_predictor(model.predictor, trained).mean)
+    z = model.trained.features.compute(SingleTrack(model.vehicle), drive)
+    return Correction(model.trained.features, z, make_predictor(model.predictor, model.trained).mean)

@@ -126,18 +126,7 @@ def evaluate(
     drives = [correct(drive) for drive in drives]
     doubts = vehicle_doubts(drives, vehicle, settings.any_vehicle)
     model = SingleTrack(vehicle)
-    contestants, nominal = [], []
-    for features in settings.features:
-        say(f"{features}: labels and training")
-        held = _hold_out(
-            drives, _remembering(vehicle, trained), parse_features(features), settings, trained, engine
-        )
-        nominal = nominal or held
-        own = trained or _train(held, vehicle, settings)
-        if own.found_effects:
-            held = _hold_out(drives, own.vehicle, parse_features(features), settings, trained, engine)
-        contestants.append((features, held, own))
-    _require_samples(nominal)
+    contestants, nominal = _contestants(drives, vehicle, settings, trained, say, engine)
     baselines = [baseline_tallies(h, model, _variance_of(nominal, contestants[0][2])) for h in nominal]
     scored = _score_predictors(contestants, baselines, settings, say, engine)
     scores, traces, tallies, predictors = scored
@@ -178,6 +167,32 @@ def evaluate(
     sets = tuple(own for *_, own in contestants)
     drawn_from = tuple(tuple(held) for _, held, _ in contestants)
     return EvaluationRun(report, sets, drawn_from, tuple(traces), tallies, rollouts)
+
+
+def _contestants(
+    drives: Sequence[Drive],
+    vehicle: Vehicle,
+    settings: EvaluationSettings,
+    trained: TrainingSet | None,
+    say: Callable[[str], None],
+    engine: Engine,
+) -> tuple[list[tuple[str, list[HeldOutSamples], TrainingSet]], list[HeldOutSamples]]:
+    """Return each feature set with samples and trained set, and the samples of the nominal model."""
+    contestants, nominal = [], []
+    for features in settings.features:
+        say(f"{features}: labels and training")
+        parsed = parse_features(features)
+        held = _hold_out(drives, _remembering(vehicle, trained), parsed, settings, trained, engine)
+        nominal = nominal or held
+        own = trained or _train(held, vehicle, settings)
+        if own.found_effects:
+            held = _hold_out(drives, own.vehicle, parsed, settings, trained, engine)
+        contestants.append((features, held, own))
+    if not any(len(h.tested) for h in nominal):
+        what = "no test sample can be scored: all are in gaps, too slow or not finite"
+        advice = "`split label` counts why; look at units and signs with `split info`."
+        raise DriveError(what, where=", ".join(h.drive.name for h in nominal), advice=advice)
+    return contestants, nominal
 
 
 def _notes_of_sets(contestants: Sequence[tuple], settings: EvaluationSettings, are_own: bool) -> Iterator[str]:
@@ -290,13 +305,6 @@ def _labels_and_features(job: tuple[Drive, Vehicle, FeatureSet, Region, float, b
 def _training(held: HeldOutSamples) -> Labels:
     """Return the labels that train: of the training blocks, or all where the drive is scored in sample."""
     return held.labels.within(held.split.train if held.split.train.any() else held.split.test)
-
-
-def _require_samples(held: Sequence[HeldOutSamples]) -> None:
-    if not any(len(h.tested) for h in held):
-        what = "no test sample can be scored: all are in gaps, too slow or not finite"
-        advice = "`split label` counts why; look at units and signs with `split info`."
-        raise DriveError(what, where=", ".join(h.drive.name for h in held), advice=advice)
 
 
 def _score_predictors(
