@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
-from click.testing import CliRunner
 
-from split_cli.cli.main import group
 from split_cli.export.compiler import STRICT_FLAGS, find_compiler
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive
@@ -45,22 +43,6 @@ def test_the_drafted_map_makes_si_of_the_workshops_units(followed):
         ("T", "T(N m)", 1.0),
     ):
         np.testing.assert_allclose(drive[name], factor * log[column], rtol=1e-9, atol=1e-9)
-
-
-def test_appending_gives_what_training_at_once_gives(followed, monkeypatch):
-    """With given hyperparameters, as the page says; fitted ones are those of the first drive."""
-    folder, _ = followed
-    monkeypatch.chdir(folder)
-
-    def train(*arguments: str) -> None:
-        result = CliRunner().invoke(group, ["train", *arguments, "--vehicle", "car.yaml"])
-        assert result.exit_code == 0, result.output
-
-    same = ("--hyperparameters", "default", "--trust", "full")
-    train("moderate.parquet", "small.parquet", "-o", "once.split", *same)
-    train("moderate.parquet", "-o", "twice.split", *same)
-    train("small.parquet", "-o", "twice.split", "--append")
-    assert Path("once.split").read_bytes() == Path("twice.split").read_bytes()
 
 
 def test_the_correction_beats_the_nominal_model_on_the_unseen_drive(followed):

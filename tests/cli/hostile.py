@@ -25,7 +25,7 @@ def tool(*arguments: object) -> tuple[int, str, str]:
     return left.value.code, out.getvalue(), err.getvalue()
 
 
-def refused(*arguments: object, says: tuple[str, ...], output: str | None = None) -> str:
+def refused(*arguments: object, says: tuple[str, ...], output: str | Path | None = None) -> str:
     """Run; demand exit code 1, nothing on stdout, one line with every word of `says`, and the old output whole."""
     before = state(output)
     code, out, err = tool(*arguments)
@@ -41,7 +41,7 @@ def refused(*arguments: object, says: tuple[str, ...], output: str | None = None
     return lines[0]
 
 
-def state(path: str | None) -> dict[str, str] | None:
+def state(path: str | Path | None) -> dict[str, str] | None:
     """Return the digests of what is at a path; None when nothing is."""
     if path is None or not Path(path).exists():
         return None

@@ -46,7 +46,7 @@ def printed_columns() -> set[tuple[str, str]]:
     for path in (ROOT / "split_cli" / "cli").glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             target = getattr(getattr(node, "targets", [getattr(node, "target", None)])[0], "id", "")
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print_table":
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("print_table"):
                 texts(node.args[0], path.stem)
             elif isinstance(node, ast.Assign | ast.AugAssign) and target in ("header", "heads"):
                 texts(node.value, path.stem)

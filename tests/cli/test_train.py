@@ -1,10 +1,7 @@
 """`split label` and `split train` as a user runs them: files reopened with the library, values compared."""
 
-import contextlib
 import hashlib
-import io
 import json
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from split_cli.cli.main import group, main
+from split_cli.cli.main import group
 from split_cli.learning.cells import recompute_gains
 from split_cli.learning.features import Z1, Z2
 from split_cli.learning.kernel_file import kernel_to_yaml
@@ -21,6 +18,7 @@ from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.workflows.training.train import TrainSettings, train_set
+from tests.cli.hostile import refused
 from tests.factories import MissingForce, road_car, write_garage
 
 TERM = MissingForce({"front_grip_loss": 0.1, "front_lateral": 150.0})
@@ -162,58 +160,32 @@ def test_excluded_time_is_not_learned(garage, tmp_path):
 
 
 def test_bad_input_is_one_line_and_exit_code_1(garage, tmp_path):
-    (tmp_path / "cut.parquet").write_bytes(drives_of(garage)[0].read_bytes()[:5000])
-    (tmp_path / "cut.split").write_bytes(b"ARROW1")
-    drive = read_drive(drives_of(garage)[0])
-    short = drive.select(slice(0, 2))
-    write_drive(short, tmp_path / "short.parquet")
-    holes = {**drive.columns, "r": np.where(np.arange(len(drive)) == 77, np.nan, drive["r"])}
-    write_drive(replace(drive, columns=holes), tmp_path / "holes.parquet")
-    slow = {**drive.columns, "vx": 0.01 * drive["vx"]}
-    write_drive(replace(drive, columns=slow), tmp_path / "slow.parquet")
-    car = str(garage / "car.yaml")
-    good = str(drives_of(garage)[0])
-    cases = [
-        (["train", str(tmp_path / "cut.parquet"), "--vehicle", car], "cut.parquet: cannot be read as a drive"),
-        (["train", str(tmp_path / "none.parquet"), "--vehicle", car], "none.parquet: no such file"),
-        (
-            ["train", str(tmp_path / "short.parquet"), "--vehicle", car, "--horizon", "0.1"],
-            "too short for a label",
-        ),
-        (
-            ["train", str(tmp_path / "holes.parquet"), "--vehicle", car],
-            "non-finite values in r, the first in row 77",
-        ),
-        (["train", str(tmp_path / "slow.parquet"), "--vehicle", car], "no sample is inside the valid region"),
-        (["train", good, "--vehicle", car, "--features", "alpha_q"], "no feature 'alpha_q'. Did you mean alpha_"),
-        (["train", good, "--vehicle", car, "--hyperparameters", "fti"], "Give fit, default, or a YAML file"),
-        (["train", good, "--vehicle", car, "--threshold", "2"], "the gain threshold is 2"),
-        (["train", good, "--vehicle", car, "--trust", "1,2"], "the trust '1,2' cannot be read"),
-        (["train", good, "--vehicle", car, "--horizon", "-1"], "the label horizon is -1"),
-        (["train", good, "--vehicle", car, "--stride", "0"], "the stride is 0"),
-    ]
-    for arguments, message in cases:
-        output = tmp_path / "out.split"
-        result = _real(*arguments, "-o", str(output))
-        assert result.returncode == 1, arguments
-        assert message in result.stderr
-        assert len(result.stderr.strip().splitlines()) == 1
-        assert not output.exists()
-    result = _real("train", good, "--vehicle", car, "--append", "-o", str(tmp_path / "cut.split"))
-    assert result.returncode == 1
-    assert "not a whole trained set" in result.stderr
-    assert (tmp_path / "cut.split").read_bytes() == b"ARROW1"
-
-
-def _real(*arguments: str) -> subprocess.CompletedProcess:
-    """Run the command in process, through the one place that makes lines and exit codes of errors."""
-    out, err, code = io.StringIO(), io.StringIO(), 0
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main(list(arguments))
-        except SystemExit as leave:
-            code = leave.code
-    return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
+    car, good = garage / "car.yaml", drives_of(garage)[0]
+    drive = read_drive(good)
+    (tmp_path / "cut.parquet").write_bytes(good.read_bytes()[:5000])
+    write_drive(drive.select(slice(0, 2)), tmp_path / "short.parquet")
+    holes = np.where(np.arange(len(drive)) == 77, np.nan, drive["r"])
+    for name, changed in (("holes", {"r": holes}), ("slow", {"vx": 0.01 * drive["vx"]})):
+        write_drive(replace(drive, columns={**drive.columns, **changed}), tmp_path / f"{name}.parquet")
+    for name, options, message in (
+        ("cut.parquet", "", "cut.parquet: cannot be read as a drive"),
+        ("none.parquet", "", "none.parquet: no such file"),
+        ("short.parquet", "--horizon 0.1", "too short for a label"),
+        ("holes.parquet", "", "non-finite values in r, the first in row 77"),
+        ("slow.parquet", "", "no sample is inside the valid region"),
+        (good, "--features alpha_q", "no feature 'alpha_q'. Did you mean alpha_"),
+        (good, "--hyperparameters fti", "Give fit, default, or a YAML file"),
+        (good, "--threshold 2", "the gain threshold is 2"),
+        (good, "--trust 1,2", "the trust '1,2' cannot be read"),
+        (good, "--horizon -1", "the label horizon is -1"),
+        (good, "--stride 0", "the stride is 0"),
+    ):
+        asked = ("train", tmp_path / name, "--vehicle", car, *options.split(), "-o", tmp_path / "out.split")
+        refused(*asked, says=(message,), output=tmp_path / "out.split")
+    cut = tmp_path / "cut.split"
+    cut.write_bytes(b"ARROW1")
+    asked = ("train", good, "--vehicle", car, "--append", "-o", cut)
+    refused(*asked, says=("not a whole trained set",), output=cut)
 
 
 def test_label_writes_what_the_library_computes(garage, tmp_path):

@@ -99,17 +99,13 @@ def test_other_formats_cut_off_or_corrupt_never_give_a_traceback(tmp_path, plant
     whole = path.read_bytes()
     rng = np.random.default_rng(12)
     damaged = path.with_name("damaged" + path.suffix)
-    for trial in range(120):
+    for trial in range(40 if kind == "feather" else 120):  # each feather is read in a process of its own
+        corrupt, start = bytearray(whole), int(rng.integers(1, len(whole)))
         if trial % 2:
-            content = whole[: int(rng.integers(1, len(whole)))]
+            del corrupt[start:]
         else:
-            corrupt = bytearray(whole)
-            start = int(rng.integers(0, len(whole)))
-            corrupt[start : start + 8] = rng.integers(
-                0, 256, len(corrupt[start : start + 8]), dtype=np.uint8
-            ).tobytes()
-            content = bytes(corrupt)
-        damaged.write_bytes(content)
+            corrupt[start : start + 8] = rng.bytes(min(8, len(whole) - start))
+        damaged.write_bytes(corrupt)
         try:
             recording = open_recording(damaged)
             numeric = [c.name for c in recording.channels() if c.type_name != "text" and c.count != 0]

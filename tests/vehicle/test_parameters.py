@@ -15,7 +15,6 @@ from split_cli.vehicle.parameters import (
     Vehicle,
     read_vehicle,
     vehicle_from_mapping,
-    vehicle_to_mapping,
     write_vehicle,
 )
 from split_cli.vehicle.tire import MagicFormula
@@ -222,13 +221,6 @@ def test_minimum_speed_is_the_papers_for_its_car():
     assert replace(car, cg_to_front_axle=0.16, cg_to_rear_axle=0.17).minimum_speed == pytest.approx(
         1.748, abs=1e-3
     )
-
-
-def test_mapping_round_trip_keeps_origin_and_note():
-    car = vehicle_from_mapping(by_hand())
-    mapping = vehicle_to_mapping(car)
-    assert mapping["mass"] == {"value": 1500.0, "source": "published", "note": "the makers brochure"}
-    assert vehicle_from_mapping(mapping) == car
 
 
 @pytest.mark.parametrize(

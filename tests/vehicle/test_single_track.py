@@ -180,26 +180,6 @@ def test_tire_slope_peak_and_stiffness(tire):
         assert lateral_force(tire.B, tire.C, tire.D, peak) == pytest.approx(tire.D, rel=1e-15)
 
 
-def test_effects_add_exactly_the_force_they_state(road_car):
-    states = tuple(np.array([x]) for x in (25.0, 0.3, 0.2, 300.0, 0.03))
-    base = np.array(SingleTrack(road_car).velocity_derivative(*states))[:, 0]
-    arm = road_car.cg_to_rear_axle / road_car.wheelbase
-    front = -75.0 * arm  # along the wheels, which point 0.03 rad to the left
-    rolling = (
-        (-75.0 * (1.0 - arm) + front * np.cos(0.03)) / 1500.0,
-        front * np.sin(0.03) / 1500.0,
-        front * np.sin(0.03) * road_car.cg_to_front_axle / 2600.0,
-    )
-    cases = (
-        (EffectSpec("aero_drag", {"drag": 0.1}), (-0.1 * 25.0**2 / 1500.0, 0.0, 0.0)),
-        (EffectSpec("rolling_resistance", {"force": 75.0}), rolling),
-        (EffectSpec("yaw_moment_differential", {"yaw_damping": 500.0}), (0.0, 0.0, -500.0 * 0.2 / 2600.0)),
-    )
-    for effect, expected in cases:
-        with_term = np.array(SingleTrack(road_car.with_effects(effect)).velocity_derivative(*states))[:, 0]
-        np.testing.assert_allclose(with_term - base, expected, atol=1e-13)
-
-
 @pytest.mark.parametrize(
     ("effect", "message"),
     [
