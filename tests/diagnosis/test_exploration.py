@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.innovations.case import gather_case
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
+from tests.diagnosis.recordings import candidates_of, driven, late, noisy, noisy_objective, prepared
+from tests.factories import road_car
 
 VARIANCE_INFLATION = 1.5
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness", "steer_lag")
@@ -83,6 +85,20 @@ def test_promises_beside_another_term_are_close_to_fits(objective, explore, curr
     best = explore(current)[0]
     assert label(best) == "yaw_inertia" and current.cost - best.cost > 100.0
     assert np.all(np.diff([fit.cost for fit in explore(current)][:2]) > 0.0)
+
+
+def test_a_late_steering_is_found_beside_a_file_that_is_wrong_by_more():
+    """A drive without the fault teaches what the file lacks; held where commands put it, that hides the fault."""
+    own = (CATALOGUE["tire_stiffness"]({"front_scale": 0.25, "rear_scale": 0.35}),)
+    real = driven(32, own, runs=6, steer=lambda commands, step: late(commands, 0.06, step))
+    series = prepared(noisy(real, 2)), prepared(noisy(driven(31, own, runs=6), 1), "sim")
+    case = gather_case(road_car(), series)
+    objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep)
+    explore = Explorer(objective, tuple(candidates_of(objective, "steer_delay", "aero_drag")), VARIANCE_INFLATION)
+    found = {label(fit): fit for fit in explore(nothing(objective))}["steer_delay"]
+    assert found.parts[0].values["delay"] == pytest.approx(0.06, rel=0.1)
+    held = objective.whiten(objective.residual(found.terms))
+    assert found.cost < 0.5 * nothing(objective).cost < 0.25 * float(held @ held)
 
 
 def test_a_relative_starts_where_it_is_as_large(objective):
