@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from split_cli.workflows.demo import INSTALLED, demo_steps
+from tests.studies.versions import constraints
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -71,3 +72,10 @@ def assert_the_demo_is_in(wheel: Path, folder: Path) -> None:
 def test_the_site_builds_without_a_warning(tmp_path):
     run("mkdocs", "build", "--strict", "--quiet", "-f", ".mkdocs.yml", "-d", str(tmp_path / "site"))
     assert "Policy" in (tmp_path / "site" / "api" / "index.html").read_text(encoding="utf-8")
+
+
+def test_the_oldest_dependencies_are_those_that_were_tried():
+    """A bound of `pyproject.toml` that changes asks for `python -m tests.studies.versions oldest` again."""
+    page = (ROOT / "docs" / "trust.md").read_text()
+    tried = page.split("<!-- oldest versions that were tried -->\n```text\n")[1].split("```")[0].split()
+    assert tried == constraints("oldest")

@@ -150,7 +150,8 @@ def _run_on(
     models: Sequence[ComparedModel], drive: Drive, horizons: Sequence[float], block: np.ndarray
 ) -> tuple[list[RunErrors], int]:
     window = max(1, round(STEP / drive.period))
-    steps = [max(1, round(time / (window * drive.period))) for time in horizons]
+    # A horizon beyond the drive's end asks for more steps than there are; no number of them is too large to count.
+    steps = [max(1, round(min(time / (window * drive.period), len(drive)))) for time in horizons]
     length = steps[-1]
     slowest = max(model.vehicle.minimum_speed for model in models)
     starts = rollout_starts(drive, np.ones(len(drive), dtype=bool), length * window, slowest)

@@ -339,6 +339,8 @@ def test_the_log_at_fault_and_its_damage_are_named(here):
         ("ingest", "lap.csv", "-o", "o.parquet", "--dbc", "no_such.dbc"),
         ("compare", "car.yaml", "--on", "d0.parquet", "--horizon", "0"),
         ("compare", "car.yaml", "--on", "d0.parquet", "--horizon", ","),
+        ("compare", "car.yaml", "--on", "d0.parquet", "--horizon", "1e308"),
+        ("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "x.out", "--smooth", "1e308"),
         ("race", "--vehicle", "car.yaml", "--laps", 10**21, "-o", "o.parquet"),
         ("verify", "lap.csv"),
         ("verify", "no_such_file.split"),

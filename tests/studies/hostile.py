@@ -57,7 +57,7 @@ BASE = {
     "race": ("--vehicle", "road_car.yaml", "--laps", "0", "--max-speed", "11"),
     "maneuver": ("brake-avoid", "--vehicle", "road_car.yaml"),
     "experiments": ("--vehicle", "road_car.yaml", "-o", "out", "--only", "none"),
-    "simulate": ("--track", "small", "--duration", "1", "-o", "out.csv"),
+    "simulate": ("--track", "small", "--duration", "3", "-o", "out.csv"),
     "explain": ("train",),
     "info": ("car.yaml",),
     "verify": ("a.split",),

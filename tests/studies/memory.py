@@ -2,11 +2,13 @@
 
 Example: ``python -m tests.studies.memory --rows 100000,1000000 --do label,train,ingest-parquet``. The recording is
 a lap of the samples, repeated with different sensor noise, as a log of any kind of `tests.studies.long_logs`
-(``ingest-bag``). ``learn`` offers labels made at random to a set: no drive is read. Prints a row a command: rows,
-peak resident memory, wall and processor time, and the time a row.
+(``ingest-bag``); ``ingest-folder`` reads a tenth of it ten times with two processes, and tells the larger one's
+memory and the time of both. ``learn`` offers labels made at random to a set: no drive is read. Prints a row a
+command: rows, peak resident memory, wall and processor time, and the time a row.
 """
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -24,9 +26,11 @@ from {module} import {function}
 try:
     {function}({arguments})
 finally:
-    used = resource.getrusage(resource.RUSAGE_SELF)
+    own, others = (resource.getrusage(whose) for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
-    print("measured", int(peak.split()[1]) * 1024, used.ru_utime + used.ru_stime, file=sys.stderr)
+    peak = max(int(peak.split()[1]), others.ru_maxrss)
+    used = own.ru_utime + own.ru_stime + others.ru_utime + others.ru_stime
+    print("measured", peak * 1024, used, file=sys.stderr)
 """
 LEARNERS_BATCH = 100_000
 
@@ -83,7 +87,13 @@ def measure(what: str, rows: int, folder: Path) -> tuple[int, float, float]:
     kind = what.removeprefix("ingest-") if what.startswith("ingest-") else "drive"
     log = folder / f"{rows}.{'parquet' if kind == 'drive' else 'log.' + kind}"
     if what != "learn" and not log.exists():
-        make_log(log, rows, kind)
+        if kind == "folder":
+            log.mkdir()
+            make_log(folder / "tenth.parquet", rows // 10, "parquet")
+            for number in range(10):
+                os.link(folder / "tenth.parquet", log / f"{number}.parquet")
+        else:
+            make_log(log, rows, kind)
     car = str(CAR)
     arguments = {
         "label": ["label", str(log), "--vehicle", car, "-o", str(folder / "labels.parquet")],
@@ -92,7 +102,9 @@ def measure(what: str, rows: int, folder: Path) -> tuple[int, float, float]:
         "diagnose": ["diagnose", "--real", str(log), "--vehicle", car, "--out", str(folder / "diagnosis")],
         "learn": [],
     }.get(what, ["ingest", str(log), "--vehicle", car, "-o", str(folder / "out.parquet")])
-    if kind != "drive":
+    if kind == "folder":
+        arguments = ["ingest", str(log), "--vehicle", car, "-o", str(folder / "drives"), "--jobs", "2"]
+    elif kind != "drive":
         arguments += arguments_of(kind, folder)
     module, function, given = ("tests.studies.memory", "learn", str(rows)) if what == "learn" else (
         "split_cli.cli.main", "main", repr(arguments))  # fmt: skip

@@ -106,7 +106,7 @@ def motion_samples(
 
 
 def _smoothed(run: MotionRun, vehicle: Vehicle, smoothing: float) -> tuple[dict[str, np.ndarray], float] | None:
-    half = max(1, int(np.ceil(4.0 * smoothing / run.period)))
+    half = max(1, int(np.ceil(min(4.0 * smoothing / run.period, len(run.vx)))))
     if len(run.vx) < 2 * half + 2:
         return None
     offsets = np.arange(-half, half + 1) * run.period
