@@ -214,7 +214,7 @@ class SetFile:
         self.path = Path(path)
         if not self.path.is_file():
             what = "is a folder, a trained set is a file" if self.path.is_dir() else "no such file"
-            raise SetError(what, where=str(path))
+            raise SetError(what, where=str(path), advice="Name the file that `split train` wrote.")
         try:
             self._source = pa.memory_map(str(path))
             self._reader = pa.ipc.open_file(self._source)

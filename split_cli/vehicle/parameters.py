@@ -194,7 +194,7 @@ def vehicle_from_mapping(content: Mapping[str, Any], *, where: str = "vehicle") 
         if letter in content[tire] and content[tire][letter] is None
     ]
     if lacking:
-        advice = "See the vehicle file in docs/formats.md; `split init` writes one with every key explained."
+        advice = "Fill them in: docs/formats.md explains each, and so do the comments in a file of `split init`."
         raise VehicleError(f"lacks {', '.join(lacking)}", where=where, advice=advice)
     numbers = {key: values.number(key, content[key]) for key in _NUMBERS if content.get(key) is not None}
     for key in _POSITIVE:

@@ -77,8 +77,9 @@ def test_the_speed_of_a_steering_wheel_is_no_speed_of_the_car(columns, tmp_path)
     turned = 17.0 * c["delta"]
     rate = np.gradient(turned, 0.02)
     table = {"time": t, "x": c["X"], "y": c["Y"], "yaw": c["yaw"], "vel": rate, "acc": np.gradient(rate, 0.02)}
-    found = drafted_table(table, tmp_path).of("vx")
-    assert found.status == "open" and "speed of X, Y over v_x" in found.reason
+    alone = drafted_table(table, tmp_path)
+    assert alone.of("vx").status == "open" and "speed of X, Y over v_x" in alone.of("vx").reason
+    assert alone.of("ax").status == "assumed"
     draft = drafted_table(table | {"carv": c["vx"], "fl": 1e-3 * turned, "fr": 1e-3 * turned}, tmp_path)
     assert draft.of("vx").sources == ("carv",) and draft.of("vx").status == "judged"
     # Nor is every column called by a corner the speed of a wheel.

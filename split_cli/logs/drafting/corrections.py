@@ -179,7 +179,9 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
         return replace(s, status="open", reason=f"left or right positive is undecided: {undecided[0].text}")
     key = {"Y": "X"}.get(s.channel, s.channel)
     keys = {key, "hand"} if key == "X" else {key}
-    holding = [relation for relation in verdict.relations if relation.holds and keys & set(relation.powers)]
+    # What agrees with a channel that no car's can be has it for a companion, not for a judge.
+    beyond = {f.channel for f in verdict.findings if f.check == "range"}
+    holding = [r for r in verdict.relations if r.holds and keys & set(r.powers) and not beyond & set(r.powers)]
     notes = [f.text for f in verdict.findings if f.channel == s.channel]
     remark = f"{s.reason}; " if s.reason else ""
     if _agree_in_any_unit(s, chosen, verdict):
