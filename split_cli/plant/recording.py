@@ -47,7 +47,8 @@ def write_mcap(readings: tuple[Reading, ...], path: str | Path) -> None:
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         topics = [topic for topic in TOPICS if topic.sensor in by_name]
-        schemas = {name: writer.register_msgdef(name, definition(name)) for name in _types(topics)}
+        types = dict.fromkeys(topic.type_name for topic in topics)
+        schemas = {name: writer.register_msgdef(name, definition(name)) for name in types}
         merged = heapq.merge(
             *(_messages(topic, index, by_name[topic.sensor], EPOCH) for index, topic in enumerate(topics)),
             key=lambda message: message[:2],
@@ -56,10 +57,6 @@ def write_mcap(readings: tuple[Reading, ...], path: str | Path) -> None:
             topic = topics[index]
             writer.write_message(topic.name, schemas[topic.type_name], message, log_time, publish_time, sequence)
         writer.finish()
-
-
-def _types(topics: list[Topic]) -> list[str]:
-    return list(dict.fromkeys(topic.type_name for topic in topics))
 
 
 def _messages(topic: Topic, index: int, reading: Reading, start: float):

@@ -153,16 +153,13 @@ def measure(
 
 
 def _stamps(run: Trajectory, sensor: SensorSpec, rng: np.random.Generator, phase: float) -> np.ndarray:
-    if sensor.is_command and sensor.clock_jitter == 0.0 and np.isclose(sensor.rate, 1.0 / _control(run)):
+    period = float(run.command_t[1] - run.command_t[0])
+    if sensor.is_command and sensor.clock_jitter == 0.0 and np.isclose(sensor.rate, 1.0 / period):
         return run.command_t[run.command_t <= run.t[-1]]
     count = int((run.t[-1] - run.t[0]) * sensor.rate + 1e-6) + 1
     stamp = run.t[0] + (np.arange(count) + phase) / sensor.rate
     stamp = stamp + np.clip(rng.standard_normal(count), -3, 3) * sensor.clock_jitter
     return stamp[(stamp >= run.t[0]) & (stamp <= run.t[-1])]
-
-
-def _control(run: Trajectory) -> float:
-    return float(run.command_t[1] - run.command_t[0])
 
 
 def _truth(run: Trajectory, sensor: SensorSpec, name: str, at: np.ndarray) -> np.ndarray:

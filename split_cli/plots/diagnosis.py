@@ -8,7 +8,7 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
-from split_cli.diagnosis.statement.result import Diagnosis, Finding, GapSeries, ParameterEstimate
+from split_cli.diagnosis.statement.result import Diagnosis, Finding, GapSeries
 from split_cli.diagnosis.statement.sentences import gap_left, unexplained_part
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.plots.style import EMPTY, LABEL_UNITS, PALETTE, STATES, new_figure, quiet
@@ -191,14 +191,9 @@ def _draw_rivals(axis: Axes, finding: Finding) -> None:
     axis.set_xlim(left=min(-1.0, 1.3 * min(sizes)))
     axis.axvline(0.0, color="0.4", linewidth=0.8)
     axis.set_xlabel("cost above the chosen term [χ²], with 95 % interval over blocks of time")
-    values = ", ".join(_value_text(name, estimate) for name, estimate in finding.parameters.items())
+    values = ", ".join(f"{name} {amount(estimate)}" for name, estimate in finding.parameters.items())
     axis.set_title(f"{term_name(finding.term)}: {values}", fontsize="medium", loc="left")
     quiet(axis)
-
-
-def _value_text(name: str, estimate: ParameterEstimate) -> str:
-    """Return a parameter with its 95 % interval."""
-    return f"{name} {amount(estimate)}"
 
 
 def draw_help(improvement: Improvement, *, named: bool = True) -> Figure:

@@ -121,7 +121,9 @@ def evaluate(
     """
     _check(settings, trained)
     if trained is not None:
-        settings = replace(settings, features=(_short_name(trained.features),), horizon=trained.horizon)
+        names = trained.features.names
+        short = {Z1.names: "z1", Z2.names: "z2"}.get(names, ",".join(names))
+        settings = replace(settings, features=(short,), horizon=trained.horizon)
     correct = RecordingCorrection(vehicle)
     drives = [correct(drive) for drive in drives]
     doubts = vehicle_doubts(drives, vehicle, settings.any_vehicle)
@@ -261,10 +263,6 @@ def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
         raise SplitError(
             "--sizes trains sets of its own, and --set gives one", advice="Leave --set or --sizes out."
         )
-
-
-def _short_name(features: FeatureSet) -> str:
-    return {Z1.names: "z1", Z2.names: "z2"}.get(features.names, ",".join(features.names))
 
 
 def _remembering(vehicle: Vehicle, trained: TrainingSet | None) -> Vehicle:

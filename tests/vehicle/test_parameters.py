@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 
 from split_cli.errors import VehicleError
 from split_cli.vehicle.library import library_names
-from split_cli.vehicle.parameters import (
-    EffectSpec,
-    Vehicle,
-    read_vehicle,
-    vehicle_from_mapping,
-    write_vehicle,
-)
+from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_from_mapping, write_vehicle
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.yaml_file import parse_yaml
 

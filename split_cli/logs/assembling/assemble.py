@@ -132,7 +132,8 @@ def _assemble(
     recording: RawRecording, signal_map: SignalMap, vehicle: Vehicle | None, settings: IngestSettings
 ) -> Assembled:
     gap, signal_map = _gap_and_map(settings, signal_map)
-    derivations = _ordered([derivation_named(name).name for name in settings.derive])
+    asked = {derivation_named(name).name for name in settings.derive}
+    derivations = [name for name in DERIVATIONS if name in asked]
     needed = _needed_channels(signal_map, derivations)
     gathered = gather(
         recording,
@@ -263,10 +264,6 @@ def _unverified(path: Path, before: DriveMetadata | None) -> str:
 def _assumed_before(before: DriveMetadata | None) -> tuple[str, ...]:
     assumed = before.quality.get("assumed", ()) if before is not None else ()
     return tuple(f"{text} (when it was first ingested)" for text in map(str, assumed))
-
-
-def _ordered(names: Sequence[str]) -> list[str]:
-    return [name for name in DERIVATIONS if name in names]
 
 
 def _needed_channels(signal_map: SignalMap, derivations: Sequence[str]) -> list[str]:

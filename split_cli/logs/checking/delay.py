@@ -151,13 +151,14 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
 
     c = k.columns
     turning = lambda: k.of("vx r", lambda: c["vx"] * c["r"])  # noqa: E731
+    forced = lambda: c["vx"] * np.nan_to_num(k.rate("vx"))  # noqa: E731
     inertial_x = lambda: k.rate("vx") - k.of("vy r", lambda: c["vy"] * c["r"])  # noqa: E731
     add("dyaw/dt = r", "yaw", "r", set(), lambda: k.rate("yaw"), lambda: k.signal("r"))
     add("a_x = dv_x/dt - v_y r", "ax", "vx", {"vy", "r"}, lambda: k.signal("ax"), inertial_x)
     add("a_y = v_x r + dv_y/dt", "ay", "r", {"vx", "vy"}, lambda: k.signal("ay"), lambda: turning() + k.rate("vy"))
     for wheel in [name for name in c if name.startswith("wheel_speed")]:
         # A driven wheel slips by its force: v_x (1 + k a_x) looks like v_x a little earlier.
-        slip = [lambda: k.of("vx ax", lambda: c["vx"] * _acceleration(k), 1)] if _is_driven(wheel, vehicle) else []
+        slip = [lambda: k.of("vx ax", forced, 1)] if _is_driven(wheel, vehicle) else []
         turn = [lambda: k.rate("r")] if "r" in c else []
         add(
             f"{wheel} = v_x", wheel, "vx", set(),
@@ -184,11 +185,6 @@ def _is_driven(wheel: str, vehicle: Vehicle | None) -> bool:
         return True
     share = vehicle.drive_split_front if wheel[-2] == "f" else 1.0 - vehicle.drive_split_front
     return share > 0.0
-
-
-def _acceleration(k: Kinematics) -> np.ndarray:
-    """Return dv_x/dt of the smoothed speed, 0 where it is not known."""
-    return np.nan_to_num(k.rate("vx"))
 
 
 def _turning(k: Kinematics) -> np.ndarray:

@@ -134,10 +134,6 @@ def _tire(p: np.ndarray) -> MagicFormula:
     return MagicFormula(B=K / (C * D), C=C, D=D)
 
 
-def _start(tire: MagicFormula) -> np.ndarray:
-    return np.array([np.log(tire.cornering_stiffness), np.log(tire.D), np.clip(tire.C, *_C_BOUNDS), 0.0])
-
-
 def fit_force_curve(
     axle: str,
     slip_angle: np.ndarray,
@@ -251,7 +247,7 @@ def _best_fit(problem: _Problem, start: MagicFormula, given_peak: float) -> Leas
     One start is what the samples show by themselves: the slope of a line through the lesser half of the forces,
     and the largest force as the peak.
     """
-    begin = _start(start)
+    begin = np.array([np.log(start.cornering_stiffness), np.log(start.D), np.clip(start.C, *_C_BOUNDS), 0.0])
     begins = [begin, *(np.array([begin[0], np.log(given_peak * f), 1.4, 0.0]) for f in (0.6, 1.0, 1.6))]
     size = np.abs(problem.force)
     gentle = size <= np.median(size)
