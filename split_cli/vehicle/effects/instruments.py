@@ -308,7 +308,7 @@ class ChannelDelay(_Instrument):
         """Return ranges and starts [s]: clocks do not run faster in smaller cars."""
         names = cls.parameter_units(variant)
         limits = Range(0.0, 0.6, 0.001, _UNALIGNED)
-        starts = tuple(dict.fromkeys(names, value) for value in (0.004, 0.015, 0.045, 0.13))
+        starts = tuple(dict.fromkeys(names, value) for value in (0.004, 0.015, 0.045, 0.13, 0.38))
         return Search(dict.fromkeys(names, limits), starts)
 
     @classmethod
