@@ -46,7 +46,7 @@ from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
     "set_output",
     type=shared.OutputPath("file"),
     metavar="FILE",
-    help="Train a new set on the first run, and write it.",
+    help="Train a new set on the first run, up to where an axle lets go, and write it.",
 )
 @click.option("--features", default="z2", metavar="LIST",
               help="Inputs of the correction that --set trains; see `split race`.")  # fmt: skip

@@ -383,6 +383,16 @@ def test_on_half_the_grip_a_set_passes_where_the_file_of_a_dry_road_does_not(tmp
     assert learned.passed and learned.deviation < 0.25
 
 
+def test_a_run_is_learned_up_to_where_an_axle_lets_go(tmp_path):
+    wet = ManeuverSettings(grip=0.5, seed=100, speeds=(22.0,))
+    (lost,) = run_maneuvers(wet, CAR, output=tmp_path / "lost.parquet", set_output=tmp_path / "lost.split").runs
+    drive, trained = read_drive(tmp_path / "lost.parquet"), read_set(tmp_path / "lost.split")
+    side_slip = np.abs(np.arctan2(drive["vy"], drive["vx"]))
+    assert lost.hit > 5 and side_slip.max() > 0.4
+    before = drive["t"][np.argmax(side_slip > trained.region.alpha_max)]
+    assert 0 < trained.t.max() < before and trained.size > 40
+
+
 def test_a_start_that_is_not_on_the_track_is_refused(tmp_path):
     angle = np.arange(80) * 2 * np.pi / 80
     rows = [f"{60 * np.cos(a):.3f},{40 * np.sin(a):.3f},6.0,0.3" for a in angle]

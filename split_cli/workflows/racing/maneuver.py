@@ -24,7 +24,7 @@ from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_wri
 from split_cli.learning.cells import learn
 from split_cli.learning.features import FeatureSet, parse_features
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT, default_kernel, fit_kernel, scatter_variance
-from split_cli.learning.labels import compute_labels
+from split_cli.learning.labels import Reason, compute_labels
 from split_cli.learning.region import build_grid
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import write_drive
@@ -220,11 +220,19 @@ def _write(world: World, output: FilePath) -> None:
 
 
 def _learn(world: World, vehicle: Vehicle, features: FeatureSet, step: float, output: str | FilePath) -> None:
-    """Learn one run into a new set, its kernel fitted to the same run."""
+    """Learn one run into a new set, its kernel fitted to the same run.
+
+    Notes
+    -----
+    A run in which an axle lets go is learned up to there. Between two slides slip angles pass through zero at
+    rates that no driving has, tyres follow late, and features of one moment take that for a force.
+    """
     vehicle, added = remembering(vehicle, features)
     limits = Limits()
     region = learning_region(vehicle, limits.alpha_max, limits.dalpha_max, limits.p_long)
     labels = compute_labels(world.recording(name="maneuver"), vehicle, features, region, horizon=step)
+    slides = np.flatnonzero(labels.reason == int(Reason.SLIP))
+    labels = labels.take(slice(0, int(slides[0]) if len(slides) else None))
     good = labels.accepted
     if not good.any():
         what = "the run gave no valid label, so no set can be trained on it"
