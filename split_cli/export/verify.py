@@ -1,6 +1,7 @@
 """Checking an export that already lies in a folder: hashes, then answers."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,7 @@ def verify_folder(folder: str | Path) -> tuple[VerifiedItem, ...]:
 
 def _hash(path: Path, expected: str) -> VerifiedItem:
     what = f"{path.name}: SHA-256"
-    if not path.is_file():
+    if not os.path.isfile(path):
         return VerifiedItem(what, False, "the file is missing")
     found = sha256_of_file(path)
     return VerifiedItem(what, found == expected, "as written" if found == expected else f"is {found}")

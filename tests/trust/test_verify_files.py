@@ -1,6 +1,8 @@
 """`split verify` on every file of ours: what is whole passes, each kind of damage fails the check it concerns."""
 
+import contextlib
 import json
+import random
 import re
 import shutil
 from dataclasses import replace
@@ -16,6 +18,7 @@ from split_cli.files import sha256_of_file
 from split_cli.logs.drive import Source, read_drive, write_drive
 from split_cli.workflows.info import describe_file
 from split_cli.workflows.verifying.verify import verify
+from tests.studies.fuzz import mutate_json
 from tests.trust.test_forged_folders import failed
 
 FILES = Path(__file__).parents[1] / "golden" / "files"
@@ -149,3 +152,19 @@ def test_a_file_of_a_folder_is_checked_with_it(folder):
     (folder / "ingest-manifest.json").write_text("[]")
     with pytest.raises(SplitError, match="no manifest of this version"):
         verify(folder / "ingest-manifest.json")
+
+
+def test_results_whose_values_were_forged_are_refused_or_read(folder):
+    """A hundred and twenty seeded forgeries of a diagnosis and of the manifests of an export and of a folder."""
+    rng = random.Random(7)
+    for path in ("diagnosis-1/diagnosis.json", "export-1/manifest.json", "drives-1/ingest-manifest.json"):
+        content = (folder / path).read_bytes()
+        for _ in range(40):
+            (folder / path).write_bytes(mutate_json(content, rng))
+            for look in (verify, describe_file):
+                with contextlib.suppress(SplitError):
+                    look(folder / path)
+    diagnosis = json.loads((FILES / "diagnosis-1" / "diagnosis.json").read_text())
+    diagnosis["inputs"][0]["name"] = "x" * 9999  # longer than any file system takes
+    (folder / "diagnosis-1" / "diagnosis.json").write_text(json.dumps(diagnosis))
+    assert [i.passed for i in verify(folder / "diagnosis-1").items if i.check.startswith("source xx")] == [None]

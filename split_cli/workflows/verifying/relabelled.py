@@ -1,5 +1,6 @@
 """Labels and points computed again from their drives, where these lie beside them."""
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,7 +66,7 @@ def labels_against_drive(labels: Labels, path: Path) -> tuple[VerifiedItem, ...]
 
 
 def _is_the(path: Path, digest: str) -> bool:
-    return path.is_file() and sha256_of_file(path) == digest
+    return os.path.isfile(path) and sha256_of_file(path) == digest
 
 
 def _vehicles(folder: Path) -> Iterable[Vehicle]:

@@ -1,5 +1,6 @@
 """Check one file or folder that this program wrote against itself: nothing else is needed."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +113,7 @@ def _set_of_export(folder: Path, whole: bool) -> tuple[VerifiedItem, ...]:
     name, digest = (
         (str(exported.get("name", "")), exported.get("sha256")) if isinstance(exported, dict) else ("", None)
     )
-    beside = [p / Path(name).name for p in (folder, folder.parent) if (p / Path(name).name).is_file()]
+    beside = [p / Path(name).name for p in (folder, folder.parent) if os.path.isfile(p / Path(name).name)]
     if not name or not digest or not beside:
         return ()
     same = [path for path in beside if sha256_of_file(path) == digest]

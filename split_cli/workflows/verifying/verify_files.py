@@ -1,5 +1,6 @@
 """Checks of drives, labels, vehicles, maps, hyperparameters and pages."""
 
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -122,7 +123,7 @@ def compare_sources(
     items, folders, sources = [], list(folders), list(sources)
     for name, digest in sources:
         beside = [folder / Path(name).name for folder in folders]
-        beside = [path for path in beside if path.is_file() and path != but]
+        beside = [path for path in beside if os.path.isfile(path) and path != but]
         check = f"source {name}"
         if not digest:
             items.append(VerifiedItem(check, None, "its digest was not stored"))

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -134,7 +135,7 @@ def _digests(folder: Path) -> list[VerifiedItem]:
         path = folder / name
         if len(digest) != 64 or not name or not path.absolute().is_relative_to(folder.absolute()) or ".." in name:
             items.append(VerifiedItem("digests", False, f"{DIGESTS} is damaged"))
-        elif not path.is_file():
+        elif not os.path.isfile(path):
             items.append(VerifiedItem(name, False, "is missing"))
         else:
             items.append(
