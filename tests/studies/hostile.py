@@ -163,7 +163,7 @@ def try_run(source: Path, work: Path, name: str, arguments: tuple[str, ...], pat
         return how, f"leaves or changes {changed[:3]}"
     if used.ru_maxrss > 1 << 20:
         return how, f"takes {used.ru_maxrss >> 10} MB"
-    if stopped and used.ru_utime + used.ru_stime < 0.2 * patience:
+    if stopped and used.ru_utime + used.ru_stime < 0.02 * patience:
         return how, "waits"
     return how, ""
 
