@@ -58,7 +58,10 @@ def _short(text: str) -> str:
 
 
 def _rest(text: str) -> str:
-    return "" if _short(text).rstrip(".") == text.rstrip(".") else f'<p class="lead">{prose(text)}</p>'
+    """Return what a finding says below its headline: what follows a whole sentence, all of a part of one."""
+    head = _short(text).rstrip(".")
+    rest = text.removeprefix(f"{head}. ")
+    return "" if rest.rstrip(".") == head else f'<p class="lead">{prose(rest)}</p>'
 
 
 def _channels(found: Mapping[str, Any]) -> str:
