@@ -88,7 +88,8 @@ def test_reading_goes_on_behind_a_damaged_stretch_at_the_next_mark(tmp_path):
     log = head() + subscribe(4, "esc_status") + b"".join(rows[:10])
     (tmp_path / "a.ulg").write_bytes(log + b"\xff" * 300 + message("S", SYNC) + b"".join(rows[20:]))
     recording = open_recording(tmp_path / "a.ulg")
-    assert [note.what for note in recording.notes] == ["messages that are damaged, left out"]
+    (note,) = recording.notes
+    assert note.what.startswith("messages that are damaged") and note.count == 1
     values = recording.read(["/esc_status/esc[0].rpm"])["/esc_status/esc[0].rpm"].values
     np.testing.assert_array_equal(values, 0.5 * np.r_[0:10, 20:50])
     whole = log + b"".join(rows)
@@ -117,6 +118,13 @@ def test_definitions_that_cannot_be_are_refused_before_memory_is_taken(tmp_path,
     (tmp_path / "a.ulg").write_bytes(log)
     with pytest.raises(LogError):
         open_recording(tmp_path / "a.ulg")
+    # Beside a sound topic it is left out, and counted.
+    _, rows = escs()
+    log = head(FORMATS | formats) + subscribe(1, "a") + subscribe(4, "esc_status") + logged(1, bytes(64)) * 3
+    (tmp_path / "a.ulg").write_bytes(log + b"".join(rows))
+    recording = open_recording(tmp_path / "a.ulg")
+    assert {info.name.split("/")[1] for info in recording.channels()} == {"esc_status"}
+    assert [note.count for note in recording.notes] == [1, 3]
 
 
 def test_what_an_estimator_finds_wrong_is_no_measured_yaw(tmp_path):

@@ -27,6 +27,8 @@ _TYPES = {
 }  # fmt: skip
 _FIELD = re.compile(r"(\w+)(?:\[(\d{1,6})\])? (\w+)")
 _MOST_APPENDED = 3
+_DEEPEST = 8
+"""Messages inside one another [1]; judgement: those of PX4 hold one."""
 
 
 class _Topic:
@@ -83,8 +85,9 @@ def _index(data: mmap.mmap, path: Path, notes: list[ReadNote]) -> dict[str, _Top
     """Find the messages of all topics; losses that the log states, and damaged stretches, are counted."""
     formats: dict[str, str] = {}
     topics: dict[str, _Topic] = {}
+    layouts: dict[str, np.dtype | None] = {}
     numbered: dict[int, _Topic] = {}
-    lost = damaged = 0
+    lost = damaged = undefined = fields = 0
     appended: list[int] = []
     at = _HEAD
     while at + _MESSAGE_HEAD.size <= len(data):
@@ -107,35 +110,52 @@ def _index(data: mmap.mmap, path: Path, notes: list[ReadNote]) -> dict[str, _Top
             else:
                 damaged += 1
         elif kind == ord("F"):
-            name, _, fields = data[begin:end].decode("utf-8", "replace").partition(":")
-            formats[name] = fields
+            name, _, content = data[begin:end].decode("utf-8", "replace").partition(":")
+            formats[name] = content
         elif kind == ord("A") and size > 3:
             name = data[begin + 3 : end].decode("utf-8", "replace")
             called = f"{name}_{data[begin]}" if data[begin] else name
             if called not in topics:
-                topics[called] = _Topic(_layout(name, formats, path))
-            numbered[data[begin + 1] | data[begin + 2] << 8] = topics[called]
+                if name not in layouts:
+                    layouts[name] = _layout(name, formats)
+                layout = layouts[name]
+                if layout is None:
+                    undefined += 1
+                else:
+                    fields += len(layout.names or ())
+                    refuse_many_columns(fields, path.name)  # before a short file lists a long message many times
+                    topics[called] = _Topic(layout)
+            if called in topics:
+                numbered[data[begin + 1] | data[begin + 2] << 8] = topics[called]
         elif kind == ord("O"):
             lost += 1
         elif kind == ord("B") and size >= 40 and data[begin + 8] & 1:
             places = struct.unpack_from(f"<{_MOST_APPENDED}Q", data, begin + 16)
             appended = [place for place in sorted(places) if end <= place < len(data)]
         at = end
-    for count, what in ((lost, "dropouts that the log states"), (damaged, "messages that are damaged, left out")):
+    losses = (
+        (lost, "dropouts that the log states"),
+        (undefined, "topics without a sound definition, left out"),
+        (damaged, "messages that are damaged, or of no topic that is known, left out"),
+    )
+    for count, what in losses:
         if count:
             notes.append(ReadNote(what, path.name, count))
     return topics
 
 
-def _layout(name: str, formats: dict[str, str], path: Path) -> np.dtype:
-    """Return where the numbers of a message stand, by address."""
-    fields = list(_fields(name, formats, "", 0, [0], path))
+def _layout(name: str, formats: dict[str, str]) -> np.dtype | None:
+    """Return where the numbers of a message stand, by address; None where its definition is damaged."""
+    try:
+        fields = list(_fields(name, formats, "", 0, [0]))
+    except ValueError:
+        return None
     while fields and "_padding" in fields[-1][0]:
         fields.pop()  # not written at the end of a message
     offsets = np.cumsum([0, *(np.dtype(kind).itemsize for _, kind in fields)])
     kept = {field: (kind, offset) for (field, kind), offset in zip(fields, offsets, strict=False)}
-    if "timestamp" not in kept or kept["timestamp"][0] != "<u8":
-        raise LogError(f"topic {name!r} has no time stamp", where=path.name, advice="Copy the log again.")
+    if kept.get("timestamp", ("",))[0] != "<u8":
+        return None
     return np.dtype({
         "names": list(kept), "formats": [kind for kind, _ in kept.values()],
         "offsets": [int(offset) for _, offset in kept.values()], "itemsize": int(offsets[-1]),
@@ -143,25 +163,28 @@ def _layout(name: str, formats: dict[str, str], path: Path) -> np.dtype:
 
 
 def _fields(
-    name: str, formats: dict[str, str], prefix: str, depth: int, counted: list[int], path: Path
+    name: str, formats: dict[str, str], prefix: str, depth: int, counted: list[int]
 ) -> Iterator[tuple[str, str]]:
-    """Yield address and type of every number of a message, with those of the messages inside it."""
-    if name not in formats or depth > 8:
-        raise LogError(f"does not define {name!r}", where=path.name, advice="Copy the log again.")
+    """Yield address and type of every number of a message, with those of the messages inside it.
+
+    Raises
+    ------
+    ValueError
+        If a definition is missing or damaged, holds itself, or has more than `MOST_FIELDS`.
+    """
+    if name not in formats or depth > _DEEPEST:
+        raise ValueError(name)
     for part in filter(None, formats[name].split(";")):
         match = _FIELD.fullmatch(part)
         if match is None:
-            raise LogError(
-                f"defines {name!r} wrongly: {part[:60]!r}", where=path.name, advice="Copy the log again."
-            )
+            raise ValueError(part)
         kind, count, field = match[1], match[2], match[3]
         for index in range(int(count or 1)):
             address = f"{prefix}{field}" + (f"[{index}]" if count else "")
             counted[0] += 1
             if counted[0] > MOST_FIELDS or len(address) > LONGEST_NAME:
-                what = f"defines {name!r} with more than {MOST_FIELDS:,} fields"
-                raise LogError(what, where=path.name, advice="Copy the log again.")
+                raise ValueError(address)
             if kind in _TYPES:
                 yield address, _TYPES[kind]
             else:
-                yield from _fields(kind, formats, f"{address}.", depth + 1, counted, path)
+                yield from _fields(kind, formats, f"{address}.", depth + 1, counted)
