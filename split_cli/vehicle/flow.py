@@ -43,6 +43,8 @@ class Flow:
     l_r: Any
     front: AxleFlow
     rear: AxleFlow
+    # J/r_e^2 of what turns with the wheels, which only v_x' accelerates [kg].
+    rotating_mass: Any = 0.0
     # sine, cosine: of `delta` once `actuate` has passed.
     sine: Any = 0.0
     cosine: Any = 1.0

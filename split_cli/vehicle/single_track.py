@@ -183,6 +183,7 @@ class SingleTrack:
         front_x = f.front.longitudinal_force * f.cosine - f.front.lateral_force * f.sine
         front_y = f.front.lateral_force * f.cosine + f.front.longitudinal_force * f.sine
         dvx = (f.rear.longitudinal_force + front_x + f.force_x) / f.mass + f.vy * f.r
+        dvx = dvx * (f.mass / (f.mass + f.rotating_mass))
         dvy = (f.rear.lateral_force + front_y + f.force_y) / f.mass - f.vx * f.r
         dr = (front_y * f.l_f - f.rear.lateral_force * f.l_r + f.moment) / f.yaw_inertia
         return dvx, dvy, dr

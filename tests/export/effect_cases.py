@@ -39,6 +39,7 @@ PARAMETERS = {
     "road_bank": {"angle": 0.04},
     "road_grade": {"angle": 0.03},
     "rolling_resistance": {"force": 150.0},
+    "rotating_mass": {"mass": 90.0},
     "steer_backlash": {"width": 0.01},
     "steer_delay": {"delay": 0.08},
     "steer_gain": {"gain": 1.1},

@@ -42,6 +42,7 @@ EXAMPLES = {
     ("aero_downforce", "peak"): {"front": 0.8, "rear": 1.1},
     ("aero_drag", ""): {"drag": 0.2},
     ("rolling_resistance", ""): {"force": 70.0},
+    ("rotating_mass", ""): {"mass": 60.0},
     ("wind", ""): {"wx": 5.0, "wy": -3.0},
     ("wind", "side"): {"wx": 5.0, "wy": -3.0},
     ("wind", "broadside"): {"wx": 5.0, "wy": -3.0},
@@ -293,6 +294,14 @@ def test_forces_at_the_centre_of_gravity():
     check(
         at, np.stack([wave, zero, zero]), term("road_grade", "wave", amplitude=0.04, wavelength=120.0, phase=0.3)
     )
+
+
+def test_what_turns_with_the_wheels_resists_the_change_of_speed_alone():
+    """(m + mass) v_x' = F_x + m v_y r: at a steady speed nothing of it shows, nor in v_y and r."""
+    at = driving()
+    plain, heavy = rates(at), rates(at, term("rotating_mass", mass=60.0))
+    np.testing.assert_allclose(1560.0 * heavy[0], 1500.0 * plain[0], rtol=1e-12)
+    np.testing.assert_array_equal(heavy[1:], plain[1:])
 
 
 def test_rolling_resistance_points_along_the_wheels_and_is_shared_as_the_static_loads():

@@ -61,8 +61,8 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
         return rates
     own = [term for term in build_terms(vehicle) if alters_body(term)]
     old, new = _body(vehicle, own), _body(vehicle, [*own, *altering])
-    lighter, nimbler = old.mass / new.mass, old.yaw_inertia / new.yaw_inertia
-    return rates * np.array([lighter, lighter, nimbler])
+    along = (old.mass + old.rotating_mass) / (new.mass + new.rotating_mass)
+    return rates * np.array([along, old.mass / new.mass, old.yaw_inertia / new.yaw_inertia])
 
 
 def _body(vehicle: Vehicle, terms: Sequence[Term]) -> Flow:

@@ -92,6 +92,7 @@ class DriveLag(Lagging):
     """
 
     id = "drive_lag"
+    in_every_car: ClassVar = True
     variants: ClassVar = ("", "along")
     family = "along"
     needs: ClassVar = frozenset({"torque", "torque changes"})
@@ -209,6 +210,7 @@ class SteerLag(Lagging):
     """
 
     id = "steer_lag"
+    in_every_car: ClassVar = True
     through_tires: ClassVar = True
     family = "steering"
     discrepancy: ClassVar = (("", "tau", 0.02), ("", "tau", 0.06))

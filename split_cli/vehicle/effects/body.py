@@ -1,4 +1,4 @@
-"""Terms of the body: mass, yaw inertia, the centre of gravity's place."""
+"""Terms of the body: mass, what turns with the wheels, yaw inertia, the centre of gravity's place."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -10,7 +10,7 @@ from split_cli.vehicle.effects.wording import Estimates, amount, scaled
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["CgShift", "Mass", "YawInertia", "gyration", "inertia_range", "least_mass"]
+__all__ = ["CgShift", "Mass", "RotatingMass", "YawInertia", "gyration", "inertia_range", "least_mass"]
 
 # In wheelbases.
 _MOVED, _FURTHEST = 0.17, 0.75
@@ -26,6 +26,7 @@ _INERTIA = (
     "Heydinger et al. (1999), SAE 1999-01-1336: I_z/(m l_f l_r) of cars lies within 0.8 and 1.2; judgement: 1.3, "
     "and 0.2 for mass that is carried between the axles"
 )
+_TURNING = "Gillespie (1992), chapter 2: what turns adds some 4 % to a car's mass, and half of it in first gear"
 # I_z/(m l_f l_r), the squared radius of gyration over the product of the arms.
 _LEAST_GYRATION, _MOST_GYRATION = 0.2, 1.3
 _ANY_FILE = 1.15  # by how much a file may be wrong whatever it says
@@ -104,6 +105,42 @@ class Mass(Term):
         ):
             scale_load(axle, scale, self.variant)
             axle.longitudinal_force = axle.longitudinal_force - (scale - 1.0) * resistance
+
+
+class RotatingMass(Term):
+    """Wheels, brakes and drive line turn faster as the car does: (m + mass) v_x' = F_x + m v_y r.
+
+    `mass` is J/r_e^2, with J the inertia of all that turns, referred to the wheels. Driving across and turning do
+    not accelerate it. At a steady speed it takes no torque, by which it differs from `drive_gain`. Source:
+    Gillespie (1992), chapter 2.
+    """
+
+    id = "rotating_mass"
+    in_every_car: ClassVar = True
+    units: ClassVar = {"mass": "kg"}
+    neutral: ClassVar = {"mass": 0.0}
+    family = "along"
+    needs: ClassVar = frozenset({"torque", "torque changes"})
+    mimics: ClassVar = (
+        Mimic("drive_gain", "torque that is mostly spent on acceleration", "a fast straight at a steady speed"),
+        Mimic("mass", "straight driving", "hard turns"),
+    )
+
+    @classmethod
+    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
+        return {"mass": vehicle.mass}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        return Search({"mass": Range(0.0, 0.5, 0.005, _TURNING)}, ({"mass": 0.03},))
+
+    @classmethod
+    def statement(cls, p: Estimates, variant: str = "") -> str:
+        return f"what turns with the wheels resists acceleration like {amount(p['mass'], one_sided=True)} of mass"
+
+    def body(self, flow: Flow) -> None:
+        """Add the mass that turns."""
+        flow.rotating_mass = flow.rotating_mass + self.parameters["mass"]
 
 
 class YawInertia(Term):

@@ -108,6 +108,7 @@ class YawMomentDifferential(Term):
     """
 
     id = "yaw_moment_differential"
+    in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"yaw_damping": "N m s/rad"}
     neutral: ClassVar = {"yaw_damping": 0.0}

@@ -91,6 +91,9 @@ class Term:
         assumes one.
     loads_tires : bool
         Whether its variants are laws of how a tyre carries another load; a real one lies between them.
+    in_every_car : bool
+        Whether no real car is without it, while the plain single track is: physics that it leaves out, and what
+        load that moves sideways makes of an axle's tyres. It is no surprise where no simulation has it in common.
     family : str
         Kind of physics, by which the manoeuvre is chosen that tells two terms apart: ``tires``, ``body``,
         ``along`` (forces along the car), ``steering``, ``place``, ``time``, ``air``, ``measurement``, ``clock``.
@@ -132,6 +135,7 @@ class Term:
     through_tires: ClassVar[bool] = False
     states_peak: ClassVar[bool] = False
     loads_tires: ClassVar[bool] = False
+    in_every_car: ClassVar[bool] = False
     family: ClassVar[str] = "tires"
     needs: ClassVar[frozenset[str]] = frozenset()
     variant_needs: ClassVar[Mapping[str, frozenset[str]]] = {}

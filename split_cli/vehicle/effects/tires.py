@@ -79,6 +79,7 @@ class CombinedSlip(Term):
     """
 
     id = "combined_slip"
+    in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"strength": "1"}
     neutral: ClassVar = {"strength": 0.0}
@@ -129,6 +130,7 @@ class FrictionScale(Term):
     """
 
     id = "friction_scale"
+    in_every_car: ClassVar = True
     through_tires: ClassVar = True
     states_peak: ClassVar = True
     units: ClassVar = {"scale": "1"}
@@ -259,6 +261,7 @@ class TireRelaxation(Term):
     """
 
     id = "tire_relaxation"
+    in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"length": "m"}
     neutral: ClassVar = {"length": 0.0}
@@ -306,6 +309,7 @@ class LoadTransfer(Term):
     """
 
     id = "load_transfer"
+    in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"cg_height": "m"}
     neutral: ClassVar = {"cg_height": 0.0}
@@ -353,6 +357,7 @@ class TireStiffness(Term):
     """The tyres of an axle have another stiffness: B front_scale, B rear_scale. The peak stays."""
 
     id = "tire_stiffness"
+    in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"front_scale": "1", "rear_scale": "1"}
     neutral: ClassVar = {"front_scale": 1.0, "rear_scale": 1.0}
@@ -388,6 +393,7 @@ class AeroDownforce(Term):
     """
 
     id = "aero_downforce"
+    in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"front": "N/(m/s)^2", "rear": "N/(m/s)^2"}
     neutral: ClassVar = {"front": 0.0, "rear": 0.0}
