@@ -17,6 +17,8 @@ a road that leans all along. Where neither leaves a name, witnesses are asked fo
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from split_cli.diagnosis.innovations.case import DiagnosisCase
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs, build_objective
 from split_cli.diagnosis.policy import STANDARD, Policy, SelectionRules
@@ -25,7 +27,6 @@ from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms
@@ -241,10 +242,16 @@ def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], know
     structure = replace(structure, objective=objective)
     policy = objective.policy
 
-    def leaves_structure(fit: Fit) -> bool:
-        left = structure.fit(residuals_beside_form_error(objective, fit), variance_inflation)
+    def is_structure(residuals: np.ndarray) -> bool:
+        left = structure.fit(residuals, variance_inflation)
         return left.p_value < policy.selection.level and left.effect_to_noise > policy.allowances.unnamed
 
-    selection = select_terms(objective, candidates, variance_inflation, leaves_structure)
+    selection = select_terms(
+        objective,
+        candidates,
+        variance_inflation,
+        lambda fit: is_structure(residuals_beside_form_error(objective, fit)),
+        lambda fit: is_structure(fit.residuals),
+    )
     selection = with_variants_that_run(structure, candidates, selection, variance_inflation)
     return SearchOutcome(structure, gap, selection, known, variance_inflation, (objective,))

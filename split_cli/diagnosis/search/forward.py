@@ -76,7 +76,7 @@ def search_forward(
         return explore.price(chosen) - explore.price(fit)
 
     def worth_it(fits: Sequence[Fit]) -> list[Fit]:
-        return [fit for fit in fits if price_saved(fit) > 0.0 and not _goes_too_far(chosen, fit)]
+        return [fit for fit in fits if price_saved(fit) > 0.0 and not goes_too_far(chosen, fit)]
 
     while True:
         fits = worth_it(first if chosen is base else explore(chosen))
@@ -142,7 +142,7 @@ def other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> 
     return list(out.values())[: rules.beginnings]
 
 
-def _goes_too_far(chosen: Fit, further: Fit) -> bool:
+def goes_too_far(chosen: Fit, further: Fit) -> bool:
     """Return whether a further term ends where no real car goes further, or takes one that did not there."""
     if not chosen.parts:
         return False

@@ -131,18 +131,19 @@ def _fit_from(
 
 def _everything_from(explore: Explorer, current: Fit) -> tuple[list[Part], list[dict[str, Prior]]]:
     """Return an explanation's parts and all other terms, each in its most promising variant, near none; priors."""
-    parts = [*current.parts, *(_near_none(one.part) for one in explore.first_lines(current))]
-    return parts, [_prior(part.candidate, explore.rules.deviations) for part in parts]
+    parts = [*current.parts, *(near_none(one.part) for one in explore.first_lines(current))]
+    return parts, [prior_of(part.candidate, explore.rules.deviations) for part in parts]
 
 
-def _near_none(part: Part) -> Part:
+def near_none(part: Part) -> Part:
+    """Return a part near no effect, where one begins that is not in the explanation yet."""
     ranges = part.candidate.ranges
     near = part.candidate.moved(part.values, _NEAR_NONE)
     inside = {name: float(np.clip(value, ranges[name].lower, ranges[name].upper)) for name, value in near.items()}
     return Part(part.candidate, inside)
 
 
-def _prior(candidate: Candidate, deviations: float) -> dict[str, Prior]:
+def prior_of(candidate: Candidate, deviations: float) -> dict[str, Prior]:
     """Return no effect and a deviation, so many to a range's bound, for parameters with a neutral value."""
     neutral = CATALOGUE[candidate.term].neutral
     out = {}

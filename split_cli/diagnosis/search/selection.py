@@ -8,6 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.every_car import explanation_of_every_car, is_shown
 from split_cli.diagnosis.search.exchange import (
     alone,
     is_better_beside_form_error,
@@ -96,6 +97,7 @@ def select_terms(
     candidates: Sequence[Candidate],
     variance_inflation: float,
     leaves_structure: Callable[[Fit], bool] = lambda fit: True,
+    leaves_more_than_noise: Callable[[Fit], bool] = lambda fit: False,
 ) -> Selection:
     """Add the term that saves most while one earns its price, then drop those that no longer do.
 
@@ -107,6 +109,8 @@ def select_terms(
     ----------
     leaves_structure : callable
         Whether an explanation leaves more than noise and the model-form error of its terms.
+    leaves_more_than_noise : callable
+        Whether it leaves more than noise; where it does not, no list of what every car has is compared with it.
     """
     rules = objective.policy.selection
     explore = Explorer(objective, tuple(candidates), variance_inflation)
@@ -119,6 +123,12 @@ def select_terms(
     def score(found: Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
+    partly = cache(lambda: strongest_part(objective, explore.lines(), base.residuals, variance_inflation))
+    whole = explanation_of_every_car(explore, base, found.with_what_matters(base, rules), leaves_more_than_noise)
+    if whole is not None:
+        selection = _named_of_every_car(explore, base, whole[0])
+        explore.close()
+        return replace(selection, history=whole[1], first_p=found.first_p, first=tuple(first), partly=partly)
     jointly = None
     many = found.names > rules.few_names
     if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
@@ -152,7 +162,6 @@ def select_terms(
     if single is not None:
         history.append(said_of(selection.chosen, single))
         selection = _examined(explore, base, single)
-    partly = cache(lambda: strongest_part(objective, explore.lines(), base.residuals, variance_inflation))
     explore.close()
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
 
@@ -172,6 +181,17 @@ def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
         else:
             break
     return fit if is_better_beside_form_error(explore, fit, chosen) else None
+
+
+def _named_of_every_car(explore: Explorer, base: Fit, whole: Fit) -> Selection:
+    """Return a selection of what every car has, named as far as it is shown beside the others.
+
+    Rivals take no places: by raw costs who bends most to the model-form error of the others would win.
+    """
+    selection = _compared(explore, base, whole)
+    shown = [is_shown(explore, whole, rest) for rest in selection.without]
+    named = tuple(one and other for one, other in zip(selection.named, shown, strict=True))
+    return _with_rivals(explore, replace(selection, named=named))
 
 
 def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:

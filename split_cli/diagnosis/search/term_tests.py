@@ -166,10 +166,13 @@ def is_form_error(
     The model-form error of large terms in a channel they hardly act in has no simple shape: a term that takes
     nearly all that was left there, and much was, is none of it.
     """
-    channel = int(np.argmax(size))
-    across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
     least = objective.policy.allowances.unnamed
-    return bool(size[channel] < max(least, rules.form_error_share * of[channel], across))
+
+    def is_no_more(channel: int) -> bool:
+        across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
+        return bool(size[channel] < max(least, rules.form_error_share * of[channel], across))
+
+    return all(is_no_more(channel) for channel in range(len(size)))
 
 
 def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
