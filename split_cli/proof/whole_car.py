@@ -41,6 +41,7 @@ _AXLES = (
     "cg_height", "roll_center_front", "roll_center_rear", "track_front", "track_rear",
     "ackermann_fraction", "toe_front", "toe_rear",
 )  # fmt: skip
+_WHEELS = ("wheel_inertia_front", "wheel_inertia_rear")
 _CURVES = ("p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2")
 PIECES = (
     Piece("combined_slip", tire_fields=("combined_slip",)),
@@ -50,9 +51,10 @@ PIECES = (
     Piece("steer_lag", ("steer_lag", "steer_rate"), known=lambda car: {"tau": car.steer_lag}),
     Piece("drive_lag", ("drive_lag", "torque_rate"), known=lambda car: {"tau": car.drive_lag}),
     Piece("yaw_moment_differential", ("differential_locking_front", "differential_locking_rear")),
+    Piece("rotating_mass", _WHEELS, known=lambda car: {"mass": car.effective_mass - car.mass}),
     Piece("tire_stiffness", _AXLES, _CURVES, asked=False),
     Piece("friction_scale", _AXLES, _CURVES, asked=False),
-    Piece("drive_gain", ("wheel_inertia_front", "wheel_inertia_rear"), asked=False),
+    Piece("drive_gain", _WHEELS, asked=False),
 )
 
 
