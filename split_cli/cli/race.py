@@ -70,6 +70,11 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
 @click.option("--margin", type=float, metavar="M", help="Distance to keep between the car's side and the track "
               f"border, in addition to what earlier laps needed  [default: {MARGIN} for a wheelbase of {SIZE} m, "
               "in proportion for others].")  # fmt: skip
+@click.option(
+    "--margin-by-error/--margin-by-laps",
+    default=False,
+    help="Reduce the margin that a lap did not need in proportion to the model's error, or by a fifth a lap.",
+)
 @click.option("--p-long", type=float, default=RACE_P_LONG, metavar="WEIGHT",
               help="Weight of the longitudinal "
               "force in the friction ellipse.")  # fmt: skip

@@ -28,7 +28,7 @@ from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
 from split_cli.workflows.racing.choice import FeatureChoice, choose_features, whether_learning_helped
-from split_cli.workflows.racing.driving import Race, next_deviation
+from split_cli.workflows.racing.driving import Race, next_deviation, share_left
 from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.first_lap import blank_header, remembering
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
@@ -240,6 +240,24 @@ def test_the_margin_is_what_the_lap_before_has_needed():
     assert next_deviation(0.8, tally.needed) == pytest.approx(0.7)
     # Had it kept to its plan, 0.8 of 0.8 m stay.
     assert next_deviation(0.8, 0.0) == pytest.approx(0.64)
+
+
+def test_the_margin_may_fall_to_the_share_of_the_error_that_a_model_left():
+    rng, noise = np.random.default_rng(0), np.array([0.2, 0.2, 0.1])
+    left_out = rng.normal(0.0, [1.0, 0.6, 0.3], (20_000, 3))
+    scatter = noise * rng.normal(size=left_out.shape)
+
+    def rms(values: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.mean(np.square(values), axis=0))
+
+    # A model that leaves 0.3 of v_y and 0.1 of r, whatever the noise of the labels; v_x moves no car sideways.
+    after = rms(left_out * [1.0, 0.3, 0.1] + scatter)
+    found = share_left(rms(left_out + scatter), after, noise)
+    assert found == pytest.approx(0.3, abs=0.02)
+    # It allows 0.24 of 0.8 m where the lap needed no more, and never more than a fifth less than before does.
+    assert next_deviation(0.8, 0.1, found * 0.8) == pytest.approx(0.24, abs=0.02)
+    assert next_deviation(0.8, 0.5, found * 0.8) == 0.5
+    assert next_deviation(0.2, 0.0, share_left(after, after, noise) * 0.8) == pytest.approx(0.16)
 
 
 def test_a_small_car_keeps_lengths_in_proportion_and_its_plans_to_its_actuators():

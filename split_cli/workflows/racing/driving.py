@@ -61,7 +61,22 @@ LEFT_BEHIND = 1.0
 """A car whose whole width and this much more [m] is beyond the border has left the track, and its lap ends."""
 
 
-def next_deviation(before: float, needed: float) -> float:
+def share_left(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
+    """Return the share of the nominal error that a model left in a lap, of v_y and r the larger, from 0 to 1 [1].
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (3,)
+        Root mean squares of the lap's labels, and of what predictions leave of them.
+    noise : ndarray, shape (3,)
+        Deviation of the labels' noise, which no model can predict, in the same units.
+    """
+    before, after, noise = (np.square(values[1:]) for values in (before, after, noise))
+    shares = np.maximum(after - noise, 0.0) / np.maximum(before - noise, 1e-12)
+    return float(np.sqrt(np.minimum(shares, 1.0).max()))
+
+
+def next_deviation(before: float, needed: float, most: float = np.inf) -> float:
     """Return by how much more than the least margin the next lap's plan keeps to the border [m].
 
     Parameters
@@ -71,13 +86,15 @@ def next_deviation(before: float, needed: float) -> float:
     needed : float
         By how much the car came nearer to the border than planned, at most [m]. Where the track leaves no room
         for the whole margin, the plan kept less.
+    most : float
+        What stays at most, if the lap needed no more [m].
 
     Notes
     -----
-    The model, noise or the price of a soft border may be at fault. `DEVIATION_KEPT` of what was kept stays in any
-    case.
+    The model, noise or the price of a soft border may be at fault. `DEVIATION_KEPT` of what was kept stays, or
+    `most` where that is less.
     """
-    return max(needed, DEVIATION_KEPT * before)
+    return max(needed, min(DEVIATION_KEPT * before, most))
 
 
 class Race:
@@ -300,13 +317,23 @@ class Race:
         self.traces.append(np.array(tally.trace))
         outside = self.laps[-1].outside
         self.say(f"lap {number}: " + (f"{time:.2f} s, {outside:.2f} m outside" if time else self.ended))
-        controller.deviation = next_deviation(controller.deviation, tally.needed)
+        controller.deviation = next_deviation(controller.deviation, tally.needed, self._error_allows())
         self.spans[number] = (tally.first, len(world.rows))
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
             self._learn_grip(trained.z, trained.y)
         self._raise_share()
         self._keep(trained)
+
+    def _error_allows(self) -> float:
+        """Return by how much plan and drive part with an error as that of the last lap [m]; the first deviation is
+        for the nominal model's, and position errors go in proportion.
+        """
+        lap = self.laps[-1]
+        if not self.settings.margin_by_error or lap.error_after == lap.error_before or self.ended:
+            return np.inf
+        noise = np.sqrt(self.header.kernel.noise_variance)
+        return self.deviation * share_left(np.array(lap.error_before), np.array(lap.error_after), noise)
 
     def _keep(self, trained: TrainingSet | None) -> None:
         """Write what was learned, if anything was."""
