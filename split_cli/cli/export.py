@@ -33,7 +33,7 @@ from split_cli.cli.verbosity import print_notes
 @click.option(
     "--queries",
     default=10_000,
-    type=click.IntRange(min=100),
+    type=click.IntRange(100, 10_000_000),
     metavar="N",
     help="Number of queries on which the export is compared with Python.",
 )
