@@ -65,7 +65,6 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     """
     from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 
-    shared.refuse_one_file_twice(o=output, set=set_output)
     shared.refuse_without_use({
         "predictor": (options["start_set"] is not None, "--start-set"),
         "features": (set_output is not None, "--set"),

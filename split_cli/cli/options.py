@@ -105,17 +105,6 @@ class TimeSpan(click.ParamType):
         return start, stop
 
 
-def refuse_one_file_twice(**outputs: Path | None) -> None:
-    """Refuse two options that name one file to write; keywords are the options' names without dashes."""
-    from os.path import realpath
-
-    seen: dict[str, str] = {}
-    for option, path in outputs.items():
-        shown = f"-{option}" if len(option) == 1 else f"--{option}"
-        if path is not None and seen.setdefault(realpath(path), shown) != shown:
-            raise click.UsageError(f"{seen[realpath(path)]} and {shown} name the same file, {path}.")
-
-
 def refuse_without_use(used: Mapping[str, tuple[bool, str]]) -> None:
     """Refuse options that were given and would change nothing.
 

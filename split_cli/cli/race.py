@@ -136,7 +136,6 @@ def command(
     learners = tuple(dict.fromkeys(learners))
     if len(learners) > 1 and (output or set_output):
         raise click.UsageError("-o and --set take the drive and the set of one learner; name one.")
-    shared.refuse_one_file_twice(o=output, set=set_output, report=report)
     asks_a_set = "split" in learners or options["start_set"] is not None
     shared.refuse_without_use({
         "predictor": (asks_a_set, "--learner split, or to --start-set"),

@@ -37,6 +37,11 @@ class FeatureSet:
         """Whether these are the three features the valid region is defined over."""
         return self.names == Z2.names
 
+    @property
+    def within_region(self) -> tuple[bool, ...]:
+        """For each feature, whether the valid region limits it: those of z2, and states of terms behind them."""
+        return tuple(name in Z2.names or "." in name for name in self.names)
+
     def compute(self, model: SingleTrack, drive: Drive, recording: Recording | None = None) -> np.ndarray:
         """Return the features of every sample of a drive, shape (N, D); `recording` as of `flow_along`.
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import SetError
+from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid
@@ -211,26 +212,28 @@ def _evenly(count: int, most: int) -> np.ndarray:
     return np.linspace(0, count - 1, min(count, most)).round().astype(int)
 
 
-def longest_scale(grid: Grid, z: np.ndarray) -> np.ndarray:
+def longest_scale(features: FeatureSet, grid: Grid, z: np.ndarray) -> np.ndarray:
     """Return the upper bounds of length scales for sets that other driving will use, shape (D,), in cell edges.
 
     Parameters
     ----------
+    features : FeatureSet
+        Of the labels.
     z : ndarray, shape (N, D)
         Of the training labels.
 
     Notes
     -----
     One edge over z2, whose cells are of a size that is known. Over other lists five dimensions would leave nearly
-    every query without a neighbour; there it is half the range of the feature in the labels, from the 0.1 to the
-    99.9 % quantile. A correction that speed does not change in slow bends need not hold in fast ones, and a longer
-    scale would carry it there (docs/decisions/0032).
+    every query without a neighbour. There it is half the range in the labels, from the 0.1 to the 99.9 % quantile,
+    of each feature that the valid region does not limit. A correction that speed does not change in slow bends may
+    fail in fast ones, and a longer scale would carry it there (docs/decisions/0032).
     """
-    if np.isfinite(grid.lower).all():
+    if features.is_z2:
         return np.full(len(grid.edges), LONGEST_SCALE)
     half = 0.5 * np.diff(np.quantile(z, [0.001, 0.999], axis=0), axis=0)[0]
     longest: np.ndarray = np.clip(half / np.array(grid.edges), *LENGTH_BOUNDS)
-    return longest
+    return np.where(features.within_region, LENGTH_BOUNDS[1], longest)
 
 
 def _names_of(on_bound: np.ndarray, dimension: int) -> tuple[str, ...]:

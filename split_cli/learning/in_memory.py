@@ -46,5 +46,5 @@ def fitted_grid_and_kernel(
     grid = build_grid(labels[0].features, vehicle, labels[0].region, z).coarser(cell_edge)
     kernel = default_kernel(grid, y, scatter_variance(labels[0]))
     if len(z) >= FEWEST_TO_FIT:
-        kernel = fit_kernel(z, y, grid, kernel, longest=longest_scale(grid, z)).kernel
+        kernel = fit_kernel(z, y, grid, kernel, longest=longest_scale(labels[0].features, grid, z)).kernel
     return grid, kernel

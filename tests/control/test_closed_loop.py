@@ -317,7 +317,7 @@ def test_a_cone_is_hit_when_the_body_reaches_it():
         ({"track": "nowhere"}, "no track"),
         ({"learner": "guess"}, "no learner"),
         ({"laps": -1}, "number of laps"),
-        ({"laps": 10**21}, "below 1e6"),
+        ({"laps": 10**21}, "from 0 to 200"),
         ({"laps": 0, "start_set": "a.split"}, "nothing would be driven"),
         ({"hyperparameters": "default", "start_set": "a.split"}, "start set keeps the kernel"),
         ({"grip": 0.0}, "positive"),
@@ -376,7 +376,7 @@ def test_a_table_of_a_set_with_other_than_three_features_is_refused_before_the_f
     ("options", "says"),
     [
         ("race --learner none --set a.split", "no set would be written"),
-        ("race -o a.parquet --set ./a.parquet", "-o and --set name the same file"),
+        ("race -o a.parquet --set ./a.parquet", "is --output too"),
         ("race --iol-update incremental", "--iol-update belongs to --learner iol"),
         ("race --learner none --predictor bcm", "--predictor belongs to --learner split"),
         ("maneuver iso3888-1 --features z1", "--features belongs to --set"),

@@ -5,7 +5,7 @@ import pytest
 
 from split_cli.errors import SetError
 from split_cli.learning._compiled import blocks_likelihood
-from split_cli.learning.features import FeatureSet
+from split_cli.learning.features import Z2, FeatureSet, parse_features
 from split_cli.learning.hyperparameters import (
     block_likelihood,
     default_kernel,
@@ -136,7 +136,7 @@ def test_length_scales_that_are_limited_end_there_without_complaint():
     z = valid_features(car, Region.of(car), 1500, seed=3, spread=0.15)
     truth = Kernel([0.05, 0.03, 0.25], [0.4, 0.9, 0.1], [0.01, 0.04, 0.02])
     grid = z2_grid(car, Region.of(car))
-    fit = fit_kernel(z, draw(truth, z, seed=4), grid, truth, longest=longest_scale(grid, z))
+    fit = fit_kernel(z, draw(truth, z, seed=4), grid, truth, longest=longest_scale(Z2, grid, z))
     np.testing.assert_allclose(fit.kernel.length_scales, grid.edges, rtol=1e-6)
     assert fit.at_bound == ()
 
@@ -147,9 +147,12 @@ def test_a_feature_outside_z2_is_believed_no_further_than_it_varied():
     grid = Grid((0.1, 0.1), (-np.inf,) * 2, (np.inf,) * 2)
     z = rng.uniform(-1.0, 1.0, (600, 2))
     y = np.sin(3.0 * z[:, :1]) * [1.0, 0.5, 2.0] + 0.05 * rng.normal(size=(600, 3))
-    fit = fit_kernel(z, y, grid, default_kernel(grid, y), longest=longest_scale(grid, z))
+    fit = fit_kernel(z, y, grid, default_kernel(grid, y), longest=longest_scale(FeatureSet(("vx", "r")), grid, z))
     # Half the range of a uniform feature from -1 to 1 is 1; of 600 samples the outermost are left out.
     assert fit.kernel.length_scales[1] == pytest.approx(1.0, rel=0.02) and fit.at_bound == ()
+    # The valid region limits slip angles and what follows them, wherever a car drives.
+    bounds = longest_scale(parse_features("alpha_f,speed"), grid, z)
+    assert bounds[0] == 100.0 and bounds[1] == pytest.approx(10.0, rel=0.02)
 
 
 def test_blocks_hold_whole_neighbouring_cells():

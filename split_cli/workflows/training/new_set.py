@@ -142,7 +142,7 @@ def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
         drives.note(f"{len(z)} valid labels are too few to fit hyperparameters to; the defaults are kept")
         return None
     drives.say(f"fitting hyperparameters to {len(z)} labels")
-    fit = fit_kernel(z, y, grid, start, longest=longest_scale(grid, z))
+    fit = fit_kernel(z, y, grid, start, longest=longest_scale(drives.labelling.features, grid, z))
     names = drives.labelling.features.names
     scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(names)}
     outputs = (("vx", "v_x"), ("vy", "v_y"), ("r", "r"))
