@@ -128,9 +128,6 @@ def memory_of(model: SingleTrack, plays: tuple[int, ...], step: float) -> Memory
     late = (delays["T"], delays["delta"])
     if not model.state_names and not any(late):
         return None
-    if min(late) < 0.0:
-        advice = "Delays in the vehicle file are 0 or more."
-        raise ExportError(f"a delay is {min(late):g} s: a step cannot look ahead", where=where, advice=advice)
     # What is an exact number of steps but for rounding needs no further one.
     torque_line, steer_line = (int(np.ceil(delay / step - 1e-9)) for delay in late)
     lengths = (torque_line, steer_line)

@@ -199,7 +199,7 @@ def test_a_database_that_is_missing_or_a_pipe_is_blamed_and_not_the_mf4(tmp_path
         file.append([mdf.Signal(np.arange(9.0), 0.01 * np.arange(9), name="vx", unit="m/s")])
         log = file.save(tmp_path / "log.mf4")
     os.mkfifo(tmp_path / "pipe.dbc")
-    for name, says in (("none.dbc", "none.dbc: no such CAN database"), ("pipe.dbc", "pipe.dbc: is a pipe")):
+    for name, says in (("none.dbc", "none.dbc: is not there"), ("pipe.dbc", "pipe.dbc: is a pipe")):
         with pytest.raises(LogError, match=says):
             open_recording(log, message_paths=[tmp_path / name])
 

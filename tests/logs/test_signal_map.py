@@ -261,7 +261,7 @@ def test_a_file_that_is_no_map_is_refused(tmp_path):
 
 def test_a_draft_map_reads_what_it_was_drafted_from(tmp_path):
     units = {"Ground Speed": "km/h", "yaw_rate_dps": "deg/s", "v_lat": "m/s", "steer_angle": "deg", "torque": "Nm"}
-    recording = table(units, **{name: TIME for name in ("time", *units, "foo")})
+    recording = table(units, **{name: (1 + k) * TIME for k, name in enumerate(("time", *units, "foo"))})
     text = suggest_map(recording)
     path = tmp_path / "draft.yaml"
     path.write_text(text)

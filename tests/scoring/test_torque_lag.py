@@ -90,7 +90,7 @@ def test_no_trust_without_the_lag_bounds_that_with_it_only_where_something_was_f
     def judged(drives, empty, say, most=(1.0, 1.0, 1.0)):
         asked.append(most)
         found = by_file if len(asked) == 1 else (1.0, min(0.8, most[1]), 0.0)
-        return Trust(found, "held-out", 5), gain if len(asked) == 1 else 0.5
+        return Trust(found, "held-out", 5), gain if len(asked) == 1 else 0.5, None
 
     monkeypatch.setattr("split_cli.scoring.torque_lag.judge_correction", judged)
     drives, empty = [part_of(late)], make_training_set(points=10)
