@@ -44,6 +44,9 @@ def test_a_range_is_widened_about_what_is_neutral():
     assert Range(-0.1, 0.2, 0.01).widened(0.0) == Range(-0.4, 0.8, 0.01)
     assert Range(0.5, 2.0, 0.01).widened(1.0) == Range(0.125, 8.0, 0.01)
     assert Range(0.0, 0.5, 0.01).widened(0.0).lower == 0.0
+    # A loss of 0.9 leaves 0.1, of which a quarter is left at most: grip has no other sign.
+    assert Range(-1.0, 0.9, 0.01, share_of_whole=True).widened(0.0).upper == pytest.approx(0.975)
+    assert Range(-1.0, 0.9, 0.01, share_of_whole=True).widened(0.0).lower == pytest.approx(-7.0)
     assert Range(-3.0, 9.0, 0.1, ends_at_none=True).widened(0.0) == Range(-3.0, 36.0, 0.1, ends_at_none=True)
 
 

@@ -149,12 +149,15 @@ def test_every_term_and_variant_has_an_example():
 
 @pytest.mark.parametrize(("name", "variant"), EXAMPLES)
 @pytest.mark.parametrize("side", [0, 1])
-def test_the_limits_of_a_file_give_finite_rates(name, variant, side):
-    """At both ends of what a file may hold; what the program itself finds lies within."""
+def test_the_limits_of_a_file_give_finite_rates_and_leave_grip(name, variant, side):
+    """At both ends of what a file may hold, whenever; what the program itself finds lies within."""
     limits = CATALOGUE[name].limits(CAR)
     ends = {p: min(limits[p][side], 1e6) for p in CATALOGUE[name].parameter_units(variant)}
     (built,) = build_terms(CAR.with_effects(EffectSpec(name, ends, variant)))
-    assert np.isfinite(rates(driving(), built)).all()
+    at = driving()
+    assert np.isfinite(rates(at, built)).all()
+    much_later = SingleTrack(CAR, (built,)).flow(**{**at, "t": np.full_like(at["vx"], 1e9)})
+    assert min(np.min(axle.D) for axle in (much_later.front, much_later.rear)) > 0.0
 
 
 @pytest.mark.parametrize(("name", "variant"), EXAMPLES)

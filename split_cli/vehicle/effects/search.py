@@ -26,6 +26,7 @@ class Range:
     source: str = ""  # why no real car lies beyond: a text, a standard, or a judgement, said so
     # Whether the lower bound is where all there is has been taken off, so that a value there is sound.
     ends_at_none: bool = False
+    share_of_whole: bool = False  # whether it is a share that a whole loses: 1 less it is a ratio, above 0
     # Whether the term is another one at the lower bound, so that a value there is no explanation of its own.
     ends_as_another: bool = False
     # Distance from no effect up to which any sound recording may have it, so that it is no fault, in its unit.
@@ -39,11 +40,14 @@ class Range:
     def widened(self, neutral: float) -> Range:
         """Return the range four times as wide about its neutral value, to see what an explanation would need.
 
-        A ratio, neutral at 1, is widened by its logarithm; a bound at the neutral value, or where nothing is left
-        to take off, stays.
+        A ratio, neutral at 1, is widened by its logarithm, and a share that is lost as the ratio that is left; a
+        bound at the neutral value, or where nothing is left to take off, stays.
         """
         if neutral == 1.0:
-            return replace(self, lower=0.25 * self.lower, upper=4.0 * self.upper)
+            return replace(self, lower=self.lower / _WIDER, upper=_WIDER * self.upper)
+        if self.share_of_whole:
+            least, most = (1.0 - self.upper) / _WIDER, _WIDER * (1.0 - self.lower)
+            return replace(self, lower=1.0 - most, upper=1.0 - least)
         lower = self.lower if self.ends_at_none else neutral + _WIDER * (self.lower - neutral)
         return replace(self, lower=lower, upper=neutral + _WIDER * (self.upper - neutral))
 

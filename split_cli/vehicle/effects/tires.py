@@ -231,7 +231,8 @@ class GripFade(Term):
         # A fade that is over at once is less grip all along, `friction_scale`.
         tau = Range(0.02 * duration, 10.0 * duration, 0.02 * duration, ends_as_another=True)
         starts = tuple({"final_loss": 0.05, "tau": share * duration} for share in (0.1, 0.3, 1.0))
-        return Search({"final_loss": Range(-0.9, 0.9, 0.01, _FADE), "tau": tau}, starts)
+        loss = Range(-0.9, 0.9, 0.01, _FADE, share_of_whole=True)
+        return Search({"final_loss": loss, "tau": tau}, starts)
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
