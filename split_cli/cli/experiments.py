@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from split_cli.cli.options import existing_file, output_option, vehicle_option
+from split_cli.cli.options import OutputPath, existing_file, output_option, vehicle_option
 
 
 @click.command("experiments")
@@ -22,7 +22,7 @@ from split_cli.cli.options import existing_file, output_option, vehicle_option
 @click.option(
     "--only", multiple=True, metavar="NAME", help="Run only experiments whose names begin with NAME; repeatable."
 )
-@click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Page whose tables are updated.")
+@click.option("--page", type=OutputPath("file"), metavar="FILE", help="Page whose tables are updated.")
 @output_option("Folder for the results.", folder=True)
 def command(vehicle_path, limit_vehicle, physics_vehicle, formula_vehicle, only, page, output) -> None:
     """Run the closed-loop experiments of docs/experiments.md, and update its tables.

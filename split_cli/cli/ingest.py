@@ -36,6 +36,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     "--map",
     "maps",
     multiple=True,
+    type=shared.existing_file,
     metavar="MAP",
     help="Signal map: a YAML file or the name of a preset; repeatable. Logs that `split` wrote need none.",
 )
@@ -140,7 +141,7 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
         run = ingest_logs(
             logs,
             output,
-            maps=[Path(name) for name in maps],
+            maps=maps,
             vehicle_path=vehicle_path,
             settings=settings,
             topics=topics,

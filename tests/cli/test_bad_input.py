@@ -51,6 +51,7 @@ def spoiled(channel: str, row: int, value: float) -> str:
         (("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "link.split"), "d0.parquet"),
         (("calibrate", "d0.parquet", "--vehicle", "car.yaml", "-o", "d0.parquet"), "d0.parquet"),
         (("ingest", "lap.csv", "-o", "x.parquet", "--report", "./lap.csv"), "lap.csv"),
+        (("ingest", "lap.csv", "--map", "m.yaml", "-o", "m.yaml"), "m.yaml"),
     ],
 )
 def test_an_input_is_never_overwritten(here, command, lost):

@@ -376,7 +376,7 @@ def test_a_table_of_a_set_with_other_than_three_features_is_refused_before_the_f
     ("options", "says"),
     [
         ("race --learner none --set a.split", "no set would be written"),
-        ("race -o a.parquet --set ./a.parquet", "is --output too"),
+        ("race -o a.parquet --set ./a.parquet", "is --(output|set) too, it would be overwritten"),
         ("race --iol-update incremental", "--iol-update belongs to --learner iol"),
         ("race --learner none --predictor bcm", "--predictor belongs to --learner split"),
         ("maneuver iso3888-1 --features z1", "--features belongs to --set"),

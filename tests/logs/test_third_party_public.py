@@ -294,6 +294,8 @@ def test_logs_that_hold_a_part_each_are_pointed_to_together(planted, tmp_path):
         ingest_logs(logs, tmp_path / "out", maps=[tmp_path / "m.yaml"])
     assert not (tmp_path / "out").exists()
     ingest_logs(logs, tmp_path / "one.parquet", maps=[tmp_path / "m.yaml"], together=True)
+    with pytest.raises(MapError, match="--topic: no source of the map is of 'odom'"):
+        ingest_logs(logs, tmp_path / "x", maps=[tmp_path / "m.yaml"], together=True, topics={"odom": "/car/odom"})
     # Where the whole is not there either, nothing is promised.
     (tmp_path / "m.yaml").write_text(f"time: {{source: t, unit: s}}\nchannels:\n{entries}  ay: {{source: ay}}\n")
     with pytest.raises(MapError) as told:

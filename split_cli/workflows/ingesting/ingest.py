@@ -294,7 +294,7 @@ def _ingest_together(paths: Sequence[Path], output: Path, job: _Job) -> IngestRe
     """Make one drive of several files; see `ingest_logs`."""
     refuse_overwriting_inputs(output, paths)
     recording = open_logs(paths, job.message_paths)
-    made = _assemble(recording, paths[0], replace(job, topics=()))
+    made = _assemble(recording, paths[0], job)
     write_drive(made.drive, output)
     return _result(Path(recording.name), output, made)
 
