@@ -73,7 +73,8 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
 @click.option(
     "--margin-by-error/--margin-by-laps",
     default=False,
-    help="Reduce the margin that a lap did not need in proportion to the model's error, or by a fifth a lap.",
+    help="After each lap, reduce the margin that it did not need to the share of the nominal error that is left. "
+    "By default, reduce it by a fifth.",
 )
 @click.option("--p-long", type=float, default=RACE_P_LONG, metavar="WEIGHT",
               help="Weight of the longitudinal "
@@ -141,6 +142,7 @@ def command(
         "predictor": (asks_a_set, "--learner split, or to --start-set"),
         "hyperparameters": (any(name != "none" for name in learners), "--learner split or iol"),
         "iol_update": ("iol" in learners, "--learner iol"),
+        "margin_by_error": (asks_a_set or "iol" in learners, "--learner split or iol, or to --start-set"),
     })  # fmt: skip
     first_share = p_ellipse if p_ellipse_lap0 is None else p_ellipse_lap0
     p_ellipse = SHARE_LEARNED if p_ellipse is None else p_ellipse

@@ -6,8 +6,6 @@ bends most wins. Beside the model-form error of all, such lists cost the same. T
 surprise, and what is wrong of a recording or of a file is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -20,15 +18,23 @@ from split_cli.diagnosis.search.joint import near_none, prior_of, without_needle
 from split_cli.diagnosis.search.term_tests import is_form_error, is_witnessed, sizes_in_velocity
 from split_cli.vehicle.effects import CATALOGUE
 
-__all__ = ["explanation_of_every_car", "is_shown", "physics_of_every_car"]
-
 
 def explanation_of_every_car(
     explore: Explorer, nothing: Fit, found: Fit, leaves_more_than_noise: Callable[[Fit], bool]
 ) -> tuple[Fit, tuple[str, ...]] | None:
-    """Return what every car has and what is believed beside it, and that in words; None where `found` costs less.
+    """Return what every car has and what is believed beside it, and that in words; None where `found` stays.
 
-    Only a bare nominal model lacks it. And what leaves noise alone has no model-form error to be compared beside.
+    Parameters
+    ----------
+    nothing, found : Fit
+        The explanation without any term, and what the search forward ended with.
+    leaves_more_than_noise : callable
+        Whether an explanation does.
+
+    Notes
+    -----
+    What was found stays where a simulation is given, which has that physics of every car too. It also stays where
+    it leaves noise alone, so that there is no model-form error to compare beside, and where it costs less.
     """
     if explore.objective.posterior is not None or not found.parts or not leaves_more_than_noise(found):
         return None
@@ -71,7 +77,7 @@ def _in_best_variants(explore: Explorer, fit: Fit) -> Fit:
 
 
 def _costs_less(explore: Explorer, fit: Fit, than: Fit) -> bool:
-    """Return whether a fit of what every car has costs no more than another, beside model-form error of both.
+    """Return whether a fit of what every car has costs less than another, beside model-form error of both.
 
     What every car has is no surprise and has no price; all other terms have theirs.
     """

@@ -103,7 +103,8 @@ def select_terms(
 
     Where the best first term leaves something, the search begins anew from the next best: two terms together may
     be one that is not the best alone. Where that something has structure, all terms are fitted at once before; and
-    where many have been added, which may leave nothing and yet stand for few that are not among them.
+    where many have been added, which may leave nothing and yet stand for few that are not among them. Against the
+    bare nominal model, what every car has may take the place of all that, see `every_car`.
 
     Parameters
     ----------

@@ -9,8 +9,6 @@ import numpy as np
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawSignal
 
-__all__ = ["copies_of_others", "with_units_of_multiples"]
-
 _RATES = ("vx", "vy", "r", "ax", "ay")
 """Channels of which no two are one column, whatever a car does."""
 _UNITS = {"m/s": 1.0, "km/h": 3.6, "mph": 1.0 / 0.44704, "kn": 3600.0 / 1852.0}

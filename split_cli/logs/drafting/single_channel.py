@@ -11,12 +11,6 @@ from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.wheels import note_on_part
 
-__all__ = [
-    "read_acceleration", "read_pedal", "read_sideslip", "read_torque", "read_wheel", "read_yaw",
-    "read_yaw_rate",
-    "without_the_tilted",
-]  # fmt: skip
-
 _LEAST_OF_A_CAR = 50.0
 """Mass times wheel radius of the lightest car that a person drives: 250 kg on wheels of 0.2 m [kg m]."""
 _MOST_OF_A_LORRY = 4e4

@@ -13,8 +13,6 @@ from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawSignal
 from split_cli.signals import find_unit
 
-__all__ = ["along_the_car", "names_of_triples", "side_by_gravity", "unit_by_gravity"]
-
 _CLEARLY = 3.0
 """How many times more one axis must turn or move than the one that the names say [1]."""
 _SECONDS = 5.0

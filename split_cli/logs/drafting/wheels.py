@@ -8,7 +8,6 @@ from split_cli.logs.drafting.vocabulary import concepts_of, place_and_rest, toke
 PARTS = ("wheel_torque", "axle_torque")
 """Meanings that together make T."""
 _AXLE_OF = {"fl": "front", "fr": "front", "rl": "rear", "rr": "rear", "front": "front", "rear": "rear"}
-_WHOLE = ({"fl", "fr", "rl", "rr"}, {"front", "rear"})
 
 
 def torques_alike(found: Sequence[TrialCandidate]) -> list[list[TrialCandidate]]:

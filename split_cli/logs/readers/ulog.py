@@ -15,8 +15,6 @@ from split_cli.errors import LogError
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, refuse_many_columns
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote
 
-__all__ = ["MAGIC", "open_ulog"]
-
 MAGIC = b"ULog\x01\x12\x35"
 _HEAD, _MESSAGE_HEAD = 16, struct.Struct("<HB")
 _SYNCHRONISATION = bytes((0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12))

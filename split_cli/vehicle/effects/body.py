@@ -26,7 +26,10 @@ _INERTIA = (
     "Heydinger et al. (1999), SAE 1999-01-1336: I_z/(m l_f l_r) of cars lies within 0.8 and 1.2; judgement: 1.3, "
     "and 0.2 for mass that is carried between the axles"
 )
-_TURNING = "Gillespie (1992), chapter 2: what turns adds some 4 % to a car's mass, and half of it in first gear"
+_TURNING = (
+    "Gillespie (1992), chapter 2: what turns resists like 4 % of a car's mass without gears, and like half of it in "
+    "first gear"
+)
 # I_z/(m l_f l_r), the squared radius of gyration over the product of the arms.
 _LEAST_GYRATION, _MOST_GYRATION = 0.2, 1.3
 _ANY_FILE = 1.15  # by how much a file may be wrong whatever it says

@@ -326,8 +326,10 @@ class Race:
         self._keep(trained)
 
     def _error_allows(self) -> float:
-        """Return by how much plan and drive part with an error as that of the last lap [m]; the first deviation is
-        for the nominal model's, and position errors go in proportion.
+        """Return the deviation that an error as that of the last lap asks for at most [m].
+
+        The first deviation is that of the nominal model's error, and errors of position go in proportion. Infinity
+        where the error is not asked, or no model but the nominal one drove.
         """
         lap = self.laps[-1]
         if not self.settings.margin_by_error or lap.error_after == lap.error_before or self.ended:
