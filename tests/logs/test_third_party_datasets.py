@@ -139,6 +139,11 @@ def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_i
     for name, signal in streamed.read(names).items():
         np.testing.assert_array_equal(signal.values, whole[name].values)
         np.testing.assert_array_equal(signal.time, whole[name].time)
+    assert not streamed.notes
+    text = (tmp_path / "bus_signals.json").read_text()
+    (tmp_path / "cut.json").write_text(text[: int(0.9 * len(text))])
+    cut = open_recording(tmp_path / "cut.json")
+    assert [info.name for info in cut.channels()] == names[:-1] and "cut off" in cut.notes[0].what
     # Channels in a list, not in an object by their names, are not: it was said that no numbers stand in them.
     listed = [{"name": name, "data": list(map(float, whole[name].values))} for name in names]
     (tmp_path / "listed.json").write_text(json.dumps({"bus": listed}))

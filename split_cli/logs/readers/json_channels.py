@@ -13,6 +13,7 @@ from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
+    ReadNote,
     TableRecording,
     UniqueNames,
     column_name_and_unit,
@@ -47,7 +48,8 @@ def open_json_channels(path: Path) -> RawRecording | None:
             return None
         large = path.stat().st_size > LARGEST_DOCUMENT
         document = None if large else parsed(begins + stream.read())
-    channels = _groups_of_lists(path) if large else next(_groups(document, 0), None)
+    notes: list[ReadNote] = []
+    channels = _groups_of_lists(path, notes) if large else next(_groups(document, 0), None)
     if channels is None:
         return None
     refuse_many_columns(len(channels), path.name)
@@ -59,11 +61,14 @@ def open_json_channels(path: Path) -> RawRecording | None:
         stated = next((str(channel[key]) for key in channel if key.lower() in ("unit", "units")), unit or "")
         known = find_unit(stated) if stated else None
         signals[name] = RawSignal(name, time, values, known.symbol if known else stated or None)
-    return TableRecording(path.name, path, signals)
+    return TableRecording(path.name, path, signals, notes=notes)
 
 
-def _groups_of_lists(path: Path) -> dict[str, Mapping[str, Any]] | None:
-    """Return the channels of a long document by name, with arrays for their lists; None of another form."""
+def _groups_of_lists(path: Path, notes: list[ReadNote]) -> dict[str, Mapping[str, Any]] | None:
+    """Return the channels of a long document by name, with arrays for their lists; None of another form.
+
+    Where it is damaged the channels before count, and a note says so.
+    """
     found: dict[tuple[str, ...], dict[str, Any]] = {}
     try:
         for place, item in JsonDocument(path).items(_DEEPEST + 1):
@@ -81,7 +86,7 @@ def _groups_of_lists(path: Path) -> dict[str, Mapping[str, Any]] | None:
             elif own in (*_VALUES, *_TIMES):
                 found.setdefault(place[:-1], {})[place[-1]] = _grown(rest, (None,))[0]
     except (ValueError, RecursionError):
-        pass  # what stands before the damage counts
+        notes.append(ReadNote("the document is cut off or damaged: only channels before that are read", path.name))
     channels = {place[-1]: one for place, one in found.items() if place and _key(one, _VALUES) is not None}
     channels = {name: one for name, one in channels.items() if np.size(one[_key(one, _VALUES)]) > 1}
     return channels if len(channels) > 1 else None
