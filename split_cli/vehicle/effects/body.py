@@ -114,8 +114,9 @@ class RotatingMass(Term):
     """Wheels, brakes and drive line turn faster as the car does: (m + mass) v_x' = F_x + m v_y r.
 
     `mass` is J/r_e^2, with J the inertia of all that turns, referred to the wheels. Driving across and turning do
-    not accelerate it. At a steady speed it takes no torque, by which it differs from `drive_gain`. Source:
-    Gillespie (1992), chapter 2.
+    not accelerate it. At a steady speed it takes no torque, by which it differs from `drive_gain`. Terms that act
+    by the force along the car (`load_transfer`, `combined_slip`) keep that of the whole torque. While the car
+    accelerates it is larger than the force at the ground, by the share mass/m. Source: Gillespie (1992), chapter 2.
     """
 
     id = "rotating_mass"
