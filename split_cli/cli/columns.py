@@ -148,6 +148,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "vy": f"{_RMS} of v_y over 50 ms with the learned correction [m/s^2]",
         "of nominal": "these errors over those of the nominal model, v_x/v_y/r [1]; less is better",
         "outside m": "how far a side of the car left the track",
+        "at m": "where it was farthest outside: distance along the centre line from the start",
         "learning ms": "CPU time of labels and update: median, 99 %, worst",
         "solver ms (median, 99 %, worst)": "CPU time of the solver in a step",
         "step ms (median, 99 %, worst)": "CPU time of a whole step",

@@ -185,7 +185,7 @@ def _tell(result) -> None:
     click.echo(f"{result.track}, {result.length:.0f} m a lap; {result.car}, learner {result.learner}")
     header = [
         "lap", "time s", "speed m/s", "|ay| g", "updates", "set", "cells", "error vx", "vy", "r", "of nominal",
-        "outside m", "failures",
+        "outside m", "at m", "failures",
     ]  # fmt: skip
     rows = []
     for lap in result.laps:
@@ -193,7 +193,7 @@ def _tell(result) -> None:
         trust = "/".join("-" if s is None else f"{s:.2f}" for s in share)
         rows.append([lap.number, lap.time, *map(three_digits, (lap.mean_speed, lap.max_lateral)), lap.updates,
                      lap.size, lap.cells, *map(three_digits, lap.error_after), trust, lap.outside,
-                     lap.failures])  # fmt: skip
+                     None if lap.outside_at is None else round(lap.outside_at), lap.failures])  # fmt: skip
     shared.print_table(header, rows)
     shared.print_table(
         ["lap", "solver ms (median, 99 %, worst)", "step ms (median, 99 %, worst)", "learning ms"],

@@ -232,11 +232,15 @@ def test_a_choice_that_later_laps_turn_learns_all_laps_as_if_it_had_been_made_at
 
 
 def test_the_margin_is_what_the_lap_before_has_needed():
-    tally, info = Tally(1, 0, 0.85), SimpleNamespace(solved=True, solver_seconds=0.0, total_seconds=0.0)
+    tally, info = Tally(1, 0, 0.85, 400.0), SimpleNamespace(solved=True, solver_seconds=0.0, total_seconds=0.0)
     # The plan kept 1.1 m and the car had 0.4 m left: 0.7 m were needed. Where the track is narrow, it kept 0.5 m.
-    for beyond, kept in ((-1.1, 1.1), (-0.4, 1.1), (0.1, 0.5)):
-        tally.add((), beyond, kept, info)
-    assert (tally.beyond, tally.margin) == (0.1, 0.5)
+    for beyond, kept, s in ((-1.1, 1.1, 410.0), (-0.4, 1.1, 500.0), (0.1, 0.5, 532.0), (0.05, 0.5, 533.0)):
+        tally.add((0.0, s), beyond, kept, info)
+        so_far = tally.lap(9.0, np.zeros((2, 9)), 0, 0, "")
+        assert (so_far.outside_at is None) == (so_far.outside == 0.0) == (s < 532.0)
+    # The track is 400 m long, and this is its second lap.
+    lap = tally.lap(9.0, np.zeros((2, 9)), 0, 0, "")
+    assert (lap.outside, lap.outside_at, tally.margin) == (0.1, 132.0, 0.5)
     assert next_deviation(0.8, tally.needed) == pytest.approx(0.7)
     # Had it kept to its plan, 0.8 of 0.8 m stay.
     assert next_deviation(0.8, 0.0) == pytest.approx(0.64)

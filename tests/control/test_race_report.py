@@ -74,7 +74,9 @@ def test_the_best_lap_is_compared_with_the_best_nominal_one():
 def test_the_best_clean_lap_of_each_learner_is_shown_at_first():
     """With one learner its first lap beside it; a lap off the track is not clean, however fast."""
     learned = race()
-    off = replace(learned, laps=(learned.laps[0], replace(learned.laps[1], outside=0.3), learned.laps[2]))
+    off = replace(learned, laps=(learned.laps[0], replace(learned.laps[1], outside=0.3, outside_at=87.4),
+                                 learned.laps[2]))  # fmt: skip
+    assert "0.30 at 87 m</td>" in race_page([off], off.path)
     races = [replace(learned, learner="none", laps=learned.laps[:1], traces=learned.traces[:1]), learned, off]
     for given, shown in (([learned], [0, 1]), (races, [0, 2, 6])):
         numbers = json.loads(

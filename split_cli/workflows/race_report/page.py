@@ -165,8 +165,9 @@ def _table(races: Sequence[RaceResult]) -> str:
         time = f"{lap.time:.2f}" if lap.time is not None else f"not finished: {lap.ended}"
         errors = [f"{a:.3f} / {b:.3f}" for a, b in zip(lap.error_after, lap.error_before, strict=True)]
         speeds = f"{lap.mean_speed:.2f}", f"{lap.max_lateral:.2f}"
+        at = "" if lap.outside_at is None else f" at {lap.outside_at:.0f} m"
         learned = str(lap.updates), str(lap.size), str(lap.cells)
-        rows.append((name, time, *speeds, *learned, *errors, f"{lap.outside:.2f}"))
+        rows.append((name, time, *speeds, *learned, *errors, f"{lap.outside:.2f}{at}"))
     return plain_table(header, rows, "table-laps")
 
 

@@ -302,7 +302,7 @@ class Race:
     def drive_lap(self, number: int) -> None:
         """Drive one lap, and keep what it taught."""
         controller = self.controller
-        tally = Tally(number, len(self.world.rows) - 1, controller.limits.p_ellipse)
+        tally = Tally(number, len(self.world.rows) - 1, controller.limits.p_ellipse, self.path.length)
         self.learner.begin_lap(f"lap {number}", self.world.t)
         begin = self.crossing
         self.lines += 1

@@ -42,6 +42,7 @@ class Lap:
     motion_after: tuple[float, ...] = (0.0, 0.0, 0.0)
     margin: float = 0.0  # kept from the car's side to the border in the plan, where the track is narrowest [m]
     share: float = 0.0  # of the peak force that the plan might use [1]
+    outside_at: float | None = None  # where `outside` was, along the centre line from the start [m]; None within
 
     @property
     def clean(self) -> bool:

@@ -20,14 +20,17 @@ class Tally:
         Row of the world's recording at which it begins.
     share : float
         Of the peak force that the plan might use [1].
+    length : float
+        Of a lap [m]; places along the track are counted from its line.
     """
 
-    def __init__(self, number: int, first: int, share: float) -> None:
-        self.number, self.first, self.share = number, first, share
+    def __init__(self, number: int, first: int, share: float, length: float) -> None:
+        self.number, self.first, self.share, self.length = number, first, share, length
         self.infos: list[StepInfo] = []
         self.learned: list[Learned] = []
         self.trace: list[tuple[float, ...]] = []
-        self.beyond = self.needed = -np.inf
+        self.beyond, self.place = 0.0, None
+        self.needed = -np.inf
         self.margin = np.inf
 
     def add(self, row: tuple[float, ...], beyond: float, kept: float, info: StepInfo) -> None:
@@ -36,7 +39,8 @@ class Tally:
         Within the track that is negative. Plans `kept` so far from the border there [m].
         """
         self.infos.append(info)
-        self.beyond = max(self.beyond, beyond)
+        if beyond > self.beyond:
+            self.beyond, self.place = beyond, row[1]
         self.needed = max(self.needed, kept + beyond)
         self.margin = min(self.margin, kept)
         self.trace.append(row)
@@ -55,7 +59,8 @@ class Tally:
             solver_ms=_times([info.solver_seconds for info in self.infos]),
             step_ms=_times([info.total_seconds for info in self.infos]),
             update_ms=_times([entry.seconds for entry in self.learned]),
-            failures=sum(not info.solved for info in self.infos), outside=max(self.beyond, 0.0), ended=ended,
+            failures=sum(not info.solved for info in self.infos), outside=self.beyond,
+            outside_at=None if self.place is None else self.place % self.length, ended=ended,
             motion_before=motion_before, motion_after=motion_after, margin=self.margin if self.infos else 0.0,
             share=self.share,
         )  # fmt: skip
