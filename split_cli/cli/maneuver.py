@@ -5,7 +5,7 @@ import click
 from split_cli.cli import options as shared
 from split_cli.cli.digits import three_digits
 from split_cli.cli.verbosity import StepBar
-from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
+from split_cli.control.policy import MODEL_CAR, P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SIZE
 
 
 @click.command("maneuver")
@@ -28,8 +28,11 @@ from split_cli.control.policy import P_LONG, SHARE_LEARNED, SHARE_NOMINAL
     type=float,
     multiple=True,
     metavar="M/S",
-    help="Entry speed; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid].",
+    help="Entry speed; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid, on a scaled "
+    "course times the root of its scale].",
 )
+@click.option("--scale", type=float, metavar="SCALE", help="Scale of the course's lengths: 1 for full-size cars  "
+              f"[default: 1; for a wheelbase below {MODEL_CAR:g} m its share of {SIZE} m].")  # fmt: skip
 @shared.grip_option
 @click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force that the "
               f"controller may use  [default: {SHARE_LEARNED} with a set, or if the vehicle file knows the "
@@ -56,7 +59,8 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     """Drive SCENARIO between cones: iso3888-1, iso3888-2 or brake-avoid.
 
     A tracking MPC drives with the vehicle's nominal model, or with a trained set added. The lane widths follow
-    from the car's width as in ISO 3888. A cone counts as hit when the body touches it.
+    from the car's width as in ISO 3888. A cone counts as hit when the body touches it. The course is one of full-size
+    cars; for a model car it is scaled to the wheelbase, so that it asks for the same accelerations.
 
     \b
     Example:
@@ -71,11 +75,18 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     })  # fmt: skip
     settings = ManeuverSettings(scenario=scenario, delay=not no_delay, **options)
     with StepBar(max(len(settings.speeds), 1)) as bar:
-        result = run_maneuvers(settings, vehicle_path, output=output, set_output=set_output, progress=bar)
+
+
+        def tell(text: str) -> None:
+            """Show a speed as the step that begins; let what is said of the course stay."""
+            bar.say(text) if ":" in text else bar(text)
+
+        result = run_maneuvers(settings, vehicle_path, output=output, set_output=set_output, progress=tell)
     if as_json:
         shared.print_json(result.summary())
         return
-    click.echo(f"{result.scenario}, grip {result.grip:g}, car {result.width:.2f} m wide, {result.model}")
+    sizes = f"car {result.width:.2f} m wide, course {result.scale:.3g} of full size"
+    click.echo(f"{result.scenario}, grip {result.grip:g}, {sizes}, {result.model}")
     header = ["speed m/s", "entry m/s", "exit m/s", "cones hit", "deviation m", "|ay| m/s^2", "failures", "ended"]
     rows = [
         [

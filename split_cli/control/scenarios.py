@@ -1,6 +1,7 @@
 """Manoeuvres between cones: ISO 3888-1, ISO 3888-2, and braking while avoiding."""
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from split_cli.control.path import Path, resampled
 from split_cli.errors import SplitError, nearest_names
 
 CONE_RADIUS = 0.15
-"""Of a cone's base [m]; cones touch the lane's border from outside."""
+"""Of a cone's base on a course of full size [m]; cones touch the lane's border from outside."""
 
 APPROACH = 40.0
 """Straight before the first cone [m], on which controller and tyres settle."""
@@ -54,6 +55,7 @@ class Scenario:
     steering_alone: bool
     borders: bool
     finish: float  # arc length of the end [m]
+    scale: float = 1.0  # of all lengths, against the course for full-size cars [1]
 
     def speed(self, s: np.ndarray) -> np.ndarray:
         """Return the wanted speed [m/s] at arc lengths [m]: constant deceleration between its two places."""
@@ -93,8 +95,10 @@ SCENARIOS = {
 """Lanes; entry speed [m/s]; horizon; steering alone; lanes as constraints; distance between cones [m]."""
 
 
-def build_scenario(name: str, width: float, speed: float | None = None) -> Scenario:
+def build_scenario(name: str, width: float, speed: float | None = None, scale: float = 1.0) -> Scenario:
     """Return the manoeuvre called `name` for a car of `width` [m], entered at `speed` [m/s].
+
+    A `scale` [1] other than 1 multiplies all lengths of the course, times and usual speeds going with its root.
 
     Raises
     ------
@@ -109,38 +113,45 @@ def build_scenario(name: str, width: float, speed: float | None = None) -> Scena
     borders: with the table's 3.01 m part 2 then has its 1 m. The table has no lanes for braking while avoiding:
     here an entry lane, 20 m in which to brake from 14 to 5 m/s (other speeds: in proportion) and to move by 3.5 m,
     and an exit lane.
+
+    A scaled course asks for the same accelerations as the full one (Froude): a car whose size, tyres and reactions
+    are scaled so drives the same line in it.
     """
     if name not in SCENARIOS:
         raise SplitError(f"no manoeuvre is called {name!r}", advice=nearest_names(name, SCENARIOS))
     if not 0.1 < width < 4.0:
         raise SplitError(f"a car {width:g} m wide was named, 0.1 to 4 m was expected", where="--width")
+    if not 0.05 <= scale <= 10.0:
+        raise SplitError(f"is {scale:g}, a scale of 0.05 to 10 was expected", where="--scale")
     lanes_of, usual, horizon, alone, borders, spacing = SCENARIOS[name]
-    speed = usual if speed is None else speed
+    speed = round(usual * sqrt(scale), 1) if speed is None else speed
     if not 1.0 <= speed <= 60.0:
         raise SplitError(f"an entry speed of 1 to 60 m/s was expected, got {speed:g} m/s", where="--speed")
-    lanes = lanes_of(width)
-    path = _line(name, lanes, borders)
+    lanes = lanes_of(width / scale)
+    path = _line(name, lanes, borders, scale)
+    lanes = tuple(Lane(*(scale * np.array([lane.begin, lane.end, lane.right, lane.width]))) for lane in lanes)
     braking = name == "brake-avoid"
-    begin = APPROACH + lanes[0].end
+    begin = scale * APPROACH + lanes[0].end
     return Scenario(
         name=name,
         path=path,
         lanes=lanes,
-        cones=_cones(lanes, spacing),
+        cones=_cones(lanes, scale * spacing, scale * CONE_RADIUS),
         entry_speed=speed,
         exit_speed=speed * 5.0 / 14.0 if braking else speed,
         brake_begin=begin,
-        brake_end=begin + 20.0 if braking else begin,
+        brake_end=begin + 20.0 * scale if braking else begin,
         horizon=horizon,
-        step=0.04,
+        step=round(0.04 * sqrt(scale), 2),
         steering_alone=alone,
         borders=borders,
-        finish=APPROACH + lanes[-1].end + 5.0,
+        finish=lanes[-1].end + scale * (APPROACH + 5.0),
+        scale=scale,
     )
 
 
-def _line(name: str, lanes: tuple[Lane, ...], borders: bool) -> Path:
-    """Return the middle of the lanes, joined by curves that begin and end without curvature."""
+def _line(name: str, lanes: tuple[Lane, ...], borders: bool, scale: float) -> Path:
+    """Return the middle of the full-size lanes, scaled, joined by curves that begin and end without curvature."""
     x = np.arange(-APPROACH, lanes[-1].end + 80.0, 0.25)
     y = np.full(len(x), lanes[0].middle)
     for before, after in zip(lanes[:-1], lanes[1:], strict=True):
@@ -152,22 +163,24 @@ def _line(name: str, lanes: tuple[Lane, ...], borders: bool) -> Path:
         for lane in lanes:
             inside = (x >= lane.begin - 0.5) & (x <= lane.end + 0.5)
             left[inside], right[inside] = (lane.right + lane.width - y)[inside], (y - lane.right)[inside]
-    return resampled(name, np.stack([x, y], axis=1), left, right, closed=False, spacing=0.25)
+    points = scale * np.stack([x, y], axis=1)
+    return resampled(name, points, scale * left, scale * right, closed=False, spacing=0.25 * scale)
 
 
-def _cones(lanes: tuple[Lane, ...], spacing: float) -> np.ndarray:
+def _cones(lanes: tuple[Lane, ...], spacing: float, radius: float) -> np.ndarray:
     """Return pairs of cones from the begin to the end of every lane."""
     centres = []
     for lane in lanes:
         count = int(np.ceil((lane.end - lane.begin) / spacing - 1e-9)) + 1
         for x in np.linspace(lane.begin, lane.end, count):
-            centres.append((x, lane.right - CONE_RADIUS))
-            centres.append((x, lane.right + lane.width + CONE_RADIUS))
+            centres.append((x, lane.right - radius))
+            centres.append((x, lane.right + lane.width + radius))
     return np.array(centres)
 
 
 def cones_hit(
-    cones: np.ndarray, x: np.ndarray, y: np.ndarray, yaw: np.ndarray, front: float, rear: float, width: float
+    cones: np.ndarray, x: np.ndarray, y: np.ndarray, yaw: np.ndarray, front: float, rear: float, width: float,
+    radius: float = CONE_RADIUS,
 ) -> np.ndarray:
     """Return which cones a moving rectangle touches, bool shape (K,).
 
@@ -181,6 +194,8 @@ def cones_hit(
         From the CG to the bumpers, both positive [m].
     width : float
         Of the body [m].
+    radius : float
+        Of a cone's base [m].
     """
     dx, dy = cones[:, 0][None] - x[:, None], cones[:, 1][None] - y[:, None]
     sine, cosine = np.sin(yaw)[:, None], np.cos(yaw)[:, None]
@@ -188,4 +203,4 @@ def cones_hit(
     out_along = np.maximum(np.maximum(along - front, -rear - along), 0.0)
     out_across = np.maximum(np.abs(across) - 0.5 * width, 0.0)
     # A gap that rounding alone makes smaller than the radius is no hit.
-    return (np.hypot(out_along, out_across) < CONE_RADIUS - 1e-9).any(axis=0)
+    return (np.hypot(out_along, out_across) < radius - 1e-9).any(axis=0)

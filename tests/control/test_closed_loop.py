@@ -23,7 +23,7 @@ from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, read_drive
-from split_cli.plant.cars import F1TENTH_CAR, ROAD_CAR
+from split_cli.plant.cars import F1TENTH_CAR, FORMULA_CAR, ROAD_CAR
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
@@ -31,7 +31,7 @@ from split_cli.workflows.racing.choice import FeatureChoice, choose_features, wh
 from split_cli.workflows.racing.driving import Race, next_deviation, share_left
 from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.first_lap import blank_header, remembering
-from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
+from split_cli.workflows.racing.maneuver import ManeuverSettings, course_scale, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.result import Lap
 from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
@@ -303,6 +303,32 @@ def test_lanes_are_those_of_the_papers_table_at_its_width():
     brake = build_scenario("brake-avoid", 1.6)
     speeds = brake.speed(np.array([0.0, brake.brake_begin, brake.brake_end, 90.0]))
     assert speeds == pytest.approx([14.0, 14.0, 5.0, 5.0])
+
+
+@pytest.mark.parametrize("name", ["iso3888-1", "iso3888-2", "brake-avoid"])
+def test_a_scaled_course_is_the_full_one_times_the_scale(name):
+    scale = 0.25
+    full, small = build_scenario(name, 1.6), build_scenario(name, 1.6 * scale, scale=scale)
+    np.testing.assert_allclose(small.cones, scale * full.cones)
+    np.testing.assert_allclose([small.finish, small.brake_end], [scale * full.finish, scale * full.brake_end])
+    s = np.linspace(0.0, full.finish, 500)
+    one, other = full.path.at(s), small.path.at(scale * s)
+    np.testing.assert_allclose([other.x, other.y], [scale * one.x, scale * one.y], atol=1e-6)
+    # Equal accelerations along and across the line: v goes with the root of the length, and so does the time of a step.
+    across = one.curvature * full.speed(s) ** 2
+    np.testing.assert_allclose(other.curvature * small.speed(scale * s) ** 2, across, atol=1e-3)
+    assert small.step == pytest.approx(0.5 * full.step)
+
+
+def test_a_model_car_has_a_course_of_its_size():
+    """It brakes and avoids there without a cone at 0.7 of the full course's speed, scaled."""
+    assert course_scale(F1TENTH_CAR) == pytest.approx(F1TENTH_CAR.wheelbase / ROAD_CAR.wheelbase)
+    assert course_scale(ROAD_CAR) == course_scale(FORMULA_CAR) == 1.0
+    said = []
+    small = ManeuverSettings(scenario="brake-avoid", car="f1tenth_car", speeds=(3.4,))
+    result = run_maneuvers(small, str(ROOT / "sample_logs" / "f1tenth_car.yaml"), progress=said.append)
+    assert result.highest_passed == 3.4 and result.scale == course_scale(F1TENTH_CAR)
+    assert said[0] == "course: for full-size cars, scaled by 0.123 for a wheelbase of 0.33 m"
 
 
 def test_a_cone_is_hit_when_the_body_reaches_it():

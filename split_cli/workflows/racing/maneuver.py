@@ -15,10 +15,10 @@ from split_cli.control.limits import Limits, nominal_share
 from split_cli.control.model import ControlModel, check_features
 from split_cli.control.mpc import Mpc, MpcSettings, SpeedController
 from split_cli.control.path import contour_and_lag
-from split_cli.control.policy import P_LONG, SHARE_LEARNED
+from split_cli.control.policy import MODEL_CAR, P_LONG, SHARE_LEARNED, SIZE
 from split_cli.control.receding_horizon import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, PredictorResidual, Residual
-from split_cli.control.scenarios import Scenario, build_scenario, cones_hit
+from split_cli.control.scenarios import CONE_RADIUS, Scenario, build_scenario, cones_hit
 from split_cli.errors import SplitError
 from split_cli.files import refuse_overwriting_inputs, refuse_what_cannot_be_written
 from split_cli.learning.cells import learn
@@ -53,6 +53,7 @@ class ManeuverSettings:
     exact_sensors: bool = False
     delay: bool = True
     width: float | None = None  # of the car's body [m]
+    scale: float | None = None  # of the course [1]; by default 1, for model cars the share of a full-size wheelbase
     max_torque: float | None = None  # [N m]
     # Of the controller's limits [1]; below that of races, since a whole manoeuvre brakes while it turns.
     p_long: float = P_LONG
@@ -104,6 +105,7 @@ class ManeuverResult:
     model: str
     grip: float
     width: float  # [m]
+    scale: float  # of the course [1]
     runs: tuple[ManeuverRun, ...]
     highest_passed: float | None  # highest speed up to which every run passed [m/s]
     output: str | None = None
@@ -140,7 +142,10 @@ def run_maneuvers(
     check_car(vehicle, car)
     driven, residual, model, grip = _residual(settings, vehicle)
     width = settings.width or body_width(car)
-    scenarios = [build_scenario(settings.scenario, width, v) for v in settings.speeds or (None,)]
+    scale = course_scale(car) if settings.scale is None else settings.scale
+    scenarios = [build_scenario(settings.scenario, width, v, scale) for v in settings.speeds or (None,)]
+    if scale != 1.0:
+        say(f"course: for full-size cars, scaled by {scale:.3g} for a wheelbase of {car.wheelbase:.3g} m")
     features = parse_features(settings.features)
     check_features(remembering(vehicle, features)[0], features, scenarios[0].step)
     runs, worlds = [], []
@@ -155,8 +160,32 @@ def run_maneuvers(
         _learn(worlds[0], vehicle, features, scenarios[0].step, set_output)
     return ManeuverResult(
         scenario=settings.scenario, car=car.name, vehicle=vehicle.name, model=model, grip=settings.grip,
-        width=width, runs=tuple(runs), highest_passed=_highest(runs),
+        width=width, scale=scale, runs=tuple(runs), highest_passed=_highest(runs),
         output=None if output is None else str(output), set_path=None if set_output is None else str(set_output),
+    )  # fmt: skip
+
+
+def course_scale(car: CarParameters) -> float:
+    """Return the scale of a course for a car [1]: below 1 for model cars alone, since standards tell the course."""
+    return car.wheelbase / SIZE if car.wheelbase < MODEL_CAR else 1.0
+
+
+def scaled_controller(settings: MpcSettings, scale: float) -> MpcSettings:
+    """Return settings that drive a course of `scale` [1] as the given ones drive the full one.
+
+    Notes
+    -----
+    With lengths times s and times times sqrt(s), each term of the cost keeps its value: a weight of a squared
+    length is divided by s^2, of a speed by s, and that of a squared rate of an angle or of a share of the torque is
+    multiplied by s.
+    """
+    w = settings.weights
+    places, rates = {"contour": w.contour, "lag": w.lag}, {"torque_rate": w.torque_rate, "steer_rate": w.steer_rate}
+    scaled = {name: value / scale**2 for name, value in places.items()}
+    weights = replace(w, **scaled, **{name: value * scale for name, value in rates.items()})
+    return replace(
+        settings, weights=weights, speed=settings.speed / scale, yaw_rate=settings.yaw_rate * scale,
+        margin=settings.margin * scale,
     )  # fmt: skip
 
 
@@ -164,7 +193,7 @@ def _check(settings: ManeuverSettings) -> None:
     """Refuse numbers that no manoeuvre can be driven with, naming the option."""
     positive = [("--grip", settings.grip), ("--p-long", settings.p_long)]
     positive += [("--speed", speed) for speed in settings.speeds]
-    optional = ("--max-torque", settings.max_torque), ("--width", settings.width)
+    optional = ("--max-torque", settings.max_torque), ("--width", settings.width), ("--scale", settings.scale)
     positive += [(name, value) for name, value in optional if value is not None]
     for name, value in positive:
         if not 0.0 < value < 1e6:
@@ -265,9 +294,11 @@ class _Run:
             horizon=scenario.horizon, step=scenario.step, steering_alone=scenario.steering_alone,
             limits=settings.limits(vehicle),
         )  # fmt: skip
+        mpc = scaled_controller(mpc, scenario.scale)
         self.controller = Mpc(self.model, scenario.path, self.actuators, mpc, width, scenario.speed)
         self.controller.grip = grip
-        self.speed = SpeedController(scenario.entry_speed, vehicle.mass, vehicle.wheel_radius)
+        gains = 1.5 / np.sqrt(scenario.scale), 0.3 / scenario.scale
+        self.speed = SpeedController(scenario.entry_speed, vehicle.mass, vehicle.wheel_radius, *gains)
 
     def drive(self) -> ManeuverRun:
         """Drive to the end, or to where it is lost."""
@@ -306,7 +337,7 @@ class _Run:
         truth, scenario = np.array(self.world.truth), self.scenario
         x, y, yaw = truth[:, 1], truth[:, 2], truth[:, 3]
         front, rear = body_ends(self.car)
-        hit = cones_hit(scenario.cones, x, y, yaw, front, rear, self.width)
+        hit = cones_hit(scenario.cones, x, y, yaw, front, rear, self.width, CONE_RADIUS * scenario.scale)
         inside = (x >= 0.0) & (x <= scenario.lanes[-1].end)
         s, contour = 0.0, []
         for xi, yi in zip(x[inside], y[inside], strict=True):
