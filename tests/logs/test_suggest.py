@@ -15,6 +15,7 @@ from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import map_from_mapping, read_map
 from split_cli.signals import find_unit
+from split_cli.workflows.ingesting.init import init_project
 from tests.logs.planted import PlantedDrive
 
 DEG = 180.0 / np.pi
@@ -199,8 +200,10 @@ def test_a_command_beside_a_pose_alone_is_compared_with_the_turning_of_the_path(
 
 
 @pytest.mark.parametrize(
-    ("name", "channel"), [("DesYaw", None), ("desired_yaw", None), ("Yaw", "yaw"), ("DesSteer", "delta")]
-)
+    ("name", "channel"),
+    [("DesYaw", None), ("desired_yaw", None), ("Yaw", "yaw"), ("DesSteer", "delta"), ("delta_cmd", "delta"),
+     ("delta_v_cmd", None), ("delta_t", None), ("V_cmd", None), ("speed_vesc", "vx"), ("motor_speed", None)],
+)  # fmt: skip
 def test_what_is_desired_is_not_taken_for_measured(name, channel):
     """ArduPilot and others put `Des` in front; a steering that is desired is the command that is looked for."""
     found = [one.channel for one in meanings(RawChannelInfo(name, "number", 100))]
@@ -221,3 +224,16 @@ def test_an_angle_that_a_user_asks_for_is_a_steering_command_and_no_radian(plant
     assert steering.sources == ("user/angle",) and steering.status == "open"
     size = float(steering.reason.split("WHEELBASE/")[1].split("`")[0])
     assert size / 2.0 == pytest.approx(planted.vehicle.wheelbase, rel=0.35)
+
+
+def test_next_steps_name_what_must_be_recorded_and_the_one_log_that_was_drafted(planted, tmp_path):
+    """A sideslip gives v_y as soon as v_x is there; of two logs that are no parts, the first makes the map."""
+    style = Style("no speed", (("time", "t", "s"), ("yaw_rate", "r", "rad/s"), ("sideslip", "yaw", "rad"),
+                               ("torque_cmd", "T", "N m"), ("delta_cmd", "delta", "rad")))  # fmt: skip
+    drafted(planted, style, tmp_path)
+    log = tmp_path / "log.csv"
+    alone = init_project([log], tmp_path / "one").next_steps
+    assert alone[0].startswith("Nothing in this log gives vx, and") and "drafted from" not in " ".join(alone)
+    assert "--derive lateral-velocity-from-sideslip" in alone[-1] and alone[-1].startswith("With vx")
+    two = init_project([log, log], tmp_path / "two").next_steps
+    assert any(step.startswith("The map was drafted from log.csv alone") for step in two)

@@ -170,6 +170,12 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
         # In front of it, a is the letter of angles (aSteer beside nYaw and vCar).
         concepts = (concepts - {"acceleration"}) | {"angle"}
     known_words = len(known)
+    if "delta" in words and concepts == {"command"}:
+        # The letter of the steer angle; beside a quantity it is a difference.
+        concepts, known_words = {"steer", "road", "command"}, known_words + 1
+    if "vesc" in words and "velocity" in concepts:
+        # The speed that a motor controller tells is the car's, if the trial against other channels agrees.
+        concepts = concepts - {"engine"}
     if concepts & {"front", "rear"} and (letter := {"l", "r"} & set(words)):
         # Angle_Wheel_Front_L: beside an axle a letter is a side.
         concepts |= {"left" if word == "l" else "right" for word in letter}

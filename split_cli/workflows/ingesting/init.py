@@ -52,6 +52,7 @@ class InitResult:
     vehicle_path: Path
     draft: Draft
     log: str  # as the user named it, for the command to run
+    drafted: str = ""  # the log that the map was drafted from, where others were named beside it
 
     @property
     def next_steps(self) -> tuple[str, ...]:
@@ -80,7 +81,7 @@ class InitResult:
                 "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
                 + (f" {self.draft.by_gravity}" if self.draft.by_gravity else "")
             )
-        chosen = derivations_for(missing, mapped)
+        chosen = derivations_for(missing, mapped | _to_record(missing, mapped))
         derived = {channel for name in chosen for channel in DERIVATIONS[name].makes}
         derive = "".join(f" --derive {name}" for name in chosen)
         left = [channel for channel in missing if channel not in derived]
@@ -97,6 +98,11 @@ class InitResult:
             )
             # What no step of the user's mends stands first, before values are looked up for nothing.
             steps = [stop, *steps]
+        if self.drafted:
+            steps.append(
+                f"The map was drafted from {self.drafted} alone; the other logs must hold the same channels. If they are "
+                "parts of one drive, begin anew with --together."
+            )
         run = f"With {', '.join(lost)}, run" if lost else "Run"
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
@@ -130,6 +136,15 @@ class InitResult:
             ],
             "next": list(self.next_steps),
         }
+
+
+def _to_record(missing: Sequence[str], mapped: set[str]) -> set[str]:
+    """Return the channels without which a log makes no drive; the others are derived once these are there."""
+    lost = set(missing)
+    for channel in reversed(missing):
+        if derivations_for([channel], mapped | lost - {channel}):
+            lost.remove(channel)
+    return lost
 
 
 def init_project(
@@ -179,4 +194,5 @@ def init_project(
     shown = " ".join(shlex.quote(str(log)) for log in logs) + (" --together" if together else "")
     databases = [f" --dbc {shlex.quote(str(p))}" for p in message_paths if Path(p).is_file()]
     rate = f" --row-rate {row_rate:g}" if row_rate is not None else ""
-    return InitResult(*targets, draft, shown + "".join(databases) + rate)
+    drafted = Path(logs[0]).name if len(logs) > 1 and not together else ""
+    return InitResult(*targets, draft, shown + "".join(databases) + rate, drafted)
