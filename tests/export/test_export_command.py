@@ -81,6 +81,13 @@ def test_every_target_from_the_command_line(set_file, tmp_path, compiler):
     assert [one.check for one in verify_folder(folder) if one.passed is False] == ["casadi: answers"]
 
 
+@pytest.mark.parametrize("queries", ["99", "10000001", "1e3", "nan"])
+def test_a_number_of_queries_without_bound_is_wrong_usage(set_file, tmp_path, queries):
+    arguments = [str(set_file), "--target", "npz", "-o", str(tmp_path / "out"), "--queries", queries]
+    done = CliRunner().invoke(export_command, arguments)
+    assert done.exit_code == 2 and "--queries" in done.output and not (tmp_path / "out").exists()
+
+
 def test_two_exports_are_the_same_bytes(set_file, tmp_path, monkeypatch):
     # Compiling changes nothing of what is written but the compiler's name in the manifest.
     monkeypatch.setattr(targets, "find_compiler", lambda: None)
