@@ -39,9 +39,9 @@ def generate_cases(
     SplitError
         If a case cannot be built or the folder belongs to other settings.
     """
+    plan_case(seed, 0, kinds)  # a wrong seed or kind is refused before anything is written
     root.mkdir(parents=True, exist_ok=True)
     _claim(root, seed, kinds)
-    plan_case(seed, 0, kinds)
     open_ = [n for n in range(cases) if not (root / "cases" / case_name(n)).is_dir()]
     tasks = [(root.absolute(), seed, number, kinds) for number in open_]
     for done, _ in enumerate(apply(_make, tasks), cases - len(open_) + 1):

@@ -8,11 +8,14 @@ import pytest
 
 from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.errors import SplitError
+from split_cli.logs.drive import write_drive
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.store import check_seal, read_answer, read_heldout, shown_cases
-from split_cli.vehicle.parameters import read_vehicle
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.engine import Engine
 from split_cli.workflows.proving import prove
+from split_cli.workflows.proving.prove_recording import prove_recording
+from tests.factories import make_drive, road_car
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +148,15 @@ def test_another_engine_is_handed_the_same_tasks_by_full_paths(copy, monkeypatch
 def test_nothing_is_scored_before_something_was_identified(copy):
     with pytest.raises(SplitError, match="identified"):
         prove.score_cases(copy[0])
+
+
+def test_what_is_refused_leaves_no_folder(tmp_path):
+    for arguments in ((5000, 1), (1, 1)):
+        with pytest.raises(SplitError):
+            generate_cases(tmp_path / "out", *arguments, kinds=("nan",))
+    write_vehicle(road_car(), tmp_path / "car.yaml")
+    write_drive(make_drive(0, segments=1, seconds=3.0), tmp_path / "short.parquet")
+    for name in ("missing.parquet", "short.parquet"):
+        with pytest.raises(SplitError):
+            prove_recording([tmp_path / name], tmp_path / "car.yaml", tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -66,13 +66,17 @@ def prove_recording(
         Sizes of the faults as multiples of what the pair without a fault promises to name; else three fixed ones.
     """
     vehicle = read_vehicle(vehicle_path)
+    length = None if halves else block
+    planned = []
+    for path in map(Path, drives):
+        drive = read_drive(path)
+        _deal(drive, length)  # one that is too short is refused before anything is written
+        planned.append((path, *faults_for(drive, vehicle, only)))
     output.mkdir(parents=True, exist_ok=True)
     # The vehicle may be one of the library's names; every pair is diagnosed with one file.
     write_vehicle(vehicle, output / "vehicle.yaml")
     results = []
-    length = None if halves else block
-    for path in map(Path, drives):
-        clean, *faults = faults_for(read_drive(path), vehicle, only)
+    for path, clean, *faults in planned:
         done = len(results)
         results.append(_one(path, clean, vehicle, done, output, length))
         if multiples:
@@ -104,13 +108,13 @@ def _one(
         faulty = inject(drive, fault, vehicle)
     except SplitError as error:
         return InjectionResult(path.name, fault.name, fault.term, fault.value, "not put in", str(error), None, "")
-
-    def dealt(one: Drive) -> tuple[Drive, Drive]:
-        return split_in_halves(one) if block is None else split_in_blocks(one, block)
-
-    reference, faulted = dealt(drive)[0], dealt(faulty)[1]
+    reference, faulted = _deal(drive, block)[0], _deal(faulty, block)[1]
     said, words = diagnose_pair(output / f"{number + 1:03d}", output / "vehicle.yaml", reference, faulted)
     return injection_result(path.name, fault.name, fault.term, fault.parameters, said, words)
+
+
+def _deal(drive: Drive, block: float | None) -> tuple[Drive, Drive]:
+    return split_in_halves(drive) if block is None else split_in_blocks(drive, block)
 
 
 def diagnose_pair(folder: Path, vehicle_path: Path, reference: Drive, faulted: Drive) -> tuple[Statement, str]:
