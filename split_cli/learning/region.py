@@ -114,7 +114,7 @@ class Grid:
         z = np.asarray(z, dtype=float)
         edges, lower, upper = self._arrays
         half = 1 << (self.bits - 1)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             position = np.floor(z / edges)
             # A value on the upper bound belongs to the cell below it: the last cell is closed. At the lower bound
             # the division may round into a cell that is not there.

@@ -270,6 +270,11 @@ class SetFile:
         stored = self._described.pop("content_sha256", "")
         if content_digest(self._described, whole) != stored:
             raise self._damaged("its content does not match the digest in it")
+        if (np.diff(whole.cell_numbers) <= 0).any():
+            raise self._damaged("its cells are out of order")
+        elsewhere = points_elsewhere(whole)
+        if elsewhere:
+            raise self._damaged(f"{elsewhere} of {whole.size} points are outside their cells")
         return whole
 
     def _batch(self, index: int) -> pa.RecordBatch:
@@ -399,6 +404,13 @@ def _header_from(described: Mapping[str, Any]) -> TrainingSet:
         sources=tuple(_source_from(source) for source in described["sources"]),
         trust=Trust(**described["trust"]) if described["format"] == SET_FORMAT else Trust.full(),
     )
+
+
+def points_elsewhere(training_set: TrainingSet) -> int:
+    """Return how many points lie outside the region, or in another cell than the one that holds them."""
+    s = training_set
+    index, has_cell = s.grid.index(s.z)
+    return int((~has_cell | (s.grid.pack(index) != np.repeat(s.cell_numbers, np.diff(s.offsets)))).sum())
 
 
 def content_digest(described: Mapping[str, Any], training_set: TrainingSet) -> str:

@@ -82,6 +82,28 @@ def test_points_that_are_no_numbers_are_refused(sound, tmp_path, name):
         read_set(tmp_path / "a.split")
 
 
+@pytest.mark.parametrize(
+    ("name", "forged", "says"),
+    [
+        ("z", lambda z: z + 50.0, "outside their cells"),
+        ("z", lambda z: np.full_like(z, 1e299), "outside their cells"),
+        ("cell_numbers", lambda numbers: numbers + 2**62, "outside their cells"),
+        ("cell_numbers", lambda numbers: numbers[::-1].copy(), "out of order"),
+        ("cell_numbers", lambda numbers: np.full_like(numbers, numbers[0]), "out of order"),
+    ],
+)
+def test_points_elsewhere_than_their_cells_are_refused(sound, tmp_path, name, forged, says):
+    write_set(replace(sound, **{name: forged(getattr(sound, name))}), tmp_path / "a.split")
+    with pytest.raises(SetError, match=says):
+        read_set(tmp_path / "a.split")
+
+
+def test_edges_that_hold_no_point_of_a_cell_are_refused(sound, tmp_path):
+    write_forged_set(sound, tmp_path / "a.split", at("grid", "edges", value=[1e290] * 3))
+    with pytest.raises(SetError, match="outside their cells"):
+        read_set(tmp_path / "a.split")
+
+
 def test_a_cell_with_more_points_than_it_may_keep_is_refused(sound, tmp_path):
     write_set(replace(sound, capacity=int(np.diff(sound.offsets).max()) - 1), tmp_path / "a.split")
     with pytest.raises(SetError, match="its capacity is"):

@@ -8,7 +8,7 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.files import refuse_no_regular_file, sha256_of_file
 from split_cli.learning.kernel import correlation
-from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.learning.training_set import TrainingSet, points_elsewhere, read_set
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.verifying.relabelled import points_against_drives
 from split_cli.workflows.verifying.verification import Verification, VerifiedItem
@@ -146,17 +146,12 @@ def verify_set(training_set: TrainingSet) -> tuple[VerifiedItem, ...]:
     fullest = int(counts.max(initial=0))
     text = f"the fullest cell holds {fullest} of {s.capacity} points"
     items.append(_item("capacity", fullest <= s.capacity, text, text))
-    items.append(_cells(s))
+    wrong = points_elsewhere(s)
+    elsewhere = f"{wrong} of {s.size} are elsewhere"
+    items.append(_item("points in their cells", wrong == 0, f"all {s.size} points", elsewhere))
     items.append(_gains(s))
     items.append(_sources(s))
     return tuple(items)
-
-
-def _cells(s: TrainingSet) -> VerifiedItem:
-    index, has_cell = s.grid.index(s.z)
-    stored = np.repeat(s.cell_numbers, np.diff(s.offsets))
-    wrong = int((~has_cell | (s.grid.pack(index) != stored)).sum())
-    return _item("points in their cells", wrong == 0, f"all {s.size} points", f"{wrong} of {s.size} are elsewhere")
 
 
 def _gains(s: TrainingSet) -> VerifiedItem:
