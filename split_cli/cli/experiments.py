@@ -1,7 +1,5 @@
 """`split experiments`."""
 
-from pathlib import Path
-
 import click
 
 from split_cli.cli.options import OutputPath, existing_file, output_option, vehicle_option

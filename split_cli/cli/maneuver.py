@@ -59,8 +59,8 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     """Drive SCENARIO between cones: iso3888-1, iso3888-2 or brake-avoid.
 
     A tracking MPC drives with the vehicle's nominal model, or with a trained set added. The lane widths follow
-    from the car's width as in ISO 3888. A cone counts as hit when the body touches it. The course is one of full-size
-    cars; for a model car it is scaled to the wheelbase, so that it asks for the same accelerations.
+    from the car's width as in ISO 3888. A cone counts as hit when the body touches it. The course is one of
+    full-size cars. For a model car it is scaled to the wheelbase, so that it asks for the same accelerations.
 
     \b
     Example:
@@ -75,7 +75,6 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     })  # fmt: skip
     settings = ManeuverSettings(scenario=scenario, delay=not no_delay, **options)
     with StepBar(max(len(settings.speeds), 1)) as bar:
-
 
         def tell(text: str) -> None:
             """Show a speed as the step that begins; let what is said of the course stay."""

@@ -28,8 +28,8 @@ in proportion: at equal accelerations the time of a manoeuvre goes with the root
 error of acceleration adds up to goes with the square of the time."""
 
 MODEL_CAR = 1.0
-"""Wheelbase below which a car carries nobody [m]: courses for cars are scaled to it. Model cars of 1:10 have 0.33 m,
-the smallest cars with a driver 1.5 m."""
+"""Wheelbase below which a car carries nobody [m]: courses for cars are scaled to it. Model cars of 1:10 have
+0.33 m, the smallest cars with a driver 1.5 m."""
 
 DEVIATION_KEPT = 0.8
 """Share of what was kept on top that the next lap keeps at least [1]: a lap without a mistake is no proof of the

@@ -179,7 +179,13 @@ def _cones(lanes: tuple[Lane, ...], spacing: float, radius: float) -> np.ndarray
 
 
 def cones_hit(
-    cones: np.ndarray, x: np.ndarray, y: np.ndarray, yaw: np.ndarray, front: float, rear: float, width: float,
+    cones: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    yaw: np.ndarray,
+    front: float,
+    rear: float,
+    width: float,
     radius: float = CONE_RADIUS,
 ) -> np.ndarray:
     """Return which cones a moving rectangle touches, bool shape (K,).

@@ -314,7 +314,7 @@ def test_a_scaled_course_is_the_full_one_times_the_scale(name):
     s = np.linspace(0.0, full.finish, 500)
     one, other = full.path.at(s), small.path.at(scale * s)
     np.testing.assert_allclose([other.x, other.y], [scale * one.x, scale * one.y], atol=1e-6)
-    # Equal accelerations along and across the line: v goes with the root of the length, and so does the time of a step.
+    # Equal accelerations along and across the line: v and the time of a step go with the root of the length.
     across = one.curvature * full.speed(s) ** 2
     np.testing.assert_allclose(other.curvature * small.speed(scale * s) ** 2, across, atol=1e-3)
     assert small.step == pytest.approx(0.5 * full.step)

@@ -27,8 +27,8 @@ _INERTIA = (
     "and 0.2 for mass that is carried between the axles"
 )
 _TURNING = (
-    "Gillespie (1992), chapter 2: what turns resists like 4 % of a car's mass without gears, and like half of it in "
-    "first gear"
+    "Gillespie (1992), chapter 2: what turns resists like 4 % of a car's mass without gears, and like half of it "
+    "in first gear"
 )
 # I_z/(m l_f l_r), the squared radius of gyration over the product of the arms.
 _LEAST_GYRATION, _MOST_GYRATION = 0.2, 1.3
@@ -116,7 +116,8 @@ class RotatingMass(Term):
     `mass` is J/r_e^2, with J the inertia of all that turns, referred to the wheels. Driving across and turning do
     not accelerate it. At a steady speed it takes no torque, by which it differs from `drive_gain`. Terms that act
     by the force along the car (`load_transfer`, `combined_slip`) keep that of the whole torque. While the car
-    accelerates it is larger than the force at the ground, by the share mass/m. Source: Gillespie (1992), chapter 2.
+    accelerates it is larger than the force at the ground, by the share mass/m. Source: Gillespie (1992),
+    chapter 2.
     """
 
     id = "rotating_mass"

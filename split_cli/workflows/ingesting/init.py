@@ -100,8 +100,8 @@ class InitResult:
             steps = [stop, *steps]
         if self.drafted:
             steps.append(
-                f"The map was drafted from {self.drafted} alone; the other logs must hold the same channels. If they are "
-                "parts of one drive, begin anew with --together."
+                f"The map was drafted from {self.drafted} alone; the other logs must hold the same channels. "
+                "If they are parts of one drive, begin anew with --together."
             )
         run = f"With {', '.join(lost)}, run" if lost else "Run"
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))

@@ -53,7 +53,9 @@ class ManeuverSettings:
     exact_sensors: bool = False
     delay: bool = True
     width: float | None = None  # of the car's body [m]
-    scale: float | None = None  # of the course [1]; by default 1, for model cars the share of a full-size wheelbase
+    scale: float | None = (
+        None  # of the course [1]; by default 1, for model cars the share of a full-size wheelbase
+    )
     max_torque: float | None = None  # [N m]
     # Of the controller's limits [1]; below that of races, since a whole manoeuvre brakes while it turns.
     p_long: float = P_LONG
@@ -166,7 +168,7 @@ def run_maneuvers(
 
 
 def course_scale(car: CarParameters) -> float:
-    """Return the scale of a course for a car [1]: below 1 for model cars alone, since standards tell the course."""
+    """Return the scale of a course for a car [1]: below 1 for model cars alone; standards tell the others'."""
     return car.wheelbase / SIZE if car.wheelbase < MODEL_CAR else 1.0
 
 
@@ -176,11 +178,14 @@ def scaled_controller(settings: MpcSettings, scale: float) -> MpcSettings:
     Notes
     -----
     With lengths times s and times times sqrt(s), each term of the cost keeps its value: a weight of a squared
-    length is divided by s^2, of a speed by s, and that of a squared rate of an angle or of a share of the torque is
+    length is divided by s^2, of a speed by s. That of a squared rate of an angle or of a share of the torque is
     multiplied by s.
     """
     w = settings.weights
-    places, rates = {"contour": w.contour, "lag": w.lag}, {"torque_rate": w.torque_rate, "steer_rate": w.steer_rate}
+    places, rates = (
+        {"contour": w.contour, "lag": w.lag},
+        {"torque_rate": w.torque_rate, "steer_rate": w.steer_rate},
+    )
     scaled = {name: value / scale**2 for name, value in places.items()}
     weights = replace(w, **scaled, **{name: value * scale for name, value in rates.items()})
     return replace(
