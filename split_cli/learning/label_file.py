@@ -106,9 +106,13 @@ def _fault(labels: Labels, samples: int) -> str:
     if samples != len(labels):
         return f"{len(labels)} rows, {samples} were written"
     used = labels.accepted
-    unfinished = used & ~(np.isfinite(labels.z).all(axis=1) & np.isfinite(labels.y).all(axis=1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = (len(labels) * labels.y) ** 2  # the kernel's variance sums squares, which must not overflow
+    numbers = np.column_stack([labels.t, labels.z, spread])
+    unfinished = used & ~np.isfinite(numbers).all(axis=1)
     if unfinished.any():
-        return f"row {int(np.argmax(unfinished))} is accepted and not finite"
+        row = int(np.argmax(unfinished))
+        return f"row {row} is accepted, but its time, features or labels are not finite or too large"
     disorder = np.diff(labels.row, prepend=-1) <= 0
     return f"row {int(np.argmax(disorder))} is out of order" if disorder.any() else ""
 

@@ -139,7 +139,9 @@ def test_a_label_file_that_is_not_whole_is_refused(folder, tmp_path):
     source, bad = folder / "a.labels.parquet", tmp_path / "bad.parquet"
     for change, said in (
         ({"rows": slice(0, 100)}, "100 rows, .* were written"),
-        ({"y_vx": lambda y: np.full_like(y, np.nan)}, "accepted and not finite"),
+        ({"y_vx": lambda y: np.full_like(y, np.nan)}, "not finite or too large"),
+        ({"y_vx": lambda y: np.full_like(y, 1e300)}, "not finite or too large"),
+        ({"t": lambda t: np.full_like(t, np.nan)}, "not finite or too large"),
         ({"row": lambda row: row[::-1]}, "out of order"),
     ):
         altered(source, bad, **change)
