@@ -22,6 +22,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection
@@ -137,10 +138,11 @@ def _places(tree: object) -> Iterator[tuple[dict | list, str | int]]:
 
 
 def mutant(path: Path, content: bytes, others: list[bytes], rng: random.Random) -> bytes:
-    """Return a mutant of a file: of its bytes, of JSON in three of four cases of its values."""
+    """Return a mutant of a file: of its bytes, of a JSON document in three of four cases of its values."""
     other = rng.choice(others)
     if path.suffix == ".json" and rng.random() < 0.75:
-        return mutate_json(content, rng)
+        with suppress(ValueError):  # a document a line
+            return mutate_json(content, rng)
     return mutate(content, other, rng)
 
 
@@ -265,17 +267,19 @@ def _in_a_process(work: Callable, first: int, last: int) -> Iterator[tuple[int, 
     process = context.Process(target=work, args=(first, last, says))
     process.start()
     says.close()
-    number, ended = first, True
+    number, ended, begun = first, True, False
     try:
         while True:
             kind, value, one = hears.recv()
             if kind == "begin":
-                number, ended = value, False
+                number, ended, begun = value, False, True
             else:
                 ended = True
                 yield number, value, one
     except EOFError:
         process.join()
+        if not begun:
+            raise RuntimeError("no input could be made; the process has printed why") from None
         if not ended:
             yield number, f"the process died (exit code {process.exitcode})", Tally()
 

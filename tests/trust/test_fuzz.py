@@ -13,7 +13,7 @@ from tests.studies.fuzz_seeds import SLOW
 
 @pytest.mark.slow
 def test_mutated_files_are_read_counted_or_refused():
-    tallies = fuzz(62 * 4, seed=20_26)
+    tallies = fuzz(76 * 4, seed=20_26)
     assert not [line for tally in tallies.values() for line in tally.broken]
     counts = {kind: tally.read + tally.dropped + tally.refused for kind, tally in tallies.items()}
     assert len(counts) > 60 and {kind for kind, n in counts.items() if n < (1 if kind in SLOW else 4)} == set()
