@@ -38,7 +38,7 @@ def test_at_equal_slips_tape_lacks_less_than_at_the_peak(datasets, work):
 
 
 def test_tape_differs_from_a_model_of_the_car_on_rubber_by_its_grip(datasets, work):
-    """Constant steering on purpose, torque from the throttle; at equal slips forces are 0.48 and 0.59 of rubber's."""
+    """Constant steering on purpose, torque from the throttle; at equal slips forces are 0.48 to 0.59 of it."""
     told = run("tape-nominal", datasets, work)
     low, high = told.findings[0].parameters["scale"].interval_95
     assert told.findings[0].term == "friction_scale" and low < 0.48 < 0.59 < high
