@@ -302,8 +302,9 @@ class _Run:
         mpc = scaled_controller(mpc, scenario.scale)
         self.controller = Mpc(self.model, scenario.path, self.actuators, mpc, width, scenario.speed)
         self.controller.grip = grip
-        gains = 1.5 / np.sqrt(scenario.scale), 0.3 / scenario.scale
-        self.speed = SpeedController(scenario.entry_speed, vehicle.mass, vehicle.wheel_radius, *gains)
+        self.speed = SpeedController(scenario.entry_speed, vehicle.mass, vehicle.wheel_radius).scaled(
+            scenario.scale
+        )
 
     def drive(self) -> ManeuverRun:
         """Drive to the end, or to where it is lost."""
