@@ -243,6 +243,26 @@ def test_a_simulation_that_has_diverged_is_no_term_that_is_too_fast():
     alone = integrate_recorded(track, state[:1], still[:1], still[:1], PERIOD)
     assert end[0] == pytest.approx(alone[0], rel=1e-6) and not np.isfinite(end[1]).all()
     with pytest.raises(VehicleError, match="too fast"):
-        integrate_recorded(
-            SingleTrack(CAR, [term("steer_lag", tau=1e-6)]), state[:1], still[:1], still[:1], PERIOD
-        )
+        too_fast = SingleTrack(CAR, [term("steer_lag", tau=1.1e-4)])
+        integrate_recorded(too_fast, state[:1], still[:1], still[:1], 0.2)
+
+
+@pytest.mark.parametrize("name", ["steer_lag", "drive_lag"])
+@pytest.mark.parametrize("tau", [0.0, 1e-5])
+def test_a_lag_of_no_time_is_the_nominal_model(name, tau):
+    """The limit of tau y' = u - y at tau = 0, which a fit of several terms may reach and then runs freely."""
+    t = np.arange(101) * PERIOD
+    torque, steer = (np.tile(u, (2, 1)) for u in inputs(t))
+    state = np.array([[20.0, 0.0, 0.0], [12.0, 0.1, 0.05]])
+    end = [integrate_recorded(track, state, torque, steer, PERIOD)
+           for track in (SingleTrack(CAR, [term(name, tau=tau)]), SingleTrack(CAR))]  # fmt: skip
+    np.testing.assert_allclose(*end, rtol=1e-12)
+    short = integrate_recorded(SingleTrack(CAR, [term(name, tau=1e-3)]), state, torque, steer, PERIOD)
+    assert 0.0 < np.abs(short - end[0]).max() < 0.02
+
+
+def test_a_relaxation_of_no_length_is_the_nominal_model_at_every_rate():
+    steer = np.full((1, 3), 0.02)
+    ends = [integrate_recorded(track, np.array([[20.0, 0.0, 0.0]]), 0.0 * steer, steer, 0.1, substeps=20)
+            for track in (SingleTrack(CAR, [term("tire_relaxation", length=0.0)]), SingleTrack(CAR))]  # fmt: skip
+    np.testing.assert_allclose(*ends, rtol=1e-12)

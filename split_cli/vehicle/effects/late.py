@@ -1,5 +1,6 @@
 """Base of delays and lags: their unit, their search range, and how they act on the inputs."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -9,6 +10,9 @@ from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 
 # No `__all__`: these are no terms of the catalogue.
+
+_SHORTEST = 1e-4
+"""Time constant below which an input arrives at once [s]: a hundredth of a sample of the fastest drive, 100 Hz."""
 
 
 class Delayed(Term):
@@ -56,14 +60,11 @@ class Lagging(Term):
 
     @property
     def rate(self) -> Any:
-        """1/tau [1/s], where tau may reach zero."""
-        return 1.0 / _positive(self.parameters["tau"])
+        """1/tau [1/s]; infinite for a tau that is too short to be seen, which the neutral 0 is."""
+        tau = self.parameters["tau"]
+        return math.inf if isinstance(tau, int | float) and tau < _SHORTEST else 1.0 / tau
 
     def fastest_rate(self, speed: float) -> float:
-        """1/tau."""
-        return float(self.rate)
-
-
-def _positive(tau: Any) -> Any:
-    """Return a time constant that can be divided by; 1e-6 s is instantaneous at any sample rate met here."""
-    return max(tau, 1e-6) if isinstance(tau, int | float) else tau
+        """1/tau; what follows at once is not stepped."""
+        rate = float(self.rate)
+        return rate if math.isfinite(rate) else 0.0

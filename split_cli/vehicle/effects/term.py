@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -270,10 +271,14 @@ class Term:
         target : array or symbol
             What the state settles at.
         rate : array or symbol
-            [1/s].
+            [1/s]; infinite where the state is its target at once.
         """
         key = f"{self.id}.{name}"
-        if flow.recording is not None:
+        if isinstance(rate, float) and math.isinf(rate):
+            value = target
+            if flow.states is not None:
+                flow.rates[key] = 0.0 * target
+        elif flow.recording is not None:
             # Responding in time and taking means over samples can change places: the response to means, in
             # straight lines from one sample's middle to the next, is the response's mean.
             value = first_order_response(target, rate, flow.recording, key)

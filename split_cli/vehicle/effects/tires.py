@@ -20,6 +20,8 @@ __all__ = [
 
 # Below this share of its capacity an axle that brakes at its limit keeps lateral force; it keeps roots smooth.
 _LEAST_CAPACITY = 1e-3
+# Relaxation length below which forces build up at once [m]; the shortest of a model car is 30 times that.
+_SHORTEST_LENGTH = 1e-3
 _SOME_BRAKING = 0.6  # share of the largest braking torque that lost grip is told at
 _LONG_AGAINST = 0.5  # relative error of a time constant beyond which only its ratio to the loss is known
 
@@ -289,13 +291,15 @@ class TireRelaxation(Term):
         return f"lateral force builds up over {amount(p['length'], one_sided=True)} of travel"
 
     def fastest_rate(self, speed: float) -> float:
-        """v_x over the length."""
-        return speed / max(self.parameters["length"], 1e-3)
+        """v_x over the length; what follows at once is not stepped."""
+        length = self.parameters["length"]
+        return 0.0 if length < _SHORTEST_LENGTH else speed / length
 
     def lateral(self, flow: Flow) -> None:
         """Let each axle's force follow its steady value."""
         length = self.parameters["length"]
-        rate = flow.vx / (max(length, 1e-3) if isinstance(length, int | float) else length)
+        at_once = isinstance(length, int | float) and length < _SHORTEST_LENGTH
+        rate = math.inf if at_once else flow.vx / length
         for name, axle in (("front", flow.front), ("rear", flow.rear)):
             axle.lateral_force = self.first_order(flow, name, axle.lateral_force, rate)
 
