@@ -10,6 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from split_cli.compiled_code import compiled
+from split_cli.learning.set_limits import LARGEST_LABEL
 
 _INSERTED, _REPLACED = 1, 2
 _JITTERS = np.array([0.0, 1e-13, 1e-12, 1e-11, 1e-10])
@@ -202,7 +203,7 @@ def update_cell(
 
 @compiled(cache=True)
 def cell_number(z: ndarray, y: ndarray, grid: ndarray, bits: int) -> int:
-    """Return `Grid.pack` of `Grid.index` of one sample; -1 where it has no cell, -2 where its label is not finite.
+    """Return `Grid.pack` of `Grid.index` of one sample; -1 where it has no cell, -2 where its label is none.
 
     Parameters
     ----------
@@ -214,7 +215,7 @@ def cell_number(z: ndarray, y: ndarray, grid: ndarray, bits: int) -> int:
     """
     half, number = 1 << (bits - 1), 0
     for output in range(len(y)):
-        if not math.isfinite(y[output]):
+        if not abs(y[output]) <= LARGEST_LABEL:
             return -2
     for feature in range(len(z)):
         if not grid[1, feature] <= z[feature] <= grid[2, feature]:

@@ -10,6 +10,7 @@ import yaml
 from split_cli.errors import SetError, nearest_names
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
+from split_cli.learning.set_limits import LARGEST_OF_KERNEL
 from split_cli.yaml_file import read_yaml_mapping
 
 _KEYS = ("length_scales", "signal_variance", "noise_variance")
@@ -61,7 +62,8 @@ def _values(content: Any, expected: Sequence[str], key: str, where: str) -> list
     values = []
     for name in expected:
         value = content[name]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e300:
-            raise SetError(f"{key}.{name} is {value!r}, a positive number was expected", where=where)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= LARGEST_OF_KERNEL:
+            what = f"{key}.{name} is {value!r}, a positive number of at most {LARGEST_OF_KERNEL:g} was expected"
+            raise SetError(what, where=where)
         values.append(float(value))
     return values

@@ -16,7 +16,8 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Region
-from split_cli.learning.set_limits import check_labels_header
+from split_cli.learning.set_limits import LARGEST_LABEL, check_labels_header
+from split_cli.signals import CHANNELS
 
 LABELS_FORMAT = "split-labels/1"
 
@@ -106,10 +107,9 @@ def _fault(labels: Labels, samples: int) -> str:
     if samples != len(labels):
         return f"{len(labels)} rows, {samples} were written"
     used = labels.accepted
-    with np.errstate(over="ignore", invalid="ignore"):
-        spread = (len(labels) * labels.y) ** 2  # the kernel's variance sums squares, which must not overflow
-    numbers = np.column_stack([labels.t, labels.z, spread])
-    unfinished = used & ~np.isfinite(numbers).all(axis=1)
+    numbers = np.column_stack([labels.t / CHANNELS["t"].limit, labels.y / LARGEST_LABEL])
+    usable = (np.abs(numbers) <= 1.0).all(axis=1) & np.isfinite(labels.z).all(axis=1)
+    unfinished = used & ~usable
     if unfinished.any():
         row = int(np.argmax(unfinished))
         return f"row {row} is accepted, but its time, features or labels are not finite or too large"

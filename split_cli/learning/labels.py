@@ -13,6 +13,7 @@ from split_cli.errors import DriveError
 from split_cli.learning.features import FeatureSet, flow_along, place_of, recording_of
 from split_cli.learning.pieces import DrivePiece, pieces
 from split_cli.learning.region import Grid, Region
+from split_cli.learning.set_limits import LARGEST_LABEL
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.integration import Situation, phi_matrix
@@ -216,9 +217,9 @@ def compute_labels(
         y[rows][usable] = nominal_errors(
             model, piece.drive, local[usable], window, plain=plain, recording=piece.recording
         )
-    # A vanishing Phi or a diverging window shows as a value that is not finite: it must not be learned.
+    # A vanishing Phi or a diverging window shows as a value that is no label: it must not be learned.
     computed = ~np.isin(reason, (Reason.GAP, Reason.NON_FINITE, Reason.SPEED))
-    reason[computed & ~np.isfinite(y).all(axis=1)] = Reason.NON_FINITE
+    reason[computed & ~(np.abs(y) <= LARGEST_LABEL).all(axis=1)] = Reason.NON_FINITE
     time = drive["t"]
     return Labels(
         drive=drive.name,

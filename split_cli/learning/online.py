@@ -111,7 +111,7 @@ class OnlineSet:
 
         Notes
         -----
-        For a controller's loop. A label that is not finite is not learned, with `Reason.NON_FINITE`.
+        For a controller's loop. A label that is not finite, or over 1e9, is not learned, with `Reason.NON_FINITE`.
         """
         tally, cells = self._open, self._cells
         if tally is None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.learning.features import Z2
+from split_cli.signals import CHANNELS
 
 LARGEST_CAPACITY = 1000
 """Points a cell may keep [1]; theory: an update costs M^2; at 1,000 it outlasts a control interval."""
@@ -13,6 +14,10 @@ MOST_CELLS_OF_A_GRID = 2_000_000
 """Cells between a grid's bounds [1]; measured: enumerated, they take 122 bytes each; by default 8,100."""
 LONGEST_HORIZON = 10.0
 """Label interval [s]; judgement: the paper's is 0.05 s, and over seconds a label is no rate."""
+LARGEST_LABEL = 1e9
+"""Of a label's magnitude [m/s^2], [rad/s^2]; theory: the limit of v_x, 1e5 m/s, over a tenth of a millisecond."""
+LARGEST_OF_KERNEL = 1e3 * LARGEST_LABEL**2
+"""Of a label variance or a length scale; theory: the fit takes at most a thousand times labels' mean square."""
 LONGEST_TEXT = 4096
 """A name or digest in a header [characters]; that of the longest path of Linux."""
 _COUNTS = ("samples", "accepted", "insertions", "replacements", "points", "cells")
@@ -44,7 +49,7 @@ def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_
         _within(f"region.{name}", value, 0.0, 1e3)
     _check_grid(described["grid"], features)
     for name, length in (("length_scales", len(features)), ("signal_variance", 3), ("noise_variance", 3)):
-        _numbers(f"kernel.{name}", described["kernel"][name], length)
+        _numbers(f"kernel.{name}", described["kernel"][name], length, LARGEST_OF_KERNEL)
     _text("kernel.origin", described["kernel"].get("origin", ""))
     _check_trust(described.get("trust", {}))
     _boolean("plain", described["plain"])
@@ -70,8 +75,7 @@ def check_labels_header(described: Mapping[str, Any]) -> None:
     for name, value in described["region"].items():
         _within(f"region.{name}", value, 0.0, 1e3)
     for name in ("start_time", "duration"):
-        if not np.isfinite(_number(name, described[name])):
-            raise ValueError(f"{name} is no time")
+        _time(name, described[name])
     for name in ("drive", "sha256", "vehicle_digest"):
         _text(name, described[name])
     if not isinstance(described["features"], list) or not described["features"]:
@@ -97,10 +101,10 @@ def _check_source(of: str, source: Mapping[str, Any]) -> None:
         _whole(f"rejected.{_text('a reason', reason)} {of}", count, 0, np.inf)
     if not source["insertions"] + source["replacements"] <= source["accepted"] <= source["samples"]:
         raise ValueError(f"updates outnumber accepted labels, or these the samples, in the counts {of}")
-    for name, longest in (("horizon", LONGEST_HORIZON), ("duration", np.inf)):
+    for name, longest in (("horizon", LONGEST_HORIZON), ("duration", CHANNELS["t"].limit)):
         if not 0.0 <= _number(f"{name} {of}", source.get(name, 0.0)) < longest:
             raise ValueError(f"{name} {of} is {source[name]!r}, it must lie between 0 and {longest:g}")
-    _number(f"start_time {of}", source.get("start_time", 0.0))
+    _time(f"start_time {of}", source.get("start_time", 0.0))
 
 
 def _check_grid(grid: Mapping[str, Any], features: Sequence[str]) -> None:
@@ -144,9 +148,13 @@ def check_points(
     fullest = max(lengths, default=0)
     if fullest > described["capacity"]:
         raise ValueError(f"a cell holds {fullest} points, its capacity is {described['capacity']}")
-    for name in ("z", "y", "gamma", "t"):
+    for name, largest in (("z", np.inf), ("y", LARGEST_LABEL), ("gamma", np.inf), ("t", CHANNELS["t"].limit)):
         if not np.isfinite(points[name]).all():
             raise ValueError(f"{name} holds numbers that are not finite")
+        if np.abs(points[name]).max(initial=0.0) > largest:
+            raise ValueError(f"{name} holds {np.abs(points[name]).max():g}, beyond {largest:g} none is possible")
+    if points["row"].min(initial=0) < 0:
+        raise ValueError("points name rows below zero")
     if len(points["source"]) and not 0 <= points["source"].min() <= points["source"].max() < sources:
         raise ValueError(f"points name drives beyond the {sources} that it lists")
     counts = described["counts"]
@@ -168,11 +176,18 @@ def _within(name: str, value: Any, above: float, below: float) -> None:
         raise ValueError(f"{name} is {value!r}, it must lie between {above:g} and {below:g}")
 
 
-def _numbers(name: str, values: Any, length: int) -> None:
+def _numbers(name: str, values: Any, length: int, largest: float = np.inf) -> None:
     if not isinstance(values, list) or len(values) != length:
         raise ValueError(f"{name} is no list of {length} numbers")
     for value in values:
-        _number(name, value)
+        if abs(_number(name, value)) > largest:
+            raise ValueError(f"{name} is {value:g}, beyond {largest:g} none is possible")
+
+
+def _time(name: str, value: Any) -> None:
+    limit = CHANNELS["t"].limit
+    if abs(_number(name, value)) > limit:
+        raise ValueError(f"{name} is {value:g} s, beyond {limit:g} s there is no time")
 
 
 def _boolean(name: str, value: Any) -> None:

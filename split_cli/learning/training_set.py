@@ -24,6 +24,10 @@ from split_cli.vehicle.parameters import EffectSpec, Vehicle, vehicle_from_mappi
 SET_FORMAT = "split-set/2"
 _READABLE = (SET_FORMAT, "split-set/1")  # the first one knew no trust: all of it
 _RETRAIN = "Train it again with `split train`."
+GAIN_TOLERANCE = 1e-9
+"""Absolute, of gains between 0 and 1: LAPACK's inverse against the factors that learning keeps."""
+_JITTER = 1e-10  # the largest that learning adds to a kernel matrix
+_NUMBERS_AT_ONCE = 1 << 20  # of the kernel matrices that are inverted together: 8 MB
 
 
 @dataclass(frozen=True)
@@ -275,6 +279,9 @@ class SetFile:
         elsewhere = points_elsewhere(whole)
         if elsewhere:
             raise self._damaged(f"{elsewhere} of {whole.size} points are outside their cells")
+        wrong = wrong_gains(whole)
+        if wrong:
+            raise self._damaged(f"the gains of {wrong} of {whole.size} points are not those of the points")
         return whole
 
     def _batch(self, index: int) -> pa.RecordBatch:
@@ -411,6 +418,35 @@ def points_elsewhere(training_set: TrainingSet) -> int:
     s = training_set
     index, has_cell = s.grid.index(s.z)
     return int((~has_cell | (s.grid.pack(index) != np.repeat(s.cell_numbers, np.diff(s.offsets)))).sum())
+
+
+def wrong_gains(training_set: TrainingSet) -> int:
+    """Return how many stored gains are not those of the points, gamma_i = 1/[K^-1]_ii.
+
+    Notes
+    -----
+    Cells of one size are inverted together. A change E of K changes gamma_i by g' E g, with g the i-th column of
+    K^-1 over its i-th number. Allowed are 1e-9, and what such a change does that is as large as rounding or the
+    jitter that learning may add: near-singular cells have no gains more exact than that.
+    """
+    s = training_set
+    counts, wrong = np.diff(s.offsets), 0
+    for n in np.unique(counts).tolist():
+        cells = np.flatnonzero(counts == n)
+        at_once = max(1, _NUMBERS_AT_ONCE // n**2)
+        for first in range(0, len(cells), at_once):
+            rows = s.offsets[cells[first : first + at_once], None] + np.arange(n)
+            with np.errstate(over="ignore"):  # far apart, by forged length scales: not correlated
+                kernel = s.kernel.correlation(s.z[rows], s.z[rows])
+            try:
+                inverse = np.linalg.inv(kernel)
+            except np.linalg.LinAlgError:
+                inverse = np.linalg.inv(kernel + _JITTER * np.eye(n))
+            own = np.diagonal(inverse, axis1=1, axis2=2)
+            change = np.square(inverse / own[:, None, :]).sum(axis=1)
+            allowed = GAIN_TOLERANCE + (_JITTER + 4 * n * np.finfo(float).eps) * change
+            wrong += int((~(np.abs(1.0 / own - s.gamma[rows]) <= allowed)).sum())
+    return wrong
 
 
 def content_digest(described: Mapping[str, Any], training_set: TrainingSet) -> str:

@@ -198,6 +198,12 @@ def _wait(process: int, seconds: float) -> tuple[bool, int, object]:
     return False, 0, None
 
 
+def load_commands() -> None:
+    """Import every command, so that the processes that are forked need not."""
+    for name in COMMANDS:
+        importlib.import_module(f"split_cli.cli.{name}")
+
+
 def run(only: str, patience: float) -> list[str]:
     """Try all runs of the commands whose name holds `only`; return what broke a rule."""
     broken: list[str] = []
@@ -229,6 +235,5 @@ if __name__ == "__main__":
     parser.add_argument("--only", default="", help="commands whose name holds this")
     parser.add_argument("--patience", type=float, default=20.0, help="seconds after which a run is stopped")
     given = parser.parse_args()
-    for loaded in COMMANDS:
-        importlib.import_module(f"split_cli.cli.{loaded}")
+    load_commands()
     sys.exit(1 if run(given.only, given.patience) else 0)

@@ -9,23 +9,15 @@ import pyarrow.parquet
 import pytest
 
 from split_cli.errors import SetError
-from split_cli.learning.training_set import read_set, write_set
+from split_cli.learning.cells import recompute_gains
+from split_cli.learning.training_set import read_set, write_set, wrong_gains
 from tests.factories import make_training_set, write_forged_set
+from tests.studies.forged import HEADERS, POINTS, at
 
 
 @pytest.fixture(scope="module")
 def sound():
     return make_training_set()
-
-
-def at(*keys, value):
-    def change(described):
-        inner = described
-        for key in keys[:-1]:
-            inner = inner[key]
-        inner[keys[-1]] = value
-
-    return change
 
 
 FORGED = {
@@ -80,6 +72,45 @@ def test_points_that_are_no_numbers_are_refused(sound, tmp_path, name):
     write_set(replace(sound, **{name: values}), tmp_path / "a.split")
     with pytest.raises(SetError, match="not finite"):
         read_set(tmp_path / "a.split")
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        ("gamma 0.5", "gains of"), ("gamma 1e+300", "gains of"), ("length_scales 10", "gains of"),
+        ("length_scales 1e+20", "gains of"), ("length_scales 1e-299", "gains of"),
+        ("length_scales 1e+299", "none is possible"), ("noise_variance 1e+299", "none is possible"),
+        ("y 1e+300", "none is possible"), ("t 1e+300", "none is possible"), ("rows below zero", "rows below zero"),
+        ("start time 1e299", "there is no time"), ("duration 1e299", "duration of source 0"),
+    ],
+)  # fmt: skip
+def test_numbers_that_no_training_leaves_are_refused(sound, tmp_path, kind, says):
+    if kind in HEADERS:
+        write_forged_set(sound, tmp_path / "a.split", HEADERS[kind])
+    else:
+        write_set(POINTS[kind](sound), tmp_path / "a.split")
+    with pytest.raises(SetError, match=says):
+        read_set(tmp_path / "a.split")
+
+
+def test_gains_are_those_of_the_definition_also_in_near_singular_cells(sound):
+    # gamma_i is what the other points leave of a point's variance, by its definition point by point.
+    cell = int(np.argmax(np.diff(sound.offsets)))
+    z = sound.z[slice(*sound.offsets[cell : cell + 2])]
+    for factor, near in ((1.0, False), (300.0, True)):
+        kernel = replace(sound.kernel, length_scales=factor * sound.kernel.length_scales)
+        one = replace(
+            sound, kernel=kernel, z=z, offsets=np.array([0, len(z)]), cell_numbers=sound.cell_numbers[[cell]]
+        )
+        K = kernel.correlation(z, z)
+        others = [np.delete(np.arange(len(z)), i) for i in range(len(z))]
+        defined = np.array(
+            [1.0 - K[i, o] @ np.linalg.solve(K[np.ix_(o, o)], K[o, i]) for i, o in enumerate(others)]
+        )
+        assert wrong_gains(replace(one, gamma=defined)) == 0
+        assert wrong_gains(replace(one, gamma=recompute_gains(one))) == 0
+        assert (defined.min() < 1e-9) == near
+        assert wrong_gains(replace(one, gamma=defined + 1e-3)) == len(z)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ import numpy as np
 
 from split_cli.errors import SplitError
 from split_cli.files import refuse_no_regular_file, sha256_of_file
-from split_cli.learning.kernel import correlation
-from split_cli.learning.training_set import TrainingSet, points_elsewhere, read_set
+from split_cli.learning.training_set import GAIN_TOLERANCE, TrainingSet, points_elsewhere, read_set, wrong_gains
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.verifying.relabelled import points_against_drives
 from split_cli.workflows.verifying.verification import Verification, VerifiedItem
@@ -26,8 +25,6 @@ __all__ = ["Verification", "VerifiedItem", "verify", "verify_set"]
 
 _OF_A_FOLDER = ("manifest.json", "diagnosis.json", MANIFEST_NAME)
 """Files that stand for the folder they lie in."""
-GAIN_TOLERANCE = 1e-9
-"""Absolute, of gains between 0 and 1: LAPACK's inverse against the factors that learning keeps."""
 
 
 def verify(path: str | Path) -> Verification:
@@ -149,27 +146,11 @@ def verify_set(training_set: TrainingSet) -> tuple[VerifiedItem, ...]:
     wrong = points_elsewhere(s)
     elsewhere = f"{wrong} of {s.size} are elsewhere"
     items.append(_item("points in their cells", wrong == 0, f"all {s.size} points", elsewhere))
-    items.append(_gains(s))
+    wrong = wrong_gains(s)
+    right = f"all are within {GAIN_TOLERANCE:g} of 1/[K^-1]_ii"
+    items.append(_item("gains", wrong == 0, right, f"{wrong} of {s.size} are not 1/[K^-1]_ii"))
     items.append(_sources(s))
     return tuple(items)
-
-
-def _gains(s: TrainingSet) -> VerifiedItem:
-    """Compare stored gains with 1/[K^-1]_ii of every cell's points."""
-    if s.size == 0:
-        return VerifiedItem("gains", True, "there are no points")
-    worst = 0.0
-    for first, last in zip(s.offsets[:-1], s.offsets[1:], strict=True):
-        points = s.z[first:last]
-        try:
-            inverse = np.linalg.inv(correlation(points, points, s.kernel.length_scales))
-        except np.linalg.LinAlgError:
-            worst = np.inf
-            break
-        error = np.abs(1.0 / np.diag(inverse) - s.gamma[first:last])
-        worst = max(worst, float(np.where(np.isnan(error), np.inf, error).max()))
-    text = f"stored gains are within {worst:.3g} of 1/[K^-1]_ii, {GAIN_TOLERANCE:g} is allowed"
-    return _item("gains", worst <= GAIN_TOLERANCE, text, text)
 
 
 def _sources(s: TrainingSet) -> VerifiedItem:
