@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,7 +18,7 @@ from split_cli.logs.presets import preset_names
 from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column, turned, unit_of_time
 from split_cli.logs.scratch import set_aside
 from split_cli.logs.signal_map import read_map
-from split_cli.signals import CHANNELS, convert_to_si, find_unit
+from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, convert_to_si, find_unit
 
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SLOWEST = 2.0
@@ -152,15 +152,23 @@ def _converted(
     return maps, series
 
 
-def fitting_presets(recording: RawRecording) -> tuple[str, ...]:
-    """Return the presets whose sources a recording has, and that give vx, r and delta of it."""
+def fitting_presets(recording: RawRecording, still: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the presets whose sources a recording has, and that give vx, r and delta of it.
+
+    One that would take a required channel from a signal in `still`, which never changes, does not fit.
+    """
     infos = {info.name: info for info in recording.channels()}
     resolver, fitting = _Resolver(recording.name, infos, SignalMap("", ())), []
     for name in preset_names():
         resolver.map = _preset(name)
         with suppress(MapError):
             found, _ = resolver.resolve_all(())
-            if {"vx", "r", "delta"} <= found.keys() and (resolver.map.time.source or next(iter(infos))) in infos:
+            required = {name for c in REQUIRED_CHANNELS for group in found.get(c, ()) for name in group}
+            if (
+                required.isdisjoint(still)
+                and {"vx", "r", "delta"} <= found.keys()
+                and (resolver.map.time.source or next(iter(infos))) in infos
+            ):
                 fitting.append(name)
     return tuple(fitting)
 

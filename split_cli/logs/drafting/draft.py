@@ -40,6 +40,11 @@ class Suggestion:
     by_convention: bool = False
     foreign_unit: str = ""  # what the file states where a unit stands, and is none that is known
 
+    @property
+    def never_changes(self) -> bool:
+        """Whether it is left out since it holds one value from end to end."""
+        return self.reason.startswith("never changes")
+
 
 @dataclass(frozen=True)
 class Draft:
@@ -57,7 +62,11 @@ class Draft:
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""
-        return next((s for s in self.suggestions if s.channel == channel), None)
+        return next(iter(self.all_of(channel)), None)
+
+    def all_of(self, channel: str) -> list[Suggestion]:
+        """Return all that is said of a channel: of each signal that may be it."""
+        return [s for s in self.suggestions if s.channel == channel]
 
 
 def render_draft(draft: Draft, name: str) -> str:
@@ -76,9 +85,7 @@ def render_draft(draft: Draft, name: str) -> str:
             by_ros = s.by_convention and s.status == "stated"
             mark = "as ROS has it; not judged" if by_ros else _MARKS[s.status]
             lines.append(f"  {s.channel}: {_entry(s)}   # {mark}{s.reason}")
-    for s in draft.suggestions:
-        if s.status == "open":
-            lines.append(f"  # open: {s.channel} from {', '.join(s.sources)}: {s.reason}")
+    lines += [f"  # open: {text}" for text in _texts_of_open([s for s in draft.suggestions if s.status == "open"])]
     if not draft.left:
         lines += [f"# {line}" for line in (*_NO_LEFT, draft.by_gravity) if line]
     mapped = {s.channel for s in draft.suggestions if s.status != "open"}
@@ -93,6 +100,22 @@ def render_draft(draft: Draft, name: str) -> str:
         unused = in_ranges([name.replace("\n", " ") for name in draft.unused])
         lines.append(f"# Not used: {', '.join(unused[:40])}{' ...' if len(unused) > 40 else ''}")
     return "\n".join(lines)
+
+
+def _texts_of_open(left: Sequence[Suggestion]) -> list[str]:
+    """Return what is said of signals left out; those of a channel that never change or are empty share a line."""
+    alike: dict[tuple[str, str], list[Suggestion]] = {}
+    for s in left:
+        kind = (
+            "never change" if s.never_changes else "are nearly empty" if s.reason == "nearly empty" else s.reason
+        )
+        alike.setdefault((s.channel, kind), []).append(s)
+    texts = []
+    for (channel, kind), group in alike.items():
+        names = in_ranges([", ".join(s.sources) for s in group])
+        shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+        texts.append(f"{channel} from {shown}: {kind if len(group) > 1 else group[0].reason}")
+    return texts
 
 
 def lines_on_presets(presets: Sequence[str]) -> tuple[str, ...]:

@@ -24,6 +24,8 @@ _COMMANDS = re.compile(r"(^|[/_])(cmd|command|commands|ref|reference|target|desi
 _OF_A_COMMAND = ("delta",)
 _ASKING_TYPE = re.compile(r"ackermann_msgs/(msg/)?AckermannDrive(Stamped)?")
 """Messages that by their definition ask a car for something, whatever the topic is called."""
+_NO_MEASUREMENT = re.compile(r"(nav_msgs/(msg/)?Path|visualization_msgs/.+|rosgraph_msgs/.+|rcl_interfaces/.+)")
+"""Messages that plan, draw or report on programs: what they hold was measured by nobody."""
 _ANSWERS = re.compile(r"state|status|feedback|measured|actual|odom|current", re.IGNORECASE)
 
 
@@ -36,7 +38,12 @@ def field_candidates(infos: Sequence[RawChannelInfo]) -> list[tuple[str, tuple[s
     found: list[tuple[str, tuple[str, ...], str]] = []
     for info in infos:
         place = _topic_and_field(info)
-        if place is None or re.search(r"\[[1-9]\d*\]", info.name) or "covariance" in info.name:
+        if (
+            place is None
+            or is_no_measurement(info)
+            or re.search(r"\[[1-9]\d*\]", info.name)
+            or "covariance" in info.name
+        ):
             continue
         topic, field = place
         for channel, pattern, convert in _FIELDS:
@@ -53,6 +60,11 @@ def field_candidates(infos: Sequence[RawChannelInfo]) -> list[tuple[str, tuple[s
 def is_of_a_command(topic: str) -> bool:
     """Tell whether a topic's name says that its messages are commands: what they hold was asked for."""
     return _COMMANDS.search(topic) is not None
+
+
+def is_no_measurement(info: RawChannelInfo) -> bool:
+    """Tell a field of a plan, a drawing or a program's report by the type of its message."""
+    return _NO_MEASUREMENT.fullmatch(info.type_name) is not None
 
 
 def asks_by_type(info: RawChannelInfo) -> bool:

@@ -44,8 +44,8 @@ class _Found:
 
 
 def has_no_name(name: str) -> bool:
-    """Whether a column is called by its number alone."""
-    return _NAMELESS.fullmatch(name) is not None
+    """Whether a column is called by its number alone; an element of a covariance is known."""
+    return _NAMELESS.fullmatch(name) is not None and "covariance" not in name
 
 
 def is_of_a_state(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:

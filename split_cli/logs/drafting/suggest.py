@@ -16,7 +16,7 @@ from split_cli.logs.drafting.axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
-from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_of_a_command
+from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_no_measurement, is_of_a_command
 from split_cli.logs.drafting.handedness import what_tells_left, without_a_side
 from split_cli.logs.drafting.multiples import copies_of_others, with_units_of_multiples
 from split_cli.logs.drafting.nameless import is_of_a_state, named_by_motion
@@ -131,16 +131,19 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     suggestions += [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
     taken = {name for s in suggestions for name in s.sources}
     known = {s.channel for s in suggestions}
-    opened = [s for s in opened if s.channel not in known and not set(s.sources) & taken]
+    left_out, opened = opened, [s for s in opened if s.channel not in known and not set(s.sources) & taken]
     unused = tuple(info.name for info in infos if info.name not in taken)
-    undefined = dict.fromkeys(i.type_name for i in infos if i.name.startswith("/") and _is_bare_topic(i, infos))
+    bare = {note.where for note in recording.notes if note.what.startswith("not readable")}
+    undefined = dict.fromkeys(i.type_name for i in infos if i.name in bare and "/" in i.type_name)
     left_by = what_tells_left({s.channel: s for s in suggestions if s.status != "open"}, infos)
     if not left_by:
         suggestions = [without_a_side(s) for s in suggestions]
     by_gravity = "" if left_by else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)
     hints = hints_on_the_form(recording, infos)
+    still = {name for s in left_out if s.never_changes for name in s.sources}
+    presets = fitting_presets(recording, still)
     whole = (*suggestions, *dict.fromkeys(opened))
-    return Draft(whole, line, unused, tuple(undefined), left_by, hints, by_gravity, fitting_presets(recording))
+    return Draft(whole, line, unused, tuple(undefined), left_by, hints, by_gravity, presets)
 
 
 def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:
@@ -211,15 +214,6 @@ def _first_meaning(name: str) -> str:
     return next((meaning.channel for meaning in meanings(RawChannelInfo(name, "column", None))), "")
 
 
-def _is_bare_topic(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:
-    """Whether a topic is listed without fields: its type is not defined."""
-    return (
-        "/" in info.type_name
-        and not any(other.name.startswith(info.name + "/") for other in infos)
-        and (info.name.count("/") == 1)
-    )
-
-
 def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:
     """Return what names and units suggest; a unit of another quantity rules a channel out."""
     time = None if recording.clocks else time_column(infos)
@@ -238,6 +232,8 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
     axes = named_by_axis(infos)
     for info in infos:
         if info == time or info.type_name == "text" or info.name in by_field or is_of_a_state(info, infos):
+            continue
+        if is_no_measurement(info):
             continue
         unit = stated_unit(info)
         asked = info.name.startswith("/") and is_of_a_command(info.name.rpartition("/")[0])
@@ -367,7 +363,7 @@ def _only_measured(usable: dict[str, list[TrialCandidate]], opened: Sequence[Sug
 
     An odometry without v_y computes its yaw rate from the steering.
     """
-    still = [s.sources[0] for s in opened if s.channel == "vy" and "never changes" in s.reason]
+    still = [s.sources[0] for s in opened if s.channel == "vy" and s.never_changes]
     silent = {name.rpartition("/")[0] for name in still if "/" in name}
     measured = [c for c in usable.get("r", []) if c.sources[0].rpartition("/")[0] not in silent]
     if measured:

@@ -11,6 +11,7 @@ from split_cli.files import atomic_directory
 from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
 from split_cli.logs.drafting.draft import in_ranges, lines_on_presets
 from split_cli.logs.drafting.nameless import has_no_name
+from split_cli.logs.drafting.several import agreed_draft
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
@@ -52,7 +53,8 @@ class InitResult:
     vehicle_path: Path
     draft: Draft
     log: str  # as the user named it, for the command to run
-    drafted: str = ""  # the log that the map was drafted from, where others were named beside it
+    several: bool = False  # logs that make a drive each
+    differences: tuple[str, ...] = ()  # of several logs, where one map does not fit all
 
     @property
     def next_steps(self) -> tuple[str, ...]:
@@ -61,15 +63,28 @@ class InitResult:
         missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
         check = [s.channel for s in self.draft.suggestions if s.status == "assumed"]
         opened = {s.channel for s in self.draft.suggestions if s.status == "open"}
+        kinds = ", ".join(self.draft.undefined[:6])
+        unread = (
+            f"The log does not define {kinds}. To read them, begin anew with --msg-path FOLDER, "
+            "where their .msg files are."
+            if kinds
+            else ""
+        )
         if not mapped:
             kept = f" Comments in {self.map_path} say what was found of {', '.join(sorted(opened))}."
             return (
+                *([unread] if unread else []),
                 *lines_on_presets(self.draft.presets),
                 f"No channel was recognised. See what the log holds: split ingest {self.log} --list",
                 f"Write the channels into {self.map_path}; docs/formats.md, Signal map, shows how."
                 + (kept if opened else ""),
             )
         steps = [f"Fill in the empty values of {self.vehicle_path}.", *lines_on_presets(self.draft.presets)]
+        still = [c for c in missing if c in opened and all(s.never_changes for s in self.draft.all_of(c))]
+        if "vx" in still:
+            steps.insert(
+                0, f"Here {', '.join(still)} never change: if the car stands, take a log in which it drives."
+            )
         if check:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
         if self.draft.time.startswith("# time: {period"):
@@ -92,20 +107,21 @@ class InitResult:
             unnamed = f" One of {', '.join(nameless[:8])} may be it: they have no names." if nameless else ""
             it, has = ("them", "they have") if len(lost) > 1 else ("it", "it has")
             stop = (
-                f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without {it}: another "
-                f"file may hold {it} (--together), or {has} to be recorded. "
+                f"Nothing that can be read gives {', '.join(lost)}."
+                if unread
+                else f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without {it}: "
+                f"another file may hold {it} (--together), or {has} to be recorded. "
                 f"Comments in {self.map_path} say what will do.{unnamed}"
             )
             # What no step of the user's mends stands first, before values are looked up for nothing.
             steps = [stop, *steps]
-        if self.drafted:
-            steps.append(
-                f"The map was drafted from {self.drafted} alone; the other logs must hold the same channels. "
-                "If they are parts of one drive, begin anew with --together."
-            )
+        steps = [*([unread] if unread and missing else []), *steps, *self.differences]
+        if any(" does not hold " in text for text in self.differences):
+            steps.append("If the logs are parts of one drive, begin anew with --together.")
         run = f"With {', '.join(lost)}, run" if lost else "Run"
+        result = "drives" if self.several else "drive.parquet"
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
-        steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o drive.parquet")
+        steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o {result}")
         return tuple(steps)
 
     def to_text(self) -> str:
@@ -164,7 +180,7 @@ def init_project(
     folder : path-like
         Made when it does not exist.
     together : bool
-        Several files make one drive; without it the first is drafted and the others take its map.
+        Several files make one drive; without it all are drafted, and one map is made for them.
     row_rate : float, optional
         Of a table without a column of time [Hz].
     message_paths : sequence of path-like
@@ -181,18 +197,25 @@ def init_project(
     for target in targets:
         if target.exists():
             raise SplitError("exists already", where=str(target), advice="Name another folder with -o.")
-    recording = open_logs(list(logs) if together else logs[0], message_paths)
-    draft = draft_map(recording, row_rate=row_rate)
+    recordings = [
+        open_logs(list(logs) if together else log, message_paths) for log in (logs[:1] if together else logs)
+    ]
+    drafts = {str(log): draft_map(one, row_rate=row_rate) for log, one in zip(logs, recordings, strict=False)}
+    recorded = {
+        str(log): [info.name for info in one.channels()] for log, one in zip(logs, recordings, strict=False)
+    }
+    draft, differences = agreed_draft(drafts, recorded)
+    name = ", ".join(one.name for one in recordings)
     if draft.hints and all(s.status == "open" for s in draft.suggestions):
         # Files would stand in the way of the next attempt, with the log in another form.
-        raise SplitError("no channel was recognised", where=recording.name, advice=" ".join(draft.hints))
+        raise SplitError("no channel was recognised", where=name, advice=" ".join(draft.hints))
     folder.parent.mkdir(parents=True, exist_ok=True)
     # Both or none: a map alone would stand in the way of the next attempt.
     with atomic_directory(folder) as temporary:
-        (temporary / "map.yaml").write_text(render_draft(draft, recording.name) + "\n", encoding="utf-8")
+        (temporary / "map.yaml").write_text(render_draft(draft, name) + "\n", encoding="utf-8")
         (temporary / "vehicle.yaml").write_text(VEHICLE_TEMPLATE, encoding="utf-8")
     shown = " ".join(shlex.quote(str(log)) for log in logs) + (" --together" if together else "")
     databases = [f" --dbc {shlex.quote(str(p))}" for p in message_paths if Path(p).is_file()]
     rate = f" --row-rate {row_rate:g}" if row_rate is not None else ""
-    drafted = Path(logs[0]).name if len(logs) > 1 and not together else ""
-    return InitResult(*targets, draft, shown + "".join(databases) + rate, drafted)
+    several = len(recordings) > 1
+    return InitResult(*targets, draft, shown + "".join(databases) + rate, several, differences)
