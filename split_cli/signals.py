@@ -13,6 +13,7 @@ import numpy as np
 from split_cli.errors import MapError, nearest_names
 
 Kind = Literal["continuous", "held", "angle"]
+STANDARD_GRAVITY = 9.80665  # [m/s^2], by definition (CGPM, 1901)
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec deg.s-1 dps"),
     (Unit("rpm", "rad/s", 2.0 * np.pi / 60.0), "1/min rev/min"),
     (Unit("m/s^2", "m/s^2", 1.0), "m/s2 mps2 mpss m/s/s m/sec2 m/sec^2 ms-2 m.s-2"),
-    (Unit("g", "m/s^2", 9.80665), "gn G g's g-force"),
+    (Unit("g", "m/s^2", STANDARD_GRAVITY), "gn G g's g-force"),
     (Unit("rad/s^2", "rad/s^2", 1.0), "rad/s2 radps2 rad.s-2"),
     (Unit("deg/s^2", "rad/s^2", _DEGREE), "deg/s2 degps2 °/s2"),
     (Unit("N m", "N m", 1.0), "Nm N.m N-m newtonmetre newtonmeter newton-m newton-metre newton-meter"),

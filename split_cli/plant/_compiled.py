@@ -10,7 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
-GRAVITY = 9.80665
+from split_cli.signals import STANDARD_GRAVITY
+
 TURN = 2.0 * math.pi
 
 # State vector.
@@ -104,7 +105,7 @@ def smooth_limit(rate, limit):
 def wheel_loads(x, head_pressure, env, car, out):
     """Write the vertical load of each wheel to `out`: weight, pitch, downforce, roll."""
     wheelbase = car.cg_to_front_axle + car.cg_to_rear_axle
-    weight = car.mass * GRAVITY * math.cos(env[ENV_GRADE]) * math.cos(env[ENV_BANK])
+    weight = car.mass * STANDARD_GRAVITY * math.cos(env[ENV_GRADE]) * math.cos(env[ENV_BANK])
     pitch_shift = car.pitch_transfer * car.mass * x[AX_LOAD] * car.cg_height / wheelbase
     front = weight * car.cg_to_rear_axle / wheelbase - pitch_shift + head_pressure * car.downforce_area_front
     rear = weight * car.cg_to_front_axle / wheelbase + pitch_shift + head_pressure * car.downforce_area_rear
@@ -146,6 +147,35 @@ def slow_rates(x, torque_command, steer_command, ax, ay, car, dx):
 
 
 @compiled
+def wheel_place(wheel, steer_left, steer_right, env, car):
+    """Return how far before and left of the CG a wheel stands [m], and its angle [rad]."""
+    is_left = wheel % 2 == 0
+    if wheel < 2:
+        half = 0.5 * car.track_front
+        return car.cg_to_front_axle, half if is_left else -half, steer_left if is_left else steer_right
+    half = 0.5 * car.track_rear
+    angle = env[ENV_REAR_STEER] + (-car.toe_rear if is_left else car.toe_rear)
+    return -car.cg_to_rear_axle, half if is_left else -half, angle
+
+
+@compiled
+def wheel_torques(x, wheel, load, tire, env, car):
+    """Return a wheel's torque of drive and brakes, of the differential, and of rolling resistance [N m]."""
+    is_front = wheel < 2
+    torque, spin = x[TORQUE], x[WHEEL + wheel]
+    split = car.drive_split_front if torque >= 0.0 else car.brake_split_front
+    locking = car.differential_locking_front if is_front else car.differential_locking_rear
+    # Brakes and rolling resistance turn with the wheel; near standstill the sign is let go smoothly.
+    turning = math.tanh(spin * car.wheel_radius / 0.05)
+    applied = 0.5 * (split if is_front else 1.0 - split) * torque
+    if torque < 0.0:
+        applied *= turning
+    applied -= env[ENV_DRAG_TORQUE + wheel] * turning
+    other = x[WHEEL + wheel + (1 if wheel % 2 == 0 else -1)]
+    return applied, locking * (other - spin), tire.rolling_resistance * load * car.wheel_radius * turning
+
+
+@compiled
 def derivative(x, torque_command, steer_command, env, car, dx, out):
     """Write the state's rate to `dx` and what follows from state and input to `out`."""
     vx, vy, r = x[VX], x[VY], x[R]
@@ -154,8 +184,6 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
     air_fx, air_fy, head_pressure = air_forces(x, env, car)
     wheel_loads(x, head_pressure, env, car, out)
 
-    torque = x[TORQUE]
-    split = car.drive_split_front if torque >= 0.0 else car.brake_split_front
     steer_left, steer_right = wheel_angles(x[STEER] + car.steer_offset, car)
     out[OUT_STEER_LEFT], out[OUT_STEER_RIGHT] = steer_left, steer_right
 
@@ -165,17 +193,9 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
     power_in, power_tire, power_rolling = 0.0, 0.0, 0.0
     for wheel in range(4):
         is_front = wheel < 2
-        is_left = wheel % 2 == 0
         tire = car.front_tire if is_front else car.rear_tire
-        arm = car.cg_to_front_axle if is_front else -car.cg_to_rear_axle
-        half = 0.5 * (car.track_front if is_front else car.track_rear)
-        side = half if is_left else -half
         inertia = car.wheel_inertia_front if is_front else car.wheel_inertia_rear
-        locking = car.differential_locking_front if is_front else car.differential_locking_rear
-        if is_front:
-            angle = steer_left if is_left else steer_right
-        else:
-            angle = env[ENV_REAR_STEER] + (-car.toe_rear if is_left else car.toe_rear)
+        arm, side, angle = wheel_place(wheel, steer_left, steer_right, env, car)
         cos_a, sin_a = math.cos(angle), math.sin(angle)
         hub_x = vx - side * r
         hub_y = vy + arm * r
@@ -193,15 +213,7 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
         fx *= 1.0 - env[ENV_GRIP_LOSS + wheel]
         fy *= 1.0 - env[ENV_GRIP_LOSS + wheel]
 
-        other = x[WHEEL + wheel + (1 if is_left else -1)]
-        # Brakes and rolling resistance turn with the wheel; near standstill the sign is let go smoothly.
-        turning = math.tanh(rim / 0.05)
-        applied = 0.5 * (split if is_front else 1.0 - split) * torque
-        if torque < 0.0:
-            applied *= turning
-        applied -= env[ENV_DRAG_TORQUE + wheel] * turning
-        rolling = tire.rolling_resistance * load * car.wheel_radius * turning
-        locked = locking * (other - spin)
+        applied, locked, rolling = wheel_torques(x, wheel, load, tire, env, car)
         dx[WHEEL + wheel] = (applied + locked - rolling - fx * car.wheel_radius) / inertia
 
         body_x = cos_a * fx - sin_a * fy
@@ -223,8 +235,8 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
 
     ax = (front_fx + rear_fx + air_fx) / car.mass
     ay = (front_fy + rear_fy + air_fy + env[ENV_FORCE_Y]) / car.mass
-    gravity_x = -GRAVITY * math.sin(env[ENV_GRADE])
-    gravity_y = -GRAVITY * math.sin(env[ENV_BANK])
+    gravity_x = -STANDARD_GRAVITY * math.sin(env[ENV_GRADE])
+    gravity_y = -STANDARD_GRAVITY * math.sin(env[ENV_BANK])
     dx[X] = vx * cos_yaw - vy * sin_yaw
     dx[Y] = vx * sin_yaw + vy * cos_yaw
     dx[YAW] = r

@@ -14,7 +14,6 @@ from split_cli.plant._compiled import (
     ENV_GRADE,
     ENV_WIND_X,
     ENV_WIND_Y,
-    GRAVITY,
     SLIP,
     TURN,
     VX,
@@ -22,6 +21,7 @@ from split_cli.plant._compiled import (
     YAW,
     R,
 )
+from split_cli.signals import STANDARD_GRAVITY
 
 inner = njit(error_model="numpy")  # not kept by itself: the loops keep it, see `_loops_numba`
 
@@ -124,7 +124,9 @@ def torque_for(x, target_speed, target_acceleration, driver, car, noise):
     vx = x[VX]
     mass = car.mass + 2.0 * (car.wheel_inertia_front + car.wheel_inertia_rear) / car.wheel_radius**2
     resistance = 0.5 * car.air_density * car.drag_area * vx * vx
-    resistance += car.mass * GRAVITY * 0.5 * (car.front_tire.rolling_resistance + car.rear_tire.rolling_resistance)
+    resistance += (
+        car.mass * STANDARD_GRAVITY * 0.5 * (car.front_tire.rolling_resistance + car.rear_tire.rolling_resistance)
+    )
     force = mass * (target_acceleration + driver.speed_gain * (target_speed - vx)) + resistance
     torque = car.wheel_radius * force * (1.0 + noise)
     slipping = 0.0

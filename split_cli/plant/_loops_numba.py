@@ -60,8 +60,8 @@ def copy(values, into):
         into[i] = values[i]
 
 
-def _loops(called):
-    """Return `run` and `follow`, compiled anew whenever the digest `called` is another one."""
+def _driving(called):
+    """Return `run`, compiled anew whenever the digest `called` is another one."""
 
     @kept
     def run(x0, s0, car, faults, road, path, plan, script, driver, control, step, substeps, keep, stop):
@@ -119,6 +119,12 @@ def _loops(called):
                 s += math.sqrt(x[VX] * x[VX] + x[VY] * x[VY]) * step
         return times[:row], states[:row], outs[:row], places[:row], torques[:used], steers[:used], reason
 
+    return run
+
+
+def _following(called):
+    """Return `follow`, compiled anew whenever the digest `called` is another one."""
+
     @kept
     def follow(motion, places, torques, steers, x0, car, road, control, step, keep, window):
         """Predict a recorded motion piece by piece with a car of one's own; see `replay.predict`."""
@@ -148,8 +154,9 @@ def _loops(called):
         copy(free[VX : R + 1], predicted[count - 1])
         return predicted
 
-    return run, follow
+    return follow
 
 
 _CALLED = b"".join(Path(module.__file__).read_bytes() for module in (_compiled, _driver_numba, _faults_numba))
-run, follow = _loops(int.from_bytes(hashlib.sha256(_CALLED).digest()[:7], "big"))
+_DIGEST = int.from_bytes(hashlib.sha256(_CALLED).digest()[:7], "big")
+run, follow = _driving(_DIGEST), _following(_DIGEST)

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 from split_cli.errors import SplitError, nearest_names
 from split_cli.plant.tire import TireParameters
-
-GRAVITY = 9.80665
+from split_cli.signals import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -97,12 +96,12 @@ class CarParameters:
     @property
     def static_load_front(self) -> float:
         """Load of the front axle at rest on a level road [N]."""
-        return self.mass * GRAVITY * self.cg_to_rear_axle / self.wheelbase
+        return self.mass * STANDARD_GRAVITY * self.cg_to_rear_axle / self.wheelbase
 
     @property
     def static_load_rear(self) -> float:
         """Load of the rear axle at rest on a level road [N]."""
-        return self.mass * GRAVITY * self.cg_to_front_axle / self.wheelbase
+        return self.mass * STANDARD_GRAVITY * self.cg_to_front_axle / self.wheelbase
 
     @property
     def effective_mass(self) -> float:

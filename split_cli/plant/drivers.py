@@ -13,9 +13,10 @@ from functools import lru_cache
 import numpy as np
 
 from split_cli.errors import SplitError, nearest_names
-from split_cli.plant.cars import GRAVITY, CarParameters
+from split_cli.plant.cars import CarParameters
 from split_cli.plant.tire import tire_force
 from split_cli.plant.tracks import Track
+from split_cli.signals import STANDARD_GRAVITY
 
 _DriverTables = namedtuple(
     "_DriverTables",
@@ -99,7 +100,7 @@ def grip_of(car: CarParameters) -> Grip:
     roll_axis = (
         car.cg_to_rear_axle * car.roll_center_front + car.cg_to_front_axle * car.roll_center_rear
     ) / car.wheelbase
-    spacing = 0.02 * GRAVITY
+    spacing = 0.02 * STANDARD_GRAVITY
     differences = [0.0]
     while len(differences) < 200:
         trial = len(differences) * spacing
@@ -110,15 +111,15 @@ def grip_of(car: CarParameters) -> Grip:
             (car.static_load_rear, 1 - car.roll_stiffness_front_share, car.roll_center_rear, car.track_rear,
              car.rear_tire),
         ):  # fmt: skip
-            part = static / (car.mass * GRAVITY)
+            part = static / (car.mass * STANDARD_GRAVITY)
             moment = car.mass * trial * (part * height + share * (car.cg_height - roll_axis))
             shift = min(moment / track, 0.5 * static)
             loads = np.array([[0.5 * static - shift], [0.5 * static + shift]])
             force = tire_force(tire, 0.0, angles, loads)[1].sum(axis=0)
             peak = int(np.argmax(force))
-            if force[peak] < trial * static / GRAVITY:
+            if force[peak] < trial * static / STANDARD_GRAVITY:
                 break
-            needed.append(np.interp(trial * static / GRAVITY, force[: peak + 1], angles[: peak + 1]))
+            needed.append(np.interp(trial * static / STANDARD_GRAVITY, force[: peak + 1], angles[: peak + 1]))
         if len(needed) < 2:
             break
         differences.append(float(needed[0] - needed[1]))
@@ -126,7 +127,8 @@ def grip_of(car: CarParameters) -> Grip:
         angles[np.argmax(tire_force(tire, 0.0, angles, static / 2)[1])]
         for tire, static in ((car.front_tire, car.static_load_front), (car.rear_tire, car.static_load_rear))
     )
-    downforce = 0.5 * car.air_density * (car.downforce_area_front + car.downforce_area_rear) / (car.mass * GRAVITY)
+    area = car.downforce_area_front + car.downforce_area_rear
+    downforce = 0.5 * car.air_density * area / (car.mass * STANDARD_GRAVITY)
     return Grip(
         lateral=float((len(differences) - 1) * spacing),
         braking=_longitudinal(car, -1.0, car.brake_split_front),
@@ -142,7 +144,7 @@ def _longitudinal(car: CarParameters, sign: float, split: float) -> float:
     """Return the specific force at which the first axle runs out of grip [m/s^2]."""
     slips = sign * np.linspace(0.01, 0.3, 59)
     best = 0.0
-    for trial in np.linspace(0.1, 2.5, 97) * GRAVITY:
+    for trial in np.linspace(0.1, 2.5, 97) * STANDARD_GRAVITY:
         shift = sign * car.mass * trial * car.cg_height / car.wheelbase
         front = max(car.static_load_front - shift, 0.0)
         rear = max(car.static_load_rear + shift, 0.0)

@@ -40,14 +40,6 @@ delivered torque [N m] and steer angle [rad], specific forces as the suspension 
 rates.
 """
 
-OUTPUT_NAMES = (
-    "ax", "ay",
-    *(f"load_{c}" for c in _CORNERS), *(f"fx_{c}" for c in _CORNERS), *(f"fy_{c}" for c in _CORNERS),
-    "power_in", "power_tire", "power_rolling", "power_air", "power_gravity", "steer_left", "steer_right",
-)  # fmt: skip
-"""What follows from state and input: specific forces [m/s^2], loads and tyre forces in the wheel's frame [N],
-powers [W], angles of the front wheels [rad]."""
-
 
 @dataclass(frozen=True)
 class Surroundings:
@@ -91,7 +83,7 @@ class Outputs:
 
 
 def outputs_from(vector: np.ndarray) -> Outputs:
-    """Return the outputs packed in a row, shape (21,), in the order of `OUTPUT_NAMES`."""
+    """Return the outputs packed in a row, shape (21,), at the places `OUT_...` of the compiled code."""
     return Outputs(
         vector[0:2], vector[2:6], vector[6:10], vector[10:14], *(float(v) for v in vector[14:19]), vector[19:21]
     )

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import SplitError, nearest_names
-from split_cli.plant.cars import GRAVITY, CarParameters
+from split_cli.plant.cars import CarParameters
 from split_cli.plant.faults import Faults
 from split_cli.plant.road import Road
 from split_cli.plant.sensors import SensorSpec
 from split_cli.plant.tire import TireParameters
+from split_cli.signals import STANDARD_GRAVITY
 
 _PLACES = 512
 
@@ -211,7 +212,7 @@ def _stiff(tire: TireParameters, car: CarParameters, v: Mapping[str, float], axl
 
 
 def _rolling(tire: TireParameters, car: CarParameters, v: Mapping[str, float], axle: str) -> TireParameters:
-    return replace(tire, rolling_resistance=tire.rolling_resistance + v["force"] / (car.mass * GRAVITY))
+    return replace(tire, rolling_resistance=tire.rolling_resistance + v["force"] / (car.mass * STANDARD_GRAVITY))
 
 
 def _scale(lower: float = 0.2, upper: float = 3.0) -> Bounds:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.signals import STANDARD_GRAVITY
+
 _HEADER = """std_msgs/Header header
 """
 _PARTS = {
@@ -108,7 +110,7 @@ def _imu(v: Mapping[str, float]) -> dict:
         "orientation_covariance": [-1.0, *_NO_COVARIANCE_3[1:]],
         "angular_velocity": _vector(z=v["r"]),
         "angular_velocity_covariance": _NO_COVARIANCE_3,
-        "linear_acceleration": _vector(v["ax"], v["ay"], 9.80665),
+        "linear_acceleration": _vector(v["ax"], v["ay"], STANDARD_GRAVITY),
         "linear_acceleration_covariance": _NO_COVARIANCE_3,
     }
 

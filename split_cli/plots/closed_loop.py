@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from split_cli.plots.style import PALETTE, STATES, new_figure, quiet
-
-_GRAVITY = 9.80665
+from split_cli.signals import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,8 @@ def draw_best_laps(races: Mapping[str, RacePicture]) -> Figure:
         style = {"color": _colour(position), "linewidth": 0.9}
         speed.plot(s, vx, label=name, **style)
         track.plot(x, y, **style)
-        gg.plot(ay / _GRAVITY, ax / _GRAVITY, linestyle="none", marker=".", markersize=2, color=_colour(position))
+        sideways, forward = ay / STANDARD_GRAVITY, ax / STANDARD_GRAVITY
+        gg.plot(sideways, forward, linestyle="none", marker=".", markersize=2, color=_colour(position))
         front.plot(s, alpha_f, **style)
         rear.plot(s, alpha_r, **style)
     speed.set(xlabel="progress [m]", ylabel="$v_x$ [m/s]")

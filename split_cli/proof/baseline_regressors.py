@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.proof.windows import window_errors
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -25,7 +26,7 @@ class Library:
 
 def _small_terms(vehicle: Vehicle, lap_length: float) -> list[Term]:
     """Return a little of every term, several where one column does not say it."""
-    load, size = 9.80665 * vehicle.mass, vehicle.wheelbase / 2.7
+    load, size = STANDARD_GRAVITY * vehicle.mass, vehicle.wheelbase / 2.7
     speed = 20.0 * size**0.5
     lift = 0.03 * load / speed**2
     steps: dict[str, list[dict[str, float]]] = {

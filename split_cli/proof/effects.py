@@ -8,9 +8,9 @@ import numpy as np
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.tire import TireParameters
 from split_cli.proof.world import ProofWorld, road_of
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.effects.body import inertia_range, least_mass
 
-_GRAVITY = 9.80665
 _PLACES = 512
 
 
@@ -163,7 +163,7 @@ def _aero_downforce(rng, world):
         )
 
     # A size at which the load at a brisk speed has changed by a tenth.
-    unit = 0.1 * world.car.mass * _GRAVITY / (20.0 * _pace(world.car)) ** 2
+    unit = 0.1 * world.car.mass * STANDARD_GRAVITY / (20.0 * _pace(world.car)) ** 2
     return Concealed("aero_downforce", lift, unit, 8.0 * unit if sign > 0 else 4.0 * unit)
 
 

@@ -27,7 +27,6 @@ from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import MagicFormula, Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-_GRAVITY = 9.80665
 _STEP = 2.5e-3  # [s], of the integration
 _HELD = 0.02  # [s], of the commands
 _KNOT = 0.2  # [s], between set points of the script

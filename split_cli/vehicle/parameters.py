@@ -16,6 +16,7 @@ import yaml
 
 from split_cli.errors import VehicleError, nearest_names
 from split_cli.files import atomic_write_text
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.library import library_names, library_path
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.yaml_file import read_yaml_mapping
@@ -109,12 +110,12 @@ class Vehicle:
     @property
     def static_load_front(self) -> float:
         """Vertical load of the front axle at rest [N]."""
-        return self.mass * 9.80665 * self.cg_to_rear_axle / self.wheelbase
+        return self.mass * STANDARD_GRAVITY * self.cg_to_rear_axle / self.wheelbase
 
     @property
     def static_load_rear(self) -> float:
         """Vertical load of the rear axle at rest [N]."""
-        return self.mass * 9.80665 * self.cg_to_front_axle / self.wheelbase
+        return self.mass * STANDARD_GRAVITY * self.cg_to_front_axle / self.wheelbase
 
     @property
     def minimum_speed(self) -> float:

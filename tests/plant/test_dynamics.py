@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.plant.cars import CARS, F1TENTH_CAR, FORMULA_CAR, GRAVITY, ROAD_CAR
+from split_cli.plant.cars import CARS, F1TENTH_CAR, FORMULA_CAR, ROAD_CAR
 from split_cli.plant.dynamics import STATE_NAMES, Surroundings, advance, state_rate
 from split_cli.plant.maneuvers import MANEUVER_NAMES, build_maneuver, run_maneuver
 from split_cli.plant.simulation import initial_state
+from split_cli.signals import STANDARD_GRAVITY
 
 INDEX = {name: number for number, name in enumerate(STATE_NAMES)}
 WHEELS = slice(6, 10)
@@ -145,7 +146,7 @@ def test_wheel_loads_sum_to_weight_and_air(car):
         grade, bank = rng.normal(0, 0.05, 2)
         _, out = state_rate(car, state, 0.0, 0.0, Surroundings(grade=grade, bank=bank))
         air = 0.5 * car.air_density * (car.downforce_area_front + car.downforce_area_rear) * state[3] ** 2
-        weight = car.mass * GRAVITY * np.cos(grade) * np.cos(bank)
+        weight = car.mass * STANDARD_GRAVITY * np.cos(grade) * np.cos(bank)
         pitch = car.mass * state[20] * car.cg_height / car.wheelbase
         if abs(pitch) < 0.9 * min(car.static_load_front, car.static_load_rear):  # no axle in the air
             assert out.load.sum() == pytest.approx(weight + air, rel=1e-12)
@@ -208,8 +209,8 @@ def test_a_slope_and_a_bank_pull_with_the_share_of_gravity_that_they_should():
     level, _ = state_rate(car, state, 0.0, 0.0)
     sloped, out = state_rate(car, state, 0.0, 0.0, Surroundings(grade=0.05, bank=-0.04))
     # Rolling resistance reaches the body through the tyres, whose relaxed slips are still zero: only gravity acts.
-    assert sloped[3] - level[3] == pytest.approx(-GRAVITY * np.sin(0.05), rel=1e-9)
-    assert sloped[4] - level[4] == pytest.approx(-GRAVITY * np.sin(-0.04), rel=1e-9)
+    assert sloped[3] - level[3] == pytest.approx(-STANDARD_GRAVITY * np.sin(0.05), rel=1e-9)
+    assert sloped[4] - level[4] == pytest.approx(-STANDARD_GRAVITY * np.sin(-0.04), rel=1e-9)
     assert out.specific_force[1] == pytest.approx(0.0, abs=1e-12)
 
 

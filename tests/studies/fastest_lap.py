@@ -10,9 +10,10 @@ import casadi
 import numpy as np
 
 from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
-from split_cli.plant.cars import GRAVITY, ROAD_CAR, CarParameters
+from split_cli.plant.cars import ROAD_CAR, CarParameters
 from split_cli.plant.tire import tire_force
 from split_cli.plant.tracks import find_track
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.workflows.racing.closed_loop import body_width, path_of
 
 TRACKS = {"small": 22.0, "handling": 30.0}
@@ -33,7 +34,7 @@ def axle_force(car: CarParameters, front: bool, along: float, across: float, sha
 
     With a `share` of the peak it is what the controllers' ellipse leaves of it, else what the plant's tyres give.
     """
-    ahead = car.static_load_front / (car.mass * GRAVITY)
+    ahead = car.static_load_front / (car.mass * STANDARD_GRAVITY)
     track, length = (car.track_front if front else car.track_rear), car.wheelbase
     roll_axis = ahead * car.roll_center_front + (1.0 - ahead) * car.roll_center_rear
     pitch = car.mass * along * car.cg_height / length
@@ -86,7 +87,7 @@ def fastest(track: str, along: np.ndarray, across: np.ndarray, margin: float) ->
     at = path.at(s)
     room = at.left - 0.5 * body_width(car) - margin
     drag = 0.5 * car.air_density * car.drag_area / car.mass
-    rolling = car.front_tire.rolling_resistance * GRAVITY
+    rolling = car.front_tire.rolling_resistance * STANDARD_GRAVITY
     opti = casadi.Opti()
     n, angle, v, bend, push = (opti.variable(count) for _ in range(5))
     stretch = (1.0 - n * at.curvature) / casadi.cos(angle)
@@ -118,7 +119,7 @@ def main() -> None:
         across = envelope(ROAD_CAR, along, share)
         possible = across > 0.0
         held = "the plant's grip" if share is None else f"the ellipse with {share} of the peak"
-        print(f"{held}: a_y of {across.max() / GRAVITY:.3f} g at most")
+        print(f"{held}: a_y of {across.max() / STANDARD_GRAVITY:.3f} g at most")
         for track in TRACKS:
             for margin in (0.0, MARGIN, LAST_MARGIN):
                 time = fastest(track, along[possible], across[possible], margin)

@@ -20,7 +20,7 @@ from split_cli.logs.checking.straights import course_of, straight_rows, straight
 from split_cli.logs.checking.wheels import AXLES, without_turning
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived
-from split_cli.signals import REQUIRED_CHANNELS
+from split_cli.signals import REQUIRED_CHANNELS, STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
 
 LEAST_CORRELATION = 0.8
@@ -29,7 +29,6 @@ _STRAIGHT_SECONDS = 3.0
 _STEER_TOLERANCE = 0.7
 """Of the logarithm of steer angle over the steady one: a factor of two, see `Checks._steer_angle`."""
 ACROSS = "v_y/v_x against the path across yaw"
-_GRAVITY = 9.80665
 _GRIP_MARGIN = 1.1
 """Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
 _GRIP_SECONDS = 1.0
@@ -293,7 +292,7 @@ class Checks:
             plain = float(np.nanmedian(k.signal("ay")[straight]))
             rest = k.signal("ay") - k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
             bias, error = median_of(rest[straight])
-            tilt = np.degrees(np.arcsin(np.clip(bias / 9.80665, -1.0, 1.0)))
+            tilt = np.degrees(np.arcsin(np.clip(bias / STANDARD_GRAVITY, -1.0, 1.0)))
             if abs(bias) > 0.25 and abs(bias) > 4.0 * error:
                 found.append(
                     ConsistencyFinding(
@@ -356,7 +355,7 @@ class Checks:
         text = (
             f"the car corners at {reached:.2f} m/s^2 (v_x r + dv_y/dt) for {seconds:.1f} s, the tyres of the "
             f"vehicle file carry {carried:.2f}: the recording shows a friction of at least "
-            f"{reached / _GRAVITY:.2f}, the file has {carried / _GRAVITY:.2f}. "
+            f"{reached / STANDARD_GRAVITY:.2f}, the file has {carried / STANDARD_GRAVITY:.2f}. "
             f"Scale D of both tyres by {reached / carried:.2f} or more, or check the mass."
         )
         return [ConsistencyFinding("grip", "r", text, reached, None)]

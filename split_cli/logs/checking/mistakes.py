@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
 
 DEGREES = 180.0 / np.pi
-STANDARD_GRAVITY = 9.80665
 
 # Costs are negative logarithms of how often a channel carries such a mistake, as judged from forums and from the
 # recordings of others that this project was tried on: one in twenty, or one in a hundred and fifty.

@@ -11,7 +11,7 @@ from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.handedness import NOT_UP
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawSignal
-from split_cli.signals import find_unit
+from split_cli.signals import STANDARD_GRAVITY, find_unit
 
 _CLEARLY = 3.0
 """How many times more one axis must turn or move than the one that the names say [1]."""
@@ -19,9 +19,8 @@ _SECONDS = 5.0
 """Over which a car that rolls and pitches comes back, and one that yaws does not [s]."""
 _HEAVE = 0.5
 """Of the velocity of what stands or hovers, by waves and drift [m/s]; judgement: half a walking pace."""
-_GRAVITY = 9.80665
 _READINGS = (
-    ("m/s^2", 1.0, _GRAVITY, "m/s^2"), ("g", 1.0, 1.0, "g"), ("g", 1e-3, 1000.0, "thousandths of g"),
+    ("m/s^2", 1.0, STANDARD_GRAVITY, "m/s^2"), ("g", 1.0, 1.0, "g"), ("g", 1e-3, 1000.0, "thousandths of g"),
 )  # fmt: skip
 """Unit and scale of an accelerometer, with what it reads of gravity and how that is called."""
 _ABOUT_GRAVITY = 0.2
@@ -81,7 +80,7 @@ def side_by_gravity(
     k = 3 - i - j
     values = signals[three[k]].values if three[k] in signals else np.zeros(0)
     reads = float(np.nanmedian(values)) * unit.factor if np.isfinite(values).any() else 0.0
-    if abs(abs(reads) / _GRAVITY - 1.0) > _ABOUT_GRAVITY:
+    if abs(abs(reads) / STANDARD_GRAVITY - 1.0) > _ABOUT_GRAVITY:
         return ""
     up = 1.0 if reads > 0.0 else -1.0
     # left = up x forward

@@ -17,6 +17,7 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.logs.scratch import set_aside
+from split_cli.signals import STANDARD_GRAVITY
 
 _MOST_COLUMNS = 64
 """Of a matrix, that become channels [1]; judgement: a state of a car has fewer."""
@@ -26,7 +27,6 @@ _TITLED_FIELDS = (".Value", ".Values", ".value", ".values")
 VALUE_FIELDS = (*_TITLED_FIELDS, ".data", ".Data")
 _UNIT = 1e-3
 """By which the length of a unit quaternion may vary [1]; judgement: it is saved in four digits or more."""
-_GRAVITY = 9.80665  # m/s^2
 _NEAR_GRAVITY = 0.25
 """Of gravity, by which half of the sizes of three accelerations may be off [1]; judgement: a car mostly rolls."""
 _FEWEST_ROWS = 20
@@ -205,5 +205,5 @@ def _layout(name: str, values: np.ndarray) -> list[str]:
 
 def _reads_gravity(size: np.ndarray) -> bool:
     """Whether half of the sizes of three accelerations [m/s^2], shape (N,), are near gravity."""
-    off = np.abs(np.quantile(size, [0.25, 0.75]) / _GRAVITY - 1.0)
+    off = np.abs(np.quantile(size, [0.25, 0.75]) / STANDARD_GRAVITY - 1.0)
     return bool(np.all(off < _NEAR_GRAVITY))

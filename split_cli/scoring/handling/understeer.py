@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.logs.drive import Drive
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
 
 #: From rad/(m/s^2) to degrees a g, as handling engineers quote it.
-DEG_PER_G = float(np.degrees(9.80665))
+DEG_PER_G = float(np.degrees(STANDARD_GRAVITY))
 _LINEAR = 4.0  # [m/s^2]: ISO 4138 reads the gradient below 0.4 g, where tyres of road cars are linear
 _OF_GRIP = 0.4  # the same as a share of what the tyres give, for cars with less grip
 _MOST_BRAKING = 0.5  # of that limit: longitudinal force takes lateral stiffness

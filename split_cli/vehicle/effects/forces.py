@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search, speed_unit
+from split_cli.signals import STANDARD_GRAVITY
+from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount
 from split_cli.vehicle.flow import Flow
@@ -36,7 +37,7 @@ class AeroDrag(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        return {"drag": 0.1 * vehicle.mass * GRAVITY / speed_unit(vehicle) ** 2}
+        return {"drag": 0.1 * vehicle.mass * STANDARD_GRAVITY / speed_unit(vehicle) ** 2}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
@@ -74,7 +75,7 @@ class RollingResistance(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        return {"force": vehicle.mass * GRAVITY}
+        return {"force": vehicle.mass * STANDARD_GRAVITY}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
@@ -144,7 +145,7 @@ class YawMomentDifferential(Term):
         car = flow.vehicle
         in_front = car.drive_split_front > 0.5
         axle, load = (flow.front, car.static_load_front) if in_front else (flow.rear, car.static_load_rear)
-        side = (flow.front.lateral_force + flow.rear.lateral_force) / (car.mass * GRAVITY)
+        side = (flow.front.lateral_force + flow.rear.lateral_force) / (car.mass * STANDARD_GRAVITY)
         return flow.vx * (axle.longitudinal_force / load) * side / (4.0 * car.wheelbase)
 
 

@@ -4,8 +4,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.effects.place import PLACE_COMPLEXITY, inside_stretch, place_ranges, stretch_in_words
-from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search
+from split_cli.vehicle.effects.search import Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number
 from split_cli.vehicle.flow import Flow
@@ -73,7 +74,7 @@ class _Incline(Term):
 
     def specific_weight(self, s: np.ndarray) -> Any:
         """Return the part of gravity along the inclination at s [m], shape (N,), uphill positive [m/s^2]."""
-        return GRAVITY * np.sin(self.profile(NUMPY, s))
+        return STANDARD_GRAVITY * np.sin(self.profile(NUMPY, s))
 
 
 class RoadGrade(_Incline):
@@ -106,7 +107,7 @@ class RoadGrade(_Incline):
 
     def external(self, flow: Flow) -> None:
         """Add the longitudinal part of gravity."""
-        flow.force_x = flow.force_x - flow.mass * GRAVITY * flow.ops.sin(self.angle(flow))
+        flow.force_x = flow.force_x - flow.mass * STANDARD_GRAVITY * flow.ops.sin(self.angle(flow))
 
     def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
         """Return what a_x gains."""
@@ -135,7 +136,7 @@ class RoadBank(_Incline):
 
     def external(self, flow: Flow) -> None:
         """Add the lateral part of gravity."""
-        flow.force_y = flow.force_y - flow.mass * GRAVITY * flow.ops.sin(self.angle(flow))
+        flow.force_y = flow.force_y - flow.mass * STANDARD_GRAVITY * flow.ops.sin(self.angle(flow))
 
     def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
         """Return what a_y gains."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["DELAY_SEARCH", "GRAVITY", "LAG_SEARCH", "Course", "Range", "Search", "speed_unit", "time_unit"]
+__all__ = ["DELAY_SEARCH", "LAG_SEARCH", "Course", "Range", "Search", "speed_unit", "time_unit"]
 
-GRAVITY = 9.80665  # [m/s^2]
 _WIDER = 4.0  # how far beyond what a car can have an explanation is followed, to tell what it would need
 
 

@@ -4,8 +4,9 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.effects.place import PLACE_COMPLEXITY, inside_stretch, place_ranges, stretch_in_words
-from split_cli.vehicle.effects.search import GRAVITY, Course, Range, Search, speed_unit
+from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number, percent, scaled
 from split_cli.vehicle.flow import AxleFlow, Flow
@@ -42,7 +43,7 @@ _LOADED = "judgement: racing cars carry their weight at 40 m/s, which is 0.25; n
 
 def _grip_range(vehicle: Vehicle) -> Range:
     """Return scales that leave the whole car with a friction that tyres and roads have."""
-    friction = (vehicle.front_tire.D + vehicle.rear_tire.D) / (vehicle.mass * GRAVITY)
+    friction = (vehicle.front_tire.D + vehicle.rear_tire.D) / (vehicle.mass * STANDARD_GRAVITY)
     lower = min(max(_LEAST_FRICTION / friction, 0.15), 0.9)
     return Range(lower, max(_MOST_FRICTION / friction, 1.2), 0.01, _GRIP)
 
@@ -413,7 +414,7 @@ class AeroDownforce(Term):
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
         # What changes an axle's load by its static weight at a brisk speed.
-        unit = 0.5 * vehicle.mass * GRAVITY / speed_unit(vehicle) ** 2
+        unit = 0.5 * vehicle.mass * STANDARD_GRAVITY / speed_unit(vehicle) ** 2
         return {"front": unit, "rear": unit}
 
     @classmethod

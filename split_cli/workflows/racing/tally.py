@@ -4,9 +4,8 @@ import numpy as np
 
 from split_cli.control.learner import Learned
 from split_cli.control.receding_horizon import StepInfo
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.workflows.racing.result import Lap
-
-_GRAVITY = 9.80665
 
 
 class Tally:
@@ -53,7 +52,7 @@ class Tally:
         motion_before, motion_after = _errors(exact)
         return Lap(
             number=self.number, time=time, mean_speed=float(np.hypot(truth[:, 4], truth[:, 5]).mean()),
-            max_lateral=float(np.abs(truth[:, 8]).max()) / _GRAVITY,
+            max_lateral=float(np.abs(truth[:, 8]).max()) / STANDARD_GRAVITY,
             updates=sum(entry.updates for entry in self.learned), size=size, cells=cells,
             error_before=before, error_after=after, samples=len(self.learned), accepted=len(used),
             solver_ms=_times([info.solver_seconds for info in self.infos]),
