@@ -196,9 +196,11 @@ def _from_words(spelled: str) -> str:
 
 
 _SPANS = {
-    **dict.fromkeys(("s", "sec", "second"), 1.0), "ms": 1e-3, **dict.fromkeys(("min", "minute"), 60.0),
+    **dict.fromkeys(("s", "sec", "second"), 1.0),
+    "ms": 1e-3,
+    **dict.fromkeys(("min", "minute"), 60.0),
     **dict.fromkeys(("h", "hr", "hour"), 3600.0),
-}  # fmt: skip
+}
 
 
 def _quotient(spelled: str) -> Unit | None:

@@ -133,12 +133,17 @@ def _show_calibration(calibration, used, output, as_json) -> None:
                   "force [N]")  # fmt: skip
         rows = [
             (
-                c.axle, c.tire.B, c.tire.C, c.tire.D, " ".join(c.determined) or "none", *_stiffness(c),
+                c.axle,
+                c.tire.B,
+                c.tire.C,
+                c.tire.D,
+                " ".join(c.determined) or "none",
+                *_stiffness(c),
                 *map(three_digits, (c.covered, c.deviation_covered, c.deviation_everywhere)),
                 *map(three_digits, (c.held_out.calibrated, c.held_out.start, c.held_out.signal)),
             )
             for c in calibration.curves
-        ]  # fmt: skip
+        ]
         shared.print_table(header, rows)
     if calibration.resistance is not None:
         found = calibration.resistance

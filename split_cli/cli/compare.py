@@ -27,14 +27,32 @@ def _limits(context: click.Context, parameter: click.Parameter, values: tuple[st
 
 @click.command("compare")
 @click.argument("models", nargs=-1, required=True, metavar="MODEL...")
-@click.option("--on", "drives", type=shared.existing_file, multiple=True, required=True, metavar="DRIVE",
-              help="Drive to run on; repeatable.")  # fmt: skip
-@click.option("--horizon", "horizons", default="0.05,0.5,2", callback=shared.list_of(float), metavar="LIST",
-              help="Durations of the open-loop simulation [s].")  # fmt: skip
+@click.option(
+    "--on",
+    "drives",
+    type=shared.existing_file,
+    multiple=True,
+    required=True,
+    metavar="DRIVE",
+    help="Drive to run on; repeatable.",
+)
+@click.option(
+    "--horizon",
+    "horizons",
+    default="0.05,0.5,2",
+    callback=shared.list_of(float),
+    metavar="LIST",
+    help="Durations of the open-loop simulation [s].",
+)
 @click.option("--exit-code", is_flag=True, help="Exit with code 3 if the first model is worse than another one.")
-@click.option("--most", "limits", multiple=True, callback=_limits, metavar="STATE=ERROR",
-              help="Exit with code 3 if the first model's error at the longest horizon is larger than "
-              "this.")  # fmt: skip
+@click.option(
+    "--most",
+    "limits",
+    multiple=True,
+    callback=_limits,
+    metavar="STATE=ERROR",
+    help="Exit with code 3 if the first model's error at the longest horizon is larger than this.",
+)
 @shared.output_option("Folder for report.html and compare.csv.", required=False, folder=True)
 @shared.held_option
 @shared.json_option

@@ -9,16 +9,26 @@ from split_cli.cli.digits import pair_known
 from split_cli.cli.verbosity import StepBar
 
 _BEGINS = {
-    "smoothing": 0.0, "whitening": 0.02, "comparing": 0.05, "naming": 0.15, "naming with a fixed baseline": 0.45,
-    "sizing": 0.75, "judging": 0.85, "writing": 0.95,
-}  # fmt: skip
+    "smoothing": 0.0,
+    "whitening": 0.02,
+    "comparing": 0.05,
+    "naming": 0.15,
+    "naming with a fixed baseline": 0.45,
+    "sizing": 0.75,
+    "judging": 0.85,
+    "writing": 0.95,
+}
 """Share of the whole time at which each step begins [1]."""
 _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
 #: Stages of the improvement, in the words of the report.
 _STAGES = {
-    "before": "simulation as it is", "physics": "with the identified effects", "split_only": "with SPLIT only",
-    "after": "with effects and SPLIT", "persistence": "persistence", "noise_floor": "noise floor",
-}  # fmt: skip
+    "before": "simulation as it is",
+    "physics": "with the identified effects",
+    "split_only": "with SPLIT only",
+    "after": "with effects and SPLIT",
+    "persistence": "persistence",
+    "noise_floor": "noise floor",
+}
 
 
 @click.command("diagnose")

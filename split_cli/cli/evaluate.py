@@ -223,17 +223,28 @@ def _print_report(report) -> None:
     if report.rollouts:
         click.echo("\nRollouts (open-loop simulation on the recorded inputs)")
         click.echo("rms errors of v_x, v_y [m/s], r [rad/s], position [m]\n")
-        shared.print_table(("model", "features", "after s", "starts", "v_x", "v_y", "r", "position"), [
-            (r.name, r.features, r.horizon, r.starts, *map(three_digits, r.rmse), _number(r.distance))
-            for r in report.rollouts
-        ])  # fmt: skip
+        shared.print_table(
+            ("model", "features", "after s", "starts", "v_x", "v_y", "r", "position"),
+            [
+                (r.name, r.features, r.horizon, r.starts, *map(three_digits, r.rmse), _number(r.distance))
+                for r in report.rollouts
+            ],
+        )
     if report.intervals:
         click.echo("\nLabels inside intervals of v_x/v_y/r, within a length scale of the set's points and beyond")
-        shared.print_table(("model", "features", "samples", "share", "in 50 %", "in 90 %", "in 95 %"), [
-            (s.name, s.features, "within" if s.near else "beyond", f"{100 * s.share:.0f} %",
-             *map(_shares, (s.coverage_50, s.coverage_90, s.coverage_95)))
-            for s in report.intervals
-        ])  # fmt: skip
+        shared.print_table(
+            ("model", "features", "samples", "share", "in 50 %", "in 90 %", "in 95 %"),
+            [
+                (
+                    s.name,
+                    s.features,
+                    "within" if s.near else "beyond",
+                    f"{100 * s.share:.0f} %",
+                    *map(_shares, (s.coverage_50, s.coverage_90, s.coverage_95)),
+                )
+                for s in report.intervals
+            ],
+        )
     if report.verdicts:
         # What is read last is the verdict on the predictor that is named first: a terminal shows the end.
         click.echo("\n" + "\n".join(reversed(report.verdicts)))

@@ -37,8 +37,12 @@ def command(vehicle_path, limit_vehicle, physics_vehicle, formula_vehicle, only,
     from split_cli.workflows.racing.experiments import run_experiments, stored
     from split_cli.workflows.racing.experiments_page import fill_page, read_page
 
-    given = {"gentle": vehicle_path, "limit": limit_vehicle, "physics": physics_vehicle,
-             "formula": formula_vehicle}  # fmt: skip
+    given = {
+        "gentle": vehicle_path,
+        "limit": limit_vehicle,
+        "physics": physics_vehicle,
+        "formula": formula_vehicle,
+    }
     if page is not None:
         read_page(page)  # whatever is wrong with it is told before the work
     vehicles = {name: path for name, path in given.items() if path is not None}

@@ -18,9 +18,12 @@ from split_cli.control.policy import MODEL_CAR, P_LONG, SHARE_LEARNED, SHARE_NOM
     help="Trained set to drive with, or a folder of `split export --target casadi`, whose function the "
     "controller evaluates; without one, the nominal model.",
 )
-@click.option("--predictor", default="auto", metavar="NAME",
-              help="Predictor that evaluates the set: auto is "
-              "bcm for three features and projected for more.")  # fmt: skip
+@click.option(
+    "--predictor",
+    default="auto",
+    metavar="NAME",
+    help="Predictor that evaluates the set: auto is bcm for three features and projected for more.",
+)
 @shared.car_option
 @click.option(
     "--speed",
@@ -31,17 +34,35 @@ from split_cli.control.policy import MODEL_CAR, P_LONG, SHARE_LEARNED, SHARE_NOM
     help="Entry speed; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid, on a scaled "
     "course times the root of its scale].",
 )
-@click.option("--scale", type=float, metavar="SCALE", help="Scale of the course's lengths: 1 for full-size cars  "
-              f"[default: 1; for a wheelbase below {MODEL_CAR:g} m its share of {SIZE} m].")  # fmt: skip
+@click.option(
+    "--scale",
+    type=float,
+    metavar="SCALE",
+    help="Scale of the course's lengths: 1 for full-size cars  "
+    f"[default: 1; for a wheelbase below {MODEL_CAR:g} m its share of {SIZE} m].",
+)
 @shared.grip_option
-@click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force that the "
-              f"controller may use  [default: {SHARE_LEARNED} with a set, or if the vehicle file knows the "
-              f"tyres' peaks from data; else {SHARE_NOMINAL}].")  # fmt: skip
-@click.option("--p-long", type=float, default=P_LONG, metavar="WEIGHT",
-              help="Weight of the longitudinal "
-              "force in the friction ellipse.")  # fmt: skip
-@click.option("--guarded/--unguarded", default=True, help="Use force limits that follow "
-              "load transfer, a torque limit and, with a set, the tyre peaks that its labels show.")  # fmt: skip
+@click.option(
+    "--p-ellipse",
+    type=float,
+    metavar="SHARE",
+    help="Share of the axles' peak force that the "
+    f"controller may use  [default: {SHARE_LEARNED} with a set, or if the vehicle file knows the "
+    f"tyres' peaks from data; else {SHARE_NOMINAL}].",
+)
+@click.option(
+    "--p-long",
+    type=float,
+    default=P_LONG,
+    metavar="WEIGHT",
+    help="Weight of the longitudinal force in the friction ellipse.",
+)
+@click.option(
+    "--guarded/--unguarded",
+    default=True,
+    help="Use force limits that follow "
+    "load transfer, a torque limit and, with a set, the tyre peaks that its labels show.",
+)
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
 @shared.sensor_options
 @click.option(
@@ -51,8 +72,12 @@ from split_cli.control.policy import MODEL_CAR, P_LONG, SHARE_LEARNED, SHARE_NOM
     metavar="FILE",
     help="Train a new set on the first run, up to where an axle lets go, and write it.",
 )
-@click.option("--features", default="z2", metavar="LIST",
-              help="Inputs of the correction that --set trains; see `split race`.")  # fmt: skip
+@click.option(
+    "--features",
+    default="z2",
+    metavar="LIST",
+    help="Inputs of the correction that --set trains; see `split race`.",
+)
 @shared.output_option("Drive of the first run to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @shared.json_option
 def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **options) -> None:
@@ -69,10 +94,12 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     """
     from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 
-    shared.refuse_without_use({
-        "predictor": (options["start_set"] is not None, "--start-set"),
-        "features": (set_output is not None, "--set"),
-    })  # fmt: skip
+    shared.refuse_without_use(
+        {
+            "predictor": (options["start_set"] is not None, "--start-set"),
+            "features": (set_output is not None, "--set"),
+        }
+    )
     settings = ManeuverSettings(scenario=scenario, delay=not no_delay, **options)
     with StepBar(max(len(settings.speeds), 1)) as bar:
 

@@ -10,11 +10,16 @@ def manual_page() -> str:
     """Return the manual page as roff: ``split explain --man > split.1``."""
     context = click.Context(group, info_name="split", **group.context_settings)
     parts = [
-        f'.TH SPLIT 1 "" "split {__version__}" "User Commands"', ".SH NAME",
-        "split \\- from driving logs to vehicle models a controller can trust", ".SH SYNOPSIS",
-        ".B split", "[\\-\\-quiet] [\\-\\-verbose] [\\-\\-legend] [\\-\\-config FILE] COMMAND [ARGUMENT]...",
-        ".SH DESCRIPTION", *_paragraphs(group.help or ""), ".SH COMMANDS",
-    ]  # fmt: skip
+        f'.TH SPLIT 1 "" "split {__version__}" "User Commands"',
+        ".SH NAME",
+        "split \\- from driving logs to vehicle models a controller can trust",
+        ".SH SYNOPSIS",
+        ".B split",
+        "[\\-\\-quiet] [\\-\\-verbose] [\\-\\-legend] [\\-\\-config FILE] COMMAND [ARGUMENT]...",
+        ".SH DESCRIPTION",
+        *_paragraphs(group.help or ""),
+        ".SH COMMANDS",
+    ]
     for name in group.list_commands(context):
         found = group.get_command(context, name)
         sub = click.Context(found, info_name=name, parent=context)

@@ -239,11 +239,14 @@ def sensor_options(function: Callable) -> Callable:
             "--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later."
         ),
         click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise."),
-        click.option("--seed", type=int, default=0, metavar="N",
-                     help="Random seed of the sensor noise."),
-        click.option("--width", type=float, metavar="M",
-                     help="Width of the car's body  [default: 1.15 times its track width]."),
-    ):  # fmt: skip
+        click.option("--seed", type=int, default=0, metavar="N", help="Random seed of the sensor noise."),
+        click.option(
+            "--width",
+            type=float,
+            metavar="M",
+            help="Width of the car's body  [default: 1.15 times its track width].",
+        ),
+    ):
         function = option(function)
     return function
 

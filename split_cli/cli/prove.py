@@ -126,9 +126,15 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
     from split_cli.workflows.proving.prove_recording import prove_recording
 
     rows = prove_recording(
-        drives, vehicle_path, output, only=faults.split(",") if faults else None, block=block, halves=halves,
-        multiples=_numbers(multiples), report=_progress("faults"),
-    )  # fmt: skip
+        drives,
+        vehicle_path,
+        output,
+        only=faults.split(",") if faults else None,
+        block=block,
+        halves=halves,
+        multiples=_numbers(multiples),
+        report=_progress("faults"),
+    )
     _tell_faults(rows, as_json)
 
 

@@ -51,37 +51,74 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
 @click.option("--max-speed", type=float, default=30.0, metavar="M/S", help="Largest speed.")
 @click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
 @shared.grip_option
-@click.option("--p-ellipse", type=float, metavar="SHARE", help="Share of the axles' peak force "
-              f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].")  # fmt: skip
-@click.option("--p-ellipse-lap0", type=float, metavar="SHARE", help="The same share in lap 0. Each clean lap "
-              f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse, and less on a track that is too "
-              "narrow for the margin. With --learner none it is at "
-              f"most {SHARE_NOMINAL} if the vehicle file assumes the tyres' peaks. [default: --p-ellipse; else "
-              f"{SHARE_LEARNED} if the vehicle file knows the peaks from data, "
-              f"{SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes them].")  # fmt: skip
-@click.option("--p-unknown", type=float, metavar="SHARE", help="The same share in states "
-              "without training data. The more the data tell of a state, the nearer it is to --p-ellipse  "
-              "[default: --p-ellipse].")  # fmt: skip
-@click.option("--assumed-friction", "--told-grip", "assumed_friction", type=float, default=1.0,
-              metavar="SCALE",
-              help="Friction scale that the controller assumes before it has learned.")  # fmt: skip
-@click.option("--learn-grip/--no-learn-grip", default=True, help="After each lap, move "
-              "the slip limits to the tyres' peaks that the labels show.")  # fmt: skip
-@click.option("--margin", type=float, metavar="M", help="Distance to keep between the car's side and the track "
-              f"border, in addition to what earlier laps needed  [default: {MARGIN} for a wheelbase of {SIZE} m, "
-              "in proportion for others].")  # fmt: skip
+@click.option(
+    "--p-ellipse",
+    type=float,
+    metavar="SHARE",
+    help="Share of the axles' peak force "
+    f"that the controller may use with the learned model  [default: {SHARE_LEARNED}].",
+)
+@click.option(
+    "--p-ellipse-lap0",
+    type=float,
+    metavar="SHARE",
+    help="The same share in lap 0. Each clean lap "
+    f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse, and less on a track that is too "
+    "narrow for the margin. With --learner none it is at "
+    f"most {SHARE_NOMINAL} if the vehicle file assumes the tyres' peaks. [default: --p-ellipse; else "
+    f"{SHARE_LEARNED} if the vehicle file knows the peaks from data, "
+    f"{SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes them].",
+)
+@click.option(
+    "--p-unknown",
+    type=float,
+    metavar="SHARE",
+    help="The same share in states "
+    "without training data. The more the data tell of a state, the nearer it is to --p-ellipse  "
+    "[default: --p-ellipse].",
+)
+@click.option(
+    "--assumed-friction",
+    "--told-grip",
+    "assumed_friction",
+    type=float,
+    default=1.0,
+    metavar="SCALE",
+    help="Friction scale that the controller assumes before it has learned.",
+)
+@click.option(
+    "--learn-grip/--no-learn-grip",
+    default=True,
+    help="After each lap, move the slip limits to the tyres' peaks that the labels show.",
+)
+@click.option(
+    "--margin",
+    type=float,
+    metavar="M",
+    help="Distance to keep between the car's side and the track "
+    f"border, in addition to what earlier laps needed  [default: {MARGIN} for a wheelbase of {SIZE} m, "
+    "in proportion for others].",
+)
 @click.option(
     "--margin-by-error/--margin-by-laps",
     default=False,
     help="After each lap, reduce the margin that it did not need to the share of the nominal error that is left. "
     "By default, reduce it by a fifth.",
 )
-@click.option("--p-long", type=float, default=RACE_P_LONG, metavar="WEIGHT",
-              help="Weight of the longitudinal "
-              "force in the friction ellipse.")  # fmt: skip
-@click.option("--guarded/--unguarded", default=True, help="guarded: force limits "
-              "follow the load transfer, the torque is limited, and the correction assumes the learned tyre peaks "
-              "where it has no data. Without all three: --unguarded.")  # fmt: skip
+@click.option(
+    "--p-long",
+    type=float,
+    default=RACE_P_LONG,
+    metavar="WEIGHT",
+    help="Weight of the longitudinal force in the friction ellipse.",
+)
+@click.option(
+    "--guarded/--unguarded",
+    default=True,
+    help="guarded: force limits "
+    "follow the load transfer, the torque is limited, and the correction assumes the learned tyre peaks "
+    "where it has no data. Without all three: --unguarded.",
+)
 @click.option(
     "--features",
     default="auto",
@@ -102,9 +139,13 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
     default="printed",
     help="Update of iol: one matrix inversion per gain as printed in its paper, or an incremental inverse.",
 )
-@click.option("--tightening", type=float, default=0.0, metavar="SIGMA",
-              help="Move the track borders inwards by this many standard deviations of the predicted "
-              "position.")  # fmt: skip
+@click.option(
+    "--tightening",
+    type=float,
+    default=0.0,
+    metavar="SIGMA",
+    help="Move the track borders inwards by this many standard deviations of the predicted position.",
+)
 @shared.sensor_options
 @click.option(
     "--set", "set_output", type=shared.OutputPath("file"), metavar="FILE", help="Save the set after each lap."
@@ -138,12 +179,14 @@ def command(
     if len(learners) > 1 and (output or set_output):
         raise click.UsageError("-o and --set take the drive and the set of one learner; name one.")
     asks_a_set = "split" in learners or options["start_set"] is not None
-    shared.refuse_without_use({
-        "predictor": (asks_a_set, "--learner split, or to --start-set"),
-        "hyperparameters": (any(name != "none" for name in learners), "--learner split or iol"),
-        "iol_update": ("iol" in learners, "--learner iol"),
-        "margin_by_error": (asks_a_set or "iol" in learners, "--learner split or iol, or to --start-set"),
-    })  # fmt: skip
+    shared.refuse_without_use(
+        {
+            "predictor": (asks_a_set, "--learner split, or to --start-set"),
+            "hyperparameters": (any(name != "none" for name in learners), "--learner split or iol"),
+            "iol_update": ("iol" in learners, "--learner iol"),
+            "margin_by_error": (asks_a_set or "iol" in learners, "--learner split or iol, or to --start-set"),
+        }
+    )
     first_share = p_ellipse if p_ellipse_lap0 is None else p_ellipse_lap0
     p_ellipse = SHARE_LEARNED if p_ellipse is None else p_ellipse
     limits = Limits(p_long=p_long, p_ellipse=p_ellipse, p_unknown=p_unknown, guarded=guarded)
@@ -151,9 +194,13 @@ def command(
     # Without a learner first: the others are compared with it.
     for learner in sorted(learners, key=lambda name: name != "none"):
         settings = RaceSettings(
-            learner=learner, delay=not no_delay, printed_iol=iol_update == "printed",
-            settings=MpccSettings(limits=limits), first_share=first_share, **options,
-        )  # fmt: skip
+            learner=learner,
+            delay=not no_delay,
+            printed_iol=iol_update == "printed",
+            settings=MpccSettings(limits=limits),
+            first_share=first_share,
+            **options,
+        )
         say = f"race, {learner}" if len(learners) > 1 else "race"
         with StepBar(settings.laps + 1) as bar:
 
@@ -161,9 +208,11 @@ def command(
                 """Show "lap 3" as the step that begins; let "lap 3: 34.76 s" stay."""
                 bar.say(f"{say}: {text}") if ":" in text else bar(text)
 
-            results.append(run_race(
-                settings, vehicle_path, output=output, set_output=set_output, progress=tell, others=results
-            ))  # fmt: skip
+            results.append(
+                run_race(
+                    settings, vehicle_path, output=output, set_output=set_output, progress=tell, others=results
+                )
+            )
     if report is not None:
         from split_cli.files import atomic_write_text
         from split_cli.workflows.race_report.page import race_page
@@ -197,9 +246,14 @@ def _tell(result) -> None:
     shared.print_table(header, rows)
     shared.print_table(
         ["lap", "solver ms (median, 99 %, worst)", "step ms (median, 99 %, worst)", "learning ms"],
-        [[lap.number, *(", ".join(f"{v:.2g}" for v in times) for times in
-          (lap.solver_ms, lap.step_ms, lap.update_ms))] for lap in result.laps],
-    )  # fmt: skip
+        [
+            [
+                lap.number,
+                *(", ".join(f"{v:.2g}" for v in times) for times in (lap.solver_ms, lap.step_ms, lap.update_ms)),
+            ]
+            for lap in result.laps
+        ],
+    )
     for lap in result.laps:
         if lap.ended:
             click.echo(f"lap {lap.number} was not finished: {lap.ended}")

@@ -44,8 +44,11 @@ def default_options(group: click.Group, context: click.Context, files: list[Path
     for path in files:
         for name, options in _read(path).items():
             if name != "all" and group.get_command(context, name) is None:
-                raise SplitError(f"no command {name!r}", where=str(path),
-                                 advice=nearest_names(name, [*group.list_commands(context), "all"]))  # fmt: skip
+                raise SplitError(
+                    f"no command {name!r}",
+                    where=str(path),
+                    advice=nearest_names(name, [*group.list_commands(context), "all"]),
+                )
             if not isinstance(options, Mapping):
                 advice = f"Write {name}: {{option: value}}."
                 raise SplitError(f"{name} holds no options", where=str(path), advice=advice)

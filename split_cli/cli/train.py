@@ -128,12 +128,19 @@ def _print_laps(laps) -> None:
     header = ["drive", "lap", "time s", "mean speed m/s", "max |v_x r| m/s^2", "updates", "set size", "cells"]
     share = any(row.valid_share is not None for row in laps)
     rows = [
-        [row.drive, f"{row.lap}" if row.finished else f"{row.lap} (unfinished)", row.time,
-         three_digits(row.mean_speed), three_digits(row.largest_lateral_acceleration),
-         row.updates, row.points, row.cells,
-         *([three_digits(100.0 * row.valid_share)] if share else [])]
+        [
+            row.drive,
+            f"{row.lap}" if row.finished else f"{row.lap} (unfinished)",
+            row.time,
+            three_digits(row.mean_speed),
+            three_digits(row.largest_lateral_acceleration),
+            row.updates,
+            row.points,
+            row.cells,
+            *([three_digits(100.0 * row.valid_share)] if share else []),
+        ]
         for row in laps
-    ]  # fmt: skip
+    ]
     shared.print_table([*header, *(["valid region %"] if share else [])], rows)
 
 

@@ -25,9 +25,12 @@ def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float)
     The ellipse is left open beyond the peak: where the nominal axle saturates, its force no longer tells how far.
     """
     return Region.of(
-        vehicle, p_long=p_long, p_ellipse=OPEN_ELLIPSE, alpha_max=round(WIDER * alpha_max, 3),
+        vehicle,
+        p_long=p_long,
+        p_ellipse=OPEN_ELLIPSE,
+        alpha_max=round(WIDER * alpha_max, 3),
         dalpha_max=round(WIDER * dalpha_max, 3),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)

@@ -100,9 +100,12 @@ def load_shift(vehicle: Vehicle) -> np.ndarray:
 
 
 def torque_limit(
-    limits: Limits, found: Linearization, vehicle: Vehicle, grip: np.ndarray | float = 1.0,
+    limits: Limits,
+    found: Linearization,
+    vehicle: Vehicle,
+    grip: np.ndarray | float = 1.0,
     shift: np.ndarray | float = 0.0,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest braking and driving torque [N m], both positive, shape (N,), that the ellipse allows.
 
     Notes
@@ -156,9 +159,12 @@ def slip_limit(
 
 
 def slip_rows(
-    limits: Limits, found: Linearization, free: float, grip: np.ndarray | float = 1.0,
+    limits: Limits,
+    found: Linearization,
+    free: float,
+    grip: np.ndarray | float = 1.0,
     shift: np.ndarray | float = 0.0,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return rows C (N, 5, n) of a step dx, with lower and upper bounds (N, 5).
 
     Two rows an axle (alpha - limit <= 0 and alpha + limit >= 0), one for the difference of slip angles.

@@ -92,8 +92,10 @@ class Mpcc(RecedingController):
         w, p, N = self.weights, self.settings, self.horizon
         at = _stages(point, slice(1, N + 1))
         contour, lag, of_contour, of_lag = self.contour_rows(s[1:], at)
-        Q = 2.0 * (w.contour * of_contour[:, :, None] * of_contour[:, None, :]
-                   + w.lag * of_lag[:, :, None] * of_lag[:, None, :])  # fmt: skip
+        Q = 2.0 * (
+            w.contour * of_contour[:, :, None] * of_contour[:, None, :]
+            + w.lag * of_lag[:, :, None] * of_lag[:, None, :]
+        )
         q = 2.0 * (w.contour * contour[:, None] * of_contour + w.lag * lag[:, None] * of_lag)
         q[:, -1] -= p.progress
         R = np.empty((N, self.m))

@@ -76,9 +76,13 @@ class Path:
             return values[low] + share * (values[high] - values[low])
 
         return PathPoint(
-            mixed(self.x) + extra_x, mixed(self.y) + extra_y, direction + start, mixed(self.curvature),
-            mixed(self.left), mixed(self.right),
-        )  # fmt: skip
+            mixed(self.x) + extra_x,
+            mixed(self.y) + extra_y,
+            direction + start,
+            mixed(self.curvature),
+            mixed(self.left),
+            mixed(self.right),
+        )
 
     def project(self, x: float, y: float, near: float, reach: float = 10.0) -> float:
         """Return the arc length [m] where (x, y) has no lag error, within `reach` of `near`."""

@@ -209,8 +209,11 @@ class StageQP:
         rows = np.einsum("kij,kj->ki", d.C, x[:-1]) + slack
         beyond = max(
             np.abs(gap).max(initial=0.0),
-            (d.row_lower - rows).max(initial=0.0), (rows - d.row_upper).max(initial=0.0),
-            (d.x_lower - x).max(initial=0.0), (x - d.x_upper).max(initial=0.0),
-            (d.u_lower - u).max(initial=0.0), (u - d.u_upper).max(initial=0.0),
-        )  # fmt: skip
+            (d.row_lower - rows).max(initial=0.0),
+            (rows - d.row_upper).max(initial=0.0),
+            (d.x_lower - x).max(initial=0.0),
+            (x - d.x_upper).max(initial=0.0),
+            (d.u_lower - u).max(initial=0.0),
+            (u - d.u_upper).max(initial=0.0),
+        )
         return bool(beyond < FEASIBLE * max(1.0, float(np.abs(whole).max())))

@@ -390,8 +390,10 @@ def generate_c(functions: CasadiFunctions, name: str, folder: Path) -> tuple[Pat
     if functions.valid is not None:
         generator.add(functions.valid)
     if functions.step is not None:
-        symbols = [casadi.MX.sym(functions.step.name_in(k), functions.step.size1_in(k)) for k in
-                   range(functions.step.n_in())]  # fmt: skip
+        symbols = [
+            casadi.MX.sym(functions.step.name_in(k), functions.step.size1_in(k))
+            for k in range(functions.step.n_in())
+        ]
         following = functions.step(*symbols)
         by_inputs = casadi.densify(casadi.jacobian(following, casadi.vertcat(symbols[1], symbols[0])))
         generator.add(casadi.Function(f"{name}_discrete", symbols, [following]))

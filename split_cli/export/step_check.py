@@ -172,8 +172,10 @@ def observed(oracle: StepOracle, substeps: int) -> Intervals:
     nominal, response = model.nominal_end(x, u, place_time)
 
     def slopes(apart: float) -> np.ndarray:
-        ends = [model.nominal_end(x + move, u, place_time)[0] - model.nominal_end(x - move, u, place_time)[0]
-                for move in apart * np.eye(n)[3:6]]  # fmt: skip
+        ends = [
+            model.nominal_end(x + move, u, place_time)[0] - model.nominal_end(x - move, u, place_time)[0]
+            for move in apart * np.eye(n)[3:6]
+        ]
         return np.stack(ends, axis=2) / (2.0 * apart)
 
     near, far = slopes(1e-4), slopes(2e-4)

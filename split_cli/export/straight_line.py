@@ -5,10 +5,14 @@ import casadi
 from split_cli.errors import OUR_FAULT, ExportError
 
 _UNARY = {
-    casadi.OP_NEG: "-{0}", casadi.OP_SQ: "{0} * {0}", casadi.OP_TWICE: "@TWO@ * {0}", casadi.OP_INV: "@ONE@ / {0}",
-    casadi.OP_NOT: "(real)(!({0} != @ZERO@))", casadi.OP_ASSIGN: "{0}",
+    casadi.OP_NEG: "-{0}",
+    casadi.OP_SQ: "{0} * {0}",
+    casadi.OP_TWICE: "@TWO@ * {0}",
+    casadi.OP_INV: "@ONE@ / {0}",
+    casadi.OP_NOT: "(real)(!({0} != @ZERO@))",
+    casadi.OP_ASSIGN: "{0}",
     casadi.OP_SIGN: "(real)(({0} > @ZERO@) - ({0} < @ZERO@))",
-}  # fmt: skip
+}
 _FUNCTIONS = {
     casadi.OP_SIN: "sin", casadi.OP_COS: "cos", casadi.OP_TAN: "tan", casadi.OP_ASIN: "asin",
     casadi.OP_ACOS: "acos", casadi.OP_ATAN: "atan", casadi.OP_ATAN2: "atan2", casadi.OP_TANH: "tanh",

@@ -61,10 +61,13 @@ def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
     corners = ("fl", "fr", "rl", "rr")
     if small:
         state = {
-            "X": ChannelSpec(0.004, 0.0, 1e-4), "Y": ChannelSpec(0.004, 0.0, 1e-4),
-            "yaw": ChannelSpec(0.003, 0.0, 1e-4), "vx": ChannelSpec(0.012, 0.0, 1e-3),
-            "vy": ChannelSpec(0.008, 0.0, 1e-3), "r": ChannelSpec(0.006, 0.0, 1e-3),
-        }  # fmt: skip
+            "X": ChannelSpec(0.004, 0.0, 1e-4),
+            "Y": ChannelSpec(0.004, 0.0, 1e-4),
+            "yaw": ChannelSpec(0.003, 0.0, 1e-4),
+            "vx": ChannelSpec(0.012, 0.0, 1e-3),
+            "vy": ChannelSpec(0.008, 0.0, 1e-3),
+            "r": ChannelSpec(0.006, 0.0, 1e-3),
+        }
         inertial = {
             "r": ChannelSpec(0.006, 0.003, 1e-3),
             "ax": ChannelSpec(0.08, 0.02, 5e-3),
@@ -78,10 +81,13 @@ def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
         wheels = {f"wheel_speed_{corner}": ChannelSpec(0.3, 0.0, 0.05) for corner in corners}
     else:
         state = {
-            "X": ChannelSpec(0.010, 0.0, 1e-3), "Y": ChannelSpec(0.010, 0.0, 1e-3),
-            "yaw": ChannelSpec(0.0012, 0.0, 1e-4), "vx": ChannelSpec(0.008, 0.0, 1e-3),
-            "vy": ChannelSpec(0.008, 0.0, 1e-3), "r": ChannelSpec(0.0015, 0.0, 2e-4),
-        }  # fmt: skip
+            "X": ChannelSpec(0.010, 0.0, 1e-3),
+            "Y": ChannelSpec(0.010, 0.0, 1e-3),
+            "yaw": ChannelSpec(0.0012, 0.0, 1e-4),
+            "vx": ChannelSpec(0.008, 0.0, 1e-3),
+            "vy": ChannelSpec(0.008, 0.0, 1e-3),
+            "r": ChannelSpec(0.0015, 0.0, 2e-4),
+        }
         inertial = {
             "r": ChannelSpec(0.002, 0.0004, 2e-4),
             "ax": ChannelSpec(0.03, 0.01, 2e-3),

@@ -27,9 +27,12 @@ def draw_selection(selection: SetSelection) -> Figure:
     for number, kind in enumerate(kinds):
         same = [one for one in selection.candidates if (one.features, one.cell_edge) == kind]
         axes.plot(
-            [one.points for one in same], [one.error for one in same], "o", color=PALETTE[number % len(PALETTE)],
+            [one.points for one in same],
+            [one.error for one in same],
+            "o",
+            color=PALETTE[number % len(PALETTE)],
             label=f"{kind[0]}, cell edge {kind[1]:g}",
-        )  # fmt: skip
+        )
     front = [one for one in selection.candidates if one.on_front]
     axes.step([one.points for one in front], [one.error for one in front], where="post", color="black",
               linewidth=1.0, label="front")  # fmt: skip

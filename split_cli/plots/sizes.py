@@ -28,9 +28,12 @@ def draw_sizes(run: EvaluationRun) -> Figure:
         for position, (features, entries) in enumerate(by_features.items()):
             entries = sorted(entries, key=lambda entry: entry.score.points)
             axis.plot(
-                [entry.score.points for entry in entries], [entry.score.rmse[which] for entry in entries],
-                color=PALETTE[position % len(PALETTE)], marker=_MARKERS[position % len(_MARKERS)], label=features,
-            )  # fmt: skip
+                [entry.score.points for entry in entries],
+                [entry.score.rmse[which] for entry in entries],
+                color=PALETTE[position % len(PALETTE)],
+                marker=_MARKERS[position % len(_MARKERS)],
+                label=features,
+            )
         if floor.rms is not None:
             level = floor.norm if which == 3 else floor.rms[which]
             axis.axhline(level, color="0.5", linestyle="--", label="noise floor")

@@ -110,9 +110,13 @@ class OnlineProcess:
             for matrix in (self._inverse[:n, :n], *(part[:n, :n] for part in self._learned))
         )
         return ProcessState(
-            self._points[:n].copy(), inverse, np.array(learned), self._weights[:, :n].copy(),
-            1.0 - self.unspanned_share, self._threshold,
-        )  # fmt: skip
+            self._points[:n].copy(),
+            inverse,
+            np.array(learned),
+            self._weights[:, :n].copy(),
+            1.0 - self.unspanned_share,
+            self._threshold,
+        )
 
     def span(self, z: np.ndarray) -> None:
         """Choose the first points from features `z`, shape (N, D), before any label is absorbed.

@@ -290,9 +290,13 @@ def _parameters(
     """Return parameters, variant and removed share of the variant that says the effect best."""
     known = {name: float(value) for name, value in effect.known(without, size).items()}
     kind = CATALOGUE[effect.term]
-    variants = [effect.variant] if effect.variant else [
-        v for v in kind.variants if set(known) <= set(kind.parameter_units(v)) and v not in ("wave", "stretch")
-    ]  # fmt: skip
+    variants = (
+        [effect.variant]
+        if effect.variant
+        else [
+            v for v in kind.variants if set(known) <= set(kind.parameter_units(v)) and v not in ("wave", "stretch")
+        ]
+    )
     best: tuple[dict[str, float], str, float] | None = None
     for variant in variants:
         given = {**effect.shape, **known}

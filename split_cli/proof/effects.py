@@ -95,8 +95,10 @@ def _friction_patch(rng, world):
     return Concealed(
         "friction_patch",
         lambda w, size: replace(w, road=road_of(w.track, w.road, friction=1.0 - size * _inside(w, start, end))),
-        0.3, 0.8, shape={"s_start": start, "s_end": end},
-    )  # fmt: skip
+        0.3,
+        0.8,
+        shape={"s_start": start, "s_end": end},
+    )
 
 
 def _grip_fade(rng, world):
@@ -172,8 +174,10 @@ def _aero_drag(rng, world):
     return Concealed(
         "aero_drag",
         lambda w, size: _car(w, drag_area=w.car.drag_area + 2.0 * size / w.car.air_density),
-        0.3 * unit, 6.0 * unit, known=lambda w, size: {"drag": size},
-    )  # fmt: skip
+        0.3 * unit,
+        6.0 * unit,
+        known=lambda w, size: {"drag": size},
+    )
 
 
 def _profile(rng, world: ProofWorld) -> tuple[str, np.ndarray, dict[str, float]]:
@@ -193,8 +197,12 @@ def _road_grade(rng, world):
     return Concealed(
         "road_grade",
         lambda w, size: replace(w, road=road_of(w.track, w.road, grade=sign * size * profile)),
-        0.02, 0.2, known=lambda w, size: {name: sign * size}, shape=given, variant=variant,
-    )  # fmt: skip
+        0.02,
+        0.2,
+        known=lambda w, size: {name: sign * size},
+        shape=given,
+        variant=variant,
+    )
 
 
 def _road_bank(rng, world):
@@ -203,15 +211,21 @@ def _road_bank(rng, world):
         return Concealed(
             "road_bank",
             lambda w, size: replace(w, road=road_of(w.track, w.road, bank=np.full(_PLACES, sign * size))),
-            0.02, 0.2, known=lambda w, size: {"angle": sign * size},
-        )  # fmt: skip
+            0.02,
+            0.2,
+            known=lambda w, size: {"angle": sign * size},
+        )
     variant, profile, given = _profile(rng, world)
     name = "amplitude" if variant == "wave" else "angle"
     return Concealed(
         "road_bank",
         lambda w, size: replace(w, road=road_of(w.track, w.road, bank=sign * size * profile)),
-        0.02, 0.2, known=lambda w, size: {name: sign * size}, shape=given, variant=variant,
-    )  # fmt: skip
+        0.02,
+        0.2,
+        known=lambda w, size: {name: sign * size},
+        shape=given,
+        variant=variant,
+    )
 
 
 def _wind(rng, world):
@@ -223,10 +237,14 @@ def _wind(rng, world):
         return replace(w, road=replace(w.road, wind_x=np.array([x * size]), wind_y=np.array([y * size])))
 
     return Concealed(
-        "wind", blow, 6.0 * _pace(world.car), 25.0 * _pace(world.car),
+        "wind",
+        blow,
+        6.0 * _pace(world.car),
+        25.0 * _pace(world.car),
         known=lambda w, size: {"wx": x * size, "wy": y * size},
-        neutral=lambda w: _car(w, side_area=side), variant="side",
-    )  # fmt: skip
+        neutral=lambda w: _car(w, side_area=side),
+        variant="side",
+    )
 
 
 def _drive_gain(rng, world):
@@ -244,8 +262,11 @@ def _drive_lag(rng, world):
     return Concealed(
         "drive_lag",
         lambda w, size: _car(w, drive_lag=6e-4 + size),
-        0.08, 0.8, known=lambda w, size: {"tau": size}, neutral=lambda w: _car(w, drive_lag=6e-4),
-    )  # fmt: skip
+        0.08,
+        0.8,
+        known=lambda w, size: {"tau": size},
+        neutral=lambda w: _car(w, drive_lag=6e-4),
+    )
 
 
 def _drive_delay(rng, world):
@@ -268,24 +289,32 @@ def _yaw_moment_differential(rng, world):
     return Concealed(
         "yaw_moment_differential",
         lambda w, size: _car(w, differential_locking_rear=size),
-        unit, 300.0 * unit, neutral=lambda w: _car(w, differential_locking_rear=0.0),
-    )  # fmt: skip
+        unit,
+        300.0 * unit,
+        neutral=lambda w: _car(w, differential_locking_rear=0.0),
+    )
 
 
 def _steer_offset(rng, world):
     sign = rng.choice((-1.0, 1.0))
     return Concealed(
-        "steer_offset", lambda w, size: _car(w, steer_offset=sign * size), 0.005, 0.08,
+        "steer_offset",
+        lambda w, size: _car(w, steer_offset=sign * size),
+        0.005,
+        0.08,
         known=lambda w, size: {"offset": sign * size},
-    )  # fmt: skip
+    )
 
 
 def _steer_gain(rng, world):
     sign = rng.choice((-1.0, 1.0))
     return Concealed(
-        "steer_gain", lambda w, size: _car(w, steer_gain=1.0 + sign * size), 0.06, 0.4,
+        "steer_gain",
+        lambda w, size: _car(w, steer_gain=1.0 + sign * size),
+        0.06,
+        0.4,
         known=lambda w, size: {"gain": 1.0 + sign * size},
-    )  # fmt: skip
+    )
 
 
 def _steer_delay(rng, world):
@@ -296,35 +325,47 @@ def _steer_delay(rng, world):
 
 def _steer_lag(rng, world):
     return Concealed(
-        "steer_lag", lambda w, size: _car(w, steer_lag=6e-4 + size), 0.04, 0.3,
-        known=lambda w, size: {"tau": size}, neutral=lambda w: _car(w, steer_lag=6e-4, steer_rate=30.0),
-    )  # fmt: skip
+        "steer_lag",
+        lambda w, size: _car(w, steer_lag=6e-4 + size),
+        0.04,
+        0.3,
+        known=lambda w, size: {"tau": size},
+        neutral=lambda w: _car(w, steer_lag=6e-4, steer_rate=30.0),
+    )
 
 
 def _steer_backlash(rng, world):
     return Concealed(
-        "steer_backlash", lambda w, size: _car(w, steer_backlash=size), 0.01, 0.08,
+        "steer_backlash",
+        lambda w, size: _car(w, steer_backlash=size),
+        0.01,
+        0.08,
         known=lambda w, size: {"width": size},
-    )  # fmt: skip
+    )
 
 
 def _mass(rng, world):
     sign = rng.choice((-1.0, 1.0, 1.0))
     most = 0.4 if sign > 0.0 else 0.95 * (1.0 - least_mass(world.car))
     return Concealed(
-        "mass", lambda w, size: _car(w, mass=w.car.mass * (1.0 + sign * size)), 0.08, most,
+        "mass",
+        lambda w, size: _car(w, mass=w.car.mass * (1.0 + sign * size)),
+        0.08,
+        most,
         known=lambda w, size: {"scale": 1.0 + sign * size},
-    )  # fmt: skip
+    )
 
 
 def _yaw_inertia(rng, world):
     sign = rng.choice((-1.0, 1.0))
     lower, upper = inertia_range(world.car)
     return Concealed(
-        "yaw_inertia", lambda w, size: _car(w, yaw_inertia=w.car.yaw_inertia * float(np.exp(sign * size))),
-        0.2, 0.95 * float(np.log(upper) if sign > 0.0 else -np.log(lower)),
+        "yaw_inertia",
+        lambda w, size: _car(w, yaw_inertia=w.car.yaw_inertia * float(np.exp(sign * size))),
+        0.2,
+        0.95 * float(np.log(upper) if sign > 0.0 else -np.log(lower)),
         known=lambda w, size: {"scale": float(np.exp(sign * size))},
-    )  # fmt: skip
+    )
 
 
 def _cg_shift(rng, world):
@@ -345,17 +386,23 @@ def _sensor(world: ProofWorld, **changes: float) -> ProofWorld:
 def _sensor_lever_arm(rng, world):
     sign = rng.choice((-1.0, 1.0))
     return Concealed(
-        "sensor_lever_arm", lambda w, size: _sensor(w, dx=sign * size), 0.1 * world.car.wheelbase,
-        1.5 * world.car.wheelbase, known=lambda w, size: {"dx": sign * size},
-    )  # fmt: skip
+        "sensor_lever_arm",
+        lambda w, size: _sensor(w, dx=sign * size),
+        0.1 * world.car.wheelbase,
+        1.5 * world.car.wheelbase,
+        known=lambda w, size: {"dx": sign * size},
+    )
 
 
 def _sensor_misalignment(rng, world):
     sign = rng.choice((-1.0, 1.0))
     return Concealed(
-        "sensor_misalignment", lambda w, size: _sensor(w, angle=sign * size), 0.01, 0.15,
+        "sensor_misalignment",
+        lambda w, size: _sensor(w, angle=sign * size),
+        0.01,
+        0.15,
         known=lambda w, size: {"angle": sign * size},
-    )  # fmt: skip
+    )
 
 
 def _sensor_delay(rng, world):

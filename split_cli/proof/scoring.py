@@ -211,30 +211,36 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
 
 def _doubted(scores: Sequence[CaseScore]) -> Rate:
     """Return how many singles that are named rightly are called unexplained beside that."""
-    return rate_of([
-        score.said.unexplained
-        for score in scores
-        if score.answer.kind == "single" and score.outcome in ("exact", "class")
-    ])  # fmt: skip
+    return rate_of(
+        [
+            score.said.unexplained
+            for score in scores
+            if score.answer.kind == "single" and score.outcome in ("exact", "class")
+        ]
+    )
 
 
 def _recall(sets: Sequence[CaseScore]) -> Rate:
     """Return how many effects of sets are named, or among the alternatives of a finding."""
-    return rate_of([
-        any(effect.term == one.term or effect.term in one.alternatives for one in score.said.findings)
-        for score in sets
-        for effect in score.answer.effects
-        if score.answer.kind != "whole-car" or effect.severity >= TIERS["realistic"][0]
-    ])  # fmt: skip
+    return rate_of(
+        [
+            any(effect.term == one.term or effect.term in one.alternatives for one in score.said.findings)
+            for score in sets
+            for effect in score.answer.effects
+            if score.answer.kind != "whole-car" or effect.severity >= TIERS["realistic"][0]
+        ]
+    )
 
 
 def _wrongly_named(sets: Sequence[CaseScore]) -> Rate:
     """Return how many findings in sets are none of the effects, nor have one among their alternatives."""
-    return rate_of([
-        not {one.term, *one.alternatives} & {effect.term for effect in score.answer.effects}
-        for score in sets
-        for one in score.said.findings
-    ])  # fmt: skip
+    return rate_of(
+        [
+            not {one.term, *one.alternatives} & {effect.term for effect in score.answer.effects}
+            for score in sets
+            for one in score.said.findings
+        ]
+    )
 
 
 def _confusion(scores: Sequence[CaseScore]) -> tuple[tuple[str, str, int], ...]:

@@ -159,9 +159,13 @@ def fit_effective(
         return np.nan_to_num((goal - gain[: len(goal)] / noise).ravel(), nan=1e6, posinf=1e6, neginf=-1e6)
 
     scale = {
-        "force": 0.01 * vehicle.mass, "front": 1e-3 * vehicle.mass, "rear": 1e-3 * vehicle.mass,
-        "yaw_damping": 0.5 * vehicle.yaw_inertia, "cg_height": vehicle.wheelbase, "length": vehicle.wheelbase,
-    }  # fmt: skip
+        "force": 0.01 * vehicle.mass,
+        "front": 1e-3 * vehicle.mass,
+        "rear": 1e-3 * vehicle.mass,
+        "yaw_damping": 0.5 * vehicle.yaw_inertia,
+        "cg_height": vehicle.wheelbase,
+        "length": vehicle.wheelbase,
+    }
     unit = np.array([scale.get(name, 1.0) for name in free])
     guess = np.array([_GUESSES[name] for name in free])
     guess = np.where(np.isin(free, ["length", "cg_height"]), guess * vehicle.wheelbase / 2.7, guess)

@@ -316,8 +316,10 @@ def _joined(parts: Sequence[TrustEvidence]) -> list[TrustEvidence]:
     joined = []
     for key in keys:
         same = [part for part in parts if (part.state, part.horizon) == key]
-        columns = (np.concatenate([getattr(p, name) for p in same]) for name in
-                   ("error", "change", "movement", "block", "conditions"))  # fmt: skip
+        columns = (
+            np.concatenate([getattr(p, name) for p in same])
+            for name in ("error", "change", "movement", "block", "conditions")
+        )
         one_step = (
             [getattr(p, name) for p in same if getattr(p, name) is not None]
             for name in ("variance", "rivals", "nominal")

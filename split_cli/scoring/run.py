@@ -45,9 +45,12 @@ class Trace:
         split = held.split
         split = replace(split, train=split.train[rows], test=split.test[rows], block=split.block[rows])
         held = replace(
-            held, drive=held.drive.stretch(first, last), split=split, labels=held.labels.between(first, last),
+            held,
+            drive=held.drive.stretch(first, last),
+            split=split,
+            labels=held.labels.between(first, last),
             z=held.z[rows],
-        )  # fmt: skip
+        )
         return replace(self, held=held, tested=tested, prediction=Prediction(mean, variance))
 
 

@@ -109,13 +109,21 @@ _COMMONROAD = {
     "T_se": "drive_split_front", "T_sb": "brake_split_front", "h_cg": "cg_height",
 }  # fmt: skip
 _F1TENTH = {
-    "m": "mass", "I": "yaw_inertia", "lf": "cg_to_front_axle", "lr": "cg_to_rear_axle",
-    "mu": "friction_coefficient", "h": "cg_height",
-}  # fmt: skip
-_FORZAETH = {
-    "m": "mass", "I_z": "yaw_inertia", "l_f": "cg_to_front_axle", "l_r": "cg_to_rear_axle", "h_cg": "cg_height",
+    "m": "mass",
+    "I": "yaw_inertia",
+    "lf": "cg_to_front_axle",
+    "lr": "cg_to_rear_axle",
     "mu": "friction_coefficient",
-}  # fmt: skip
+    "h": "cg_height",
+}
+_FORZAETH = {
+    "m": "mass",
+    "I_z": "yaw_inertia",
+    "l_f": "cg_to_front_axle",
+    "l_r": "cg_to_rear_axle",
+    "h_cg": "cg_height",
+    "mu": "friction_coefficient",
+}
 _OPTIONAL = {"h_cg", "h", "mu"}
 
 

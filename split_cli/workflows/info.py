@@ -147,12 +147,14 @@ def _yaml(path: Path) -> FileDescription:
         ("mass", f"{car.mass:g} kg"),
         ("yaw inertia", f"{car.yaw_inertia:g} kg m^2"),
         ("wheelbase", f"{car.wheelbase:g} m (l_f {car.cg_to_front_axle:g}, l_r {car.cg_to_rear_axle:g})"),
-        ("cornering stiffness", f"{car.front_tire.cornering_stiffness:.4g} front, "
-         f"{car.rear_tire.cornering_stiffness:.4g} rear N/rad"),
+        (
+            "cornering stiffness",
+            f"{car.front_tire.cornering_stiffness:.4g} front, {car.rear_tire.cornering_stiffness:.4g} rear N/rad",
+        ),
         ("peak lateral force", f"{car.front_tire.D:.4g} front, {car.rear_tire.D:.4g} rear N"),
         ("effects", ", ".join(effect.term for effect in car.effects) or "none"),
         ("minimum speed", f"{car.minimum_speed:.3g} m/s"),
-    ]  # fmt: skip
+    ]
     for origin in ("published", "assumed", "calibrated"):
         keys = [key for key, said in car.origins.items() if said == origin]
         if keys:

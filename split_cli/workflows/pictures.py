@@ -60,8 +60,10 @@ def diagnosis_charts(
         return ()
     drive = max(drives, key=len)
     nominal_drive = RecordingCorrection(vehicle)(drive)
-    effects = [EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant)
-               for f in diagnosis.findings]  # fmt: skip
+    effects = [
+        EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant)
+        for f in diagnosis.findings
+    ]
     subjects = [Subject("measured", "measured", drive)]
     if simulated:
         twin = max(simulated, key=len)
@@ -76,13 +78,15 @@ def diagnosis_charts(
         residuals.append((_FOUND, "corrected", *corrected))
     learned = _learned(*(corrected or (nominal_drive, vehicle)))
     paths = [("measured", "measured", drive)] + [("simulation given", "nominal", one) for one in simulated[:1]]
-    return gathered([
-        lambda: drive_charts(subjects, vehicle),
-        lambda: tire_charts(nominal_drive, vehicle, corrected, learned()),
-        lambda: handling_charts(subjects, vehicle),
-        lambda: [track_chart(paths)],
-        lambda: _whiteness(residuals, _SHARED if simulated else ""),
-    ])  # fmt: skip
+    return gathered(
+        [
+            lambda: drive_charts(subjects, vehicle),
+            lambda: tire_charts(nominal_drive, vehicle, corrected, learned()),
+            lambda: handling_charts(subjects, vehicle),
+            lambda: [track_chart(paths)],
+            lambda: _whiteness(residuals, _SHARED if simulated else ""),
+        ]
+    )
 
 
 def _learned(drive: Drive, vehicle: Vehicle) -> Callable[[], LearnedForces | None]:

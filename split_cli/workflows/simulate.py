@@ -139,9 +139,12 @@ def _setting(settings: SimulateSettings, car: CarParameters) -> Setting:
 
 
 def _write(
-    settings: SimulateSettings, format_name: str, runs: Sequence[Trajectory], sensors: tuple[SensorSpec, ...],
+    settings: SimulateSettings,
+    format_name: str,
+    runs: Sequence[Trajectory],
+    sensors: tuple[SensorSpec, ...],
     output: Path,
-) -> tuple[tuple[str, float], ...]:  # fmt: skip
+) -> tuple[tuple[str, float], ...]:
     """Write what the sensors record; return each device with its reports per second [Hz]."""
     seed, lead_in = settings.seed, settings.lead_in
     if settings.calibration_tests:

@@ -43,10 +43,12 @@ def sparse_formula(
     names = list(parts[0])
     columns = np.concatenate([np.stack([part[name] for name in names], axis=1) for part in parts])
     gap = np.concatenate([force[at] for force, at in zip(forces, rows, strict=True)])
-    block = np.concatenate([
-        1000 * k + (one.series.t[at] // _BLOCK_SECONDS).astype(int)
-        for k, (one, at) in enumerate(zip(evidence, rows, strict=True))
-    ])  # fmt: skip
+    block = np.concatenate(
+        [
+            1000 * k + (one.series.t[at] // _BLOCK_SECONDS).astype(int)
+            for k, (one, at) in enumerate(zip(evidence, rows, strict=True))
+        ]
+    )
     best, text = 0.0, ""
     for channel, force in enumerate(FORCES):
         chosen = _stable_terms(columns, gap[:, channel], block, rules)

@@ -144,8 +144,10 @@ def _regress(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> tupl
     blocks, width = number.max() + 1, columns.shape[1]
     scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
     scaled = columns / scale
-    gram = np.stack([np.bincount(number, scaled[:, i] * scaled[:, j], blocks) for i in range(width)
-                     for j in range(width)], axis=1)  # fmt: skip
+    gram = np.stack(
+        [np.bincount(number, scaled[:, i] * scaled[:, j], blocks) for i in range(width) for j in range(width)],
+        axis=1,
+    )
     right = np.stack([np.bincount(number, scaled[:, i] * target, blocks) for i in range(width)], axis=1)
     rng = np.random.default_rng(20240501)
     drawn = rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), _DRAWS).astype(float)

@@ -26,9 +26,13 @@ _GYRO = "judgement: three degrees a second, beyond any gyroscope that was switch
 _WORN = "judgement: wheels wear and gyroscopes age by a few per cent, 15 % is another unit"
 _UNALIGNED = "judgement: filters, buses and clocks that nobody aligned make a channel late by up to 0.6 s"
 _WORDS = {
-    "r": "the yaw rate", "vx": "the longitudinal velocity", "vy": "the lateral velocity",
-    "velocity": "the velocity", "ax": "the longitudinal acceleration", "ay": "the lateral acceleration",
-}  # fmt: skip
+    "r": "the yaw rate",
+    "vx": "the longitudinal velocity",
+    "vy": "the lateral velocity",
+    "velocity": "the velocity",
+    "ax": "the longitudinal acceleration",
+    "ay": "the lateral acceleration",
+}
 
 
 _POSITION = "position recorded beside the velocities"

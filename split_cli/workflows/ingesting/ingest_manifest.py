@@ -70,8 +70,11 @@ class IngestManifest:
     def add(self, place: str, source: str, settings: str, drive: str, written: Path) -> None:
         """Enter a drive that was written."""
         self.entries[place] = {
-            "source": source, "settings": settings, "drive": drive, "sha256": sha256_of_file(written),
-        }  # fmt: skip
+            "source": source,
+            "settings": settings,
+            "drive": drive,
+            "sha256": sha256_of_file(written),
+        }
 
     def write(self, folder: Path | None = None, *, now_and_then: bool = False) -> None:
         """Write the manifest; with `now_and_then` only when some seconds have passed since the last time."""

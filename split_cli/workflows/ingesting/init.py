@@ -126,8 +126,10 @@ class InitResult:
 
     def to_text(self) -> str:
         """Return the result for a terminal."""
-        counts = {status: [s.channel for s in self.draft.suggestions if s.status == status]
-                  for status in ("judged", "unsided", "stated", "assumed", "open")}  # fmt: skip
+        counts = {
+            status: [s.channel for s in self.draft.suggestions if s.status == status]
+            for status in ("judged", "unsided", "stated", "assumed", "open")
+        }
         words = {
             "judged": "channels that fit each other",
             "unsided": "channels that fit in size, CHECK left and right",

@@ -43,10 +43,13 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     charts = race_charts(races)
     package = files("split_cli.workflows.race_report")
     body = Template(package.joinpath("race.html").read_text("utf-8")).substitute(
-        headline=heading(_headline(races)), caution=_caution(races), table=_table(races), timing=_timing(races),
+        headline=heading(_headline(races)),
+        caution=_caution(races),
+        table=_table(races),
+        timing=_timing(races),
         strips=charts_block([chart for chart in charts if chart.wide]),
         plane=charts_block([chart for chart in charts if not chart.wide]),
-    )  # fmt: skip
+    )
     script = package.joinpath("race.js").read_text("utf-8")
     title = f"{path.name}: laps with {learners}"
     return page("race", _about(races[0]), title, body, charts, _numbers(races, path), [script])

@@ -81,15 +81,17 @@ def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
         ("nominal model", "simulated", trace.tested, trace.tested.y),
         (f"with {trace.name}", "learned", trace.tested, trace.tested.y - trace.prediction.mean),
     ]
-    return gathered([
-        lambda: _ratio_charts(run.report.comparisons, run.report.settings.predictors),
-        lambda: drive_charts(subjects, vehicle),
-        lambda: tire_charts(drive, vehicle, None, learned),
-        lambda: handling_charts(subjects, vehicle),
-        lambda: [track_chart([("measured", "measured", drive)])],
-        lambda: whiteness_chart(residuals),
-        lambda: coverage_charts(run.tallies, run.report.settings.predictors),
-    ])  # fmt: skip
+    return gathered(
+        [
+            lambda: _ratio_charts(run.report.comparisons, run.report.settings.predictors),
+            lambda: drive_charts(subjects, vehicle),
+            lambda: tire_charts(drive, vehicle, None, learned),
+            lambda: handling_charts(subjects, vehicle),
+            lambda: [track_chart([("measured", "measured", drive)])],
+            lambda: whiteness_chart(residuals),
+            lambda: coverage_charts(run.tallies, run.report.settings.predictors),
+        ]
+    )
 
 
 def _shown(run: EvaluationRun) -> Trace:

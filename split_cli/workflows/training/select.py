@@ -159,9 +159,13 @@ def _try(
     errors, nominal, blocks, sizes, times = [], [], [], [], []
     for fold, (labels, grid, kernel) in enumerate(folds):
         learned = learn(
-            labels, vehicle=vehicle, grid=grid, kernel=kernel, capacity=candidate.capacity,
+            labels,
+            vehicle=vehicle,
+            grid=grid,
+            kernel=kernel,
+            capacity=candidate.capacity,
             threshold=candidate.threshold,
-        )  # fmt: skip
+        )
         asked = make_predictor(predictor, learned)
         sizes.append((learned.size, learned.cell_count))
         for part in parts:
