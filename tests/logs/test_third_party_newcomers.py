@@ -163,3 +163,34 @@ def test_an_acceleration_that_the_change_of_speed_denies_is_left_open_with_the_o
     table = {"Time": t, "Speed (m/s)": fast, "Accel X": 0.02 * np.sin(3.3 * t), "Accel Y": 0.05 * np.cos(2.1 * t)}
     draft = drafted_table(table, tmp_path)
     assert "does not go with it" in draft.of("ax").reason and draft.of("ay").status == "open"
+
+
+def test_a_word_that_ends_many_names_says_who_measured(columns, tmp_path):
+    """Motion capture, motor controller and IMU in one table; the IMU is turned round and its yaw begins at 0."""
+    t, c = columns
+    draft = drafted_table({
+        "timestamp": t, "x_opti": c["X"], "y_opti": c["Y"], "yaw_opti": c["yaw"], "vx_opti": c["vx"],
+        "vy_opti": c["vy"], "r_opti": c["r"], "ax_imu": -c["ax"], "ay_imu": -c["ay"], "x_plan": c["X"] + 1.0,
+        "yaw_imu": c["yaw"] + 0.7, "delta_vesc": -c["delta"], "vx_vesc": 1.04 * c["vx"], "rpm_vesc": 1e3 * c["vx"],
+        "y_plan": c["Y"],
+    }, tmp_path)  # fmt: skip
+    for channel in ("X", "Y", "yaw", "vx", "vy", "r"):
+        assert draft.of(channel).sources == (f"{channel.lower()}_opti",), channel
+    assert draft.of("delta").sources == ("delta_vesc",)
+    assert [draft.of(c).scale for c in ("ax", "ay", "delta")] == [-1.0, -1.0, -1.0]
+
+
+def test_an_index_without_a_title_that_counts_in_seconds_is_the_time(columns, tmp_path):
+    """A data frame of three runs, written with its index; between the runs two minutes are missing."""
+    t, c = columns
+    clock = t + 120.0 * ((t > 20.0).astype(float) + (t > 41.0))
+    table = {"": clock, "v_x": c["vx"], "v_y": c["vy"], "r": c["r"], "ax_imu": c["ax"], "delta": c["delta"]}
+    draft = drafted_table(table, tmp_path)
+    recording = open_recording(tmp_path / "log.csv")
+    assert draft.time == "time: {source: column1, unit: s}" and draft.of("ax").status == "judged"
+    assert "column1" not in draft.unused and [n.what for n in recording.notes] == [
+        "a first column without a title, called column1"
+    ]
+    # Row numbers are none.
+    rows = np.arange(200.0)
+    assert drafted_table({"": rows, "v_x": 0.1 * rows}, tmp_path).time.startswith("# time: {period")

@@ -171,7 +171,8 @@ def _counts(values: np.ndarray) -> bool:
 def _first_that_counts(infos: Sequence[RawChannelInfo], signals: Mapping[str, RawSignal]) -> list[RawChannelInfo]:
     """Return the first column if it rises in steps all alike, whatever it is called: no measured position does.
 
-    Steps of 1 number the rows, and a column in another unit than of time is a distance.
+    One step in a hundred may be another, where runs stand one behind the other. Steps of 1 number the rows, and a
+    column in another unit than of time is a distance.
     """
     info = next((i for i in infos if i.type_name != "text"), None)
     if info is None or info.name not in signals or counts_rows(info.name):
@@ -179,10 +180,12 @@ def _first_that_counts(infos: Sequence[RawChannelInfo], signals: Mapping[str, Ra
     other = stated_unit(info) is not None and getattr(find_unit(stated_unit(info)), "si", "") != "s"
     values = signals[info.name].values
     step = np.diff(values[np.isfinite(values)])
-    if other or not _rises(values) or "distance" in info.name.lower() or abs(float(step[0]) - 1.0) < _COUNTED:
+    if other or not _rises(values) or "distance" in info.name.lower():
         return []
-    even = float(np.ptp(step)) < _COUNTED * float(step.mean()) + 1e-9 * float(np.max(np.abs(values)))
-    return [info] if even else []
+    usual = float(np.median(step))
+    off = np.abs(step - usual) - 1e-9 * float(np.nanmax(np.abs(values)))
+    counts_time = usual > 0.0 and abs(usual - 1.0) >= _COUNTED
+    return [info] if counts_time and float(np.quantile(off, 0.99)) < _COUNTED * usual else []
 
 
 def _counts_since_1970(values: np.ndarray) -> bool:

@@ -118,9 +118,14 @@ _MAKERS = {
 """Words in front that say which device measured."""
 _JUDGED = {"innovation", "innovations", "innov", "innovs", "variances", "ratios", "inconsistency", "integ"}
 """Words of what an estimator says of measurements, whatever quantity its fields are called."""
-_COMMAND_WORDS = {"cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference"}
+_COMMAND_WORDS = {
+    "cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference", "plan", "planned",
+    "predicted",
+}  # fmt: skip
 COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")
 """Channels that a driver or a controller asks for: a command of any other one is no measurement of it."""
+_SEVERAL = 3
+"""Channels whose names end with the same word, from which it says who measured and not what [1]; judgement."""
 _COMMAND_IN_FRONT = "des"
 """Short for desired, in front of what is desired; elsewhere it is a French or German article."""
 
@@ -179,6 +184,33 @@ def named_by_axis(infos: Sequence[RawChannelInfo]) -> dict[str, RawChannelInfo]:
         if set(elements) == {0, 1, 2} and not counted:
             named |= {info.name: replace(info, name=f"{bare}.{'xyz'[k]}") for k, info in elements.items()}
     return named
+
+
+def named_without_source(infos: Sequence[RawChannelInfo]) -> dict[str, RawChannelInfo]:
+    """Return columns whose last word says who measured, as if it were not there: ``x_opti`` as ``x``.
+
+    A last word is a source if it is known as one, or ends the names of several channels. So is one beside it, as
+    in ``vx_vesc`` beside ``vx_opti``. A name that means something else as it stands is left out.
+    """
+    ends: dict[str, dict[str, RawChannelInfo]] = {}  # by last word and stem
+    for info in infos:
+        *stem, word = words_of(info.name) or [""]
+        other = concepts_of([word])[0] - {"engine"} or word in _UNIT_WORDS or word in _JUDGED
+        if stem and word.isalpha() and len(word) > 2 and not other and not info.name.startswith("/"):
+            ends.setdefault(word, {})["_".join(stem)] = info
+    bare = {(word, stem): replace(info, name=stem) for word, stems in ends.items() for stem, info in stems.items()}
+    meant = {
+        word: {m.channel for stem in stems for m in meanings(bare[word, stem])[:1]} for word, stems in ends.items()
+    }
+    sources = {word for word in ends if concepts_of([word]) == (set(), 1) or len(meant[word]) >= _SEVERAL}
+    sources |= {word for word in ends if any(set(ends[word]) & set(ends[source]) for source in sources)}
+    found = {}
+    for word in sources:
+        for stem, info in ends[word].items():
+            own = {m.channel for m in meanings(info)}
+            if not own or own == {m.channel for m in meanings(bare[word, stem])}:
+                found[info.name] = bare[word, stem]
+    return found
 
 
 def stated_unit(info: RawChannelInfo) -> str | None:

@@ -26,6 +26,7 @@ from split_cli.logs.drafting.naming import (
     is_command,
     meanings,
     named_by_axis,
+    named_without_source,
     spelled_without_unit,
     stated_unit,
     words_of,
@@ -132,7 +133,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     taken = {name for s in suggestions for name in s.sources}
     known = {s.channel for s in suggestions}
     left_out, opened = opened, [s for s in opened if s.channel not in known and not set(s.sources) & taken]
-    unused = tuple(info.name for info in infos if info.name not in taken)
+    unused = tuple(info.name for info in infos if info.name not in taken and f": {quoted(info.name)}," not in line)
     bare = {note.where for note in recording.notes if note.what.startswith("not readable")}
     undefined = dict.fromkeys(i.type_name for i in infos if i.name in bare and "/" in i.type_name)
     left_by = what_tells_left({s.channel: s for s in suggestions if s.status != "open"}, infos)
@@ -229,7 +230,7 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
         asked = info is not None and asks_by_type(info)
         found.append(TrialCandidate(channel, sources, 3, stated or unit, convert, by_convention, asked=asked))
     by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
-    axes = named_by_axis(infos)
+    renamed = named_without_source(infos) | named_by_axis(infos)
     for info in infos:
         if info == time or info.type_name == "text" or info.name in by_field or is_of_a_state(info, infos):
             continue
@@ -237,7 +238,7 @@ def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> lis
             continue
         unit = stated_unit(info)
         asked = info.name.startswith("/") and is_of_a_command(info.name.rpartition("/")[0])
-        for meaning in meanings(axes.get(info.name, info)):
+        for meaning in meanings(renamed.get(info.name, info)):
             channel = meaning.channel
             if asked and channel not in COMMANDED:
                 continue
@@ -454,10 +455,14 @@ def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[st
 def _yaw_of_the_pose(
     chosen: Mapping[str, Suggestion], options: Sequence[TrialCandidate], trial: Trial
 ) -> dict[str, Suggestion]:
-    """Return the yaw of the message that X is taken from, if it has one: two estimators have two axes X."""
+    """Return the yaw of the message or source that X is taken from: two estimators have two axes X.
+
+    Of a table's columns the last word is the source: ``x_opti`` and ``yaw_opti``, beside ``yaw_imu``.
+    """
 
     def message(sources: Sequence[str]) -> str:
-        return sources[0].rpartition("/")[0]
+        topic, words = sources[0].rpartition("/")[0], words_of(sources[0])
+        return topic or (words[-1] if len(words) > 1 else "")
 
     place = message(chosen["X"].sources) if "X" in chosen else ""
     same = next((c for c in options if place and message(c.sources) == place), None)

@@ -60,7 +60,7 @@ _WORDS: dict[str, str] = {
     "right": "right rechts 右",
     "command": (
         "cmd cmded command commanded commands demand demanded dmd request requested req desired target "
-        "goal setpoint reference ref soll sollwert 目标 期望 指令"
+        "goal setpoint reference ref plan planned predicted soll sollwert 目标 期望 指令"
     ),
     "other": (
         "std stddev sigma cov covariance var variance err error accuracy quality status valid validity "

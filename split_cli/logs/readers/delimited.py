@@ -32,6 +32,8 @@ _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 _BLOCK_BYTES, _BLOCK_BYTES_A_COLUMN = 1 << 20, 200
 
 
+FIRST_UNTITLED = "column1"
+"""What the first column is called where others have titles and it has none."""
 _Columns = tuple[dict[int, np.ndarray], Counter[int], int]
 """Values by position, cells of each that are no numbers, and rows that were left out."""
 
@@ -90,6 +92,10 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
         if stated:
             known = find_unit(stated)
             unit = known.symbol if known else stated
+        if not name and index == 0 and any(sniffed.header) and not _is_text(sniffed, index):
+            # The index of a table, which programs write without a title: row numbers, or the time.
+            name = FIRST_UNTITLED
+            note_once(notes, ReadNote(f"a first column without a title, called {name}", path.name))
         if not name:
             continue
         columns[unique.of(name)] = (index, unit)
