@@ -164,6 +164,8 @@ def _finding(late: DelayEstimate) -> ConsistencyFinding:
             f"Or r is as much {other}: nothing recorded decides. Pass `--delay {late.channel}={late.delay:.3g}` "
             f"or `--delay r={-late.delay:.3g}`."
         )
+        if late.channel == "delta" and late.delay < 0.0:
+            remedy += " A command comes before the wheels move: if delta is one, say `kind: command` in the map."
     elif late.channel == "r" and late.reference != "vx":
         remedy = f"`--delay r={late.delay:.3g}` moves it; `--estimate-delays` would move the others."
     text = (
