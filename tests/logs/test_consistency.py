@@ -293,3 +293,40 @@ def test_a_drive_that_cannot_tell_a_course_from_a_yaw_is_not_said_to_have_one(sp
     assert "course" not in {
         f.check for f in check_consistency(drive, PlantedDrive().vehicle, {}, frozenset()).findings
     }
+
+
+def of_a_clock(drive: PlantedDrive, factor: float, begin: float, end: float, altered=()) -> Consistency:
+    """Return what is found where the clock counts `factor` times too fast from `begin` to `end` [s]."""
+    recording = drive.recording(noise=NOISE)
+    for name, signal in recording.signals.items():
+        fast = np.clip(signal.time, begin, end) - begin
+        values = np.where(fast % (end - begin) > 0.0, factor, 1.0) * signal.values
+        recording.signals[name] = (
+            replace(signal, values=values)
+            if name in altered
+            else replace(signal, time=signal.time + (0.0 if altered else factor - 1.0) * fast)
+        )
+    return assemble_drive(recording, planted_map(), drive.vehicle).quality.consistency
+
+
+@pytest.mark.parametrize(
+    ("factor", "begin", "end"), [(1.3, 60.0, 120.0), (0.8, 30.0, 70.0), (1.3, 0.0, 40.0), (1.3, 20.0, 110.0)]
+)
+def test_a_clock_that_runs_wrong_for_a_while_is_told_with_its_samples(drive, factor, begin, end):
+    (found,) = of_a_clock(drive, factor, begin, end).findings
+    assert (found.check, found.channel) == ("clock", "time")
+    assert found.measured == pytest.approx(factor, rel=0.01)
+    told = found.text.split("from ")[1].split(" s (rows")[0].split(" to ")
+    # Its end is told by its own clock.
+    assert [float(t) for t in told] == pytest.approx([begin, begin + factor * (end - begin)], abs=1.5)
+
+
+def test_a_clock_that_is_wrong_throughout_is_told_as_one_mistake(drive):
+    (found,) = of_a_clock(drive, 1.3, -1.0, 200.0).findings
+    assert (found.check, found.channel) == ("scale", "time") and "too fast" in found.text
+    assert found.measured == pytest.approx(1.3, rel=0.01)
+
+
+@pytest.mark.parametrize("altered", [("vx",), ("r", "vy"), ("vx", "wheel_speed_fl")])
+def test_channels_that_are_wrong_for_a_while_are_no_clock(drive, altered):
+    assert "time" not in {finding.channel for finding in of_a_clock(drive, 1.3, 60.0, 120.0, altered).findings}

@@ -180,7 +180,7 @@ def test_ticks_of_ten_microseconds_are_told_as_the_clock_and_not_as_four_scales(
     t, c = planted
     names = ("X", "Y", "yaw", "vx", "r", "ax", "ay")
     draft = table(tmp_path / "a.csv", {"time": t * 1e5, **{n: c[n] for n in names}})
-    assert float(draft.time.split("the time counts ")[1].split(" times too fast")[0]) == pytest.approx(
+    assert float(draft.time.split("the time counts ")[1].split(" times too slow")[0]) == pytest.approx(
         10.0, rel=2e-3
     )
     assert {draft.of(n).status for n in ("vx", "r", "ay")} <= {"judged", "unsided"}

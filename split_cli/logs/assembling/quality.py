@@ -16,7 +16,7 @@ _KNOWN = {*CHANNELS, *EXTRA_UNITS}
 _MOST_ROWS = 12
 """Of the table, for columns that no command knows: CarSim writes 700, and what follows would be out of sight."""
 _SHOWN = 6
-_FAULTS = ("scale", "sign", "hand", "swapped", "range", "constant", "copied")
+_FAULTS = ("scale", "sign", "hand", "swapped", "range", "constant", "copied", "clock")
 _MODEL_CHANNELS = ("vx", "vy", "r", "T", "delta")
 
 

@@ -75,6 +75,9 @@ class Checks:
         self.pose_fits = True
         self.arm = 0.0
         self.relations: list[Relation] = []
+        #: What was compared, by the relation's name: both signals (N,), tolerance, whether both are 0 together.
+        self.pairs: dict[str, tuple[np.ndarray, np.ndarray, float, bool]] = {}
+        self.powers: dict[str, dict[str, int]] = {}
         self.unjudged: list[Unjudged] = []
         self._sideslip: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -149,6 +152,7 @@ class Checks:
         A derived channel carries no mistake of its own and drops out of `powers`.
         """
         powers = {channel: power for channel, power in powers.items() if channel not in self.derived}
+        self.pairs[name], self.powers[name] = (y, x, base, zeroed), powers
         slope = fit_slope(y, x, self.k.moving, zeroed=zeroed)
         if slope is None:
             self.unjudged.append(Unjudged(name, "too few samples in motion, or nothing changes"))

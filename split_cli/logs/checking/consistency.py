@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudged
+from split_cli.logs.checking.clock import changed_clock
 from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
@@ -61,6 +62,9 @@ def check_consistency(
     if world:
         return Consistency(tuple([*constant, *world]), (), tuple(checks.unjudged))
     checks.measure_relations()
+    clock = changed_clock(checks)
+    if clock:
+        return Consistency(tuple([*constant, *clock]), (), tuple(checks.unjudged))
     explanation = explain(checks.relations, vehicle, checks.magnitudes())
     found, factors, finer = list(explanation.findings), dict(explanation.factors), checks
     vy_judged = any(relation.name == ACROSS for relation in checks.relations)

@@ -8,6 +8,7 @@ import numpy as np
 from split_cli.logs.checking.mistakes import COMMON, Mistake, known_mistakes
 from split_cli.logs.checking.relations import (
     OF_THE_BODY,
+    OVER_TIME,
     SHARED,
     UNKNOWN,
     ConsistencyFinding,
@@ -28,10 +29,7 @@ _SAME_UNIT = 1.0
 _ONE_MORE_WHEEL = 0.25
 _SAME_AXES = 0.5
 """Added to the cost of one turned sign when all channels of the vehicle, or of the world, have other axes."""
-_OVER_TIME = ("r against dyaw/dt", "r against the turning of X, Y", "v_x against the speed of X, Y",
-              "a_x against dv_x/dt - v_y r")  # fmt: skip
-"""Relations to a rate of change, which a wrong clock puts off by one factor."""
-_REVERSING = _OVER_TIME[:2] + _OVER_TIME[3:]
+_REVERSING = OVER_TIME[:2] + OVER_TIME[3:]
 """Of these the ones that change their sign where time runs backwards; a speed does not."""
 _LEAST_REVERSED = 3
 """Relations with the opposite sign that are told as one mistake [1]: two may be two turned channels."""
@@ -122,17 +120,16 @@ def _backwards(relations: Sequence[Relation]) -> ConsistencyFinding | None:
 
 def _clock(relations: Sequence[Relation]) -> ConsistencyFinding | None:
     """Tell a clock that counts too fast or too slow: rates of change are off by one factor, of v_x and of r."""
-    rates = [relation for relation in relations if relation.name in _OVER_TIME and relation.slope.slope > 0.0]
+    rates = [relation for relation in relations if relation.name in OVER_TIME and relation.slope.slope > 0.0]
     if not all(any(channel in relation.powers for relation in rates) for channel in SHARED) or len(rates) < 3:
         return None
     sizes = np.log([relation.slope.slope for relation in rates])
     common = float(np.median(sizes))
-    widest = max(relation.tolerance for relation in rates)
-    if abs(common) < 3.0 * widest or any(abs(s - common) > r.tolerance for s, r in zip(sizes, rates, strict=True)):
+    if any(abs(s - common) > r.tolerance or abs(s) <= r.tolerance for s, r in zip(sizes, rates, strict=True)):
         return None
     factor = float(np.exp(common))
     text = (
-        f"the time counts {max(factor, 1.0 / factor):.4g} times too {'slow' if factor > 1.0 else 'fast'}: "
+        f"the time counts {max(factor, 1.0 / factor):.4g} times too {'fast' if factor > 1.0 else 'slow'}: "
         f"{'; '.join(relation.name for relation in rates)} are all {factor:.4g} instead of 1. "
         "Set the unit of `time:` in the map, or `time: {period: SECONDS}`."
     )
@@ -141,7 +138,7 @@ def _clock(relations: Sequence[Relation]) -> ConsistencyFinding | None:
 
 def _by_this_clock(relation: Relation, factor: float) -> Relation:
     """Return a relation as it is with the time put right."""
-    if relation.name not in _OVER_TIME and relation.leaf != "T":
+    if relation.name not in OVER_TIME and relation.leaf != "T":
         return relation
     slope = replace(relation.slope, slope=relation.slope.slope / factor)
     return replace(relation, slope=slope, corrected=None)

@@ -39,7 +39,7 @@ _HELD = 0.3
 """Share of rows that repeat the one before, from which on a channel is one of steps [1]."""
 _COMPARED = ("delta", "ax", "ay")
 """Channels that no other is compared with: their steps put off nothing but themselves."""
-_UNTRUSTED = ("scale", "sign", "range", "hand", "swapped", "world", "constant", "copied", "course")
+_UNTRUSTED = ("scale", "sign", "range", "hand", "swapped", "world", "constant", "copied", "course", "clock")
 
 
 def late_channels(

@@ -15,6 +15,9 @@ _BEYOND_PHYSICS = 4.0
 OF_THE_BODY = ("vy", "ay", "delta")
 SHARED = ("vx", "r")
 """Channels that enter several relations; every other one enters one."""
+OVER_TIME = ("r against dyaw/dt", "r against the turning of X, Y", "v_x against the speed of X, Y",
+             "a_x against dv_x/dt - v_y r")  # fmt: skip
+"""Relations to a rate of change, which a wrong clock puts off by one factor."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class ConsistencyFinding:
     """Something that does not fit together."""
 
     # ``scale``, ``sign``, ``hand``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``,
-    # ``constant``, ``copied``, ``range``, ``contradiction``, ``course``.
+    # ``constant``, ``copied``, ``range``, ``contradiction``, ``course``, ``clock``.
     check: str
     channel: str  # the one to look at
     text: str  # what was measured, what it probably is, and what to do

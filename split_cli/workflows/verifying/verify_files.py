@@ -88,7 +88,7 @@ def verify_drive(drive: Drive, path: Path) -> tuple[VerifiedItem, ...]:
     items.append(item("noise", not spoiled, "stored deviations are numbers of 0 and above", ", ".join(spoiled)))
     items += compare_sources([path.parent], ((s.name, s.sha256) for s in drive.metadata.sources), path)
     findings = check_consistency(drive, None, drive.metadata.kinds).findings
-    wrong = [f.text for f in findings if f.check in ("scale", "sign", "hand", "swapped", "range")]
+    wrong = [f.text for f in findings if f.check in ("scale", "sign", "hand", "swapped", "range", "clock")]
     items.append(item("physical consistency", not wrong, "the channels fit together", "; ".join(wrong)[:400]))
     return tuple(items)
 
