@@ -7,7 +7,7 @@ from click.testing import CliRunner
 from split_cli.cli.experiments import command
 from split_cli.errors import SplitError
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.racing.experiments import PLAN
+from split_cli.workflows.racing.experiments import PLAN, run_experiments
 from split_cli.workflows.racing.experiments_page import fill_page, tables
 from split_cli.workflows.racing.maneuver import ManeuverSettings
 
@@ -46,6 +46,22 @@ def test_every_start_set_is_written_by_an_experiment_before_it():
     assert len(set(names)) == len(names)
     with pytest.raises(SplitError, match="no experiment begins with"):
         PLAN.chosen(("smal-nominal",))
+
+
+def test_experiments_that_are_refused_leave_no_folder(tmp_path, sample_logs):
+    car = sample_logs / "road_car.yaml"
+    swept = next(
+        e.name for e in PLAN.experiments if isinstance(e.settings, ManeuverSettings) and e.model == "split"
+    )
+    for vehicles, only, says in (
+        ({"gentle": car}, "none", "no experiment begins with"),
+        ({"gentle": car, "limit": tmp_path / "missing"}, "small", "no such file"),
+        ({"gentle": car}, "formula", "formula-vehicle"),
+        ({"gentle": car}, swept, "was not run yet"),
+    ):
+        with pytest.raises(SplitError, match=says):
+            run_experiments(tmp_path / "out", vehicles, only=(only,))
+    assert not (tmp_path / "out").exists()
 
 
 def test_races_of_another_group_are_compared_with_the_nominal_ones_of_their_road():

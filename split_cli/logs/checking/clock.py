@@ -48,10 +48,10 @@ def changed_clock(checks: Checks) -> list[ConsistencyFinding]:
         f"from {t[a] - t[0]:.1f} to {t[b - 1] - t[0]:.1f} s (rows {a} to {b - 1})"
         for a, b in zip(bounds[::2], bounds[1::2], strict=True)
     ]
-    told = "; ".join(f"{name} {np.exp(value):.3g}" for name, value in factors.items())
+    measured = "; ".join(f"{name} {np.exp(value):.3g}" for name, value in factors.items())
     text = (
         f"the time counts {max(factor, 1.0 / factor):.3g} times too {'fast' if factor > 1.0 else 'slow'} "
-        f"{' and '.join(stretches)}, by what is measured there over what is measured elsewhere: {told}. "
+        f"{' and '.join(stretches)}, by what is measured there over what is measured elsewhere: {measured}. "
         "`--cut FROM:TO` leaves it out, else give the true times."
     )
     return [ConsistencyFinding("clock", "time", text, factor, None)]

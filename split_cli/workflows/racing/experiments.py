@@ -208,19 +208,25 @@ def run_experiments(
     """
     say = progress or (lambda text: None)
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    if "gentle" in vehicles:
-        lagged = folder / "vehicle_lagged.yaml"
-        write_vehicle(read_vehicle(vehicles["gentle"]).with_effects(PAST_TERM), lagged)
-        vehicles = {**vehicles, "lagged": lagged}
+    cars = {name: read_vehicle(path) for name, path in vehicles.items()}
     ran, chosen = [], PLAN.chosen(only)
+    if "gentle" in vehicles:
+        vehicles = {**vehicles, "lagged": folder / "vehicle_lagged.yaml"}
     lacking = sorted({experiment.vehicle for experiment in chosen} - set(vehicles))
     if only and all(experiment.vehicle in lacking for experiment in chosen):
         options = " and ".join(f"--{name}-vehicle" for name in lacking)
         raise SplitError(f"names experiments that need {options}", where="--only", advice="Give these files.")
-    for experiment in chosen:
-        if (folder / f"{experiment.name}.json").exists() or experiment.vehicle not in vehicles:
-            continue
+    due = [e for e in chosen if e.vehicle in vehicles and not (folder / f"{e.name}.json").exists()]
+    made = {experiment.name for experiment in due}
+    for experiment in due:
+        origin = experiment.settings.start_set
+        if origin is not None and origin not in made and not (folder / f"{origin}.split").exists():
+            raise SplitError(f"needs the set of {origin}, which was not run yet", where=experiment.name)
+    # What is wrong with the arguments is told by now: a run that is refused leaves no folder.
+    folder.mkdir(parents=True, exist_ok=True)
+    if "gentle" in cars:
+        write_vehicle(cars["gentle"].with_effects(PAST_TERM), vehicles["lagged"])
+    for experiment in due:
         say(experiment.name)
         _run(experiment, folder, vehicles[experiment.vehicle], say)
         ran.append(experiment.name)
@@ -237,11 +243,7 @@ def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callabl
         record = asdict(result.summary())
     else:
         if settings.start_set is not None:
-            origin = folder / f"{settings.start_set}.split"
-            if not origin.exists():
-                what = f"needs the set of {settings.start_set}, which was not run yet"
-                raise SplitError(what, where=str(origin))
-            settings = replace(settings, start_set=origin)
+            settings = replace(settings, start_set=folder / f"{settings.start_set}.split")
         learns = experiment.model.startswith("nominal") and settings.scenario == "iso3888-1"
         result = run_maneuvers(settings, vehicle, set_output=trained if learns else None)
         traces |= {f"run{k}": run.trace for k, run in enumerate(result.runs)}
