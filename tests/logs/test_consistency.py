@@ -158,6 +158,26 @@ def test_the_sign_and_the_place_of_lateral_velocity_follow_from_its_share_of_yaw
     np.testing.assert_allclose(moved.drive["vy"], drive.at("vy", moved.drive["t"]), atol=0.15)
 
 
+@pytest.mark.parametrize("others", [("X", "Y", "yaw", "ay"), ("ay",), ()])
+def test_a_lateral_velocity_of_neither_axle_nor_cg_is_told_by_whatever_shows_it(drive, others):
+    """Half the way to the rear axle: the path tells, else the accelerometer; the sideslip alone leaves a doubt."""
+    half = 0.5 * drive.vehicle.cg_to_rear_axle
+    channels = ("vx", "vy", "r", "T", "delta", *others)
+    recording = drive.recording(channels, noise=NOISE)
+    sensor = recording.signals["vy"]
+    moved = sensor.values - half * drive.at("r", sensor.time)
+    recording.signals["vy"] = replace(sensor, values=moved)
+    found = assemble_drive(recording, planted_map(channels), drive.vehicle).quality.consistency
+    if others:
+        (placed,) = found.findings
+        assert placed.check == "place" and abs(placed.measured - half) < 0.05 + 2.0 * (placed.error or 0.0)
+        assert f"position: {{x: -{drive.vehicle.cg_to_rear_axle - placed.measured:.2f}, y: 0.0}}" in placed.text
+    else:
+        (doubt,) = [one.reason for one in found.unjudged if one.check == "place of v_y"]
+        assert found.findings == ()  # no delay of the steer angle either: its identity needs v_y
+        assert float(doubt.split("place ")[1].split()[0]) == pytest.approx(half, abs=0.1)
+
+
 def test_yaw_with_another_zero_is_told_with_its_offset(drive):
     (finding,) = judged(drive, altered={"yaw": lambda v: v + 0.5 * np.pi}).findings
     assert finding.check == "direction" and finding.measured == pytest.approx(-0.5 * np.pi, abs=0.02)

@@ -10,7 +10,7 @@ from split_cli.logs.checking.clock import changed_clock
 from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
-from split_cli.logs.checking.place import behind_the_accelerometer
+from split_cli.logs.checking.place import place_of_lateral_velocity
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
@@ -96,13 +96,11 @@ def check_consistency(
     exchanged = exchanged_accelerations(finer)
     findings = [*constant, *found, *exchanged]
     if not {"vx", "r"} & wrong:
-        placed = finer.sideslip_place()
+        placed = place_of_lateral_velocity(finer, not {"ay", "vy"} & wrong)
         if "vx" in factors and not vy_judged and placed:
             # Whether v_y has the unit of v_x is open: a place that only one of the two gives is none.
-            as_it_is = {**finer.k.columns, "vy": drive.columns["vy"]}
-            placed = Checks(as_it_is, drive, vehicle, kinds, certain).sideslip_place() and placed
-        if not placed and not {"ay", "vy"} & wrong:
-            placed = behind_the_accelerometer(finer)
+            as_it_is = Checks({**finer.k.columns, "vy": drive.columns["vy"]}, drive, vehicle, kinds, certain)
+            placed = place_of_lateral_velocity(as_it_is, not {"ay", "vy"} & wrong) and placed
         # Of a v_y that is off by what nothing tells, neither bias nor grip can be told.
         findings += [f for f in finer.straight_line() if f.channel != "vy" or "vy" not in wrong]
         findings += [*placed, *(finer.grip() if "vy" not in wrong else ())]

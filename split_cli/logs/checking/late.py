@@ -10,6 +10,7 @@ from split_cli.logs.checking.consistency import Consistency, corrected_columns
 from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.lag import fit_lag
+from split_cli.logs.checking.place import PLACE_IN_DOUBT
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
@@ -66,7 +67,8 @@ def late_channels(
     columns, period, segments, holds = _looked_at(drive, kinds, known, wrong, _ROWS)
     if "vx" not in columns:
         return [], []
-    if any(f.channel == "vy" and f.check == "bias on straights" for f in known.findings):
+    wanders = any(f.channel == "vy" and f.check == "bias on straights" for f in known.findings)
+    if wanders or any(one.check == PLACE_IN_DOUBT for one in known.unjudged):
         columns.pop("delta", None)  # an angle of v_y that wanders passes for a lag; the yaw rate tells without v_y
     found: list[ConsistencyFinding] = []
     timed: set[str] = set()

@@ -6,16 +6,76 @@ from split_cli.logs.checking.checks import Checks, Unjudged
 from split_cli.logs.checking.kinematics import block_interval
 from split_cli.logs.checking.relations import ConsistencyFinding
 
+PLACE_IN_DOUBT = "place of v_y"
+"""What stands under *could not be judged* where v_y is of no axle, nor of the CG."""
 _SURE = 4.0
 """Standard errors from which on a place differs from another [1]."""
-_FAR_BETTER = 0.25
-"""Variance that a place leaves, of what delays, gain and offset leave without it, from which on it is one [1]."""
+_BETTER = 0.5
+"""Variance that a place leaves, of what delays, gain and offset leave without it, from which on it is one [1]: a
+right log of brisk driving leaves 0.98 to 1.00, half the distance to the rear axle 0.02 to 0.35."""
 _NEAR = 0.3
-"""Of the distance from the CG to an axle, within which a place is that axle's [1]."""
+"""Of the distance from the CG to an axle, within which a place is that axle's, or the CG's [1]."""
+
+
+def place_of_lateral_velocity(checks: Checks, by_accelerometer: bool) -> list[ConsistencyFinding]:
+    """Tell where v_y is measured: by the path across yaw, the accelerometer or the sideslip that tyres need.
+
+    In this order, from the surest: the path and the accelerometer need no tyre, and the path no other sensor.
+    """
+    return (
+        _by_the_path(checks)
+        or (behind_the_accelerometer(checks) if by_accelerometer else [])
+        or _by_the_sideslip(checks)
+    )
+
+
+def _by_the_path(checks: Checks) -> list[ConsistencyFinding]:
+    if not checks.arm:
+        return []
+    car = checks.vehicle
+    name, entry = _name_and_entry(checks)
+    at = "the rear axle" if checks.arm > 0.0 else "the front axle"
+    axle = car.cg_to_rear_axle if checks.arm > 0.0 else -car.cg_to_front_axle
+    near = abs(checks.arm - axle) < _NEAR * abs(axle)
+    place = at.removeprefix("the ").replace(" ", "_") if near else f"{{x: {-checks.arm:.2f}, y: 0.0}}"
+    text = (
+        f"{name} is measured {abs(checks.arm):.2f} m {'behind' if checks.arm > 0.0 else 'ahead of'} the CG, by "
+        f"the path across yaw{f': near {at}' if near else ''}. Set `position: {place}`{entry}."
+    )
+    return [ConsistencyFinding("place", "vy", text, car.cg_to_rear_axle - checks.arm, None)]
+
+
+def _by_the_sideslip(checks: Checks) -> list[ConsistencyFinding]:
+    """Tell from the fit of the sideslip at which distance p ahead of the rear axle v_y is measured.
+
+    The rear tyres need the slip m l_f a/(L C_r), so q > 0; at the CG p is l_r. Between the axle and the CG a place
+    is not told from tyres near their limit, and stands under what could not be judged.
+    """
+    fit = checks.sideslip_fit()
+    if fit is None:
+        return []
+    name, entry = _name_and_entry(checks)
+    (p, q), (error, _) = fit[0][:2], fit[1][:2]
+    car, l_r = checks.vehicle, checks.vehicle.cg_to_rear_axle
+    where = f"{name} follows a place {p:.2f} +- {error:.2f} m ahead of the rear axle, the CG is at {l_r:.2f} m"
+    if q > 0.0 and abs(p) < _NEAR * l_r and p + _SURE * error < 0.6 * l_r:
+        text = f"{where}: it is measured at the rear axle, or near it. Set `position: rear_axle`{entry}."
+        return [ConsistencyFinding("place", "vy", text, float(p), float(error))]
+    if q > 0.0 and p - _SURE * error > 1.5 * l_r and abs(p - car.wheelbase) < _NEAR * car.wheelbase:
+        text = f"{where}: it is near the front axle: `position: front_axle`{entry}."
+        return [ConsistencyFinding("place", "vy", text, float(p), float(error))]
+    if q > 0.0 and abs(p - l_r) > _NEAR * l_r + _SURE * error:
+        reason = f"{where}. If the sensor is elsewhere, give its `position:`; tyres near their limit look alike"
+        checks.unjudged.append(Unjudged(PLACE_IN_DOUBT, reason))
+    return []
+
+
+def _name_and_entry(checks: Checks) -> tuple[str, str]:
+    return ("The side-slip angle", " for `sideslip`") if checks.of_sideslip else ("v_y", "")
 
 
 def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
-    """Tell how far behind the accelerometer v_y is measured, where that is the distance of an axle from the CG.
+    """Tell how far behind the accelerometer v_y is measured, as far as an axle is from the CG.
 
     a_y - v_x r - dv_y/dt = x dr/dt + tau v_x dr/dt + sigma da_y/dt + c a_y + b, with x the distance [m]. Delays
     tau of r and sigma of a_y, a gain c and an offset b are not reported, and where they do as well, no place is. A
@@ -49,15 +109,20 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     # A delay acts as a place does at one speed; of a large one, the first derivative is not all.
     without = np.delete(design, 0, axis=1)
     rest_without = y - without @ np.linalg.lstsq(without, y, rcond=None)[0]
-    if np.var(y - design @ fitted) > _FAR_BETTER * np.var(rest_without):
+    if np.var(y - design @ fitted) > _BETTER * np.var(rest_without):
         return []
     axle, reach = ("rear", car.cg_to_rear_axle) if x > 0.0 else ("front", car.cg_to_front_axle)
-    if abs(x) < _SURE * error or abs(abs(x) - reach) > _NEAR * reach:
+    if not max(_SURE * error, _NEAR * reach) < abs(x) < (1.0 + _NEAR) * reach:
         return []
     whose, entries = ("X, Y and v_y of them are", "X and Y") if checks.of_pose else ("v_y is", "vx and vy")
+    if checks.of_sideslip:
+        whose, entries = "The side-slip angle is", "`sideslip`"
+    near = abs(abs(x) - reach) < _NEAR * reach
+    place = f"{axle}_axle" if near else f"{{x: {-x:.2f}, y: 0.0}}"
     text = (
         f"{whose} of a point {abs(x):.2f} +- {max(error, 0.01):.2f} m {'behind' if x > 0.0 else 'ahead of'} the "
-        f"accelerometer: by a_y - v_x r - dv_y/dt against dr/dt. If that is at the CG, it is the {axle} axle: "
-        f"set `position: {axle}_axle` for {entries}. If not, give `position:` of ax and ay."
+        f"accelerometer: by a_y - v_x r - dv_y/dt against dr/dt. If that is at the CG"
+        f"{f', it is the {axle} axle' if near else ''}: set `position: {place}` for {entries}. If not, give "
+        "`position:` of ax and ay."
     )
-    return [ConsistencyFinding("place", "vy", text, float(x), float(error))]
+    return [ConsistencyFinding("place", "vy", text, car.cg_to_rear_axle - x, error)]
