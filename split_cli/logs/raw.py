@@ -115,7 +115,7 @@ class TableRecording:
         return [RawChannelInfo(s.name, self.type_name, len(s.values), s.unit) for s in self.signals.values()]
 
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
-        """Return the named columns; see `Recording.read`."""
+        """Return the named columns; see `RawRecording.read`."""
         missing = [name for name in names if name not in self.signals]
         if missing:
             advice = nearest_names(missing[0], self.signals)
@@ -141,7 +141,7 @@ class LazyTableRecording:
         return list(self.infos)
 
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
-        """Return the named columns; see `Recording.read`."""
+        """Return the named columns; see `RawRecording.read`."""
         known = {info.name for info in self.infos}
         for name in names:
             if name not in known:

@@ -1,4 +1,4 @@
-"""One file a log format; each turns a recording into the `Recording` of logs.raw, with nothing converted.
+"""One file a log format; each turns a recording into a `RawRecording` of logs.raw, with nothing converted.
 
 May import: logs.raw, signals, files, errors. `open_recording` finds the reader.
 """
