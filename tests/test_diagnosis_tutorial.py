@@ -39,8 +39,12 @@ def test_the_pair_is_diagnosed_as_the_page_says(followed):
     (finding,) = findings(folder, "diagnosis")
     assert finding["term"] == "drive_gain"
     assert "mass+friction_scale+yaw_inertia" in finding["alternatives"]
-    # "14.8 % too weak", and the vehicle file's excerpt.
-    assert finding["parameters"]["brake_gain"]["value"] == pytest.approx(0.852, abs=0.002)
+    # "14.8 % too weak", its interval on the page, and the vehicle file's excerpt.
+    brakes = finding["parameters"]["brake_gain"]
+    assert brakes["value"] == pytest.approx(0.852, abs=0.002)
+    stated = re.search(r"14\.8 % too weak \(95 %\s+interval:\s+([\d.]+) to ([\d.]+) %\)", PAGE).groups()
+    ends = [100.0 * (1.0 - end) for end in reversed(brakes["interval_95"])]
+    assert ends == pytest.approx([float(x) for x in stated], abs=0.2)
     (effect,) = yaml.safe_load((folder / "diagnosis" / "vehicle_corrected.yaml").read_text())["effects"]
     assert effect["term"] == "drive_gain"
     named = set(re.findall(r"^\| `([\w./]+)` \|", PAGE, flags=re.M))
@@ -79,7 +83,9 @@ def test_the_step_tells_delay_from_lag(followed):
     # What the lap names is no better than the other; the step turns them round.
     assert {lap["term"], *lap["alternatives"]} == {"steer_lag", "steer_delay"}
     assert step["term"] == "steer_delay"
-    assert step["parameters"]["delay"]["value"] == pytest.approx(0.0295, abs=0.002)
+    delay, stated = step["parameters"]["delay"], re.search(r"with ([\d.]+) ms[^:]*: ([\d.]+) to ([\d.]+)\)", PAGE)
+    found = [1e3 * x for x in (delay["value"], *delay["interval_95"])]
+    assert found == pytest.approx([float(x) for x in stated.groups()], abs=2.0)
 
 
 def test_the_trained_set_improves_the_corrected_vehicle_as_told(followed):

@@ -38,7 +38,7 @@ ROOMS = ("statement", "recording", "baseline", "innovations", "remainder", "sear
 # The rooms of other layers, from the ground up; files beside them are the ground, which imports no room.
 ROOMS_OF = {
     "logs": ("readers", "checking", "assembling", "drafting"),
-    "workflows": ("ingesting", "training", "verifying", "proving", "racing", "race_report"),
+    "workflows": ("ingesting", "training", "verifying", "proving", "racing"),
 }
 # diagnosis may see neither the plant that makes test recordings nor the proof that conceals them (one number, so
 # neither may import the other), and the plant nothing but the ground.
@@ -269,7 +269,7 @@ def test_the_reader_of_arrows_sees_an_upward_one(file, text, expected):
         ("diagnosis/verdict/findings.py", "from split_cli.diagnosis.search.fitting import Fit", False),
         ("diagnosis/parallel.py", "from split_cli.diagnosis.statement.result import Diagnosis", True),
         ("diagnosis/recording/series.py", "from split_cli.diagnosis.engine import diagnose", True),
-        ("logs/checking/delay.py", "from split_cli.logs.assembling.derive import derive", True),
+        ("logs/checking/channel_delays.py", "from split_cli.logs.assembling.derive import derive", True),
         ("logs/drafting/trial.py", "from split_cli.logs.checking.checks import Check", False),
         ("logs/drive.py", "from split_cli.logs.checking.checks import Check", True),
     ],

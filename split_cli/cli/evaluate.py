@@ -148,7 +148,7 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
         run = evaluate_files(drives, vehicle_path, asked, set_path, say=progress, engine=where)
     progress.close()
     if output is not None:
-        from split_cli.workflows.recording_report import write_evaluation
+        from split_cli.workflows.pages import write_evaluation
 
         drawn = write_evaluation(run, output)
         click.echo(f"split: report in {output / 'report.html'}", err=True)

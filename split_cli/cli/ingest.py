@@ -180,7 +180,7 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
 
 
 def _write_report(run, vehicle_path, path: Path) -> None:
-    from split_cli.workflows.recording_report import write_recording_report
+    from split_cli.workflows.pages import write_recording_report
 
     if len(run.results) != 1:
         raise click.UsageError(f"--report shows one drive, {len(run.results)} were made; ingest one at a time.")

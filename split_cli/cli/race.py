@@ -215,7 +215,7 @@ def command(
             )
     if report is not None:
         from split_cli.files import atomic_write_text
-        from split_cli.workflows.race_report.page import race_page
+        from split_cli.workflows.racing.race_page import race_page
 
         atomic_write_text(report, race_page(results, results[0].path))
     if as_json:

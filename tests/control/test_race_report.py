@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from split_cli.control.path import resampled
-from split_cli.workflows.race_report.page import race_charts, race_page
+from split_cli.workflows.racing.race_page import race_charts, race_page
 from split_cli.workflows.racing.result import Lap, RaceResult
 
 HOSTILE = "</script><script>window.taken = 1</script>"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
-from split_cli.logs.checking.lag import fit_lag
+from split_cli.logs.checking.best_lag import fit_lag
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
 NOISE = {

@@ -14,7 +14,7 @@ from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.derivation import DerivationInputs, Derived
 from split_cli.logs.assembling.derive import DERIVATIONS, can_derive, derivation_named, reachable
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
-from split_cli.logs.assembling.placing import move_to_cg
+from split_cli.logs.assembling.moving_to_cg import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport
 from split_cli.logs.assembling.resample import SampleClock
 from split_cli.logs.assembling.synchronize import (
@@ -29,10 +29,10 @@ from split_cli.logs.assembling.synchronize import (
     without_missing,
 )
 from split_cli.logs.assembling.trim import trim
+from split_cli.logs.checking.channel_delays import DelayEstimate, estimate_delays
 from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.copies import copied_channels, without_copies
-from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
-from split_cli.logs.checking.late import late_channels
+from split_cli.logs.checking.late_channels import late_channels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
 from split_cli.logs.map_entries import SignalMap, TimeBase
 from split_cli.logs.raw import Clock, RawRecording

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from split_cli.logs.assembling.clean import CleanSeries, Drop
+from split_cli.logs.checking.channel_delays import DelayEstimate
 from split_cli.logs.checking.consistency import Consistency
-from split_cli.logs.checking.delay import DelayEstimate
 from split_cli.logs.map_entries import EXTRA_UNITS
 from split_cli.signals import CHANNELS
 

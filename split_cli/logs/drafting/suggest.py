@@ -18,7 +18,6 @@ from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, cor
 from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_no_measurement, is_of_a_command
 from split_cli.logs.drafting.handedness import what_tells_left, without_a_side
-from split_cli.logs.drafting.multiples import copies_of_others, with_units_of_multiples
 from split_cli.logs.drafting.nameless import is_of_a_state, named_by_motion
 from split_cli.logs.drafting.naming import (
     COMMANDED,
@@ -41,6 +40,7 @@ from split_cli.logs.drafting.single_channel import (
     read_yaw_rate,
     without_the_tilted,
 )
+from split_cli.logs.drafting.speed_units import copies_of_others, with_units_of_multiples
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.table_layout import hints_on_the_form
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from split_cli.logs.checking.best_lag import LagFit, fit_lag, is_sure
 from split_cli.logs.checking.kinematics import Kinematics
-from split_cli.logs.checking.lag import LagFit, fit_lag, is_sure
 from split_cli.vehicle.parameters import Vehicle
 
 _WIDTH = 0.12

@@ -41,7 +41,7 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
     """
     learners = ", ".join(dict.fromkeys(_called(race) for race in races))
     charts = race_charts(races)
-    package = files("split_cli.workflows.race_report")
+    package = files("split_cli.workflows.racing")
     body = Template(package.joinpath("race.html").read_text("utf-8")).substitute(
         headline=heading(_headline(races)),
         caution=_caution(races),

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from split_cli.logs.checking.best_lag import fit_lag
+from split_cli.logs.checking.channel_delays import DelayEstimate, estimate_delays
 from split_cli.logs.checking.checks import ACROSS, Unjudged
 from split_cli.logs.checking.consistency import Consistency, corrected_columns
-from split_cli.logs.checking.delay import DelayEstimate, estimate_delays
 from split_cli.logs.checking.kinematics import Kinematics
-from split_cli.logs.checking.lag import fit_lag
-from split_cli.logs.checking.place import PLACE_IN_DOUBT
+from split_cli.logs.checking.measuring_point import PLACE_IN_DOUBT
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
