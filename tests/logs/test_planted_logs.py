@@ -45,10 +45,6 @@ def only(found):
     return finding
 
 
-def test_a_right_log_is_told_nothing(planted):
-    assert ingested(planted, wheels={n: n for n in ("fl", "fr", "rl", "rr")}).findings == ()
-
-
 def test_a_clock_in_another_unit_is_named_where_no_row_can_be_used(planted):
     with pytest.raises(LogError, match="probably in ms"):
         ingested(planted, time=1e3)

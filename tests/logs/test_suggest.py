@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from split_cli.logs.drafting.draft import in_ranges
-from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import Draft, Suggestion, draft_map, render_draft
-from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import map_from_mapping, read_map
@@ -197,17 +195,6 @@ def test_a_command_beside_a_pose_alone_is_compared_with_the_turning_of_the_path(
     assert "it is right-positive; `scale: -WHEELBASE" in reason
     # What the planted car's understeer adds at speed is told apart.
     assert size * largest == pytest.approx(planted.vehicle.wheelbase, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("name", "channel"),
-    [("DesYaw", None), ("desired_yaw", None), ("Yaw", "yaw"), ("DesSteer", "delta"), ("delta_cmd", "delta"),
-     ("delta_v_cmd", None), ("delta_t", None), ("V_cmd", None), ("speed_vesc", "vx"), ("motor_speed", None)],
-)  # fmt: skip
-def test_what_is_desired_is_not_taken_for_measured(name, channel):
-    """ArduPilot and others put `Des` in front; a steering that is desired is the command that is looked for."""
-    found = [one.channel for one in meanings(RawChannelInfo(name, "number", 100))]
-    assert found == ([] if channel is None else [channel])
 
 
 def test_elements_of_one_array_stand_as_one_name_among_what_is_not_used():

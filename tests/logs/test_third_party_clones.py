@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
-from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map
-from split_cli.logs.raw import RawChannelInfo, column_name_and_unit
 from split_cli.logs.readers.opening import open_recording
 from split_cli.workflows.ingesting.init import init_project
 from tests.logs.planted import PlantedDrive, planted_map
@@ -102,27 +100,6 @@ def test_a_steering_angle_is_taken_before_a_share_of_the_lock(planted, tmp_path)
     _write(columns, tmp_path)
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.of("delta").sources == ("steering",) and draft.of("delta").status != "open"
-
-
-@pytest.mark.parametrize(
-    ("title", "channel"),
-    [
-        ("VBOX_Long_Minutes", "longitude"),
-        ("VBOX_Lat_Min", "latitude"),
-        ("Longitudinal Acceleration (m/s^2)", "ax"),
-        ("THRTL", "throttle"),
-        ("APPS1", "throttle"),
-        ("aps", "throttle"),
-        ("Accel_Pedal_Pos", "throttle"),
-        ("MO_Fahrpedalwert", "throttle"),
-        ("accelerator_pedal_gradient_sign", None),
-        ("m_frontWheelsAngle", "delta"),
-    ],
-)
-def test_names_of_public_logs(title, channel):
-    name, unit = column_name_and_unit(title)
-    found = [meaning.channel for meaning in meanings(RawChannelInfo(name, "column", None, unit))]
-    assert found[:1] == ([channel] if channel else [])
 
 
 def test_what_nothing_in_a_log_gives_is_no_matter_of_the_map(planted, tmp_path):

@@ -6,10 +6,8 @@ from scipy.io import savemat
 
 from split_cli.errors import LogError
 from split_cli.logs.drafting.draft import Draft, Suggestion
-from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.single_channel import read_sideslip
 from split_cli.logs.drafting.suggest import draft_map
-from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.dialect import sniff
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
@@ -201,19 +199,3 @@ def test_init_says_that_a_log_without_time_needs_one(tmp_path):
     (tmp_path / "a.csv").write_text(f"tick,speed_kph\n{rows}\n")
     steps = init_project([tmp_path / "a.csv"], tmp_path / "out").next_steps
     assert any("--row-rate" in step for step in steps)
-
-
-@pytest.mark.parametrize(
-    ("name", "channel"),
-    [
-        ("WheelAngularVelocity_FL", "wheel_speed_fl"),
-        ("Wheel Angular Velocity Rear Right", "wheel_speed_rr"),
-        ("wheels.fl.angular_velocity", "wheel_speed_fl"),
-        ("AVy_L1", "wheel_speed_fl"),
-        ("AVx_L1", None),
-        ("AVz_L1", None),
-    ],
-)
-def test_a_wheel_spins_about_its_lateral_axis_alone(name, channel):
-    found = meanings(RawChannelInfo(name, "column", None))
-    assert [one.channel for one in found] == ([channel] if channel else [])

@@ -97,13 +97,6 @@ def test_columns_of_several_quantities_with_the_same_numbers_are_measured_by_nob
     assert [meaning.channel for meaning in found] == ["r"]
 
 
-def test_the_stamp_of_a_message_of_velocities_is_none():
-    """`/gps/fix_velocity/header.stamp.nanosec` was drafted as v_x, in mm/s."""
-    for field in ("seq", "stamp.sec", "stamp.nanosec"):
-        info = RawChannelInfo(f"/gps/fix_velocity/header.{field}", "geometry_msgs/TwistStamped", 200)
-        assert meanings(info) == ()
-
-
 def test_a_yaw_rate_of_unknown_size_and_other_hand_leaves_the_satellite_fix_alone(columns, tmp_path):
     """A gyroscope decoded with another factor: the fix, the speed and a_y contradict it alike, not each other."""
     t, c = columns

@@ -9,7 +9,6 @@ from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.delimited import open_delimited
 from split_cli.logs.readers.opening import open_recording
 from split_cli.workflows.ingesting.ingest import ingest_logs
-from tests.factories import road_car
 from tests.logs.test_third_party_styles import DEG, G, Style, written
 from tests.optional import needed
 
@@ -301,8 +300,3 @@ def test_logs_that_hold_a_part_each_are_pointed_to_together(planted, tmp_path):
     with pytest.raises(MapError) as told:
         ingest_logs(logs, tmp_path / "out", maps=[tmp_path / "m.yaml"])
     assert "--together" not in str(told.value)
-
-
-def test_the_planted_car_is_the_usual_one():
-    """The sizes above are those of this car."""
-    assert road_car().wheelbase == pytest.approx(2.7)

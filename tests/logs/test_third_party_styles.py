@@ -428,21 +428,6 @@ def test_the_words_of_a_name_decide_together(name, expected):
     assert (read[0] if read else None) == expected
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("/ego/state/velocity.longitudinal", "vx"),
-        ("/ego/state/velocity.lateral", "vy"),
-        ("state.acceleration.lateral", "ay"),
-        ("/gps/position.lat", "latitude"),
-        ("fix.longitude", "longitude"),
-        ("car.longitudinal_acc", "ax"),
-    ],
-)
-def test_a_direction_is_read_with_what_it_is_the_direction_of(name, expected):
-    assert meanings(RawChannelInfo(name, "JSON", 1))[0].channel == expected
-
-
 def test_elements_of_vectors_of_three_are_read_as_axes_and_wheels_are_not():
     names = [f"/imu/acc[{k}]" for k in range(3)] + [f"/joints/velocity[{k}]" for k in range(3)]
     names += [f"wheel_speed[{k}]" for k in range(3)] + [f"v[{k}]" for k in range(4)] + ["gyro[2]"]

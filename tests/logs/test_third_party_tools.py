@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import assemble_drive
-from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.drive import read_drive, write_drive
-from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.delimited import degrees_of, seconds_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
@@ -71,22 +69,6 @@ def test_three_columns_called_speed_tell_each_others_units(planted, tmp_path):
     write(tmp_path / "log.csv", columns)
     draft = ingested(tmp_path / "log.csv", planted, tmp_path)
     assert draft.time == "time: {source: Time, unit: s}" and "multiples" in draft.of("vx").reason
-
-
-@pytest.mark.parametrize(
-    ("name", "channel"),
-    [
-        ("StWhlAng\\ETKC:1", "steering_wheel_angle"),
-        ("ESP_19::ESP_VL_Radgeschw_02", "wheel_speed_fl"),
-        ("Motor_20::MO_Fahrpedalrohwert_01", "throttle"),
-        ("LINEALG", "ax"),
-        ("LongitudinalVelocity", "vx"),
-        ("Breite", "latitude"),
-        ("Länge", "longitude"),
-    ],
-)
-def test_names_of_tools_have_one_meaning(name, channel):
-    assert [meaning.channel for meaning in meanings(RawChannelInfo(name, "column", None))] == [channel]
 
 
 @pytest.mark.parametrize(("down", "forward"), [(True, 0), (False, 0), (False, 1)])

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
-from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map
-from split_cli.logs.raw import RawChannelInfo, RawSignal
+from split_cli.logs.raw import RawSignal
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
@@ -82,16 +81,6 @@ def test_labview_writes_its_units_above_the_titles(tmp_path):
     )
     units = {info.name: info.unit for info in open_recording(tmp_path / "a.lvm").channels()}
     assert units == {"X_Value": "s", "Velocity": "km/h", "Yaw rate": "deg/s"}
-
-
-@pytest.mark.parametrize(
-    ("name", "channel"),
-    [("rotation_yaw", "yaw"), ("Rotation Z", "r"), ("pf_theta", "yaw"), ("vesc_current", "motor_current"),
-     ("Angle_Wheel_Front_L", "delta"), ("aSteer", "delta"), ("/eps/angle", "delta"), ("ESP_vq", "vy"),
-     ("carState.brakePressed", "brake")],
-)  # fmt: skip
-def test_names_of_simulators_and_model_cars(name, channel):
-    assert meanings(RawChannelInfo(name, "column", None))[0].channel == channel
 
 
 def test_a_side_slip_angle_of_the_rear_axle_is_judged_and_moved(tmp_path):

@@ -1,0 +1,44 @@
+"""Names that loggers, buses, simulators and model cars give their channels, and the one channel each may mean."""
+
+import pytest
+
+from split_cli.logs.drafting.naming import meanings
+from split_cli.logs.raw import RawChannelInfo, column_name_and_unit
+
+NAMES = {
+    "ax": ("Longitudinal Acceleration (m/s^2)", "LINEALG", "car.longitudinal_acc"),
+    "ay": ("state.acceleration.lateral",),
+    "brake": ("carState.brakePressed",),
+    # A steering that is desired is the command that is looked for.
+    "delta": ("m_frontWheelsAngle", "Angle_Wheel_Front_L", "aSteer", "/eps/angle", "DesSteer", "delta_cmd"),
+    "latitude": ("VBOX_Lat_Min", "Breite", "/gps/position.lat"),
+    "longitude": ("VBOX_Long_Minutes", "Länge", "fix.longitude"),
+    "motor_current": ("vesc_current",),
+    "r": ("Rotation Z",),
+    "steering_wheel_angle": ("StWhlAng\\ETKC:1",),
+    "throttle": (
+        "THRTL", "APPS1", "aps", "Accel_Pedal_Pos", "MO_Fahrpedalwert", "Motor_20::MO_Fahrpedalrohwert_01",
+    ),
+    "vx": ("LongitudinalVelocity", "/ego/state/velocity.longitudinal", "speed_vesc"),
+    "vy": ("/ego/state/velocity.lateral", "ESP_vq"),
+    "wheel_speed_fl": (
+        "ESP_19::ESP_VL_Radgeschw_02", "WheelAngularVelocity_FL", "wheels.fl.angular_velocity", "AVy_L1",
+    ),
+    "wheel_speed_rr": ("Wheel Angular Velocity Rear Right",),
+    "yaw": ("rotation_yaw", "pf_theta", "Yaw"),
+    # Desired values are not measured, a wheel spins about its lateral axis alone, and a motor's speed is no car's.
+    "": ("DesYaw", "desired_yaw", "delta_v_cmd", "delta_t", "V_cmd", "motor_speed", "AVx_L1", "AVz_L1",
+         "accelerator_pedal_gradient_sign", "/gps/fix_velocity/header.seq", "/gps/fix_velocity/header.stamp.sec",
+         "/gps/fix_velocity/header.stamp.nanosec"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "channel"), [(name, channel) for channel, some in NAMES.items() for name in some]
+)
+def test_a_name_means_one_channel_or_none(name, channel):
+    bare, unit = column_name_and_unit(name)
+    kind = "geometry_msgs/TwistStamped" if "header." in name else "column"
+    assert [one.channel for one in meanings(RawChannelInfo(bare, kind, None, unit))] == (
+        [channel] if channel else []
+    )
