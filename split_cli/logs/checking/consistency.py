@@ -9,7 +9,7 @@ from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudge
 from split_cli.logs.checking.clock import changed_clock
 from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
-from split_cli.logs.checking.measuring_point import behind_the_accelerometer, place_of_lateral_velocity
+from split_cli.logs.checking.measuring_point import place_of_lateral_velocity
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
 from split_cli.logs.drive import Drive
