@@ -194,6 +194,16 @@ class MarginalLikelihood:
         moved = [self._kinematic_rows(one, terms) - self._kinematic_rows(one, without) for one in self.kinematics]
         return max((float(np.sqrt(np.mean(rows**2))) for rows in moved if len(rows)), default=0.0)
 
+    def turns(self, terms: Sequence[Term]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return what yaw witnesses of each recording, means kept, terms corrected, (W,), and its blocks."""
+        out, first = [], len(self.block) - sum(len(one.begin) for one in self.kinematics)
+        for one in self.kinematics:
+            own = slice(first, first + len(one.begin))
+            first = own.stop
+            if one.kind == "turn" and len(one.begin):
+                out.append((self._kinematic_rows(one, terms), self.block[own]))
+        return out
+
     def of_witnesses(self, rows: np.ndarray) -> np.ndarray:
         """Return rows (R, ...) of what a recording knows twice, less the mean of each witness.
 

@@ -22,6 +22,7 @@ from split_cli.diagnosis.search.fitting import (
     tangent,
 )
 from split_cli.diagnosis.search.form_error import free_to_form_error, saved_beside_form_error
+from split_cli.diagnosis.search.term_tests import is_denied
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,11 @@ class Explorer:
         """Return fits of promises, with the second start of a variant where it promises more."""
         found = apart_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
         fits = [fit for several in found for fit in several]
-        return sorted((fit for fit in fits if not self.is_everywhere(fit.parts[-1])), key=self.price)
+        return sorted((fit for fit in fits if self._is_possible(fit)), key=self.price)
+
+    def _is_possible(self, fit: Fit) -> bool:
+        last = len(fit.parts) - 1
+        return not (self.is_everywhere(fit.parts[last]) or is_denied(self.objective, fit, last))
 
     def is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none, or a term is another one."""

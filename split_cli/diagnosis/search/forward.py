@@ -12,6 +12,7 @@ from split_cli.diagnosis.search.fitting import Fit, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error
 from split_cli.diagnosis.search.term_tests import (
     is_apart_from_itself,
+    is_denied,
     is_form_error,
     is_spread,
     is_witnessed,
@@ -22,6 +23,7 @@ from split_cli.diagnosis.search.term_tests import (
 )
 from split_cli.vehicle.effects import Term
 
+_DENIED = "denied by yaw"
 _ONCE = "nearly all of it in a few moments"
 _FORM_ERROR = "within the model-form error of the other terms"
 
@@ -181,10 +183,13 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
     """Return why a further term is not believed, in words; nothing where it is.
 
-    It may be no more than the others' model-form error, see `is_beyond_form_error`. Or it may save all in a few
-    moments, unless it acts at a place, which is passed once a lap.
+    Yaw may deny it, see `is_denied`. It may be no more than the others' model-form error, see
+    `is_beyond_form_error`. Or it may save all in a few moments, unless it acts at a place, which is passed once a
+    lap.
     """
     last = len(further.parts) - 1
+    if is_denied(explore.objective, further, last):
+        return _DENIED
     if not is_beyond_form_error(explore, chosen, sizes, further, last):
         return _FORM_ERROR
     return "" if is_spread(explore.objective, further, last, chosen, explore.rules) else _ONCE

@@ -35,6 +35,7 @@ from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_part
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     is_apart_from_itself,
+    is_denied,
     is_spread,
     is_witnessed,
     part_over_allowance,
@@ -332,6 +333,7 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
         )
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
         and not chosen.parts[k].candidate.is_everyday(chosen.parts[k].values)
+        and not is_denied(objective, chosen, k)
         for k, one in enumerate(without)
     ]
     named = _believed_together(explore, chosen, without, sure)

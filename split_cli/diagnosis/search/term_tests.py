@@ -146,6 +146,29 @@ def witnesses_disagree(objective: MarginalLikelihood, fit: Fit, k: int, rules: S
     return max(abs(share - 1.0) - rules.same_within * error, 0.0)
 
 
+def is_denied(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
+    """Return whether yaw denies a fault of the yaw rate that it would show.
+
+    A yaw rate has no bias where yaw turns as far as was recorded, whatever the equations of motion want of it. How
+    far a car turns is known absolutely, so means count here as well. Positions deny nothing: their reference may
+    be turned, or elsewhere, as the sensor is.
+    """
+    term, rules = fit.terms[k], objective.policy.selection
+    if not term.corrects or term.moves_samples:
+        return False
+    without, with_it = (objective.turns(terms) for terms in (fit.terms[:k] + fit.terms[k + 1 :], fit.terms))
+    agree = objective.policy.self_test.term_margin
+    for (before, block), (after, _) in zip(without, with_it, strict=True):
+        moved = before - after
+        if float(np.mean(moved**2)) < objective.policy.allowances.large**2:
+            continue
+        share = float(moved @ before) / float(moved @ moved)
+        error = _error_of_size(block, moved, before - share * moved)
+        if share + rules.same_within * error < 1.0 / agree:
+            return True
+    return False
+
+
 def is_apart_from_itself(objective: MarginalLikelihood, candidate: Candidate, saved: float) -> bool:
     """Return whether a term saves more than what halves of the simulation differ by, as a standard deviation.
 
