@@ -6,6 +6,7 @@ happens to err less would win by it. With that share free, what decides is what 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -15,7 +16,7 @@ from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.baseline.discrepancy import scaled_features
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
-from split_cli.diagnosis.search.fitting import Fit, sensitivity_of
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -121,7 +122,8 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarr
     -----
     The least of (e + J x - V u)^T P (e + J x - V u), as in `saved_beside_form_error`, J the sensitivity. That is a
     straight line at the values found, and V grows with the term: a law by which it does (1 + c) times as much
-    leaves 1/(1 + c) of its size, where the line says 1 - c. See `divided_out`.
+    leaves 1/(1 + c) of its size, where the line says 1 - c. See `divided_out`. A line that leads beyond what a car
+    can have tells nothing of what it would do up to there, so that other laws are fitted then.
     """
     laws, slopes = _other_load_laws(objective, fit), sensitivity_of(objective, fit)
     if not laws.shape[1]:
@@ -139,7 +141,28 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarr
             away = np.array([value - neutral.get(name, value) for name, value in part.values.items()])
             moved[own] = divided_out(moved[own], away, slopes[:, own])
         first = own.stop
-    return moved
+    values = np.array([value for part in fit.parts for value in part.values.values()])
+    ranges = [part.candidate.ranges[name] for part in fit.parts for name in part.values]
+    inside = [
+        one.lower <= value <= one.upper for one, value in zip(ranges, values + moved[: len(values)], strict=True)
+    ]
+    return moved if all(inside) else _moved_by_refits(objective, fit, values)
+
+
+def _moved_by_refits(objective: MarginalLikelihood, fit: Fit, values: np.ndarray) -> np.ndarray:
+    """Return how far parameters move, shape (P,), with the other law of load that leaves least once fitted."""
+    fits = [
+        fit_parts(
+            objective,
+            (*fit.parts[:k], Part(replace(part.candidate, variant=variant), part.values), *fit.parts[k + 1 :]),
+            known=fit,
+        )
+        for k, part in enumerate(fit.parts)
+        for variant in (type(part.term).variants if part.term.loads_tires else ())
+        if variant != part.candidate.variant
+    ]
+    best = min(fits, key=lambda one: one.cost)
+    return np.array([value for part in best.parts for value in part.values.values()]) - values
 
 
 def divided_out(moved: np.ndarray, away: np.ndarray, slopes: np.ndarray) -> np.ndarray:
