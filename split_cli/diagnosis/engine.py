@@ -12,7 +12,7 @@ from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.parallel import together
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale
+from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale, scales_as_terms
 from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.recording.witnesses import is_witness_of_position
@@ -124,7 +124,8 @@ def diagnose(
     # What a named sensor accounts for contradicts nothing any more.
     contradictions = out_of_scale(*positions, outcome.selection.terms, policy.screening)
     not_judged += contradictions
-    found = _compare(case, outcome, contradictions)
+    scales = scales_as_terms(*positions, outcome.selection.terms, policy.screening)
+    found = _compare(case, outcome, contradictions, scales)
     progress("sizing")
     detectable = smallest_named(outcome.objectives, candidates, outcome.variance_inflation, settings.level / _WAYS)
     if found.p_value >= settings.level:
@@ -212,15 +213,20 @@ class _Comparison:
         In the spectrum, if it is large enough.
     contradictions : tuple of str
         Sensors out of scale, see `out_of_scale`.
+    scales : mapping of str to float
+        The same as scales by term.
     """
 
     outcome: SearchOutcome
     line: Line | None
     p_value: float
     contradictions: tuple[str, ...]
+    scales: Mapping[str, float]
 
 
-def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[str, ...]) -> _Comparison:
+def _compare(
+    case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[str, ...], scales: Mapping[str, float]
+) -> _Comparison:
     """Ask five ways whether there is a difference.
 
     A name, a name in a part of the drive, a smooth function, a line, or residual autocorrelation.
@@ -250,7 +256,7 @@ def _compare(case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[
         else 1.0,
     ]
     p_value = 0.0 if contradictions else min(1.0, _WAYS * min(ways))
-    return _Comparison(outcome, line, p_value, contradictions)
+    return _Comparison(outcome, line, p_value, contradictions, scales)
 
 
 def _p_of_a_part(selection: Selection) -> float:
@@ -260,7 +266,7 @@ def _p_of_a_part(selection: Selection) -> float:
 
 def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: bool) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
-    selection, findings, remainder, unexplained = describe(found.outcome, bool(found.contradictions))
+    selection, findings, remainder, unexplained = describe(found.outcome, found.scales)
     structured, unexplained = unexplained, unexplained or found.line is not None
     forces, after = (
         [gap_forces(one, terms, case.discrepancy_rates(one, terms)) for one in case.real]

@@ -1,6 +1,7 @@
 """Speed and yaw rate against position and yaw: a sensor out of scale is reported, and no physics is."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -8,11 +9,24 @@ import pytest
 
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals, build_kinematics
-from split_cli.diagnosis.recording.scales import out_of_scale, scale_of
+from split_cli.diagnosis.recording.scales import out_of_scale, scale_of, scales_as_terms
+from split_cli.diagnosis.recording.witnesses import build_witnesses
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.term_tests import is_denied
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
+from split_cli.diagnosis.statement.result import ParameterEstimate
+from split_cli.diagnosis.verdict.findings import _stays_beside
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import driven, faulty, noisy, prepared
+from tests.diagnosis.recordings import (
+    bare_objective,
+    candidates_of,
+    driven,
+    faulty,
+    light_evidence,
+    noisy,
+    prepared,
+)
 from tests.factories import road_car
 
 
@@ -59,6 +73,48 @@ def test_a_car_that_does_not_turn_tells_no_scale_of_its_yaw_rate():
     kinematics = kinematics_of(27)
     still = replace(kinematics, angle=np.zeros_like(kinematics.angle))
     assert scale_of("r", [still]) is None
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.02])
+def test_yaw_denies_a_bias_of_the_yaw_rate_that_is_not_there(bias):
+    """Mean changes of yaw against the mean integral of r: the share of the fault that they confirm is its size."""
+    drive = recording(28)
+    drive = replace(drive, columns={**drive.columns, "r": drive["r"] + bias})
+    series = prepared(drive)
+    objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series))
+
+    def denied(term: str, values: dict[str, float]) -> bool:
+        (one,) = (one for one in candidates_of(objective, term) if not one.variant)
+        return is_denied(objective, Fit((Part(one, values),), 0.0, np.empty(0), np.empty((0, 0))), 0)
+
+    assert denied("yaw_rate_bias", {"r": 0.02}) is (bias == 0.0)
+    assert denied("yaw_rate_scale", {"scale": 1.1}) or bias
+    # What positions would show has a reference that may be turned as well.
+    assert not denied("sensor_misalignment", {"angle": 0.05})
+
+
+def test_an_offset_of_the_steering_stays_beside_a_yaw_rate_out_of_scale_and_what_looks_like_one_does_not():
+    drive = recording(29, CATALOGUE["steer_offset"]({"offset": 0.01}), r=0.95)
+    series = prepared(drive)
+    objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series))
+    scales = scales_as_terms([build_kinematics(series)], [])
+    assert scales["yaw_rate_scale"] == pytest.approx(0.95, abs=2e-3)
+    chosen = fit_parts(
+        objective,
+        [Part(one, dict(one.starts[0])) for one in candidates_of(objective, "steer_gain", "steer_offset")],
+    )
+    about = {"offset": (0.009, 0.011), "gain": (0.5, 1.5)}
+    findings = [
+        SimpleNamespace(
+            term=part.candidate.term,
+            parameters={name: ParameterEstimate(x, 0.0, "", about[name]) for name, x in part.values.items()},
+        )
+        for part in chosen.parts
+    ]
+    assert _stays_beside(objective, SimpleNamespace(chosen=chosen), findings, scales) == {"steer_offset"}
+    elsewhere = {"offset": ParameterEstimate(0.02, 0.0, "", (0.019, 0.021))}
+    narrow = [SimpleNamespace(term="steer_offset", parameters=elsewhere)]
+    assert not _stays_beside(objective, SimpleNamespace(chosen=chosen), narrow, scales)
 
 
 def test_a_speed_out_of_scale_is_named_beside_a_turned_sensor_and_contradicts_nothing_then():

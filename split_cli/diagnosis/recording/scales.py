@@ -17,7 +17,11 @@ _WORDS = {
     "v_x": "speed against position: the integral of v_x is {share} {more} than the distance by X and Y",
     "r": "yaw rate against yaw: the integral of r is {share} {more} than the change of yaw",
 }
-_ADVICE = "; correct the scale of that sensor and diagnose again, effects of the car are not identified before"
+_TERMS = {"v_x": "speed_scale", "r": "yaw_rate_scale"}
+_ADVICE = (
+    "; correct the scale of that sensor and diagnose again, "
+    "effects of the car that depend on it are not identified before"
+)
 
 
 def out_of_scale(
@@ -35,18 +39,42 @@ def out_of_scale(
     terms : sequence of Term
         Found; the real sensors are corrected by them.
     """
-    out, least = [], rules.least_scale_error
-    for name, words in _WORDS.items():
+    out, agreed = [], 0.5 * rules.least_scale_error
+    for name, (ours, theirs) in _wrong(real, simulated, terms, rules).items():
+        and_not = ", in the simulation they agree" if simulated and abs(theirs - 1.0) < agreed else ""
+        share = f"{100.0 * abs(ours - theirs):.2g} %"
+        out.append(_WORDS[name].format(share=share, more="more" if ours > theirs else "less") + and_not + _ADVICE)
+    return tuple(out)
+
+
+def scales_as_terms(
+    real: Sequence[KinematicResiduals],
+    simulated: Sequence[KinematicResiduals],
+    terms: Sequence[Term] = (),
+    rules: Screening = STANDARD.screening,
+) -> dict[str, float]:
+    """Return the scale [1] of what `out_of_scale` tells of, by the id of the term that corrects it."""
+    wrong = _wrong(real, simulated, terms, rules)
+    return {_TERMS[name]: ours - theirs + 1.0 for name, (ours, theirs) in wrong.items()}
+
+
+def _wrong(
+    real: Sequence[KinematicResiduals],
+    simulated: Sequence[KinematicResiduals],
+    terms: Sequence[Term],
+    rules: Screening,
+) -> dict[str, tuple[float, float]]:
+    """Return the scales of v_x and r in reality and in the simulation [1], of those that differ."""
+    out = {}
+    for name in _WORDS:
         theirs = scale_of(name, simulated) if simulated else (1.0, 0.0)
         ours = scale_of(name, real, terms)
         if ours is None or theirs is None:
             continue
-        excess, error = ours[0] - theirs[0], float(np.hypot(ours[1], theirs[1]))
-        if abs(excess) > max(least, rules.sure_scale_error * error):
-            and_not = ", in the simulation they agree" if simulated and abs(theirs[0] - 1.0) < 0.5 * least else ""
-            share = f"{100.0 * abs(excess):.2g} %"
-            out.append(words.format(share=share, more="more" if excess > 0.0 else "less") + and_not + _ADVICE)
-    return tuple(out)
+        error = float(np.hypot(ours[1], theirs[1]))
+        if abs(ours[0] - theirs[0]) > max(rules.least_scale_error, rules.sure_scale_error * error):
+            out[name] = ours[0], theirs[0]
+    return out
 
 
 def in_sentences(contradictions: Sequence[str]) -> list[str]:

@@ -30,8 +30,10 @@ from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error
 from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
 from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along
 from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects.search import Range
 
 _SHOWN_RIVALS = 6
+_SCALE_STEP = 1e-3  # [1] by which a scale that is known is varied beside others
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,15 @@ class _Reported:
 
 
 def describe(
-    outcome: SearchOutcome, contradicted: bool = False
+    outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyType({})
 ) -> tuple[Selection, tuple[Finding, ...], RemainderTest, bool]:
     """Return what is trusted of a reading's selection, its findings, what is left, and whether that has no name.
 
     Parameters
     ----------
-    contradicted : bool
-        Whether speed or yaw rate is out of scale: then physics is not named, which might stand for it.
+    scales : mapping of str to float
+        Scales of speed or yaw rate that no finding accounts for, see `scales_as_terms`. Physics might stand for
+        them, and is named only where it stays as it is beside them.
     """
     structure, selection, variance_inflation = outcome.structure, outcome.selection, outcome.variance_inflation
     objective = structure.objective
@@ -65,11 +68,12 @@ def describe(
     unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome)
     unexplained |= bool(bent) or _errs_too_much(objective, selection, variance_inflation)
     kept = {one.term for one in findings}
-    if contradicted:
-        unexplained, kept = True, {one.term for one in findings if not one.exported}
-    elif unexplained:
+    if unexplained or scales:
         imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection))
         kept -= imitating - _confirmed_by_witnesses(objective, selection)
+    if scales:
+        sensors = {one.term for one in findings if not one.exported}
+        unexplained, kept = True, sensors | kept & _stays_beside(objective, selection, findings, scales)
     vague = _vague(objective, selection, reported) & kept
     kept -= vague
     while len(kept) < len(findings):
@@ -117,6 +121,24 @@ def _confirmed_by_witnesses(objective: MarginalLikelihood, selection: Selection)
         if part.term.corrects and before - after > rules.fair_share * before:
             confirmed.add(part.candidate.term)
     return confirmed
+
+
+def _stays_beside(
+    objective: MarginalLikelihood, selection: Selection, findings: Sequence[Finding], scales: Mapping[str, float]
+) -> set[str]:
+    """Return findings that keep their values where scales are corrected, and do not look like one."""
+    wrong = []
+    for term, value in scales.items():
+        ends = Range(value - _SCALE_STEP, value + _SCALE_STEP, _SCALE_STEP)
+        wrong.append(Part(Candidate(term, "", {"scale": ends}, ()), {"scale": value}))
+    beside = fit_parts(objective, (*selection.chosen.parts, *wrong), known=selection.chosen)
+    values = {part.candidate.term: part.values for part in beside.parts}
+
+    def stays(one: Finding) -> bool:
+        ends = {name: estimate.interval_95 for name, estimate in one.parameters.items()}
+        return all(low <= values[one.term][name] <= high for name, (low, high) in ends.items())
+
+    return {one.term for one in findings if stays(one) and not any(look_alike(one.term, term) for term in scales)}
 
 
 def _imitating(
