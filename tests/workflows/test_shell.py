@@ -180,6 +180,26 @@ def test_a_narrow_window_needs_no_sideways_scrolling(opened, width):
     assert browser.execute_script(script) == pytest.approx(1.0, abs=0.05)
 
 
+def test_on_paper_every_chart_fills_its_column_and_what_is_folded_leaves_no_heading(opened):
+    """A chart that is lower than on the screen is drawn lower, not shrunk: its text keeps its size."""
+    browser = opened(690)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    shown = browser.execute_script(
+        "return [...document.querySelectorAll('.canvas > svg')].map((s) => [s.getBoundingClientRect().width,"
+        " s.viewBox.baseVal.width, s.closest('figure').getBoundingClientRect().width])"
+    )
+    assert shown
+    for drawn, meant, column in shown:
+        assert drawn == pytest.approx(meant, rel=0.1) and drawn > 0.85 * column
+    browser.execute_script(
+        "document.querySelector('main').insertAdjacentHTML('beforeend',"
+        " '<section id=folded><h2>a</h2><p>b</p><details><summary>c</summary>d</details></section>')"
+    )
+    assert not browser.find_element("id", "folded").is_displayed()
+    browser.execute_script("window.dispatchEvent(new Event('afterprint'))")
+
+
 def test_the_best_is_named_and_rows_keep_their_names(opened):
     browser = opened()
     texts = [t.text for t in browser.find_elements("css selector", "#chart-ranked svg text")]

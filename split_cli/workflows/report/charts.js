@@ -82,7 +82,7 @@ const Charts = (() => {
 
   class Plot {
     /* host: element to fill. options:
-       label(): text for readers of screens; height(width): px; x, y: axis titles; zoom: "x" or "xy";
+       label(): text for readers of screens; height(width, paper): px; x, y: axis titles; zoom: "x" or "xy";
        domain(view): {x, y} shown when view is null, or y for a given x when zoom is "x"; limit: never beyond it;
        equal: one metre is as long in x as in y; digits: room for numbers beside the y axis, at least; rows: names of rows instead of a y axis;
        draw(layer, plot); hover(x, y, plot): {x, y, lines} or null; gone(): the pointer left; zoomed(view). */
@@ -163,9 +163,11 @@ const Charts = (() => {
 
     redraw() {
       const { options } = this;
-      const paper = paperWidth && (this.host.closest(".wide") ? paperWidth : this.host.closest(".thirds") ? paperWidth / 3 - 14 : paperWidth / 2 - 14);
+      // On paper strips stand in pairs, and what is low keeps its width.
+      const whole = this.host.closest(".wide") && !this.host.closest("#motion");
+      const paper = paperWidth && (whole ? paperWidth : this.host.closest(".thirds") ? paperWidth / 3 - 14 : paperWidth / 2 - 14);
       const width = Math.max(160, Math.round(paper || this.host.clientWidth));
-      const height = Math.round(options.height(width));
+      const height = Math.round(options.height(width, Boolean(paper)));
       const shown = options.domain(this.view);
       [this.x, this.y] = [shown.x, shown.y].map(([low, high]) => (high > low ? [low, high] : [low - 1, low + 1]));
       this.top = 10;

@@ -82,7 +82,7 @@
       keys: () => LINES.map(([, text, color]) => ({ color, text })),
       csv: () => csv([["model", "horizon [s]", `rms error [${label}]`, "low 95 %", "high 95 %"], ...help.rollouts.flatMap((one) => [
         ...LINES.map(([stage, text]) => [text, one.horizon, value(one, stage), ...(interval(one, stage) || ["", ""])]), ["noise floor", one.horizon, one.floor[channel], "", ""]])]),
-      height: () => 230,
+      height: (_, paper) => (paper ? 166 : 230),
       x: () => "horizon [s]",
       y: () => `rms error [${label}]`,
       label: () => `${name} rollout error over the horizon: ${LINES.map(([stage, text]) => `${text} ${short(value(help.rollouts[help.rollouts.length - 1], stage))}`).join(", ")} ${label} at the end.`,

@@ -138,7 +138,7 @@
       equal: spec.equal,
       digits: strips ? 6 : 0, // one moment stands at one place in all strips
       rows,
-      height: (width) => (rows ? 62 + Math.max(26, 20 * visible().length) * rows.length : spec.wide ? between(0.24 * width, 170, 250) : between(0.74 * width, 220, spec.equal ? 430 : 330)),
+      height: (width, paper) => (rows ? 62 + Math.max(paper ? 20 : 26, (paper ? 10 : 20) * visible().length) * rows.length : paper ? (spec.wide ? 120 : 166) : spec.wide ? between(0.24 * width, 170, 250) : between(0.74 * width, 220, spec.equal ? 430 : 330)),
       x: () => (along && strips ? spec.other_x : spec.x),
       y: () => spec.y,
       label: () => `${spec.title}: ${visible().map((one) => one.name).join(", ")}.`,
