@@ -189,7 +189,7 @@ def compare(
     horizons: Sequence[float] = (0.05, 0.5, 2.0),
     predictor: str = DEFAULT_PREDICTOR,
 ) -> ComparisonResult:
-    """Let models (vehicles and trained sets, by name) run freely on the same drives; see `split compare`."""
+    """Simulate models (vehicles and trained sets, by name) open-loop on the same drives; see `split compare`."""
     several = [drives] if isinstance(drives, Drive) else list(drives)
     read = []
     for name, one in models.items():

@@ -1,4 +1,4 @@
-"""Models side by side on the same drives: free-running errors with intervals, skill, fit, and which is best."""
+"""Models side by side on the same drives: open-loop errors with intervals, skill, fit, and which is best."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -24,7 +24,7 @@ _VELOCITIES = ("vx", "vy", "r")
 
 @dataclass(frozen=True)
 class ComparedModel:
-    """A model that runs freely: a vehicle, with a trained set's correction or without."""
+    """A model for open-loop simulation: a vehicle, with a trained set's correction or without."""
 
     name: str
     vehicle: Vehicle
@@ -94,7 +94,7 @@ def compare_models(
     horizons: Sequence[float] = (0.05, 0.5, 2.0),
     say: Callable[[str], None] = lambda text: None,
 ) -> ModelComparison:
-    """Let every model run freely from the same starts on the same drives, and compare the ends.
+    """Simulate every model open-loop from the same starts on the same drives, and compare the ends.
 
     Parameters
     ----------

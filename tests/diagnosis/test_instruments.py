@@ -111,7 +111,7 @@ def test_an_inclined_road_is_felt_by_accelerometers_and_by_nothing_else():
     for level, banked in zip(build_witnesses(prepared(drive)), build_witnesses(prepared(felt)), strict=True):
         right = level.rows(())
         assert banked.rows((bank,)) * banked.scale == pytest.approx(right * level.scale, abs=1e-9)
-        moved = np.abs(banked.left(()) - level.left(())).max()
+        moved = np.abs(banked.difference(()) - level.difference(())).max()
         # A window of half a second gains g sin(bank) times its length.
         assert moved == pytest.approx(0.5 * 9.80665 * np.sin(0.03) if level.kind == "a_y" else 0.0, abs=1e-9)
 
@@ -133,7 +133,7 @@ def test_an_accelerometer_without_some_of_its_numbers_witnesses_the_rest():
     # Every fourth second has a hole, which costs the one or two windows of 0.5 s that it touches, edges included.
     assert 0.5 < known.mean() < 0.95
     assert set(rest["a_y"].begin) <= set(whole["a_y"].begin)
-    ours, theirs = rest["a_y"].left(()), whole["a_y"].left(())[known]
+    ours, theirs = rest["a_y"].difference(()), whole["a_y"].difference(())[known]
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
     # Of holes so near each other that no window is whole nothing is witnessed, and nothing is warned of.
     torn = {**drive.columns, "ay": np.where(np.arange(len(drive)) % 20 == 0, np.nan, drive["ay"])}

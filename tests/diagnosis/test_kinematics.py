@@ -66,9 +66,9 @@ def test_a_straight_line_by_hand(nominal_drive):
     columns |= {"vx": zero + 20.0 * np.cos(0.01), "vy": zero - 20.0 * np.sin(0.01), "r": zero}
     drive = Drive("straight", {**columns, "T": zero, "delta": zero}, np.zeros(count, dtype=np.int32), 0.01)
     kinematics = build_kinematics(prepared(drive))
-    np.testing.assert_allclose(kinematics.left(()), 0.5 * 20.0 * np.sin(0.01), rtol=1e-9)
+    np.testing.assert_allclose(kinematics.difference(()), 0.5 * 20.0 * np.sin(0.01), rtol=1e-9)
     right = (CATALOGUE["sensor_misalignment"]({"angle": 0.01}),)
-    np.testing.assert_allclose(kinematics.left(right), 0.0, atol=1e-9)
+    np.testing.assert_allclose(kinematics.difference(right), 0.0, atol=1e-9)
     np.testing.assert_allclose(kinematics.causes, np.tile([0.0, 10.0 * np.cos(0.01)], (len(kinematics.begin), 1)))
 
 

@@ -1,4 +1,4 @@
-"""Variants of a term that one step does not tell apart, told by running freely."""
+"""Variants of a term that one step does not tell apart, told by open-loop simulation."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from split_cli.diagnosis.search.candidates import Range
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms, with_chosen
-from split_cli.diagnosis.search.variant_choice import free_running_errors, with_variants_that_run
+from split_cli.diagnosis.search.variant_choice import open_loop_errors, with_variants_by_rollout
 from tests.diagnosis.recordings import candidates_of
 from tests.diagnosis.test_selection import objective_of, planted
 
@@ -50,7 +50,7 @@ def wrong(objective, variants) -> Selection:
 def test_the_truth_runs_freely_as_far_as_noise_lets_it(objective, variants, wrong):
     selection = select_terms(objective, variants, VARIANCE_INFLATION)
     assert selection.chosen.parts[0].candidate.variant == ""
-    base, true, peak = free_running_errors(objective, [nothing(objective), selection.chosen, wrong.chosen])
+    base, true, peak = open_loop_errors(objective, [nothing(objective), selection.chosen, wrong.chosen])
     assert 0.8 < true < 1.2
     assert base > 1.5 * true and peak > 1.1 * true
 
@@ -64,14 +64,12 @@ def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(objective, 
         return RolloutErrors(HORIZONS, np.arange(7.0), squared, floor)
 
     monkeypatch.setattr(variant_choice, "roll_out_stages", errors)
-    np.testing.assert_allclose(
-        free_running_errors(objective, [nothing(objective), nothing(objective)]), [2.0, 3.0]
-    )
+    np.testing.assert_allclose(open_loop_errors(objective, [nothing(objective), nothing(objective)]), [2.0, 3.0])
 
 
 def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, variants, wrong):
     """The wrong variant leaves something without a name; the right one is among what explains the data as well."""
-    found = with_variants_that_run(structure, variants, wrong, VARIANCE_INFLATION)
+    found = with_variants_by_rollout(structure, variants, wrong, VARIANCE_INFLATION)
     assert found.chosen.parts[0].candidate.variant == ""
     assert found.named == (True,) and found.chosen.cost < wrong.chosen.cost
     assert "of its open-loop error" in found.history[-1] and found.first_p == wrong.first_p
@@ -79,18 +77,18 @@ def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, v
 
 def test_where_nothing_is_left_without_a_name_one_step_decides(objective, structure, variants):
     selection = select_terms(objective, variants, VARIANCE_INFLATION)
-    assert with_variants_that_run(structure, variants, selection, VARIANCE_INFLATION) is selection
+    assert with_variants_by_rollout(structure, variants, selection, VARIANCE_INFLATION) is selection
 
 
 def test_a_variant_that_runs_as_well_takes_no_place(structure, variants, wrong, monkeypatch):
     for error, taken in ((0.95, False), (0.85, True)):
         monkeypatch.setattr(
-            variant_choice, "free_running_errors", lambda objective, fits, e=error: [1.0, *[e] * len(fits[1:])]
+            variant_choice, "open_loop_errors", lambda objective, fits, e=error: [1.0, *[e] * len(fits[1:])]
         )
-        found = with_variants_that_run(structure, variants, wrong, VARIANCE_INFLATION)
+        found = with_variants_by_rollout(structure, variants, wrong, VARIANCE_INFLATION)
         assert (found is not wrong) == taken
 
 
 def test_no_variant_takes_a_place_that_would_lose_a_name(structure, variants, wrong):
     named_twice = replace(wrong, named=(True, True))
-    assert with_variants_that_run(structure, variants, named_twice, VARIANCE_INFLATION) is named_twice
+    assert with_variants_by_rollout(structure, variants, named_twice, VARIANCE_INFLATION) is named_twice

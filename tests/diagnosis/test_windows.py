@@ -3,18 +3,18 @@
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from split_cli.diagnosis.recording.windows import changes, integrals, ways
+from split_cli.diagnosis.recording.windows import changes, displacements, integrals
 
 BEGIN = np.arange(0, 560, 40)
 END = BEGIN + 50  # windows overlap, and the first begins where the recording does
 
 
-def quiet(values, edge):
+def moving_mean(values, edge):
     return uniform_filter1d(values, 2 * edge + 1, mode="nearest")
 
 
 def over_windows(values, edge):
-    smooth = quiet(values, edge)
+    smooth = moving_mean(values, edge)
     return smooth[END] - smooth[BEGIN]
 
 
@@ -34,7 +34,7 @@ def test_windows_are_those_of_running_sums_and_running_means():
         for found, wanted in (
             (changes(angle, BEGIN, END, edge), angle),
             (integrals(velocity[:, 2], BEGIN, END, edge), summed(velocity[:, 2])),
-            *zip(ways(velocity, sine, cosine, BEGIN, END, edge), map(summed, (x, y)), strict=True),
+            *zip(displacements(velocity, sine, cosine, BEGIN, END, edge), map(summed, (x, y)), strict=True),
         ):
             np.testing.assert_allclose(found, over_windows(wanted, edge), rtol=0.0, atol=1e-11)
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from split_cli.diagnosis.recording.series import Series
-from split_cli.diagnosis.recording.windows import changes, integrals, ways
+from split_cli.diagnosis.recording.windows import changes, displacements, integrals
 from split_cli.vehicle.effects import Term
 
 _WINDOW_SECONDS = 0.5
@@ -26,7 +26,7 @@ _LEAST_WINDOWS = 12
 
 @dataclass(frozen=True)
 class KinematicResiduals:
-    """Lateral displacements of one recording."""
+    """Displacements of one recording over windows of half a second: positions against velocities."""
 
     series: Series
     # begin, end: int64 (W,): first and last row of every window.
@@ -35,17 +35,17 @@ class KinematicResiduals:
     # across, along: (W,): displacement to the car's left and ahead at mid-window, from positions [m].
     across: np.ndarray
     along: np.ndarray
-    angle: np.ndarray  # (N,): yaw, quiet [rad]
+    angle: np.ndarray  # (N,): yaw, averaged over 0.2 s [rad]
     scale: float  # spread of what velocities leave of it [m], faults of the sensor taken off
     # (2,): share of yaw angle [m] and of distance [1] that the simulation's recordings leave too.
     habit: np.ndarray
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return what the velocities, sensors corrected, leave of the displacements, in spreads, shape (W,)."""
-        return (self.left(terms) - self.causes @ self.habit) / self.scale
+        """Return this difference, less what the simulation shows too, over its spread, shape (W,)."""
+        return (self.difference(terms) - self.causes @ self.habit) / self.scale
 
-    def left(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return what the velocities leave of the displacements [m], shape (W,)."""
+    def difference(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return the displacement to the left by positions minus that by velocities [m], shape (W,)."""
         return self.across - self._travelled(terms)[1]
 
     @property
@@ -54,18 +54,18 @@ class KinematicResiduals:
         return "across"
 
     def ahead(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the way ahead that velocities make, as quiet as positions [m], shape (W,)."""
-        return self._travelled(terms, still=True)[0]
+        """Return the displacement ahead by velocities [m], averaged as positions are, shape (W,)."""
+        return self._travelled(terms, averaged=True)[0]
 
     def against_position(self, name: str, terms: Sequence[Term] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """Return what v_x [m] or r [rad] makes of every window, and what position or yaw does, shape (W,) each.
+        """Return the integral of v_x [m] or r [rad] over windows, and the change of position or yaw, (W,) each.
 
-        The way from velocities is made as quiet as positions and yaw are, which takes as much off quick turns.
+        Both are averaged over 0.2 s, so that both lose as much of a quick turn.
         """
         if name == "v_x":
             return self.ahead(terms), self.along
         _, velocity = self.series.corrected(terms)
-        return self._integral(velocity[:, 2], still=True), self.angle[self.end] - self.angle[self.begin]
+        return self._integral(velocity[:, 2], averaged=True), self.angle[self.end] - self.angle[self.begin]
 
     @cached_property
     def causes(self) -> np.ndarray:
@@ -75,12 +75,12 @@ class KinematicResiduals:
 
     @cached_property
     def drifting_or_late(self) -> np.ndarray:
-        """Return what a sensor would leave whose angle drifts [m s], or whose v_y is late [m/s], shape (W, 2).
+        """Return the patterns of a sensor whose angle drifts [m s] and one whose v_y is late [m/s], shape (W, 2).
 
-        A fault is no noise: were it counted in the spread, a large one would hide itself.
+        The spread is taken without them: a large fault would hide in a spread that it makes itself.
         """
         v_y = self.series.corrected(())[1][:, 1]
-        change = quiet_change(v_y, self.begin, self.end, self.series.period)
+        change = averaged_change(v_y, self.begin, self.end, self.series.period)
         return np.stack([self.causes[:, 1] * self.series.t[self.begin], change], axis=1)
 
     def select(self, windows: np.ndarray) -> KinematicResiduals:
@@ -88,22 +88,22 @@ class KinematicResiduals:
         chosen = {name: getattr(self, name)[windows] for name in ("begin", "end", "across", "along")}
         return replace(self, **chosen)
 
-    def _travelled(self, terms: Sequence[Term], still: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    def _travelled(self, terms: Sequence[Term], averaged: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements ahead and to the left at mid-window, from velocities [m], shape (W,) each."""
         _, velocity = self.series.corrected(terms)
         middle = self.angle[(self.begin + self.end) // 2]
         sine, cosine = self._direction
         # In the world frame once, then into the car's frame of each window.
         period = self.series.period
-        x, y = ways(velocity, sine, cosine, self.begin, self.end, _edge(period) if still else 0)
-        return _into(middle, x * period, y * period)
+        x, y = displacements(velocity, sine, cosine, self.begin, self.end, _edge(period) if averaged else 0)
+        return _in_car_frame(middle, x * period, y * period)
 
     @cached_property
     def _direction(self) -> tuple[np.ndarray, np.ndarray]:
         return np.sin(self.angle), np.cos(self.angle)
 
-    def _integral(self, rate: np.ndarray, still: bool = False) -> np.ndarray:
-        return integral(rate, self.begin, self.end, self.series.period, still=still)
+    def _integral(self, rate: np.ndarray, averaged: bool = False) -> np.ndarray:
+        return integral(rate, self.begin, self.end, self.series.period, averaged=averaged)
 
 
 def build_kinematics(series: Series, habit: np.ndarray | None = None) -> KinematicResiduals | None:
@@ -122,25 +122,25 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
         return None
     begin = np.concatenate(begins).astype(np.int64)
     end = begin + size
-    x, y, angle = (quiet(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
+    x, y, angle = (moving_mean(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
     middle = angle[(begin + end) // 2]
-    along, across = _into(middle, x[end] - x[begin], y[end] - y[begin])
+    along, across = _in_car_frame(middle, x[end] - x[begin], y[end] - y[begin])
     plain = KinematicResiduals(
         series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit
     )
-    left, causes = plain.left(()), np.hstack([plain.causes, plain.drifting_or_late])
+    left, causes = plain.difference(()), np.hstack([plain.causes, plain.drifting_or_late])
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9
     return replace(plain, scale=scale)
 
 
-def integral(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float, *, still: bool) -> np.ndarray:
-    """Return the integral of a rate over windows, shape (W,), made as quiet as positions are where `still`."""
-    return integrals(rate, begin, end, _edge(period) if still else 0) * period
+def integral(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float, *, averaged: bool) -> np.ndarray:
+    """Return the integral of a rate over windows, shape (W,), over 0.2 s of shifted windows if `averaged`."""
+    return integrals(rate, begin, end, _edge(period) if averaged else 0) * period
 
 
-def quiet_change(values: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float) -> np.ndarray:
-    """Return by how much values, made quiet, change over windows, shape (W,)."""
+def averaged_change(values: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float) -> np.ndarray:
+    """Return the change of values, averaged over 0.2 s, over windows, shape (W,)."""
     return changes(values, begin, end, _edge(period))
 
 
@@ -148,13 +148,13 @@ def _edge(period: float) -> int:
     return max(1, int(round(_EDGE_SECONDS / period)))
 
 
-def quiet(values: np.ndarray, period: float) -> np.ndarray:
-    """Return means over an odd window, which are those of its middle but for curvature, alike at both ends."""
+def moving_mean(values: np.ndarray, period: float) -> np.ndarray:
+    """Return the centred moving mean over 0.2 s of values (N,); ends are continued by their last value."""
     return uniform_filter1d(values, 2 * _edge(period) + 1, mode="nearest")
 
 
-def _into(angle: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return components of displacements ahead and to the left of cars at these angles."""
+def _in_car_frame(angle: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the components ahead and to the left of displacements in the world, for cars at these yaw angles."""
     return np.cos(angle) * x + np.sin(angle) * y, -np.sin(angle) * x + np.cos(angle) * y
 
 
@@ -165,5 +165,5 @@ def common_habit(several: Sequence[Any]) -> np.ndarray:
     if not sum(len(one.begin) for one in several):
         return np.zeros(len(several[0].habit) if several else 2)
     causes = np.concatenate([one.causes / one.scale for one in several])
-    left = np.concatenate([one.left(()) / one.scale for one in several])
+    left = np.concatenate([one.difference(()) / one.scale for one in several])
     return np.linalg.lstsq(causes, left, rcond=None)[0]

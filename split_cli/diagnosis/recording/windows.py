@@ -23,16 +23,16 @@ def changes(values: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int) -
     return _changes(np.ascontiguousarray(values), begin, end, edge)
 
 
-def ways(
+def displacements(
     velocity: np.ndarray, sine: np.ndarray, cosine: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ways in the world's x and y over windows, shape (W,) each, in velocity times samples.
+    """Return displacements in the world's x and y over windows, shape (W,) each, in velocity times samples.
 
     The edge is that of `integrals`.
 
     `velocity` has v_x and v_y in its first columns, shape (N, 2 or more); `sine` and `cosine`, (N,), are of yaw.
     """
-    return _ways(np.ascontiguousarray(velocity), sine, cosine, begin, end, edge)
+    return _displacements(np.ascontiguousarray(velocity), sine, cosine, begin, end, edge)
 
 
 @njit(cache=True, nogil=True)
@@ -57,7 +57,7 @@ def _integrals(rate, begin, end, edge):
 
 
 @njit(cache=True, nogil=True)
-def _ways(velocity, sine, cosine, begin, end, edge):
+def _displacements(velocity, sine, cosine, begin, end, edge):
     x, y = np.empty(len(velocity)), np.empty(len(velocity))
     for k in range(len(velocity)):
         x[k] = velocity[k, 0] * cosine[k] - velocity[k, 1] * sine[k]

@@ -16,10 +16,10 @@ import numpy as np
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import (
     KinematicResiduals,
+    averaged_change,
     build_kinematics,
     common_habit,
     integral,
-    quiet_change,
 )
 from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.recording.series import Series
@@ -43,22 +43,22 @@ class Witness:
     # begin, end: int64 (W,): first and last row of every window.
     begin: np.ndarray
     end: np.ndarray
-    position: KinematicResiduals | None  # with the ways of the windows, for ``way`` and ``turn``
+    position: KinematicResiduals | None  # with the displacements of the windows, for ``way`` and ``turn``
     scale: float  # spread of what the velocities leave
     habit: np.ndarray  # (3,): what the simulation's recordings leave by scale, bias and delay
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return what the velocities, sensors corrected, leave of the instrument, in spreads, shape (W,)."""
-        return (self.left(terms) - self.causes @ self.habit) / self.scale
+        """Return this difference, less what the simulation shows too, over its spread, shape (W,)."""
+        return (self.difference(terms) - self.causes @ self.habit) / self.scale
 
-    def left(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return what the instrument says beyond what the velocities make of it, shape (W,)."""
+    def difference(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return the instrument's value minus that computed from the velocities, shape (W,)."""
         said, made, _ = self._compared(terms)
         return said - made
 
     @cached_property
     def causes(self) -> np.ndarray:
-        """Return what a scale, a bias and a delay of the instrument would leave, shape (W, 3)."""
+        """Return the patterns of an error of scale, of a bias and of a delay of the instrument, shape (W, 3)."""
         _, made, rate = self._compared(())
         return np.stack([made, (self.end - self.begin) * self.series.period, self._change(rate)], axis=1)
 
@@ -68,7 +68,7 @@ class Witness:
         return replace(self, begin=self.begin[windows], end=self.end[windows], position=position)
 
     def _compared(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what instrument and velocities say of each window, (W,), and the rate of either, (N,)."""
+        """Return each window's value by instrument and by velocities, (W,) each, and the rate behind it, (N,)."""
         _, velocity = self.series.corrected(terms)
         v_x, v_y, r = velocity.T
         if self.kind == "turn":
@@ -82,10 +82,10 @@ class Witness:
         return self._integral(felt), self._change(changing) + self._integral(turning), felt
 
     def _change(self, values: np.ndarray) -> np.ndarray:
-        return quiet_change(values, self.begin, self.end, self.series.period)
+        return averaged_change(values, self.begin, self.end, self.series.period)
 
     def _integral(self, rate: np.ndarray) -> np.ndarray:
-        return integral(rate, self.begin, self.end, self.series.period, still=True)
+        return integral(rate, self.begin, self.end, self.series.period, averaged=True)
 
 
 def build_witnesses(
@@ -101,7 +101,7 @@ def build_witnesses(
         one = _witness(kind, series, position, rules)
         if one is None:
             continue
-        left, causes = one.left(()), one.causes
+        left, causes = one.difference(()), one.causes
         own = left - causes @ _least_squares(causes, left)
         spread = 1.4826 * float(np.median(np.abs(own - np.median(own))))
         size = float(np.std(causes[:, 0]))
@@ -133,7 +133,7 @@ def late_against_position(series: Series, policy: Policy = STANDARD) -> bool:
 
 
 def is_witness_of_position(one: KinematicResiduals | Witness) -> bool:
-    """Return whether a witness is the way across the car between positions."""
+    """Return whether a witness is the displacement across the car between positions."""
     return isinstance(one, KinematicResiduals)
 
 
@@ -141,7 +141,7 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None, rul
     if kind in ("turn", "way"):
         if position is None:
             return None
-        # The yaw angle is made quiet, and then what it turned: twice the edge is unknown at both ends of a run.
+        # The yaw angle is averaged, and its change again: twice the edge is unknown at both ends of a run.
         edge = 2 * max(1, int(round(_EDGE_SECONDS / series.period)))
         first, last = np.array(series.recording.segments, dtype=np.int64).T
         run = np.searchsorted(first, position.begin, side="right") - 1
@@ -161,7 +161,7 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None, rul
         if end - first > size + 2 * edge
     ]
     begin = np.concatenate([*begins, np.zeros(0)]).astype(np.int64)
-    # Samples without a number were filled: windows that hold one, once all is made quiet, witness nothing.
+    # Samples without a number were filled: windows that hold one, once all is averaged, witness nothing.
     unknown = np.cumsum(~np.isfinite(series.drive[_CHANNELS[kind]]))
     last = np.minimum(begin + size + 2 * edge, len(unknown) - 1)
     begin = begin[unknown[last] == unknown[np.maximum(begin - 2 * edge, 0)]]

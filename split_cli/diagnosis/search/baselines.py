@@ -31,7 +31,7 @@ from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms
 from split_cli.diagnosis.search.term_tests import term_p, witnessed_p
-from split_cli.diagnosis.search.variant_choice import with_variants_that_run
+from split_cli.diagnosis.search.variant_choice import with_variants_by_rollout
 from split_cli.diagnosis.statement.separation import exact_mimics
 
 
@@ -253,5 +253,5 @@ def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], know
         lambda fit: is_structure(residuals_beside_form_error(objective, fit)),
         lambda fit: is_structure(fit.residuals),
     )
-    selection = with_variants_that_run(structure, candidates, selection, variance_inflation)
+    selection = with_variants_by_rollout(structure, candidates, selection, variance_inflation)
     return SearchOutcome(structure, gap, selection, known, variance_inflation, (objective,))

@@ -20,10 +20,10 @@ from split_cli.diagnosis.search.selection import Selection, explaining_as_well, 
 _TINY = 1e-30
 
 
-def with_variants_that_run(
+def with_variants_by_rollout(
     structure: Structure, candidates: Sequence[Candidate], selection: Selection, variance_inflation: float
 ) -> Selection:
-    """Return a selection with another variant of a term where that runs freely with clearly smaller errors.
+    """Return a selection with another variant of a term where its open-loop errors are clearly smaller.
 
     Only where more than model-form error is left without a name, and only variants that explain the data as well
     beside it.
@@ -46,7 +46,7 @@ def with_variants_that_run(
     ]
     if not others:
         return selection
-    own, *theirs = free_running_errors(objective, [chosen, *others])
+    own, *theirs = open_loop_errors(objective, [chosen, *others])
     best = int(np.argmin(theirs))
     if not theirs[best] < (1.0 - rules.form_error_share) * own:
         return selection
@@ -58,8 +58,8 @@ def with_variants_that_run(
     return replace(found, history=(*selection.history, note))
 
 
-def free_running_errors(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
-    """Return how far each explanation is off after 0.5, 1 and 2 s of running freely, over what noise makes.
+def open_loop_errors(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
+    """Return how far each explanation is off after 0.5, 1 and 2 s of open-loop simulation, over what noise makes.
 
     The geometric mean over channels and horizons of rms errors, all of the real recordings' time used.
     """

@@ -1,4 +1,4 @@
-"""What naming improves on held-out time: errors of a step and of free running, and the corrected vehicle."""
+"""What naming improves on held-out time: one-step and open-loop errors, and the corrected vehicle."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ _SHOWS = 1.25  # error before over the noise floor, from which on held-out rollo
 
 @dataclass(frozen=True)
 class StateChange:
-    """Held-out rms errors of one velocity at the end of free running: nominal model and corrected vehicle."""
+    """Held-out rms open-loop errors of one velocity: nominal model and corrected vehicle."""
 
     channel: str
     unit: str

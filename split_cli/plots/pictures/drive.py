@@ -14,7 +14,7 @@ from split_cli.scoring.rollouts import Correction
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
-#: A model runs freely for so long before it is set back to the recording [s].
+#: A model runs open-loop for so long before it is set back to the recording [s].
 FREE_SECONDS = 2.0
 _CHANNELS = (
     ("vx", "Longitudinal velocity v_x", "v_x [m/s]"),
