@@ -67,19 +67,9 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
     form_error = objective.policy.selection.form_error_share
     if not J.shape[1]:
         return ()
-    scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-120
-    normal = np.linalg.inv((J / scale).T @ (J / scale) + _COLLINEAR * np.eye(J.shape[1]))
-    scores = objective.block_sums((J / scale) * fit.residuals[:, None])
-    blocks = len(scores)
-    middle = scores.T @ scores * blocks / max(blocks - J.shape[1], 1)
-    covariance = normal @ middle @ normal / np.outer(scale, scale)
-    known = normal / np.outer(scale, scale) * max(objective.form_error_inflation, 1.0)
-    if objective.fixed_baseline:
-        covariance, known = 2.0 * covariance, 2.0 * known
-    variance = np.maximum(np.diag(covariance), np.diag(known))
-    plain = np.diag(normal) / scale**2
-    freedom = max(blocks - J.shape[1], 2)
-    wide = float(student.ppf(0.975, freedom))
+    random = _random_error(objective, fit, J)
+    variance = np.maximum(np.diag(random.sandwich), np.diag(random.of_noise))
+    wide = float(student.ppf(0.975, random.freedom))
     moved, out, column = moved_between_load_laws(objective, fit), [], 0
     for k, part in enumerate(fit.parts):
         term, estimated, names = part.term, {}, []
@@ -91,7 +81,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
         for name, unit in term.parameter_units(part.candidate.variant).items():
             value, physical = term.parameters[name], part.candidate.ranges[name]
             neutral = term.neutral.get(name)
-            if neutral is not None and scale[column] * (physical.upper - physical.lower) < 1.0:
+            if neutral is not None and random.scale[column] * (physical.upper - physical.lower) < 1.0:
                 estimated[name] = _not_shown(neutral, unit, physical)
                 column += 1
                 continue
@@ -102,7 +92,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
                 value + wide * error + max(moved[column], 0.0),
             )
             if name in _PLACES:
-                rise = _CHI2_95 * max(float(np.max(variance / np.maximum(plain, 1e-300))), 1.0)
+                rise = _CHI2_95 * max(float(np.max(variance / np.maximum(random.unit, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
             estimated[name] = ParameterEstimate(value, error, unit, _possible(limits, value, physical))
@@ -114,11 +104,36 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
             at = first + np.flatnonzero([name in names for name in estimated])
             away = np.array([estimated[name].value - term.neutral[name] for name in names])
             errors = shared**2 * np.outer(away, away) + np.diag((own * away) ** 2)
-            errors += least_above(covariance[np.ix_(at, at)], known[np.ix_(at, at)])
-            region = JointRegion(tuple(names), away, errors, radius_95(len(at), freedom))
+            errors += least_above(random.sandwich[np.ix_(at, at)], random.of_noise[np.ix_(at, at)])
+            region = JointRegion(tuple(names), away, errors, radius_95(len(at), random.freedom))
             regions = (region, region.moved(moved[at])) if moved[at].any() else (region,)
         out.append(PartEstimate(estimated, regions))
     return tuple(out)
+
+
+@dataclass(frozen=True)
+class _RandomError:
+    """Random error of the parameters of a fit, systematic error left out."""
+
+    scale: np.ndarray  # (P,): by how much one unit of a parameter moves the whitened rows
+    sandwich: np.ndarray  # (P, P): covariance by the scores of blocks of time
+    of_noise: np.ndarray  # (P, P): covariance by unit noise, widened by model-form error
+    unit: np.ndarray  # (P,): variances by unit noise alone
+    freedom: int  # degrees of freedom of the sandwich
+
+
+def _random_error(objective: MarginalLikelihood, fit: Fit, J: np.ndarray) -> _RandomError:
+    """Return the random error of a fit with sensitivity J, shape (R, P), see `estimate_parts`."""
+    scale = np.sqrt(np.sum(J**2, axis=0)) + 1e-120
+    normal = np.linalg.inv((J / scale).T @ (J / scale) + _COLLINEAR * np.eye(J.shape[1]))
+    scores = objective.block_sums((J / scale) * fit.residuals[:, None])
+    blocks = len(scores)
+    middle = scores.T @ scores * blocks / max(blocks - J.shape[1], 1)
+    covariance = normal @ middle @ normal / np.outer(scale, scale)
+    known = normal / np.outer(scale, scale) * max(objective.form_error_inflation, 1.0)
+    if objective.fixed_baseline:
+        covariance, known = 2.0 * covariance, 2.0 * known
+    return _RandomError(scale, covariance, known, np.diag(normal) / scale**2, max(blocks - J.shape[1], 2))
 
 
 def _not_shown(neutral: float, unit: str, physical: Range) -> ParameterEstimate:

@@ -9,11 +9,19 @@ import numpy as np
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior
-from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, Stage, roll_out_stages, shared_rates
+from split_cli.diagnosis.innovations.rollouts import (
+    HORIZONS,
+    LearnedCorrection,
+    RolloutErrors,
+    Stage,
+    roll_out_stages,
+    shared_rates,
+)
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.verdict.correction import learn_correction, without_correction
 from split_cli.diagnosis.verdict.label_errors import (
     BLOCK_SECONDS,
+    LabelErrors,
     blocks_of_time,
     in_standard_errors,
     label_errors,
@@ -72,32 +80,22 @@ def measure_improvement(
     both = split_only
     if terms:
         both = learn_correction(recordings, [Stage(terms, one) for one in named], parts, errors_physics)
-    errors = {
-        name: np.concatenate([values[part.held] for values, part in zip(several, parts, strict=True)])
-        for name, several in {
-            "before": errors_before,
-            "physics": errors_physics,
-            "split_only": [without_correction(part, part.before, split_only) for part in parts],
-            "after": [without_correction(part, part.physics, both) for part in parts],
-            "persistence": [part.persistence for part in parts],
-        }.items()
-    }
+    errors = _held_out_errors(parts, split_only, both)
     block = blocks_of_time([part.labels.t[part.held] for part in parts])
     floor = np.concatenate([part.floor[part.held] for part in parts])
     rms = {name: tuple(np.sqrt(np.mean(e**2, axis=0)).tolist()) for name, e in errors.items()}
     intervals, removed = _bootstrap({name: e**2 for name, e in errors.items()}, floor, block)
+    stages = [
+        {
+            "before": Stage((), shared),
+            "physics": Stage(terms, shared_named),
+            "split_only": Stage((), shared, split_only),
+            "after": Stage(terms, shared_named, both),
+        }
+        for shared, shared_named in zip(plain, named, strict=True)
+    ]
     rollouts = [
-        roll_out_stages(
-            one,
-            {
-                "before": Stage((), shared),
-                "physics": Stage(terms, shared_named),
-                "split_only": Stage((), shared, split_only),
-                "after": Stage(terms, shared_named, both),
-            },
-            held,
-        )
-        for (one, held), shared, shared_named in zip(recordings, plain, named, strict=True)
+        roll_out_stages(one, several, held) for (one, held), several in zip(recordings, stages, strict=True)
     ]
     return Improvement(
         rms["before"], rms["physics"], rms["after"], rms["split_only"], rms["persistence"],
@@ -108,6 +106,23 @@ def measure_improvement(
             for name, correction in (("split_only", split_only), ("after", both))
         },
     )  # fmt: skip
+
+
+def _held_out_errors(
+    parts: Sequence[LabelErrors], split_only: LearnedCorrection | None, both: LearnedCorrection | None
+) -> dict[str, np.ndarray]:
+    """Return the label errors of each stage in held-out time, all recordings one after the other, (L, 3) each."""
+    by_stage = {
+        "before": [part.before for part in parts],
+        "physics": [part.physics for part in parts],
+        "split_only": [without_correction(part, part.before, split_only) for part in parts],
+        "after": [without_correction(part, part.physics, both) for part in parts],
+        "persistence": [part.persistence for part in parts],
+    }
+    return {
+        name: np.concatenate([values[part.held] for values, part in zip(several, parts, strict=True)])
+        for name, several in by_stage.items()
+    }
 
 
 def improvable_removed(before: Sequence[float], other: Sequence[float], floor: Sequence[float]) -> float:
