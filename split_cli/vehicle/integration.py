@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import VehicleError
+from split_cli.vehicle.flow import FlowTerm
 from split_cli.vehicle.single_track import SingleTrack
 
 _TAYLOR_TERMS = 13
@@ -98,6 +99,14 @@ def integrate_recorded(
         diverged goes on to numbers that are not finite.
     """
     return integrate_with_memory(model, state, torque, steer_angle, period, substeps, situation, held=held)[0]
+
+
+def acts_at_once(term: FlowTerm, period: float) -> bool:
+    """Return whether a term's states are steady at once, seen at a sampling period [s].
+
+    A fit may shrink a lag to nothing: following it would take more than a thousand substeps a sample.
+    """
+    return bool(term.fastest_rate(_TOP_SPEED) * period > _MOST_SUBSTEPS)
 
 
 def integrate_with_memory(

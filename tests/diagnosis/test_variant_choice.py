@@ -55,6 +55,15 @@ def test_the_truth_runs_freely_as_far_as_noise_lets_it(objective, variants, wron
     assert base > 1.5 * true and peak > 1.1 * true
 
 
+def test_a_lag_that_a_fit_has_shrunk_to_nothing_is_none(objective):
+    """Beside other terms a refit may end there; no step could follow it."""
+    none = nothing(objective)
+    lags = [Part(one, {"tau": 0.0}) for one in candidates_of(objective, "steer_lag", "drive_lag")]
+    assert len(lags) == 2
+    without, shrunk = free_running_errors(objective, [none, replace(none, parts=tuple(lags))])
+    assert shrunk == without
+
+
 def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(objective, monkeypatch):
     """Twice the noise in every channel at every horizon is two, whatever the units."""
     floor = np.ones((7, 3, 3)) * np.array([1.0, 1e-4, 1e-6])

@@ -18,7 +18,7 @@ from split_cli.prediction import Predictor
 from split_cli.scoring.noise import covariance_of_ends, white_noise
 from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
 from split_cli.vehicle.effects import Term
-from split_cli.vehicle.integration import phi_matrix
+from split_cli.vehicle.integration import acts_at_once, phi_matrix
 
 HORIZONS = (0.5, 1.0, 2.0)  # [s]
 _STEP_SECONDS = 0.05
@@ -176,7 +176,8 @@ def roll_out_stages(
     Notes
     -----
     A model that runs away is no more wrong than one that drives the other way at the largest velocity recorded:
-    there its error ends, and no start is left out to its advantage.
+    there its error ends, and no start is left out to its advantage. A lag that a fit has shrunk to nothing acts at
+    once, and takes no part.
     """
     series = evidence.series
     window = max(1, round(_STEP_SECONDS / series.period))
@@ -197,7 +198,8 @@ def roll_out_stages(
         terms = stages[names[0]].terms
         drive = _drive(series, terms)
         added = _added([stages[name] for name in names], z, drive, window)
-        model = extended_model(evidence.vehicle, terms)
+        followed = [one for one in terms if not acts_at_once(one, series.period)]
+        model = extended_model(evidence.vehicle, followed)
         path = roll_out(model, drive, np.tile(starts, len(names)), steps[-1], window, added)
         for name, own in zip(names, np.split(path, len(names)), strict=True):
             found[name] = _errors(own[:, at], drive, starts, window, at)
