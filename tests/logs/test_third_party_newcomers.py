@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from split_cli.errors import LogError
+from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import map_from_mapping
 from split_cli.workflows.ingesting.init import init_project
 from tests.logs.planted import PlantedDrive
 from tests.logs.test_third_party_public import drafted_table
@@ -187,3 +189,23 @@ def test_an_index_without_a_title_that_counts_in_seconds_is_the_time(columns, tm
     # Row numbers are none.
     rows = np.arange(200.0)
     assert drafted_table({"": rows, "v_x": 0.1 * rows}, tmp_path).time.startswith("# time: {period")
+
+
+def test_runs_that_one_clock_joins_are_segments(columns, tmp_path):
+    """Three runs in a table whose index was counted anew: at the joints the motion jumps, and no car does that."""
+    t, c = columns
+    kept = ((t > 5.0) & (t < 18.0)) | ((t > 24.0) & (t < 37.0)) | (t > 43.0)
+    run = np.digitize(t, [20.0, 40.0])[kept].astype(float)
+    table = {"t": 0.02 * np.arange(len(run)), **{k: c[k][kept] for k in ("vx", "vy", "r", "ax", "delta")}}
+    table |= {"T": 0.0 * run, "run_id": run}
+    np.savetxt(
+        tmp_path / "log.csv", np.stack([*table.values()], 1), delimiter=",", header=",".join(table), comments=""
+    )
+    signal_map = map_from_mapping(
+        {"time": {"source": "t"}, "channels": {k: {"source": k} for k in ("vx", "vy", "r", "ax", "delta", "T")}}
+    )
+    made = assemble_drive(open_recording(tmp_path / "log.csv"), signal_map)
+    parts = made.drive.segments()
+    assert [len(made.drive["vx"][part]) for part in parts] == [np.count_nonzero(run == k) for k in range(3)]
+    np.testing.assert_allclose(made.drive["vx"][parts[1]], table["vx"][run == 1], atol=1e-9)
+    assert any("run_id changes 2 times while the time goes on" in line for line in made.drive.metadata.conversions)

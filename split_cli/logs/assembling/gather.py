@@ -23,6 +23,14 @@ from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, convert_to_si, find_u
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SLOWEST = 2.0
 """Step of a table's rows from which on a wrong unit of time is likelier than so slow a recording [s]."""
+_NUMBERS_RUNS = re.compile(
+    r"(?i)(run|session|episode|trial|experiment|traj(ectory)?)([_ ]?(id|no|nr|num|number|idx))?"
+)
+"""Columns that number runs; a lap or a sector goes on where the one before ended."""
+_MOST_CHANGES = 0.01
+"""Of the rows, up to which a number is that of a run [1]; judgement."""
+_PAUSE = 1.0
+"""Between runs whose clock goes on [s]; as between those whose clock starts again."""
 _SUFFIXES = {
     "yaw_from_quaternion": ("x", "y", "z", "w"),
     "local_x": ("latitude", "longitude"),
@@ -97,7 +105,7 @@ def gather(
     if common is not None and newest_first(common):
         common, signals = turned(common, signals)
         notes.conversions.append("rows in reverse order, the newest first: turned round")
-    common = None if common is None else set_aside(common)
+    common = None if common is None else set_aside(_parted_by_runs(common, signals, notes))
     converter = Converter(recording.name, signal_map, wheel_radius, notes)
     others = [column for column in extras if column not in clocks]
     maps, series = _converted(found, others, signals, Counter(extras) + Counter(clocks), converter, common)
@@ -358,6 +366,27 @@ def _common_time(
         error.unit = fits
         raise error
     return time, float(convert_to_si(np.array([first]), unit or "s")[0]), f"column {column}"
+
+
+def _parted_by_runs(common: np.ndarray, signals: Mapping[str, RawSignal], notes: ConversionNotes) -> np.ndarray:
+    """Return the clock with a pause wherever a column that numbers runs changes and the clock goes on [s].
+
+    In a table of several runs with one clock the motion jumps from the end of one to the beginning of the next.
+    """
+    for name, signal in signals.items():
+        values = signal.values
+        if signal.time is not None or not _NUMBERS_RUNS.fullmatch(name.strip()) or not np.isfinite(values).all():
+            continue
+        changes = np.flatnonzero(np.diff(values))
+        step = np.diff(common)
+        joined = changes[np.abs(step[changes]) < 2.0 * np.nanmedian(step)]
+        if len(joined) and len(changes) < _MOST_CHANGES * len(values):
+            pause = np.zeros(len(values))
+            pause[joined + 1] = _PAUSE
+            said = f"{name} changes {len(joined)} times while the time goes on"
+            notes.conversions.append(f"{said}: each run is a segment, {_PAUSE:g} s behind the one before")
+            return common + np.cumsum(pause)
+    return common
 
 
 def _rate_from_yaw(signal_map: SignalMap, signals: Mapping[str, RawSignal]) -> str:
