@@ -35,6 +35,7 @@ from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, expla
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.power import hidden_effects, hidden_in_words, no_match_in_words
+from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.parameters import Vehicle
@@ -268,6 +269,15 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: boo
     """Say where the difference is, what it is, and whether naming it helps."""
     selection, findings, remainder, unexplained = describe(found.outcome, found.scales)
     structured, unexplained = unexplained, unexplained or found.line is not None
+    improvement, corrected, leads = None, None, ()
+    if improved:
+        reported = findings, remainder
+        findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
+        gone = withdrawn(findings, improvement) if structured else ()
+        if gone:
+            leads = as_leads(gone, improvement, case.vehicle)
+            selection, *reported = without_names(selection, *reported, gone)
+            findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
     forces, after = (
         [gap_forces(one, terms, case.discrepancy_rates(one, terms)) for one in case.real]
         for terms in ((), selection.terms)
@@ -278,11 +288,6 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: boo
         line = found.line.in_words() if found.line else ""
         remainder = replace(remainder, formula="; and ".join(filter(None, (smooth, line))))
     location = locate(case.real, forces, after, case.keep, policy.reporting)
-    improvement, corrected = None, None
-    if improved:
-        findings, remainder, improvement, corrected = _improve(
-            case, found, selection, (findings, remainder), policy
-        )
     return Diagnosis(
         "mismatch",
         found.p_value,
@@ -293,7 +298,7 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: boo
         remainder=remainder,
         improvement=improvement,
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
-        leads=find_leads(found.outcome.structure.objective, found.outcome.selection),
+        leads=(*leads, *find_leads(found.outcome.structure.objective, found.outcome.selection)),
         history=selection.history,
         summary=summarise(
             "mismatch",

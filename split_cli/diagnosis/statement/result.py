@@ -118,14 +118,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Lead:
-    """An explanation that is no finding, since no real car of this size has what it would need.
+    """An explanation that is no finding: no real car has what it would need, or held-out time speaks against it.
 
     Attributes
     ----------
     parameters : mapping of str to ParameterEstimate
         What it would need.
     limits : mapping of str to (float, float)
-        What a real car can have, of those parameters that would have to go beyond.
+        What a real car can have, of those parameters that would have to go beyond; empty where none would.
     share : float
         Of what the best explanation saves, how much this one would save alone.
     instead : tuple of str

@@ -102,6 +102,29 @@ def lead_sentence(
     return " ".join(parts)
 
 
+def withdrawn_sentence(
+    term: str,
+    variant: str,
+    parameters: Parameters,
+    rises: tuple[float, float, float],
+    vehicle: Vehicle | None = None,
+) -> str:
+    """Return what would explain a part of the gap, and that held-out time speaks against it.
+
+    Parameters
+    ----------
+    rises : tuple of float
+        By which share the held-out squared one-step error rises with all such names; value, upper and lower end.
+    """
+    share, high, low = (100.0 * one for one in rises)
+    statement = statement_for(term, variant, parameters, vehicle)
+    return (
+        f"A lead, not a finding: {statement[:1].lower()}{statement[1:]}. With it the squared "
+        f"one-step error of held-out time rises by {share:.0f} % (95 %: {low:.0f} to {high:.0f} %), and a part of "
+        "the gap has no name: it stands for something else."
+    )
+
+
 def statement_for(term: str, variant: str, parameters: Parameters, vehicle: Vehicle | None = None) -> str:
     """Return what a finding says of the car or of the measurement, without a full stop."""
     kind = CATALOGUE[term]

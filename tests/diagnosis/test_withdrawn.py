@@ -1,0 +1,47 @@
+"""Held-out time takes names of the car back where it gets worse with them, and says so."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.search.fitting import Fit
+from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest
+from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
+from split_cli.vehicle.effects import CATALOGUE
+
+
+def finding(term: str, name: str, value: float, share: float) -> Finding:
+    estimate = ParameterEstimate(value, 0.02, "1", (value - 0.04, value + 0.04))
+    return Finding(term, "", {name: estimate}, share, (), "", 1.0, (), (), CATALOGUE[term].exported)
+
+
+FINDINGS = (finding("tire_relaxation", "length", 0.18, 0.25), finding("sensor_lever_arm", "dx", 0.1, 0.5))
+
+
+def improved(*removed: float) -> SimpleNamespace:
+    return SimpleNamespace(removed={"physics": removed or None})
+
+
+def test_names_of_the_car_are_taken_back_where_held_out_time_gets_worse_beyond_chance():
+    assert withdrawn(FINDINGS, improved(-1.61, -1.91, -1.09)) == FINDINGS[:1]
+    assert not withdrawn(FINDINGS, improved(-0.5, -1.2, 0.1))  # by chance
+    assert not withdrawn(FINDINGS, improved()) and not withdrawn(FINDINGS, None)
+
+
+def test_what_is_taken_back_counts_as_unexplained():
+    parts = tuple(SimpleNamespace(candidate=SimpleNamespace(term=one.term)) for one in FINDINGS)
+    fit = Fit(parts, 0.0, np.empty(0), np.empty((0, 0)))
+    selection = Selection(fit, fit, (), (), (), (True, True))
+    remainder = RemainderTest(0.0, 0.2, 1.0, ())
+    selection, left, rest = without_names(selection, FINDINGS, remainder, FINDINGS[:1])
+    assert selection.named == (False, True) and left == FINDINGS[1:]
+    assert rest == replace(remainder, share=pytest.approx(0.2 + 0.8 * 0.25))
+
+
+def test_a_lead_says_by_how_much_held_out_time_gets_worse():
+    (lead,) = as_leads(FINDINGS[:1], improved(-1.61, -1.91, -1.09), None)
+    assert lead.term == "tire_relaxation" and not lead.limits
+    assert "rises by 161 % (95 %: 109 to 191 %)" in lead.sentence and "stands for something else" in lead.sentence
