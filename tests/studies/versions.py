@@ -5,6 +5,7 @@ Prints the versions that were installed and the last line of the tests; exits wi
 """
 
 import argparse
+import os
 import re
 import subprocess
 import sys
@@ -52,8 +53,10 @@ def main() -> int:
         names = {text.split(">=")[0].lower() for text in _dependencies()}
         print(" ".join(line for line in listed.stdout.split() if line.split("==")[0].lower() in names))
         done = subprocess.run(
-            [python, "-m", "pytest", "-p", "no:cacheprovider", *given.tests],
+            [python, "-m", "pytest", "-n", "2", "-p", "no:cacheprovider", *given.tests],
             cwd=ROOT, capture_output=True, text=True, check=False,
+            # Code that another version of numba compiled lies beside the source.
+            env={**os.environ, "NUMBA_CACHE_DIR": f"{name}/numba"},
         )  # fmt: skip
         lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
         counts = [line for line in lines if " passed" in line]
