@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from split_cli.errors import SplitError
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from tests.factories import write_forged_set
@@ -78,8 +79,19 @@ POINTS = {
 _TRACK = ("--vehicle", "road_car.yaml", "--start-set", "turn.split")
 COMMANDS = {
     "append": ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--append"),
-    "export c": ("export", "a.split", "--target", "c", "-o", "out", "--queries", "50"),
-    "export json": ("export", "a.split", "--target", "json", "--predictor", "bcm", "-o", "out", "--queries", "50"),
+    "export c": ("export", "a.split", "--target", "c", "-o", "out", "--queries", "100"),
+    "export json": (
+        "export",
+        "a.split",
+        "--target",
+        "json",
+        "--predictor",
+        "bcm",
+        "-o",
+        "out",
+        "--queries",
+        "100",
+    ),
     "export ggv": ("export", "a.split", "--target", "ggv", "-o", "out"),
     "evaluate": ("evaluate", "d1.parquet", "--vehicle", "car.yaml", "--set", "a.split"),
     "compare": ("compare", "car.yaml", "a.split", "--on", "d1.parquet"),
@@ -90,10 +102,19 @@ COMMANDS = {
 }
 
 
+def _is_refused(path: Path) -> bool:
+    try:
+        read_set(path)
+    except SplitError:
+        return True
+    return False
+
+
 def main() -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="commands whose name holds one of these, with commas between")
+    parser.add_argument("--readable", action="store_true", help="only sets that reading alone does not refuse")
     parser.add_argument("--patience", type=float, default=40.0, help="seconds after which a run is stopped")
     given = parser.parse_args()
     load_commands()
@@ -117,6 +138,9 @@ def main() -> int:
                     write_forged_set(whole, path, HEADERS[kind])
                 else:
                     write_set(POINTS[kind](whole), path)
+                if given.readable and _is_refused(path):
+                    counts["refused when read"] += 1
+                    continue
                 how, fault = try_run(source, work, arguments[0], arguments[1:], given.patience)
                 counts[how] += 1
                 took += [kind] if how not in ("refused", "usage") else []
