@@ -88,7 +88,7 @@ def check_labels_header(described: Mapping[str, Any]) -> None:
 def _check_trust(trust: Mapping[str, Any]) -> None:
     for name in ("share", "doubt"):
         if trust.get(name) is not None:
-            _numbers(f"trust.{name}", trust[name], 3)
+            _numbers(f"trust.{name}", trust[name], 3, LARGEST_OF_KERNEL)
     _whole("trust.blocks", trust.get("blocks", 0), 0, np.inf)
 
 

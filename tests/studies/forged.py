@@ -115,7 +115,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="commands whose name holds one of these, with commas between")
     parser.add_argument("--readable", action="store_true", help="only sets that reading alone does not refuse")
-    parser.add_argument("--patience", type=float, default=40.0, help="seconds after which a run is stopped")
+    parser.add_argument(
+        "--patience", type=float, default=40.0, help="processor time after which a run is stopped [s]"
+    )
     given = parser.parse_args()
     load_commands()
     broken = 0
