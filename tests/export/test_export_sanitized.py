@@ -1,7 +1,7 @@
 """The exported C under address and undefined-behaviour sanitizers at inputs of every kind, and under cppcheck."""
 
-import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from split_cli.errors import ExportError
 from split_cli.export.c_check import build_driver
 from tests.export.export_support import source_of, take_cells
 from tests.export.test_export_finite import fuzz
+from tests.optional import needed
 
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 
@@ -78,13 +79,14 @@ def test_the_sanitizer_sees_a_fault(small_set, compiler, tmp_path):
     assert subprocess.run([str(tmp_path / "broken")], capture_output=True, check=False).returncode != 0
 
 
-@pytest.mark.skipif(shutil.which("cppcheck") is None, reason="cppcheck is not installed (Debian: cppcheck)")
 def test_cppcheck_finds_nothing(small_set, tmp_path):
+    needed("cppcheck")
     # The code is the same for any number of cells; the checker's time goes with the constants.
     source = source_of(take_cells(small_set, 20), predictor="rbcm")
     (tmp_path / "car.h").write_text(source.header)
     (tmp_path / "car.c").write_text(source.source)
     kinds = "--enable=warning,performance,portability"
-    command = ["cppcheck", "--std=c99", kinds, "--error-exitcode=1", "--quiet", str(tmp_path)]
+    checker = (sys.executable, "-c", "import sys, cppcheck; sys.exit(cppcheck.cppcheck())")
+    command = [*checker, "--std=c99", kinds, "--error-exitcode=1", "--quiet", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr[:2000]
