@@ -11,7 +11,7 @@ from split_cli.errors import LogError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawChannelInfo, RawSignal, TableRecording
-from split_cli.logs.readers import json_channels, json_rows
+from split_cli.logs.readers import json_channels, json_document, json_rows
 from split_cli.logs.readers.opening import open_recording
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
@@ -144,11 +144,17 @@ def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_i
     (tmp_path / "cut.json").write_text(text[: int(0.9 * len(text))])
     cut = open_recording(tmp_path / "cut.json")
     assert [info.name for info in cut.channels()] == names[:-1] and "cut off" in cut.notes[0].what
-    # Channels in a list, not in an object by their names, are not: it was said that no numbers stand in them.
-    listed = [{"name": name, "data": list(map(float, whole[name].values))} for name in names]
-    (tmp_path / "listed.json").write_text(json.dumps({"bus": listed}))
-    with pytest.raises(LogError, match="from an object by their names"):
-        open_recording(tmp_path / "listed.json")
+    # In a list with their names inside too: object by object, or through one that is too long for that.
+    long = list(map(float, np.tile(whole[names[0]].values, 3)))
+    listed = [{"time": long, "name": name, "unit": "m", "data": long} for name in ("a", "b")]
+    short = [{"name": name, "data": list(map(float, whole[name].values[:900]))} for name in names]
+    for channels, expected in ((listed, long), (short, whole[names[0]].values[:900])):
+        assert (len(json.dumps(channels[0])) > json_document._LONG_OBJECT) is (channels is listed)
+        (tmp_path / "listed.json").write_text(json.dumps({"log": {"bus": channels, "car": "a"}}))
+        found = open_recording(tmp_path / "listed.json")
+        assert [info.name for info in found.channels()] == [one["name"] for one in channels]
+        first = channels[0]["name"]
+        np.testing.assert_array_equal(found.read([first])[first].values, expected)
 
 
 def test_the_torque_of_a_steering_column_is_no_t_and_an_angle_that_follows_the_path_is_of_the_steering(

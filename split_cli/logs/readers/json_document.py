@@ -2,6 +2,7 @@
 
 import gc
 import io
+import itertools
 import json
 import math
 import re
@@ -13,6 +14,8 @@ from typing import Any
 LONGEST_ELEMENT = 4 << 20
 """Of one row, or of one element of a list [bytes]; judgement: a row of a thousand numbers has 30 kB."""
 PIECE = 1 << 20
+_LONG_OBJECT = 1 << 16
+"""From which on an object of a list is walked through [bytes]: a row of a thousand numbers has 30 kB."""
 _BLANKS = re.compile(r"[ \t\r\n]*")
 _ENDINGS = {"{": "},", "[": "],"}
 _MOST_FAILURES = 8
@@ -60,8 +63,8 @@ class JsonDocument:
     def items(self, deepest: int) -> Iterator[tuple[tuple[str, ...], Any]]:
         """Yield the keys that lead to each list, with its elements, and to what is no list, with its value.
 
-        Objects inside others are walked through, `deepest` of them one in another. Elements are to be taken before
-        the next item.
+        Objects inside others are walked through, `deepest` of them one in another, and so is a list of objects
+        that are too long to be rows. Elements are to be taken before the next item.
 
         Raises
         ------
@@ -77,6 +80,9 @@ class JsonDocument:
 
     def _items(self, place: tuple[str, ...], deepest: int) -> Iterator[tuple[tuple[str, ...], Any]]:
         begins = self._next()
+        if begins == "[" and len(place) < deepest and self._holds_long_objects():
+            yield from self._items_of_list(place, deepest)
+            return
         if begins == "[":
             elements = self._elements()
             yield place, elements
@@ -95,6 +101,29 @@ class JsonDocument:
             self._at += 1
         if self._next() == "}":
             self._at += 1
+
+    def _items_of_list(self, place: tuple[str, ...], deepest: int) -> Iterator[tuple[tuple[str, ...], Any]]:
+        """Walk through the elements of a list, as ``[0]``, ``[1]`` among the keys."""
+        self._at += 1
+        for index in itertools.count():
+            yield from self._items((*place, f"[{index}]"), deepest)
+            if self._next() != ",":
+                break
+            self._at += 1
+        self._take("]")
+
+    def _holds_long_objects(self) -> bool:
+        """Whether the list that begins here has a first element that is an object too long to be a row."""
+        while len(self._text) - self._at < _LONG_OBJECT and self._read_on():
+            pass
+        begin = _BLANKS.match(self._text, self._at + 1).end()  # type: ignore[union-attr]
+        if self._text[begin : begin + 1] != "{":
+            return False
+        try:
+            _DECODER.raw_decode(self._text[: begin + _LONG_OBJECT], begin)
+        except (ValueError, RecursionError):
+            return len(self._text) - begin > _LONG_OBJECT
+        return False
 
     def _elements(self) -> Iterator[Any]:
         self._at += 1

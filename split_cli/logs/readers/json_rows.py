@@ -285,8 +285,9 @@ def _no_rows(path: Path) -> LogError:
     if path.stat().st_size > LARGEST_DOCUMENT:
         what = f"is one JSON document of more than {LARGEST_DOCUMENT >> 20} MB without a list of rows of numbers"
         advice = (
-            'Beyond that size channels are read from an object by their names, {"speed": {"values": [...]}}, not '
-            "from a list: write it so, or a shorter stretch, or CSV or Parquet."
+            "Beyond that size rows are read from one list, and channels by their names, "
+            '{"speed": {"values": [...]}}: write it so, '
+            "or a shorter stretch, or CSV or Parquet."
         )
         return LogError(what, where=path.name, advice=advice)
     advice = (
