@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
+from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rolling
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.innovations.whitening import build_whitener
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
+from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.logs.drive import Drive
+from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import Situation, integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
@@ -145,6 +148,21 @@ def bare_objective(*evidence: Evidence, kinematics: Sequence[KinematicResiduals]
 def noisy_objective(drive: Drive, seed: int, disturbance: float = 1e-8) -> MarginalLikelihood:
     """Return an objective of a noise-free drive with white sensor noise, of a known disturbance."""
     return bare_objective(light_evidence(prepared(noisy(drive, seed)), disturbance))
+
+
+def case_of(reality: Drive, simulation: Drive) -> DiagnosisCase:
+    """Return the case of one real drive against one simulated one."""
+    places, _ = places_of([reality, simulation], road_car().wheelbase)
+    roles = zip((reality, simulation), ("real", "sim"), places, strict=True)
+    return gather_case(road_car(), [build_series(one, role, s) for one, role, (s, _) in roles])
+
+
+def fitted_scale(case: DiagnosisCase, term: str, variant: str = "") -> float:
+    """Return the scale of a term that is fitted alone, the simulation being a fixed baseline."""
+    objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics)
+    (candidate,) = (one for one in candidates_of(objective, term) if one.variant == variant)
+    fit = fit_parts(objective.with_fixed_baseline(), (Part(candidate, dict(candidate.starts[0])),))
+    return fit.parts[0].values["scale"]
 
 
 def candidates_of(objective: MarginalLikelihood, *names: str) -> list[Candidate]:

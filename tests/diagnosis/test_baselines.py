@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
+from split_cli.diagnosis.innovations.case import DiagnosisCase
 from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.policy import STANDARD
@@ -16,8 +16,8 @@ from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import Rival, Selection
 from split_cli.logs.drive import Drive
-from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
+from tests.diagnosis.recordings import case_of
 from tests.diagnosis.test_calibration import drive, recorded
 from tests.factories import road_car
 
@@ -25,15 +25,6 @@ from tests.factories import road_car
 def term(name: str, **values: float) -> Term:
     kind = CATALOGUE[name]
     return kind({**{key: kind.neutral[key] for key in kind.units}, **values}, "")
-
-
-def case_of(reality: Drive, simulation: Drive) -> DiagnosisCase:
-    drives = [reality, simulation]
-    places, _ = places_of(drives, road_car().wheelbase)
-    series = [
-        build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
-    ]
-    return gather_case(road_car(), series)
 
 
 def commanded(drive: Drive, gain: float) -> Drive:

@@ -8,15 +8,10 @@ import pytest
 import split_cli.diagnosis.baseline.discrepancy as discrepancy_module
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy, tangents
-from split_cli.diagnosis.innovations.case import gather_case
-from split_cli.diagnosis.innovations.objective import build_objective
-from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import EffectSpec
-from tests.diagnosis.recordings import driven, prepared
+from tests.diagnosis.recordings import case_of, driven, fitted_scale, prepared
 from tests.diagnosis.test_calibration import drive, recorded
 from tests.factories import road_car
 
@@ -85,22 +80,10 @@ def test_an_inertia_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
     lacking = (term("tire_stiffness", front_scale=1.5, rear_scale=0.75),)
     simulation = drive(1, lacking)
     reality = recorded(drive(2, (*lacking, term("yaw_inertia", scale=1.2))), 2)
-    places, _ = places_of([reality, simulation], road_car().wheelbase)
-    series = [
-        build_series(one, role, s)
-        for one, role, (s, _) in zip([reality, simulation], ("real", "sim"), places, strict=True)
-    ]
-    case = gather_case(road_car(), series)
-    candidate = next(one for one in build_candidates(road_car(), series[0]) if one.term == "yaw_inertia")
-
-    def fitted() -> float:
-        objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics)
-        fit = fit_parts(objective.with_fixed_baseline(), (Part(candidate, dict(candidate.starts[0])),))
-        return fit.parts[0].values["scale"]
-
-    assert fitted() == pytest.approx(1.2, abs=0.02)
+    case = case_of(reality, simulation)
+    assert fitted_scale(case, "yaw_inertia") == pytest.approx(1.2, abs=0.02)
     monkeypatch.setattr(discrepancy_module, "at_another_body", lambda rates, vehicle, terms: rates)
-    assert abs(fitted() - 1.2) > 0.05
+    assert abs(fitted_scale(case, "yaw_inertia") - 1.2) > 0.05
 
 
 @pytest.mark.parametrize("gyration", [0.35, 0.6, 1.0, 1.25])

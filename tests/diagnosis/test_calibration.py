@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.innovations.case import gather_case
-from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.remainder.structure import FlexibleFit
 from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.logs.drive import Drive
-from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import case_of
 from tests.factories import make_drive, road_car
 
 NOISE = {"vx": 0.01, "vy": 0.01, "r": 0.002}
@@ -46,14 +44,8 @@ def drive(seed: int, terms=()) -> Drive:
 
 
 def against_itself(simulation: Drive, reality: Drive) -> SelfTest:
-    car = road_car()
-    drives = [reality, simulation]
-    places, _ = places_of(drives, car.wheelbase)
-    real, sim = (
-        build_series(one, role, s) for one, role, (s, _) in zip(drives, ("real", "sim"), places, strict=True)
-    )
-    case = gather_case(car, [real, sim])
-    candidates = build_candidates(car, real)
+    case = case_of(reality, simulation)
+    candidates = build_candidates(road_car(), case.real[0].series)
     return self_test(
         case.graded, case.discrepancy, candidates, variance_inflation=1.5, reach=0.35, posterior=case.posterior
     )

@@ -5,14 +5,9 @@ import pytest
 
 import split_cli.diagnosis.baseline.discrepancy as discrepancy_module
 from split_cli.diagnosis.baseline.tires import at_other_tires
-from split_cli.diagnosis.innovations.case import gather_case
-from split_cli.diagnosis.innovations.objective import build_objective
-from split_cli.diagnosis.recording.series import build_series, extended_model
-from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.logs.track_position import places_of
+from split_cli.diagnosis.recording.series import extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import driven, prepared
+from tests.diagnosis.recordings import case_of, driven, fitted_scale, prepared
 from tests.diagnosis.test_calibration import drive, recorded
 from tests.factories import road_car
 
@@ -83,23 +78,7 @@ def test_a_grip_is_found_beside_much_that_the_nominal_lacks(monkeypatch):
     """Stiffer tyres make forces that only the shared discrepancy knows."""
     simulation = drive(1, lacking())
     reality = recorded(drive(2, (*lacking(), term("friction_scale", "curve", scale=GRIP))), 2)
-    places, _ = places_of([reality, simulation], road_car().wheelbase)
-    series = [
-        build_series(one, role, s)
-        for one, role, (s, _) in zip([reality, simulation], ("real", "sim"), places, strict=True)
-    ]
-    case = gather_case(road_car(), series)
-    candidate = next(
-        one
-        for one in build_candidates(road_car(), series[0])
-        if (one.term, one.variant) == ("friction_scale", "curve")
-    )
-
-    def fitted() -> float:
-        objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics)
-        fit = fit_parts(objective.with_fixed_baseline(), (Part(candidate, dict(candidate.starts[0])),))
-        return fit.parts[0].values["scale"]
-
-    assert fitted() == pytest.approx(GRIP, abs=0.02)
+    case, term_and_variant = case_of(reality, simulation), ("friction_scale", "curve")
+    assert fitted_scale(case, *term_and_variant) == pytest.approx(GRIP, abs=0.02)
     monkeypatch.setattr(discrepancy_module, "at_other_tires", lambda rates, series, vehicle, terms: rates)
-    assert abs(fitted() - GRIP) > 0.03
+    assert abs(fitted_scale(case, *term_and_variant) - GRIP) > 0.03

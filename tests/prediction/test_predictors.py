@@ -322,24 +322,20 @@ def apart(make_set, seed):
     return make_set(lattice + 0.1 * random.normal(size=(64, 3)), random.normal(size=(64, 3)), kernel)
 
 
-def test_iol_with_room_for_every_point_is_the_dense_process(make_set):
-    """Points a length scale apart, so that none lacks the gain to enter."""
-    stored = apart(make_set, 30)
-    z = query_points(stored, 100, 31)
-    full = FullPredictor(stored).predict(z)
-    alike(make_predictor("iol", stored, capacity=64).predict(z), full, atol=1e-10)
-    assert np.abs(make_predictor("iol", stored, capacity=20).mean(z) - full.mean).max() > 0.1
-
-
-def test_projected_on_every_point_is_the_dense_process(make_set):
-    """Points a length scale apart, each of a gain above the threshold; labels come one by one."""
+@pytest.mark.parametrize(
+    ("name", "all_of_them", "fewer"),
+    [
+        ("iol", {"capacity": 64}, {"capacity": 20}),
+        ("projected", {"threshold": 0.0}, {"threshold": 0.0, "most": 32}),
+    ],
+)
+def test_with_room_for_every_point_it_is_the_dense_process(name, all_of_them, fewer, make_set):
+    """Points a length scale apart, so that none lacks the gain to enter; with less room it is another."""
     stored = apart(make_set, 32)
     z = query_points(stored, 100, 31)
     full = FullPredictor(stored).predict(z)
-    got = make_predictor("projected", stored, threshold=0.0).predict(z)
-    alike(got, full, atol=1e-10)
-    # Room for half of them: the rest are labels on the others' points.
-    assert np.abs(make_predictor("projected", stored, most=32, threshold=0.0).mean(z) - full.mean).max() > 0.1
+    alike(make_predictor(name, stored, **all_of_them).predict(z), full, atol=1e-10)
+    assert np.abs(make_predictor(name, stored, **fewer).mean(z) - full.mean).max() > 0.1
 
 
 def test_a_set_that_needs_more_points_than_projected_has_is_spanned_as_a_whole(make_set):
