@@ -21,7 +21,12 @@ from split_cli.plant.cars import F1TENTH_CAR, FORMULA_CAR, ROAD_CAR
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
-from split_cli.workflows.racing.choice import FeatureChoice, choose_features, whether_learning_helped
+from split_cli.workflows.racing.choice import (
+    FeatureChoice,
+    choose_features,
+    what_lap_0_asks,
+    whether_learning_helped,
+)
 from split_cli.workflows.racing.driving import Race, next_deviation, share_left
 from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.first_lap import blank_header, remembering
@@ -173,6 +178,16 @@ def test_the_race_says_whether_learning_helped():
         [driven(0, 40.0), driven(1, 41.0)], RaceSettings(features="z2")
     )
     assert whether_learning_helped([driven(0, 40.0), driven(1, 38.0)], RaceSettings(learner="none")) == ""
+
+
+def test_a_lap_0_off_the_track_asks_for_a_diagnosis_where_the_file_has_no_terms():
+    car = read_vehicle(CAR)
+    off, lost, clean = (SimpleNamespace(number=0, time=time, outside=outside, clean=not outside)
+                        for time, outside in ((40.0, 0.2), (None, 2.0), (40.0, 0.0)))  # fmt: skip
+    assert "0.20 m outside" in what_lap_0_asks([off], car) and "split diagnose" in what_lap_0_asks([off], car)
+    assert "not finished" in what_lap_0_asks([lost], car)
+    lagged = replace(car, effects=(SimpleNamespace(term="steer_lag"),))
+    assert what_lap_0_asks([clean], car) == what_lap_0_asks([off], lagged) == what_lap_0_asks([], car) == ""
 
 
 def test_a_choice_that_later_laps_turn_learns_all_laps_as_if_it_had_been_made_at_once(tmp_path, monkeypatch):

@@ -112,6 +112,25 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
     return f"Learning did not help: {slower}, {called} {rival.time:.2f} s.{_what_to_do(own[-1], settings)}"
 
 
+def what_lap_0_asks(laps: Sequence[Lap], vehicle: Vehicle) -> str:
+    """Return what to do where the nominal model did not keep lap 0 on the track; empty where it did.
+
+    Notes
+    -----
+    A file without terms has no lag of steering or torque. The smaller a car, the more its lags displace it: times
+    shrink with the root of the lengths (Froude), and lags do not. One lap tells them, an unfinished one too.
+    """
+    if not laps or laps[0].number != 0 or laps[0].clean or vehicle.effects:
+        return ""
+    first = laps[0]
+    what = f"{first.outside:.2f} m outside the track" if first.time is not None else "not finished"
+    return (
+        f"lap 0 was {what}, and the file of {vehicle.name} has no lags: keep that lap (-o lap0.parquet --laps 0 "
+        "--learner none), let `split diagnose --real lap0.parquet` name what the file lacks, and race with its "
+        "corrected file"
+    )
+
+
 def _what_to_do(last: Lap, settings: RaceSettings) -> str:
     """Return the errors of the last lap, and what to do where learning did not help."""
     errors = ""

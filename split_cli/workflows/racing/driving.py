@@ -32,7 +32,7 @@ from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.workflows.racing.choice import choose_features, whether_learning_helped
+from split_cli.workflows.racing.choice import choose_features, what_lap_0_asks, whether_learning_helped
 from split_cli.workflows.racing.closed_loop import World, body_width
 from split_cli.workflows.racing.entry import (
     check_car,
@@ -424,10 +424,11 @@ class Race:
 
     def result(self, output: str | FilePath | None, others: Sequence[RaceResult] = ()) -> RaceResult:
         """Return what was driven, compared with `others` as `whether_learning_helped` does."""
+        advice = what_lap_0_asks(self.laps, self.vehicle)
         return RaceResult(
             track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
             length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
-            set_path=self.kept, notes=tuple(self.notes),
+            set_path=self.kept, notes=(*self.notes, *filter(None, [advice])),
             traces=tuple(self.traces), path=self.path, grips=tuple(self.grips),
             verdict=whether_learning_helped(self.laps, self.settings, others),
         )  # fmt: skip
