@@ -110,7 +110,7 @@ BESIDE_THEIR_ALGORITHM = {
     "verdict/correction.py": {"_FEWEST_TO_LEARN", "_FOLDS", "_STARTS", "_BEYOND_CHANCE"},
     "verdict/detectable.py": {"_ROUNDS", "_FURTHEST", "_GROWTH"},
     "verdict/estimates.py": {"_CHI2_95", "_COLLINEAR"},
-    "verdict/findings.py": {"_SHOWN_RIVALS"},
+    "verdict/findings.py": {"_SHOWN_RIVALS", "_SCALE_STEP"},
     "verdict/improvement.py": {"_BOOTSTRAPS", "_MOSTLY"},
     "verdict/joint_region.py": {"_STEPS"},
     "verdict/label_errors.py": {"BLOCK_SECONDS", "_WANTED_BLOCKS", "_SHORTEST_BLOCK"},

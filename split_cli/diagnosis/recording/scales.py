@@ -39,9 +39,11 @@ def out_of_scale(
     terms : sequence of Term
         Found; the real sensors are corrected by them.
     """
-    out, agreed = [], 0.5 * rules.least_scale_error
+    out = []
     for name, (ours, theirs) in _wrong(real, simulated, terms, rules).items():
-        and_not = ", in the simulation they agree" if simulated and abs(theirs - 1.0) < agreed else ""
+        and_not = (
+            ", in the simulation they agree" if simulated and abs(theirs - 1.0) <= rules.least_scale_error else ""
+        )
         share = f"{100.0 * abs(ours - theirs):.2g} %"
         out.append(_WORDS[name].format(share=share, more="more" if ours > theirs else "less") + and_not + _ADVICE)
     return tuple(out)
