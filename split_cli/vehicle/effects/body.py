@@ -116,8 +116,9 @@ class RotatingMass(Term):
     `mass` is J/r_e^2, with J the inertia of all that turns, referred to the wheels. Driving across and turning do
     not accelerate it. At a steady speed it takes no torque, by which it differs from `drive_gain`. Terms that act
     by the force along the car (`load_transfer`, `combined_slip`) keep that of the whole torque. While the car
-    accelerates it is larger than the force at the ground, by the share mass/m. Source: Gillespie (1992),
-    chapter 2.
+    accelerates it is larger than the force at the ground, by the share mass/m. That hardly matters to
+    `load_transfer`, since wheels that spin up take their moment from the road, too: F (m h + mass r_e)/(m + mass)
+    instead of F h, with r_e near h. Source: Gillespie (1992), chapter 2.
     """
 
     id = "rotating_mass"
