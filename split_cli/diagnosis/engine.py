@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from split_cli.diagnosis.verdict.findings import describe, is_autocorrelated, wi
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
+from split_cli.diagnosis.verdict.planted import planted_saving
 from split_cli.diagnosis.verdict.power import hidden_effects, hidden_in_words, no_match_in_words
 from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
 from split_cli.logs.drive import Drive
@@ -128,7 +130,13 @@ def diagnose(
     scales = scales_as_terms(*positions, outcome.selection.terms, policy.screening)
     found = _compare(case, outcome, contradictions, scales)
     progress("sizing")
-    detectable = smallest_named(outcome.objectives, candidates, outcome.variance_inflation, settings.level / _WAYS)
+    detectable = smallest_named(
+        outcome.objectives,
+        candidates,
+        outcome.variance_inflation,
+        settings.level / _WAYS,
+        partial(planted_saving, case=case, reach=reach),
+    )
     if found.p_value >= settings.level:
         judged = _of_known_inputs(candidates, real) if simulated else []
         return _match(case, found, judged, share, not_judged, {**record, "detectable": detectable})

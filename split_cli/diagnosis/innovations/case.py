@@ -12,7 +12,7 @@ from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, graded_as
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, learn_discrepancy
 from split_cli.diagnosis.parallel import together
-from split_cli.diagnosis.policy import STANDARD, Policy
+from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
@@ -48,6 +48,14 @@ class DiagnosisCase:
         )
         return replace(self, keep=keep, keep_holdout=kept_out)
 
+    def recorded_as(self, series: Sequence[Series], reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
+        """Return the case with other real recordings, filtered and compared as these; witnesses stay."""
+        real = together(
+            lambda one: _gathered(self.vehicle, one, self.discrepancy, self.simulated, policy.believing), series
+        )
+        keep = (comparable(one, self.simulated, self.discrepancy, reach, policy) for one in real)
+        return replace(self, real=tuple(real), keep=tuple(keep))
+
     def discrepancy_rates(self, evidence: Evidence, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what the simulation knows beyond the nominal model with terms along a recording, shape (N, 3)."""
         if self.posterior is None:
@@ -61,14 +69,10 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
     discrepancy = build_shared_discrepancy(vehicle, (by_role["sim"] or by_role["real"])[0])
     simulated = together(lambda one: gather_evidence(vehicle, one, discrepancy, rules=rules), by_role["sim"])
-    least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
-
-    def gathered(one: Series) -> Evidence:
-        own = gather_evidence(vehicle, one, discrepancy, least, rules)
-        # Nothing is shared with a nominal model.
-        return own if simulated else replace(own, discrepancy=np.empty((*own.plain.shape, 0)))
-
-    real, holdout = (together(gathered, by_role[role]) for role in ("real", "holdout"))
+    real, holdout = (
+        together(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules), by_role[role])
+        for role in ("real", "holdout")
+    )
     noise = np.median([one.series.stated_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
     graded = [graded_as(one, noise, disturbance, discrepancy) for one in simulated]
@@ -84,3 +88,17 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         tuple(simulated), graded=tuple(graded),
     )  # fmt: skip
     return case.compared(policy.comparison.reach, policy)
+
+
+def _gathered(
+    vehicle: Vehicle,
+    series: Series,
+    discrepancy: SharedDiscrepancy,
+    simulated: Sequence[Evidence],
+    rules: Believing,
+) -> Evidence:
+    """Return a real recording, whitened, with no less disturbance than simulated ones have."""
+    least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
+    own = gather_evidence(vehicle, series, discrepancy, least, rules)
+    # Nothing is shared with a nominal model.
+    return own if simulated else replace(own, discrepancy=np.empty((*own.plain.shape, 0)))

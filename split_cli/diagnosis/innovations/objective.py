@@ -294,8 +294,10 @@ class MarginalLikelihood:
     @property
     def shared_cost(self) -> float:
         """Cost that the shared discrepancy, at the simulation's weights, explains of the real recordings."""
-        plain = self.stack([evidence.plain for evidence in self.evidence])
-        return max(float(plain @ plain - np.sum((plain - self.offset) ** 2)), 0.0)
+        if "shared cost" not in self.memo:
+            plain = self.stack([evidence.plain for evidence in self.evidence])
+            self.memo["shared cost"] = max(float(plain @ plain - np.sum((plain - self.offset) ** 2)), 0.0)
+        return self.memo["shared cost"]
 
     def block_sums(self, residuals: np.ndarray) -> np.ndarray:
         """Return sums over blocks of time, shape (B, ...)."""

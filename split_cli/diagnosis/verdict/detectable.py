@@ -1,6 +1,6 @@
 """Detection limits: the smallest size of each effect that would have been named if it were the only one."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import brentq
@@ -13,11 +13,15 @@ from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
+from split_cli.diagnosis.verdict.planted import alters_commands
 from split_cli.vehicle.effects import CATALOGUE, Term
+
+Planted = Callable[[MarginalLikelihood, Term], tuple[float, float]]
 
 _ROUNDS = 8  # an effect of twice the size saves nearly four times as much; past a tyre's peak it hardly saves more
 _FURTHEST = 1e4
 _GROWTH = 1.25  # steps in which a size grows until it is apart from no effect
+_LEAST_GROWTH = 1.02  # the least step in which a size grows until recordings that have it show it
 # Steps after which what alters inputs, and what does not, is as told.
 _NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
 
@@ -27,6 +31,7 @@ def smallest_named(
     candidates: Sequence[Candidate],
     variance_inflation: float,
     level: float,
+    planted: Planted | None = None,
 ) -> tuple[Detectable, ...]:
     """Return from which size on each parameter of each term would be named alone on these recordings.
 
@@ -39,6 +44,9 @@ def smallest_named(
         Those that act at a place are left out: it depends on the place.
     level : float
         Of the minimum-effect test.
+    planted : callable, optional
+        Returns what a term that alters commands saves of recordings that have it, and its size there: see
+        `planted_saving`. Without, they are taken to be filtered as these are.
 
     Notes
     -----
@@ -46,15 +54,17 @@ def smallest_named(
     the difference that is there already may take off: nobody knows the sign of an effect beforehand. A fault of
     one sign moves the rows as its term of the other does, and where much is curved not as far to either side; what
     is told holds for both. Its size is searched where the test that is asked of every name is passed just so, and
-    it grows until its 95 % interval leaves out no effect. Chance makes it pass a little earlier or later; what
-    looks the same may be named in its stead.
+    it grows until its 95 % interval leaves out no effect. A fault of the commands alters the filter of the rows
+    too: it grows until the test is passed by recordings that have it. A size whose interval ends where no real
+    car lies beyond is not told: such a fault is taken for one beyond, which has no name. Chance makes it pass a
+    little earlier or later; what looks the same may be named in its stead.
     """
     bare = [nothing(objective) for objective in objectives]
 
     def smallest(candidate: Candidate, start: Mapping[str, float]) -> tuple[float, dict[str, float]]:
         last = -1 if alters_inputs(candidate.build(start)) else 0
         return _smallest(
-            objectives[last], bare[last], candidate, start, variance_inflation, level / len(candidates)
+            objectives[last], bare[last], candidate, start, variance_inflation, level / len(candidates), planted
         )
 
     every = _alone(candidates)
@@ -102,6 +112,7 @@ def _smallest(
     start: Mapping[str, float],
     variance_inflation: float,
     level: float,
+    planted: Planted | None,
 ) -> tuple[float, dict[str, float]]:
     """Return how many times a start an effect has to be, and its values; infinity and none beyond its range."""
     near = _NEAR if alters_inputs(candidate.build(start)) else _PROPORTIONAL
@@ -140,8 +151,48 @@ def _smallest(
         if not candidate.allows(values):
             break
         if everyday or abs(log) < near:
+            if planted is not None and alters_commands(term):
+                factor = _grown_seen(objective, candidate, start, factor, excess, planted)
             return _grown_apart(objective, bare, candidate, start, factor)
     return np.inf, {}
+
+
+def _grown_seen(
+    objective: MarginalLikelihood,
+    candidate: Candidate,
+    start: Mapping[str, float],
+    factor: float,
+    excess: Callable[[float, float], float],
+    planted: Planted,
+) -> float:
+    """Return a factor, grown until recordings that have the effect pass; infinity beyond its range.
+
+    They have it to either side, where it has two. What it saves there grows with the square of its size at most,
+    so that each step ends short of what is sought.
+    """
+
+    def growth(saved: float, size: float) -> float:
+        """Return by which factor an effect has to grow; 1 where it passes."""
+
+        def passes(log: float) -> float:
+            return excess(np.exp(log) * size, np.exp(2.0 * log) * saved)
+
+        far = np.log(_FURTHEST)
+        if saved > 0.0 and passes(0.0) >= 0.0:
+            return 1.0
+        if saved <= 0.0 or passes(far) < 0.0:
+            return _GROWTH
+        return max(float(np.exp(brentq(passes, 0.0, far, xtol=0.01))), _LEAST_GROWTH)
+
+    while candidate.allows(values := candidate.moved(start, factor)):
+        for term in (candidate.build(values), *_other_sign(candidate, values)):
+            grown = growth(*planted(objective, term))
+            if grown > 1.0:
+                factor *= grown
+                break
+        else:
+            return factor
+    return np.inf
 
 
 def _grown_apart(
@@ -150,7 +201,7 @@ def _grown_apart(
     """Return a factor and values as of `_smallest`, grown until an interval leaves out no effect."""
     for _ in range(_ROUNDS):
         values = candidate.moved(start, factor)
-        if not candidate.allows(values):
+        if not (np.isfinite(factor) and candidate.allows(values)):
             break
         if _is_apart(objective, bare, Part(candidate, values)):
             return factor, values
@@ -159,12 +210,23 @@ def _grown_apart(
 
 
 def _is_apart(objective: MarginalLikelihood, bare: Fit, part: Part) -> bool:
-    """Return whether a part that leaves what is left now would have an interval without its neutral value."""
+    """Return whether a part that leaves what is left now would have an interval without its neutral value.
+
+    Nor may the interval reach where no real car lies beyond.
+    """
     steps = np.array([part.candidate.ranges[name].step for name in part.values])
     slopes = tangent(objective, np.zeros(len(objective.weight)), part).slopes / steps
     (shown,) = parameter_estimates(objective, Fit((part,), bare.cost, bare.residuals, slopes), recorded=False)
-    ends = [(part.term.neutral[name], one.interval_95) for name, one in shown.items() if name in part.term.neutral]
-    return any(not low <= neutral <= high for neutral, (low, high) in ends)
+
+    def is_apart(name: str) -> bool:
+        (low, high), limits, neutral = (
+            shown[name].interval_95,
+            part.candidate.ranges[name],
+            part.term.neutral[name],
+        )
+        return low > neutral and high < limits.upper or high < neutral and low > limits.lower
+
+    return any(is_apart(name) for name in shown if name in part.term.neutral)
 
 
 def _moved(objective: MarginalLikelihood, bare: Fit, term: Term) -> tuple[float, float]:
