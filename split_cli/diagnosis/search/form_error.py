@@ -112,11 +112,16 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
     return (here - best[0]) - (there - best[1])
 
 
-def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = True) -> np.ndarray:
     """Return how far parameters, over the parts in order, move with the best law of load, shape (P,).
 
     A heavier car whose tyres carry a little more is taken for a lighter one where its variant says that they carry
     no more. Zeros where no term loads the tyres.
+
+    Parameters
+    ----------
+    recorded : bool
+        Whether the recording has these effects, so that other laws can be fitted to it.
 
     Notes
     -----
@@ -146,7 +151,7 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarr
     inside = [
         one.lower <= value <= one.upper for one, value in zip(ranges, values + moved[: len(values)], strict=True)
     ]
-    return moved if all(inside) else _moved_by_refits(objective, fit, values)
+    return _moved_by_refits(objective, fit, values) if recorded and not all(inside) else moved
 
 
 def _moved_by_refits(objective: MarginalLikelihood, fit: Fit, values: np.ndarray) -> np.ndarray:

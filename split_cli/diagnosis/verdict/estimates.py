@@ -70,7 +70,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
     random = _random_error(objective, fit, J)
     variance = np.maximum(np.diag(random.sandwich), np.diag(random.of_noise))
     wide = float(student.ppf(0.975, random.freedom))
-    moved, out, column = moved_between_load_laws(objective, fit), [], 0
+    moved, out, column = moved_between_load_laws(objective, fit, recorded=recorded), [], 0
     for k, part in enumerate(fit.parts):
         term, estimated, names = part.term, {}, []
         shared = np.hypot(systematic_error(objective, fit, k), _between_recordings(objective, fit, k))
