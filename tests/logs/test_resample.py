@@ -1,8 +1,12 @@
 """Resampling: exact for polynomials, of the order claimed, low-passed as claimed, nothing across gaps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from split_cli.logs.assembling.assemble import assemble_drive
+from split_cli.logs.assembling.clean import CleanSeries
 from split_cli.logs.assembling.resample import (
     Resampled,
     SampleClock,
@@ -12,6 +16,7 @@ from split_cli.logs.assembling.resample import (
     resample_together,
     runs_of,
 )
+from tests.logs.planted import PlantedDrive, planted_map
 
 
 def jittered(rng, seconds: float, step: float, jitter: float = 0.5) -> np.ndarray:
@@ -145,3 +150,37 @@ def test_a_short_outage_of_a_fast_signal_is_bridged_not_zeroed():
     grid = grid_over(time, 0.01)
     result = resampled(time, 5.0 + time, grid, gap=0.1)
     np.testing.assert_allclose(result.values, 5.0 + grid.time, atol=1e-8)
+
+
+def _series(time: np.ndarray, values: np.ndarray) -> CleanSeries:
+    return CleanSeries("delta", "delta", time, values, float(np.median(np.diff(time))))
+
+
+def test_what_is_written_only_on_change_is_told_from_regular_messages_and_from_a_sensor_with_jitter():
+    t = np.arange(0.0, 60.0, 0.02)
+    steps = np.round(0.05 * np.sin(0.3 * t) / 0.01) * 0.01
+    changed = np.concatenate([[True], np.diff(steps) != 0.0])
+    assert _series(t[changed], steps[changed]).on_change
+    # Every sample, and with a drop-out: what is missing there may have been anything.
+    kept = (t < 20.0) | (t > 25.0)
+    assert not _series(t[kept], steps[kept]).on_change
+    rng = np.random.default_rng(1)
+    jitter = np.cumsum(rng.exponential(0.02, 500))
+    assert not _series(jitter, np.sin(jitter) + 1e-3 * rng.standard_normal(500)).on_change
+
+
+def test_a_steer_angle_that_is_written_only_on_change_is_held_over_straights():
+    """Straights of seconds without a sample had been gaps of a command, and an error of a measured angle."""
+    planted = PlantedDrive(seconds=60.0)
+    channels = ("vx", "vy", "r", "T", "delta")
+    for kind in ("command", "measured"):
+        log = planted.recording(channels)
+        sensor = log.signals["delta"]
+        steps = np.round(sensor.values / 0.01) * 0.01
+        changed = np.concatenate([[True], np.diff(steps) != 0.0])
+        log.signals["delta"] = replace(sensor, time=sensor.time[changed], values=steps[changed])
+        made = assemble_drive(log, planted_map(channels, delta={"kind": kind}), planted.vehicle)
+        # The last value holds on, but only what all signals cover is a drive.
+        assert made.drive["t"][-1] - made.drive["t"][0] > 59.0 - (sensor.time[-1] - sensor.time[changed][-1])
+        assert len(made.drive.segments()) == 1
+        assert np.max(np.abs(made.drive["delta"] - planted.at("delta", made.drive["t"]))) < 0.0101

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,6 +33,10 @@ class Drop:
     count: int
 
 
+_FEWEST_CHANGES, _IRREGULAR = 20, 3.0
+"""Changes, and ratio of long steps of time to short ones, from which on a signal is written on change [1]."""
+
+
 @dataclass(frozen=True)
 class CleanSeries:
     """A series with finite values at strictly increasing times, delay removed."""
@@ -46,6 +51,19 @@ class CleanSeries:
     repeats: int = 1
     spikes: int = 0  # isolated spikes that were found
     drops: tuple[Drop, ...] = ()
+
+    @cached_property
+    def on_change(self) -> bool:
+        """Whether it is written only where it changes, so that between two samples nothing is missing.
+
+        Then no value stands twice in a row, the values are few, and the steps of time are as different as a drive
+        is. Messages that come regularly have one usual step, and those of a noisy sensor hardly repeat a value.
+        """
+        steps, values = np.diff(self.time), self.values
+        if len(steps) < _FEWEST_CHANGES or np.any(np.diff(values) == 0.0):
+            return False
+        short, long = np.quantile(steps, [0.1, 0.9])
+        return bool(long > _IRREGULAR * short) and len(np.unique(values)) <= 0.5 * len(values)
 
 
 def join_clock_resets(

@@ -43,10 +43,15 @@ class Channels:
     widened: bool = False
 
     def gap_of(self, channel: str, index: int) -> float:
-        """Return the longest step of a source that is bridged [s]; more for commands and slow optional ones."""
-        period = self.clean[channel][index].period
+        """Return the longest step of a source that is bridged [s]; more for commands and slow optional ones.
+
+        What is written only where it changes holds until its next sample.
+        """
+        part = self.clean[channel][index]
+        period = part.period
         if self.modes[channel][index] == "held":
-            return max(self.gap, 5.0 * period)
+            whole = float(part.time[-1] - part.time[0]) if part.on_change else 0.0
+            return max(self.gap, 5.0 * period, whole)
         if channel in self.needed and not (self.widened and period <= SLOWEST_PERIOD):
             return self.gap
         return max(self.gap, 2.5 * period)
@@ -122,7 +127,7 @@ def _mode(channel: str, entry: ChannelMap, part: CleanSeries) -> str:
     if entry.kind == "command":
         return "held"
     if _may_hold(channel):
-        return "held" if is_sampled_and_held(part.values) else "continuous"
+        return "held" if part.on_change or is_sampled_and_held(part.values) else "continuous"
     return CHANNELS[channel].kind
 
 

@@ -178,14 +178,15 @@ def _finding(late: DelayEstimate) -> ConsistencyFinding:
 
 
 def _hold(values: np.ndarray, period: float) -> float:
-    """Return how long a channel in steps usually keeps its value [s], 0 for one that is not in steps.
+    """Return how long a channel in steps keeps its value [s] where it changes fast, 0 for one without steps.
 
-    Between most changes, not on average: coarse steps stand still where nothing happens, and are not late there.
+    Not on average: coarse steps, and values written only on change, stand still where nothing happens, and are not
+    late there.
     """
     changes = np.flatnonzero(np.diff(values) != 0.0)
     if len(changes) > (1.0 - _HELD) * len(values):
         return 0.0
-    return period * float(np.median(np.diff(changes))) if len(changes) > 1 else period * len(values)
+    return period * float(np.quantile(np.diff(changes), 0.1)) if len(changes) > 1 else period * len(values)
 
 
 def _latest(
