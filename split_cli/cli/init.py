@@ -17,11 +17,12 @@ def command(logs, output, together, row_rate, databases, message_paths, as_json)
 
     The command writes map.yaml and vehicle.yaml; neither may exist. Each line of the map states the check that
     supports it, or why it is left open. All values of the vehicle file are empty; comments explain each value and
-    where to find it.
+    where to find it. Several logs of one car get one map, and the next steps say where they differ.
 
     \b
     Example:
       split init lap.csv -o car/
+      split init monday.csv tuesday.csv -o car/
     """
     from split_cli.workflows.ingesting.init import init_project
 

@@ -52,7 +52,14 @@ def default_options(group: click.Group, context: click.Context, files: list[Path
             if not isinstance(options, Mapping):
                 advice = f"Write {name}: {{option: value}}."
                 raise SplitError(f"{name} holds no options", where=str(path), advice=advice)
-            for command in group.list_commands(context) if name == "all" else [name]:
+            commands = group.list_commands(context) if name == "all" else [name]
+            anywhere = {word: None for one in commands for word in _words(group.get_command(context, one))}
+            for option in options:
+                if option not in anywhere:
+                    what = "no command has an option" if name == "all" else f"{name} has no option"
+                    advice = nearest_names(str(option), list(anywhere))
+                    raise SplitError(f"{what} {option!r}", where=str(path), advice=advice)
+            for command in commands:
                 own = _by_parameter(group.get_command(context, command), options, path, name)
                 merged.setdefault(command, {}).update(own)
     return merged
@@ -64,21 +71,23 @@ def _read(path: Path) -> Mapping[str, Any]:
     return {str(name): options for name, options in read_yaml_mapping(path, SplitError).items()}
 
 
-def _by_parameter(command: click.Command, options: Mapping[str, Any], path: Path, name: str) -> dict[str, Any]:
-    """Return options, named as on the command line without dashes, by the names of their parameters."""
-    known = {
+def _words(command: click.Command) -> dict[str, click.Option]:
+    """Return the options of a command as on the command line, without dashes."""
+    return {
         word.lstrip("-"): parameter
         for parameter in command.params
         if isinstance(parameter, click.Option)
         for word in (*parameter.opts, *parameter.secondary_opts)
     }
+
+
+def _by_parameter(command: click.Command, options: Mapping[str, Any], path: Path, name: str) -> dict[str, Any]:
+    """Return the options that a command has, named as on the command line, by the names of their parameters."""
+    known = _words(command)
     out = {}
     for option, value in options.items():
         if option not in known:
-            if name == "all":
-                continue  # an option that some commands have
-            advice = nearest_names(str(option), list(known))
-            raise SplitError(f"{name} has no option {option!r}", where=str(path), advice=advice)
+            continue  # of `all`: an option that other commands have
         values = value if isinstance(value, list) else [value]
         if not all(isinstance(one, str | int | float) for one in values):
             what = f"{name}: {option} is {value!r}, a value or a list of values was expected"

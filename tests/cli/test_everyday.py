@@ -103,6 +103,7 @@ class TestSettings:
     @pytest.mark.parametrize(
         ("content", "said"),
         [("evalute: {}", "evaluate"), ("train: {predictr: x}", "train has no option"), ("train: 3", "no options"),
+         ("all: {vehicel: a.yaml}", "no command has an option 'vehicel'. Did you mean vehicle"),
          ("- a", "keys"), ("train: {horizon: ~}", "horizon is None"),
          ("train: {horizon: {a: 1}}", "a value or a list"),
          ("ingest: {map: [[a]]}", "a value or a list")],
