@@ -19,42 +19,10 @@ from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
 from tests.export.export_support import take_cells
 from tests.factories import make_training_set, road_car
+from tests.term_examples import EXAMPLES
 
 STEP = 0.05
 
-PARAMETERS = {
-    "aero_downforce": {"front": 0.9, "rear": 1.2},
-    "aero_drag": {"drag": 0.3},
-    "cg_shift": {"dx": 0.08},
-    "combined_slip": {"strength": 0.9},
-    "drive_delay": {"delay": 0.12},
-    "drive_gain": {"drive_gain": 0.9, "brake_gain": 1.15},
-    "drive_lag": {"tau": 0.15},
-    "feature_lag": {"tau": 0.08},
-    "friction_patch": {"scale": 0.7, "s_start": 12.0, "s_end": 30.0},
-    "friction_scale": {"scale": 0.85},
-    "grip_fade": {"final_loss": 0.3, "tau": 20.0},
-    "load_transfer": {"cg_height": 0.5},
-    "mass": {"scale": 1.1},
-    "road_bank": {"angle": 0.04},
-    "road_grade": {"angle": 0.03},
-    "rolling_resistance": {"force": 150.0},
-    "rotating_mass": {"mass": 90.0},
-    "steer_backlash": {"width": 0.01},
-    "steer_delay": {"delay": 0.08},
-    "steer_gain": {"gain": 1.1},
-    "steer_lag": {"tau": 0.1},
-    "steer_offset": {"offset": 0.01},
-    "tire_relaxation": {"length": 0.6},
-    "tire_stiffness": {"front_scale": 0.9, "rear_scale": 1.1},
-    "wind": {"wx": 6.0, "wy": -3.0},
-    "yaw_inertia": {"scale": 1.2},
-    "yaw_moment_differential": {"yaw_damping": 900.0},
-}
-VARIANT_PARAMETERS = {
-    "wave": {"amplitude": 0.04, "wavelength": 60.0, "phase": 0.4},
-    "stretch": {"angle": 0.05, "s_start": 25.0, "s_end": 8.0},
-}
 TOGETHER = {
     "steer_delay+steer_lag": ("steer_delay", "steer_lag"),
     "drive_lag+tire_relaxation": ("drive_lag", "tire_relaxation"),
@@ -71,8 +39,8 @@ TOGETHER = {
 
 
 def effect(term: str, variant: str = "") -> EffectSpec:
-    """Return a term with the parameters above."""
-    return EffectSpec(term, VARIANT_PARAMETERS.get(variant, PARAMETERS.get(term, {})), variant)
+    """Return a term with the parameters of its example."""
+    return EffectSpec(term, EXAMPLES[term, variant], variant)
 
 
 SINGLES = {

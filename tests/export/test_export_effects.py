@@ -337,8 +337,7 @@ def test_sensor_terms_correct_recordings_and_leave_no_trace(compiler, tmp_path):
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
-        ([EffectSpec("steer_lag", {"tau": 1e-6})], "too fast"),
-        ([EffectSpec("tire_relaxation", {"length": 1e-3})], "tire_relaxation reacts within"),
+        ([EffectSpec("tire_relaxation", {"length": 1e-3})], "tire_relaxation reacts within .* too fast"),
         ([EffectSpec("steer_delay", {"delay": 2.2})], "220 past commands"),
         ([EffectSpec("steer_lag", {"tau": 0.1}), EffectSpec("steer_lag", {"tau": 0.2})], "twice"),
     ],

@@ -10,6 +10,7 @@ from split_cli.vehicle.operations import NUMPY
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
+from tests.term_examples import EXAMPLES
 
 CAR = Vehicle(
     name="test car", mass=1500.0, yaw_inertia=2600.0, cg_to_front_axle=1.25, cg_to_rear_axle=1.45,
@@ -21,74 +22,6 @@ CAR = Vehicle(
 A, B = CAR.cg_to_front_axle, CAR.cg_to_rear_axle
 G = 9.80665
 
-EXAMPLES = {
-    ("combined_slip", ""): {"strength": 0.8},
-    ("friction_scale", ""): {"scale": 0.8},
-    ("friction_scale", "curve"): {"scale": 0.8},
-    ("friction_patch", ""): {"scale": 0.7, "s_start": 100.0, "s_end": 300.0},
-    ("friction_patch", "curve"): {"scale": 0.7, "s_start": 300.0, "s_end": 100.0},
-    ("grip_fade", ""): {"final_loss": 0.2, "tau": 30.0},
-    ("grip_fade", "curve"): {"final_loss": 0.2, "tau": 30.0},
-    ("tire_relaxation", ""): {"length": 0.6},
-    ("feature_lag", ""): {"tau": 0.08},
-    ("load_transfer", ""): {"cg_height": 0.55},
-    ("load_transfer", "peak"): {"cg_height": 0.55},
-    ("load_transfer", "degressive"): {"cg_height": 0.55},
-    ("aero_downforce", "degressive"): {"front": 0.8, "rear": 1.1},
-    ("mass", "degressive"): {"scale": 1.15},
-    ("cg_shift", "degressive"): {"dx": 0.1},
-    ("tire_stiffness", ""): {"front_scale": 0.9, "rear_scale": 1.2},
-    ("aero_downforce", ""): {"front": 0.8, "rear": 1.1},
-    ("aero_downforce", "peak"): {"front": 0.8, "rear": 1.1},
-    ("aero_drag", ""): {"drag": 0.2},
-    ("rolling_resistance", ""): {"force": 70.0},
-    ("rotating_mass", ""): {"mass": 60.0},
-    ("wind", ""): {"wx": 5.0, "wy": -3.0},
-    ("wind", "side"): {"wx": 5.0, "wy": -3.0},
-    ("wind", "broadside"): {"wx": 5.0, "wy": -3.0},
-    ("yaw_moment_differential", ""): {"yaw_damping": 2000.0},
-    ("yaw_moment_differential", "driven"): {"yaw_damping": 2000.0},
-    ("road_bank", ""): {"angle": 0.04},
-    ("road_bank", "wave"): {"amplitude": 0.04, "wavelength": 120.0, "phase": 0.3},
-    ("road_bank", "stretch"): {"angle": 0.04, "s_start": 100.0, "s_end": 300.0},
-    ("road_grade", ""): {"angle": 0.04},
-    ("road_grade", "wave"): {"amplitude": 0.04, "wavelength": 120.0, "phase": 0.3},
-    ("road_grade", "stretch"): {"angle": 0.04, "s_start": 100.0, "s_end": 300.0},
-    ("drive_delay", ""): {"delay": 0.06},
-    ("drive_gain", ""): {"drive_gain": 0.9, "brake_gain": 0.8},
-    ("drive_lag", ""): {"tau": 0.15},
-    ("drive_lag", "along"): {"tau": 0.15},
-    ("steer_backlash", ""): {"width": 0.01},
-    ("steer_delay", ""): {"delay": 0.06},
-    ("steer_gain", ""): {"gain": 0.92},
-    ("steer_lag", ""): {"tau": 0.08},
-    ("steer_offset", ""): {"offset": 0.01},
-    ("cg_shift", ""): {"dx": 0.1},
-    ("cg_shift", "loaded"): {"dx": 0.1},
-    ("mass", ""): {"scale": 1.15},
-    ("mass", "loaded"): {"scale": 1.15},
-    ("yaw_inertia", ""): {"scale": 1.2},
-    ("sensor_delay", ""): {"delay": 0.06},
-    ("steer_signal_delay", ""): {"delay": 0.06},
-    ("sensor_lever_arm", ""): {"dx": 0.3},
-    ("sensor_lever_arm", "unit"): {"dx": 0.3},
-    ("sensor_misalignment", ""): {"angle": 0.02},
-    ("velocity_bias", ""): {"angle": 0.02, "drift": 1e-3},
-    ("velocity_bias", "step"): {"angle": 0.02, "step": 0.01, "at": 20.0},
-    ("acceleration_bias", ""): {"ax": 0.2, "ay": -0.3},
-    ("acceleration_bias", "ax"): {"ax": 0.2},
-    ("acceleration_bias", "ay"): {"ay": -0.3},
-    ("yaw_rate_bias", ""): {"r": 0.01},
-    ("speed_scale", ""): {"scale": 1.03},
-    ("speed_scale", "vx"): {"scale": 1.03},
-    ("yaw_rate_scale", ""): {"scale": 0.97},
-    ("channel_delay", "r"): {"r": 0.04},
-    ("channel_delay", "vx"): {"vx": 0.04},
-    ("channel_delay", "vy"): {"vy": 0.04},
-    ("channel_delay", "velocity"): {"vx": 0.04, "vy": 0.05},
-    ("channel_delay", "ax"): {"ax": 0.04},
-    ("channel_delay", "ay"): {"ay": 0.04},
-}
 ONE_SIDED = {"steer_offset", "road_bank", "wind"}
 
 
