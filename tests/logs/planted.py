@@ -111,3 +111,9 @@ def _gate(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     gate = 0.5 * (1.0 + np.tanh(argument))
     slope = 0.5 * 12.0 * (2.0 * np.pi / 30.0) * np.cos(2.0 * np.pi * t / 30.0) / np.cosh(argument) ** 2
     return gate, slope
+
+
+def write_table(path: Path, columns: Mapping[str, np.ndarray], **how: str) -> None:
+    """Write columns by title as CSV; `how` is passed on to NumPy."""
+    table = np.stack(list(columns.values()), 1)
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", **how)

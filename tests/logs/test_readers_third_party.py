@@ -10,7 +10,7 @@ from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.readers.can import read_databases
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
-from tests.logs.planted import UNITS, PlantedDrive, planted_map
+from tests.logs.planted import UNITS, PlantedDrive, planted_map, write_table
 from tests.optional import needed
 
 VBO = """File created on 12/09/2018 @ 12:47
@@ -251,9 +251,7 @@ def test_files_with_clocks_of_their_own_make_one_drive(tmp_path):
     for name, (channels, rate, clock) in shares.items():
         time = np.arange(0.0, 40.0, 1.0 / rate) + 0.003
         stamps = time * (1e3 if clock == "time_ms" else 1.0)
-        columns = np.stack([stamps, *(planted.at(c, time) for c in channels)], 1)
-        head = ",".join([clock, *channels])
-        np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header=head, comments="", fmt="%.9g")
+        write_table(tmp_path / f"{name}.csv", {clock: stamps, **{c: planted.at(c, time) for c in channels}})
     recording = open_together([open_recording(tmp_path / f"{name}.csv") for name in shares])
     assert {info.name for info in recording.channels()} == {"vx", "vy", "T", "r", "delta"}
     made = assemble_drive(recording, planted_map(("vx", "vy", "T", "r", "delta")), planted.vehicle)
@@ -277,8 +275,7 @@ def test_a_stretch_left_out_leaves_a_gap_and_the_ends_go():
 def test_without_a_clock_the_yaw_tells_the_rate(tmp_path):
     planted = PlantedDrive(seconds=40.0)
     time = np.arange(0.0, 40.0, 0.008)
-    columns = np.stack([planted.at(c, time) for c in UNITS], 1)
-    np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header=",".join(UNITS), comments="", fmt="%.9g")
+    write_table(tmp_path / "log.csv", {c: planted.at(c, time) for c in UNITS}, fmt="%.9g")
     recording = open_recording(tmp_path / "log.csv")
     with pytest.raises(MapError, match="says at 125 Hz"):
         assemble_drive(recording, planted_map(), planted.vehicle)
@@ -289,9 +286,8 @@ def test_without_a_clock_the_yaw_tells_the_rate(tmp_path):
 def test_time_that_starts_again_at_each_lap_goes_on_behind(tmp_path):
     planted = PlantedDrive(seconds=40.0)
     time = np.arange(0.0, 40.0, 0.02)
-    columns = np.stack([np.where(time < 20.0, time, time - 20.0), *(planted.at(c, time) for c in UNITS)], 1)
-    head = ",".join(["time", *UNITS])
-    np.savetxt(tmp_path / "laps.csv", columns, delimiter=",", header=head, comments="", fmt="%.9g")
+    columns = {"time": np.where(time < 20.0, time, time - 20.0), **{c: planted.at(c, time) for c in UNITS}}
+    write_table(tmp_path / "laps.csv", columns, fmt="%.9g")
     made = assemble_drive(open_recording(tmp_path / "laps.csv"), planted_map(), planted.vehicle)
     assert len(made.drive.segments()) == 2
     assert any("clock jumps back" in text for text in made.drive.metadata.conversions)

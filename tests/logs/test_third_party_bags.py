@@ -10,7 +10,7 @@ import tests.logs.readers_support as support
 from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.readers import open_recording
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive
+from tests.logs.planted import PlantedDrive, write_table
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def table(path, car: PlantedDrive, channels: dict[str, str], still: bool = False
     t = np.arange(0.0, 40.0, 0.02)
     columns = {"t": t} | {title: car.at(c, t) * (0.0 if still else 1.0) for title, c in channels.items()}
     columns["yaw_rate"] = columns["yaw_rate"] * factor
-    np.savetxt(path, np.stack(list(columns.values()), 1), delimiter=",", header=",".join(columns), comments="")
+    write_table(path, columns)
 
 
 NAMES = {"speed": "vx", "yaw_rate": "r", "ay": "ay", "yaw": "yaw", "steer": "delta"}

@@ -7,7 +7,7 @@ from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.opening import open_recording
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive, planted_map
+from tests.logs.planted import PlantedDrive, planted_map, write_table
 
 DEG = 180.0 / np.pi
 
@@ -15,11 +15,6 @@ DEG = 180.0 / np.pi
 @pytest.fixture(scope="module")
 def planted() -> PlantedDrive:
     return PlantedDrive(seconds=40.0, yaw=2.0)
-
-
-def _write(columns: dict[str, np.ndarray], folder) -> None:
-    table = np.stack(list(columns.values()), 1)
-    np.savetxt(folder / "log.csv", table, delimiter=",", header=",".join(columns), comments="")
 
 
 def test_titles_and_units_behind_marks_of_comments_are_read(planted, tmp_path):
@@ -65,7 +60,7 @@ def test_a_clock_of_fewer_digits_than_the_rows_come_in_is_the_clock(planted, tmp
         "yaw": planted.at("yaw", t),
         "speed": planted.at("vx", t),
     }
-    _write(columns, tmp_path)
+    write_table(tmp_path / "log.csv", columns)
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.time == "time: {source: time, unit: s}"
     assert draft.of("vx").status == "judged"
@@ -81,7 +76,7 @@ def test_seconds_and_nanoseconds_of_one_letter_each_are_one_stamp(planted, tmp_p
         "wz": planted.at("r", t),
         "ay": planted.at("ay", t),
     }
-    _write(columns, tmp_path)
+    write_table(tmp_path / "log.csv", columns)
     assert draft_map(open_recording(tmp_path / "log.csv")).time == "time: {source: S, nanoseconds: ns}"
 
 
@@ -97,7 +92,7 @@ def test_a_steering_angle_is_taken_before_a_share_of_the_lock(planted, tmp_path)
         "steering": delta,
         "steering_pct": 5.0 * delta * DEG,
     }
-    _write(columns, tmp_path)
+    write_table(tmp_path / "log.csv", columns)
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.of("delta").sources == ("steering",) and draft.of("delta").status != "open"
 
@@ -105,7 +100,7 @@ def test_a_steering_angle_is_taken_before_a_share_of_the_lock(planted, tmp_path)
 def test_what_nothing_in_a_log_gives_is_no_matter_of_the_map(planted, tmp_path):
     t = np.arange(0.0, 40.0, 0.1)
     columns = {"time": t, "speed_mps": planted.at("vx", t), "lateral_acc": planted.at("ay", t)}
-    _write(columns, tmp_path)
+    write_table(tmp_path / "log.csv", columns)
     steps = "\n".join(init_project([tmp_path / "log.csv"], tmp_path / "car").next_steps)
     # With r there, a_y and v_x give v_y.
     assert "Nothing in this log gives r, delta, and" in steps and "Map vy" not in steps
@@ -129,6 +124,6 @@ def test_no_torque_is_made_of_an_acceleration_that_does_not_follow_the_velocity(
 def test_a_speed_that_no_car_reaches_is_told_with_what_other_units_would_make_of_it(tmp_path):
     """150 km/h without a unit, and nothing recorded that judges it."""
     t = np.arange(0.0, 60.0, 0.1)
-    _write({"time": t, "SPEED": 150.0 + 8.0 * np.sin(0.2 * t)}, tmp_path)
+    write_table(tmp_path / "log.csv", {"time": t, "SPEED": 150.0 + 8.0 * np.sin(0.2 * t)})
     reason = draft_map(open_recording(tmp_path / "log.csv")).of("vx").reason
     assert "km/h would make it 43.9, mph would make it 70.6, kn would make it 81.3 m/s" in reason

@@ -13,7 +13,7 @@ from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawChannelInfo, RawSignal, TableRecording
 from split_cli.logs.readers import json_channels, json_document, json_rows
 from split_cli.logs.readers.opening import open_recording
-from tests.logs.planted import UNITS, PlantedDrive, planted_map
+from tests.logs.planted import UNITS, PlantedDrive, planted_map, write_table
 
 DEG = 180.0 / np.pi
 
@@ -21,11 +21,6 @@ DEG = 180.0 / np.pi
 @pytest.fixture(scope="module")
 def planted() -> PlantedDrive:
     return PlantedDrive(seconds=60.0, yaw=0.4)
-
-
-def _write(path, columns: dict[str, np.ndarray]) -> None:
-    table = np.stack(list(columns.values()), 1)
-    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
 
 
 @pytest.mark.parametrize("zero", [90.0, 20.0])
@@ -38,7 +33,7 @@ def test_the_zero_of_yaw_is_where_the_car_goes_straight_and_not_the_mean_of_its_
     assert abs(np.mean(sideslip)) * DEG > 0.5
     step = 0.02 * np.stack([np.cos(yaw + sideslip), np.sin(yaw + sideslip)]) * v / np.cos(sideslip)
     x, y = np.cumsum(step, axis=1) - 0.5 * step
-    _write(tmp_path / "log.csv", {"t": t, "posX": x, "posY": y, "yawPos": yaw + zero / DEG})
+    write_table(tmp_path / "log.csv", {"t": t, "posX": x, "posY": y, "yawPos": yaw + zero / DEG})
     found = draft_map(open_recording(tmp_path / "log.csv")).of("yaw")
     # A multiple of 90 degrees is exact; any other zero is known as well as the smoothing leaves it.
     assert found.offset * DEG == pytest.approx(-zero, abs=1e-3 if zero == 90.0 else 0.05)
@@ -163,7 +158,7 @@ def test_the_torque_of_a_steering_column_is_no_t_and_an_angle_that_follows_the_p
     """Udacity's table: `torque` was mapped to T, and `angle` beside it was not used."""
     t = np.arange(0.0, 60.0, 0.05)
     c = {name: planted.at(name, t) for name in ("vx", "r", "delta")}
-    _write(tmp_path / "log.csv", {
+    write_table(tmp_path / "log.csv", {
         "timestamp": 1479425440.0 + t, "angle": c["delta"] * 14.8, "torque": c["delta"] * 13.0, "speed": c["vx"],
         "yaw_rate": c["r"],
     })  # fmt: skip
@@ -178,11 +173,11 @@ def test_a_column_called_time_that_rises_by_one_a_row_counts_rows_where_the_moti
     c = {name: planted.at(name, t) for name in ("X", "Y", "vx", "vy", "ax", "yaw")}
     columns = {"trackLifetime": np.arange(len(t)), "xCenter": c["X"], "yCenter": c["Y"], "lonVelocity": c["vx"]}
     columns |= {"latVelocity": c["vy"], "lonAcceleration": c["ax"], "heading": np.mod(c["yaw"] * DEG, 360.0)}
-    _write(tmp_path / "log.csv", columns)
+    write_table(tmp_path / "log.csv", columns)
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.time.startswith("time: {period: 0.04}   # CHECK: trackLifetime counts rows")
     assert draft.of("ax").status == "judged" and draft.of("vx").status == "judged"
-    _write(tmp_path / "bare.csv", {name: columns[name] for name in ("trackLifetime", "lonVelocity")})
+    write_table(tmp_path / "bare.csv", {name: columns[name] for name in ("trackLifetime", "lonVelocity")})
     assert "seconds, or rows?" in draft_map(open_recording(tmp_path / "bare.csv")).time
 
 
@@ -234,6 +229,6 @@ def test_a_share_of_the_lock_that_makes_a_lorrys_wheelbase_is_no_judged_angle(pl
             "ay": c["ay"],
             "steerAngle": share * c["delta"],
         }
-        _write(tmp_path / "log.csv", table)
+        write_table(tmp_path / "log.csv", table)
         found = draft_map(open_recording(tmp_path / "log.csv")).of("delta")
         assert found.status == status and ("share of the lock" in found.reason) == (share == 2.0)

@@ -8,6 +8,7 @@ from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import find_unit
+from tests.logs.planted import write_table
 from tests.logs.test_third_party_styles import DEG, TOLERANCES, Style, compare
 
 CHANNELS = ("X", "Y", "yaw", "vx", "vy", "r", "delta", "T")
@@ -99,8 +100,7 @@ def test_pedals_in_per_cent_and_units_that_nobody_knows_are_told(driven, tmp_pat
     columns = {"t": t, "vx [warp]": c["vx"], "vy": c["vy"], "yaw_rate": c["r"],
                "throttle": 50.0 + 50.0 * np.sin(t), "brake": 0.5 + 0.5 * np.sin(t),
                "torque [Nm]": 0.05 * c["T"]}  # fmt: skip
-    table = np.stack(list(columns.values()), 1)
-    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(columns), comments="")
+    write_table(tmp_path / "log.csv", columns)
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.of("throttle").unit == "%" and draft.of("brake").unit == "1"
     assert draft.of("vx").foreign_unit == "warp"

@@ -12,7 +12,7 @@ from split_cli.logs.readers.frames_csv import frames_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive
+from tests.logs.planted import PlantedDrive, write_table
 
 DEG = 180.0 / np.pi
 
@@ -43,8 +43,8 @@ def test_marks_between_thousands_cost_no_value(tmp_path):
 
 def test_rows_with_the_newest_first_are_turned_round(planted, tmp_path):
     t, c = planted
-    rows = np.stack([t, c["vx"], c["T"]], 1)[::-1]
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,vx [m/s],wheel_torque [Nm]", comments="")
+    columns = {"time": t, "vx [m/s]": c["vx"], "wheel_torque [Nm]": c["T"]}
+    write_table(tmp_path / "a.csv", {title: values[::-1] for title, values in columns.items()})
     recording = open_recording(tmp_path / "a.csv")
     assert draft_map(recording).of("T").scale == 1.0
     content = {"name": "m", "channels": {"vx": {"source": "vx", "unit": "m/s"}}}
@@ -54,8 +54,7 @@ def test_rows_with_the_newest_first_are_turned_round(planted, tmp_path):
 
 def test_an_evenly_counting_first_column_is_the_time_and_no_position(planted, tmp_path):
     t, c = planted
-    rows = np.stack([t, c["vx"], c["ax"]], 1)
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="X_Value,vx [m/s],ax [m/s^2]", comments="")
+    write_table(tmp_path / "a.csv", {"X_Value": t, "vx [m/s]": c["vx"], "ax [m/s^2]": c["ax"]})
     draft = draft_map(open_recording(tmp_path / "a.csv"))
     assert draft.time.startswith("time: {source: X_Value, unit: s}") and draft.of("X") is None
     assert draft.of("ax").status == "judged"
@@ -64,8 +63,7 @@ def test_an_evenly_counting_first_column_is_the_time_and_no_position(planted, tm
 def test_a_pedal_called_acceleration_is_none(planted, tmp_path):
     t, c = planted
     pedal = np.clip(c["ax"], 0.0, None)
-    rows = np.stack([t, c["vx"], pedal / pedal.max()], 1)
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,SpeedX,Accel", comments="")
+    write_table(tmp_path / "a.csv", {"time": t, "SpeedX": c["vx"], "Accel": pedal / pedal.max()})
     said = draft_map(open_recording(tmp_path / "a.csv")).of("ax")
     assert said.status == "open" and "never negative" in said.reason
 

@@ -15,7 +15,7 @@ from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.init import init_project
 from tests.factories import road_car
-from tests.logs.planted import UNITS, PlantedDrive
+from tests.logs.planted import UNITS, PlantedDrive, write_table
 from tests.optional import needed
 
 DEG, G = 180.0 / np.pi, 9.80665
@@ -29,8 +29,8 @@ def planted() -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 
 def table(path, columns: dict[str, np.ndarray], before: str = "") -> Draft:
-    rows = np.stack(list(columns.values()), 1)
-    np.savetxt(path, rows, delimiter=",", header=before + ",".join(columns), comments="")
+    write_table(path, columns)
+    path.write_text(before + path.read_text())
     return draft_map(open_recording(path))
 
 
@@ -133,8 +133,7 @@ def test_a_heading_that_changes_with_the_fix_alone_is_a_course(planted, tmp_path
     columns = {"Time": t, "Latitude": 48.0 + held(c["Y"]) / 111194.93, "Longitude": 11.0 + east,
                "Speed (Km/h)": held(c["vx"]) * 3.6, "Heading": held(np.mod(90.0 - course * DEG, 360.0)),
                "Accel X": c["ay"] / G}  # fmt: skip
-    rows = np.stack(list(columns.values()), 1)
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9f")
+    write_table(tmp_path / "a.csv", columns, fmt="%.9f")
     yaw = draft_map(open_recording(tmp_path / "a.csv")).of("yaw")
     assert yaw.status == "open" and "satellite fix" in yaw.reason
 
@@ -147,8 +146,7 @@ def test_wheels_of_another_radius_are_no_speed_in_another_unit(planted, tmp_path
     corners = ("fl", "fr", "rl", "rr")
     columns |= {f"n_{w}": c["vx"] / 0.9 / road_car().wheel_radius * 9.5493 for w in corners}
     columns |= {f"aux_{k}": np.sin(k * t) for k in range(40)}
-    rows = np.stack(list(columns.values()), 1)
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(columns), comments="")
+    write_table(tmp_path / "a.csv", columns)
     lines = [f"  {n}: {{source: {n}, unit: {UNITS[n]}}}" for n in list(columns)[1:10]]
     lines += [f"  wheel_speed_{w}: {{source: n_{w}, unit: rpm}}" for w in corners]
     (tmp_path / "map.yaml").write_text(

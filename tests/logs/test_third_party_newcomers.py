@@ -12,7 +12,7 @@ from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive
+from tests.logs.planted import PlantedDrive, write_table
 from tests.logs.test_third_party_public import drafted_table
 
 DEG = 180.0 / np.pi
@@ -106,16 +106,10 @@ def test_a_yaw_rate_of_unknown_size_and_other_hand_leaves_the_satellite_fix_alon
              "LATITUDE": 41.0 + c["Y"] / DEGREE_OF_LATITUDE,
              "LONGITUDE": -81.0 + c["X"] / DEGREE_OF_LATITUDE / np.cos(np.radians(41.0)),
              "Y_ACCELERATION": c["ay"]}  # fmt: skip
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(np, "savetxt", _with_all_digits(np.savetxt))
-        draft = drafted_table(table, tmp_path)
+    draft = drafted_table(table, tmp_path, fmt="%.10f")
     assert draft.of("r").status == "open" and "r is -12.6 times" in draft.of("r").reason
     assert "Or:" not in draft.of("r").reason
     assert draft.of("X").status == draft.of("vx").status == "judged"
-
-
-def _with_all_digits(savetxt):
-    return lambda *args, **kwargs: savetxt(*args, **{**kwargs, "fmt": "%.10f"})
 
 
 def test_a_position_whose_second_axis_hardly_changes_is_a_height(columns, tmp_path):
@@ -198,9 +192,7 @@ def test_runs_that_one_clock_joins_are_segments(columns, tmp_path):
     run = np.digitize(t, [20.0, 40.0])[kept].astype(float)
     table = {"t": 0.02 * np.arange(len(run)), **{k: c[k][kept] for k in ("vx", "vy", "r", "ax", "delta")}}
     table |= {"T": 0.0 * run, "run_id": run}
-    np.savetxt(
-        tmp_path / "log.csv", np.stack([*table.values()], 1), delimiter=",", header=",".join(table), comments=""
-    )
+    write_table(tmp_path / "log.csv", table)
     signal_map = map_from_mapping(
         {"time": {"source": "t"}, "channels": {k: {"source": k} for k in ("vx", "vy", "r", "ax", "delta", "T")}}
     )

@@ -9,6 +9,7 @@ from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.delimited import open_delimited
 from split_cli.logs.readers.opening import open_recording
 from split_cli.workflows.ingesting.ingest import ingest_logs
+from tests.logs.planted import write_table
 from tests.logs.test_third_party_styles import DEG, G, Style, written
 from tests.optional import needed
 
@@ -20,9 +21,8 @@ def drafted(write, planted, tmp_path) -> Draft:
     return draft_map(open_recording(tmp_path / "log.csv"))
 
 
-def drafted_table(columns: dict[str, np.ndarray], tmp_path) -> Draft:
-    table = np.stack(list(columns.values()), 1)
-    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(columns), comments="")
+def drafted_table(columns: dict[str, np.ndarray], tmp_path, **how: str) -> Draft:
+    write_table(tmp_path / "log.csv", columns, **how)
     return draft_map(open_recording(tmp_path / "log.csv"))
 
 
@@ -284,8 +284,7 @@ def test_logs_that_hold_a_part_each_are_pointed_to_together(planted, tmp_path):
     t = np.arange(0.0, 20.0, 0.02)
     halves = {"a": ("vx", "vy"), "b": ("r", "delta", "T")}
     for name, channels in halves.items():
-        table = np.stack([t, *(planted.at(c, t) for c in channels)], 1)
-        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header=",".join(["t", *channels]), comments="")
+        write_table(tmp_path / f"{name}.csv", {"t": t, **{c: planted.at(c, t) for c in channels}})
     entries = "".join(f"  {c}: {{source: {c}}}\n" for channels in halves.values() for c in channels)
     (tmp_path / "m.yaml").write_text(f"time: {{source: t, unit: s}}\nchannels:\n{entries}")
     logs = [tmp_path / "a.csv", tmp_path / "b.csv"]
