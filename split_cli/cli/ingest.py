@@ -1,5 +1,6 @@
 """`split ingest`: its options, and how its result is printed."""
 
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -249,9 +250,10 @@ def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
             continue
         log = " + ".join(map(str, log)) if isinstance(log, tuple) else log
         click.echo(f"{log}: {len(channels)} channels; clocks: {', '.join(clocks) or 'none, time is a column'}")
-        shared.print_table(
-            ["channel", "type", "count", "unit"], [[c.name, c.type_name, c.count, c.unit] for c in channels]
-        )
+        # Elements of a covariance share a row: a bag of odometry has 72 of them.
+        shown = {re.sub(r"(covariance)\[\d+\]$", r"\1[..]", c.name): c for c in channels}
+        rows = [[name, c.type_name, c.count, c.unit] for name, c in shown.items()]
+        shared.print_table(["channel", "type", "count", "unit"], rows)
     if as_json:
         shared.print_json(described if len(described) > 1 else described[0])
     return 0

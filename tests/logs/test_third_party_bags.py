@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import yaml
+from click.testing import CliRunner
 from rosbags.rosbag1 import Writer as Bag1
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import tests.logs.readers_support as support
+from split_cli.cli.main import group
 from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.readers import open_recording
 from split_cli.workflows.ingesting.init import init_project
@@ -90,6 +92,8 @@ def written(path, car: PlantedDrive, ros: int) -> None:
 
 def test_a_bag_with_every_channel_gives_each_from_what_measures_it(car, tmp_path):
     written(tmp_path / "car.bag", car, 1)
+    listed = CliRunner().invoke(group, ["ingest", str(tmp_path / "car.bag"), "--list"]).output
+    assert listed.count("covariance") == listed.count("covariance[..]") == 7  # two of an odometry, three of an IMU
     draft = draft_map(open_recording(tmp_path / "car.bag"))
     from_topic = {s.channel: s.sources[0].rpartition("/")[0] for s in draft.suggestions if s.status == "judged"}
     assert {c: from_topic[c] for c in ("X", "Y", "vy", "delta")} == {
