@@ -104,7 +104,7 @@ def _tell(result) -> None:
             for one in result.detectable
             for name, (value, unit) in one.parameters.items()
         ]
-        rows += [[one.term, "", "at no size", ""] for one in result.detectable if not one.parameters]
+        rows += [[one.term, "", "at no size of a real car", ""] for one in result.detectable if not one.parameters]
         shared.print_table(["term", "parameter", "from", "unit"], rows)
     if result.improvement is not None and result.improvement.rollouts:
         last = result.improvement.rollouts[-1]

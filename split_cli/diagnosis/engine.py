@@ -36,7 +36,14 @@ from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, expla
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.planted import planted_saving
-from split_cli.diagnosis.verdict.power import hidden_effects, hidden_in_words, no_match_in_words
+from split_cli.diagnosis.verdict.power import (
+    MOST_UNSEEN,
+    hidden_effects,
+    hidden_in_words,
+    is_blind,
+    no_match_in_words,
+    unseen_in_words,
+)
 from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
@@ -188,14 +195,18 @@ def _match(
     not_judged: tuple[str, ...],
     record: Mapping[str, Any],
 ) -> Diagnosis:
-    """State that no difference was found, unless an effect of a force that matters could hide."""
+    """State that no difference was found, unless a force that matters or most effects could hide at any size."""
     objective, gap = found.outcome.structure.objective, found.outcome.gap.effect_to_noise
     hidden = hidden_effects(objective, judged, gap, record["detectable"]) if judged else ()
+    reasons = list(filter(None, (hidden_in_words(hidden), unseen_in_words(record["detectable"]))))
+    open_questions = []
     if hidden and hidden[0].share > objective.policy.selection.fair_share:
-        stated = _undecided([no_match_in_words(hidden[0], gap)], share, record)
+        open_questions = [no_match_in_words(hidden[0], gap)]
+    elif is_blind(record["detectable"], objective.policy):
+        open_questions = [MOST_UNSEEN, *reasons]
+    if open_questions:
+        stated = _undecided(open_questions, share, record)
         return replace(stated, not_judged=(*stated.not_judged, *not_judged))
-    hiding = hidden_in_words(hidden)
-    reasons = [hiding] if hiding else []
     return Diagnosis(
         "match", found.p_value, share, (*not_judged, *reasons), history=found.outcome.selection.history,
         summary=summarise("match", reasons=reasons), gaps=_gaps(case), **record,

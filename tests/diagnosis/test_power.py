@@ -10,7 +10,14 @@ from split_cli.diagnosis.recording.screening import cleaned, unfit
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable
-from split_cli.diagnosis.verdict.power import force_share, hidden_effects, hidden_in_words, no_match_in_words
+from split_cli.diagnosis.verdict.power import (
+    force_share,
+    hidden_effects,
+    hidden_in_words,
+    is_blind,
+    no_match_in_words,
+    unseen_in_words,
+)
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import make_drive, road_car
@@ -68,6 +75,13 @@ def test_a_share_of_the_forces_is_that_of_the_force_itself(nominal_objective):
     # A wheel turned by 0.02 rad all along adds B C D 0.02 N at the front axle, until its force levels off.
     steady, late = share("steer_offset", offset=0.02), share("steer_delay", delay=0.02)
     assert late < steady, "what comes late is made up for within two seconds"
+
+
+def test_what_no_size_would_show_is_told_and_most_of_it_leaves_no_match():
+    seen, unseen = Detectable("mass", {"scale": (1.1, "1")}), Detectable("steer_offset", {})
+    assert unseen_in_words([seen]) == "" and "car can have: steer offset." in unseen_in_words([seen, unseen])
+    assert not is_blind([], STANDARD) and not is_blind([seen, unseen], STANDARD)
+    assert is_blind([seen, unseen, unseen], STANDARD)
 
 
 def circles(noise: float, *, frozen: bool = False) -> Drive:

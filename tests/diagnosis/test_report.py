@@ -478,7 +478,7 @@ class TestWhatWouldHaveBeenNamed:
         page = all_sections(Diagnosis("match", 0.5, 1.0, detectable=self.told))
         assert "<details open><summary>Effect by effect" in page
         assert "<th scope=row>Steer delay</th><td>delay 0.0137 s</td>" in page
-        assert "<th scope=row>Wind</th><td>at no size</td>" in page
+        assert "<th scope=row>Wind</th><td>at no size of a real car</td>" in page
 
     def test_a_mismatch_has_it_folded_and_an_abstention_not_at_all(self):
         page = all_sections(Diagnosis("mismatch", 0.0, 1.0, unexplained=True, detectable=self.told))

@@ -1,4 +1,4 @@
-"""Power of a match: which effects could be hidden by differences between halves of the simulation."""
+"""Power of a match: which effects could hide, and of which no size that a real car can have would be seen."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.policy import Policy
 from split_cli.diagnosis.recording.series import extended_model
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
@@ -13,6 +14,10 @@ from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.statement.wording import number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE, Term
 
+MOST_UNSEEN = (
+    "No difference was found, but most effects would not have been named at any size that a real car can have. "
+    "Drive longer and with more excitation, or calibrate the vehicle file (split calibrate)."
+)
 _PREDICTED_SECONDS = 2.0  # the longest horizon of the report
 
 
@@ -90,6 +95,19 @@ def hidden_in_words(hidden: Sequence[HiddenEffect]) -> str:
         "Effects that these drives could not have shown, each with its share of the forces over "
         f"{_PREDICTED_SECONDS:g} s: {listed}."
     )
+
+
+def unseen_in_words(detectable: Sequence[Detectable]) -> str:
+    """Return of what no size that a real car can have would have shown, as a sentence; empty where of nothing."""
+    names = [term_name(one.term) for one in detectable if not one.parameters]
+    within = "These effects would not have been detected at any size that a real car can have"
+    return f"{within}: {', '.join(names)}." if names else ""
+
+
+def is_blind(detectable: Sequence[Detectable], policy: Policy) -> bool:
+    """Return whether most effects would not have been named at any size that a real car can have."""
+    unseen = sum(not one.parameters for one in detectable)
+    return unseen > policy.abstention.greater_part * len(detectable)
 
 
 def force_share(objective: MarginalLikelihood, term: Term) -> float:

@@ -350,7 +350,7 @@ def _would_show(diagnosis: Diagnosis) -> str:
 
 def _size(one: Detectable) -> str:
     sizes = [f"{escape(name.replace('_', ' '))} {quantity(*size)}" for name, size in one.parameters.items()]
-    return ", ".join(sizes) or "at no size"
+    return ", ".join(sizes) or "at no size of a real car"
 
 
 def _advice(note: str) -> str:
