@@ -348,6 +348,14 @@ def test_a_memory_that_no_step_can_keep_is_refused(effects, message):
         build_nominal(SingleTrack(road_car(effects=tuple(effects))), training_set.features, 0.01)
 
 
+def test_a_lag_of_no_time_is_exported_as_none(tmp_path):
+    """The set's own check compares the C with Python step by step, over many queries."""
+    effects = (EffectSpec("steer_lag", {"tau": 0.0}), EffectSpec("tire_relaxation", {"length": 0.0}))
+    write_set(silent_set(effects), tmp_path / "car.split")
+    export_set(tmp_path / "car.split", tmp_path / "out", ["c"], queries=100, insist=True)
+    assert (tmp_path / "out" / "car.c").exists()
+
+
 def test_the_controllers_interval_decides_how_many_past_commands_there_are(tmp_path):
     write_set(silent_set((effect("steer_delay"),)), tmp_path / "car.split")
     for step, past in ((0.02, 4), (0.08, 1), (0.1, 1), (None, 2)):
