@@ -9,6 +9,7 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
 from split_cli.diagnosis.recording.screening import measures
+from split_cli.diagnosis.recording.straights import angle_of_straights
 from split_cli.diagnosis.remainder.autocorrelation import ResidualAutocorrelation, residual_autocorrelation
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
@@ -113,14 +114,34 @@ def _errs_too_much(objective: MarginalLikelihood, selection: Selection, variance
 
 
 def _confirmed_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
-    """Return sensors' faults that take a fair share of what witnesses contradict: nothing nameless moves these."""
-    confirmed, rules = set(), objective.policy.selection
+    """Return what other evidence than the equations of motion confirms: nothing nameless moves that.
+
+    Those are sensors' faults that take a fair share of what witnesses contradict, and a steer offset on straights.
+    """
+    confirmed, rules = _confirmed_by_straights(objective, selection), objective.policy.selection
     after = objective.witnesses_cost(selection.chosen.residuals)
     for part, without in zip(selection.chosen.parts, selection.without, strict=True):
         before = objective.witnesses_cost(without.residuals)
         if part.term.corrects and before - after > rules.fair_share * before:
             confirmed.add(part.candidate.term)
     return confirmed
+
+
+def _confirmed_by_straights(objective: MarginalLikelihood, selection: Selection) -> set[str]:
+    """Return a steer offset without which the car would not go straight, see `angle_of_straights`.
+
+    It agrees as far as witnesses of a sensor's fault have to. A simulation's straights are not asked.
+    """
+    policy, evidence = objective.policy, objective.evidence
+    parts = [part for part in selection.chosen.parts if part.candidate.term == "steer_offset"]
+    if objective.posterior is not None or not parts:
+        return set()
+    known = angle_of_straights([one.series for one in evidence], evidence[0].vehicle, policy.screening)
+    agree, share = policy.self_test.term_margin, 0.0
+    if known is not None and abs(known[0]) > policy.comparison.deviations * known[1]:
+        # The wheels stand straight where the recorded angle and the offset add up to none.
+        share = -known[0] / parts[0].values["offset"]
+    return {"steer_offset"} if 1.0 / agree < share < agree else set()
 
 
 def _stays_beside(
