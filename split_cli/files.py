@@ -10,7 +10,8 @@ import stat
 import sys
 import tempfile
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, is_dataclass
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -328,6 +329,21 @@ def parse_json(text: str | bytes) -> Any:
         return json.loads(text)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
+
+
+def json_ready(value: Any) -> Any:
+    """Return a value as JSON has it: dataclasses as objects, arrays as lists, what is not finite as null."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return json_ready(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): json_ready(entry) for key, entry in value.items()}
+    if hasattr(value, "tolist"):
+        return json_ready(value.tolist())
+    if isinstance(value, str | bool | int) or value is None:
+        return value
+    if isinstance(value, float):
+        return value if abs(value) < float("inf") else None
+    return [json_ready(entry) for entry in value] if isinstance(value, Iterable) else str(value)
 
 
 def refuse_overwriting_inputs(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> None:

@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import json
 import os
 import signal
 import stat
@@ -9,15 +10,24 @@ import subprocess
 import sys
 import textwrap
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from split_cli import files
 from split_cli.errors import SplitError
-from split_cli.files import atomic_directory, atomic_path, atomic_write_bytes, atomic_write_text, sha256_of_file
+from split_cli.files import (
+    atomic_directory,
+    atomic_path,
+    atomic_write_bytes,
+    atomic_write_text,
+    json_ready,
+    sha256_of_file,
+)
 
 
 def leftovers(folder: Path) -> list[str]:
@@ -313,3 +323,15 @@ def test_a_claim_waits_for_the_sweep_that_came_first(kind, tmp_path, monkeypatch
     sweeps[0].join()
     os.close(handle)
     assert path.exists() and [path.name] == os.listdir(tmp_path)
+
+
+def test_values_are_as_json_has_them():
+    @dataclass(frozen=True)
+    class Row:
+        place: Path
+        values: np.ndarray
+
+    row = Row(Path("a") / "b", np.array([1.0, np.nan]))
+    ready = json_ready({1: row, "kinds": (np.float32(0.5), np.int64(3), np.bool_(True), None, -np.inf)})
+    assert ready == {"1": {"place": "a/b", "values": [1.0, None]}, "kinds": [0.5, 3, True, None, None]}
+    assert json.loads(json.dumps(ready, allow_nan=False)) == ready

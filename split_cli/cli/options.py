@@ -4,8 +4,7 @@ import json
 import math
 import os
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from click.core import ParameterSource
 
 from split_cli.cli.digits import Printed, plausible
 from split_cli.errors import SplitError
+from split_cli.files import json_ready
 
 
 class _PlaceOfFile(click.Path):
@@ -271,25 +271,7 @@ def output_option(
 
 def print_json(result: Any) -> None:
     """Print a result (dataclasses, arrays, paths) as JSON; not-a-number becomes null."""
-    click.echo(json.dumps(_plain(result), indent=2, sort_keys=False, allow_nan=False))
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, str | bool | int) or value is None:
-        return value
-    if isinstance(value, float):
-        return value if abs(value) < float("inf") else None
-    if isinstance(value, Iterable):
-        return [_plain(entry) for entry in value]
-    return str(value)
+    click.echo(json.dumps(json_ready(result), indent=2, sort_keys=False, allow_nan=False))
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:

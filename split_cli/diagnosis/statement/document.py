@@ -9,6 +9,7 @@ from typing import Any
 from split_cli import __version__
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding, Lead, Location, ParameterEstimate
+from split_cli.files import json_ready
 
 #: Names that the vehicle file with the findings may have; one is written if anything of the car was found.
 VEHICLES = frozenset({"vehicle_corrected.yaml", "vehicle_rejected.yaml"})
@@ -52,7 +53,7 @@ def diagnosis_to_mapping(diagnosis: Diagnosis) -> dict[str, Any]:
         "leads": [_lead(one) for one in diagnosis.leads],
         "detectable": [_detectable(one) for one in diagnosis.detectable],
         "inputs": [{"name": f.name, "sha256": f.sha256, "role": f.role} for f in diagnosis.inputs],
-        "settings": _plain(diagnosis.settings),
+        "settings": json_ready(diagnosis.settings),
     }
 
 
@@ -61,7 +62,7 @@ def _corrected(diagnosis: Diagnosis) -> dict[str, Any] | None:
     if corrected is None:
         return None
     states = [{**asdict(one), "worse": one.is_worse} for one in corrected.states]
-    return {"file": vehicle_name(diagnosis), "accepted": corrected.accepted, "states": _plain(states)}
+    return {"file": vehicle_name(diagnosis), "accepted": corrected.accepted, "states": json_ready(states)}
 
 
 def _location(location: Location | None) -> dict[str, Any] | None:
@@ -114,7 +115,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "gap_explained": finding.gap_explained,
         "alternatives": list(finding.alternatives),
         "sentence": finding.sentence,
-        "combination": None if finding.combination is None else _plain(asdict(finding.combination)),
+        "combination": None if finding.combination is None else json_ready(asdict(finding.combination)),
     }
 
 
@@ -132,9 +133,9 @@ def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:
         "holdout_rmse_after": list(improvement.after),
         "persistence": list(improvement.persistence),
         "noise_floor": None if improvement.noise_floor is None else list(improvement.noise_floor),
-        "confidence": _plain({**improvement.confidence, **_removed(improvement)}),
-        "simulation_part": _plain(improvement.simulation_part),
-        "split_trust": _plain(improvement.trust),
+        "confidence": json_ready({**improvement.confidence, **_removed(improvement)}),
+        "simulation_part": json_ready(improvement.simulation_part),
+        "split_trust": json_ready(improvement.trust),
         "rollouts": [_rollout(one) for one in improvement.rollouts],
     }
 
@@ -142,7 +143,7 @@ def _improvement(improvement: Improvement | None) -> dict[str, Any] | None:
 def _rollout(one: HorizonErrors) -> dict[str, Any]:
     stages = ("before", "physics", "split_only", "after", "persistence", "noise_floor")
     errors = {stage: list(getattr(one, stage)) for stage in stages}
-    rest = {"mean_error": _plain(one.mean), "confidence": _plain(one.confidence)}
+    rest = {"mean_error": json_ready(one.mean), "confidence": json_ready(one.confidence)}
     return {"horizon": one.horizon, "starts": one.starts, **errors, **rest}
 
 
@@ -155,11 +156,3 @@ def _removed(improvement: Improvement) -> dict[str, Any]:
         for stage, share in improvement.removed.items()
     }
     return {"improvable_removed": shares}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    return value.item() if hasattr(value, "item") else value

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from split_cli.files import json_ready
 from split_cli.logs.assembling.clean import CleanSeries, Drop
 from split_cli.logs.checking.channel_delays import DelayEstimate
 from split_cli.logs.checking.consistency import Consistency
@@ -64,7 +65,7 @@ class QualityReport:
         for relation in plain["consistency"]["relations"]:
             # A function of the search for explanations, no result.
             del relation["corrected"]
-        return _plain(plain)
+        return json_ready(plain)
 
 
 def stored_findings(quality: Mapping[str, Any]) -> tuple[str, ...]:
@@ -194,15 +195,3 @@ def _assumed(texts: Sequence[str]) -> list[str]:
 
 def _skipped(texts: Sequence[str]) -> list[str]:
     return [", ".join(text.split(":")[0] for text in texts) + ", which the map calls optional"] if texts else []
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
