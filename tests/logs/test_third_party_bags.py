@@ -44,7 +44,7 @@ def topics(store, car: PlantedDrive, ros1: bool) -> dict:
         found[topic][1].append((stamp + 5_000_000, support.build(store, kind, **header, **fields)))
 
     pose, twist = "pose__pose__", "twist__twist__"
-    for t in np.arange(0.0, 40.0, 0.04):
+    for t in np.arange(0.0, 30.0, 0.05):
         c = {
             name: float(car.at(name, np.array([t]))[0])
             for name in ("X", "Y", "yaw", "vx", "vy", "r", "ay", "delta")
