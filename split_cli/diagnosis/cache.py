@@ -43,7 +43,7 @@ class Recent(Generic[_Made]):
         return found
 
 
-def give_back() -> None:
+def release_memory() -> None:
     """Return freed memory to the system where the C library can; elsewhere nothing happens.
 
     A library that allocates keeps what lies between arrays in use, and a search frees arrays of all lengths: of a

@@ -11,7 +11,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence
-from split_cli.diagnosis.parallel import together
+from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale, scales_as_terms
 from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
@@ -24,13 +24,13 @@ from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
 from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, search
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
-from split_cli.diagnosis.search.identifiable import identifiable, limits_of
+from split_cli.diagnosis.search.identifiable import identifiable, what_was_not_excited
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, InputFile, RemainderTest
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
-from split_cli.diagnosis.verdict.detectable import smallest_named
+from split_cli.diagnosis.verdict.detectable import detection_limits
 from split_cli.diagnosis.verdict.findings import describe, is_autocorrelated, with_shares
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
@@ -62,7 +62,7 @@ _MUCH_FORM_ERROR = (
     "small effects: halves of the simulation differ by far more than noise, and smaller effects are not "
     "identified; calibrate the vehicle file (split calibrate), or drive both more alike"
 )
-_WAYS = 5  # to differ, see `_compare`
+_TESTS = 5  # to differ, see `_compare`
 
 
 def diagnose(
@@ -108,7 +108,7 @@ def diagnose(
     progress("whitening")
     case, kept, is_far = _compared(gather_case(vehicle, series, policy), policy)
     share = kept / max(sum(len(one.at) for one in case.real), 1)
-    not_judged = (*notes, *limits_of(case.real, vehicle, share, policy), *((_FAR,) if is_far else ()))
+    not_judged = (*notes, *what_was_not_excited(case.real, vehicle, share, policy), *((_FAR,) if is_far else ()))
     positions = [
         tuple(filter(is_witness_of_position, several)) for several in (case.kinematics, case.simulated_kinematics)
     ]
@@ -137,18 +137,18 @@ def diagnose(
     scales = scales_as_terms(*positions, outcome.selection.terms, policy.screening)
     found = _compare(case, outcome, contradictions, scales)
     progress("sizing")
-    detectable = smallest_named(
+    detectable = detection_limits(
         outcome.objectives,
         candidates,
         outcome.variance_inflation,
-        settings.level / _WAYS,
+        settings.level / _TESTS,
         partial(planted_saving, case=case, reach=reach),
     )
     if found.p_value >= settings.level:
-        judged = _of_known_inputs(candidates, real) if simulated else []
+        judged = _with_known_torque(candidates, real) if simulated else []
         return _match(case, found, judged, share, not_judged, {**record, "detectable": detectable})
     progress("judging")
-    stated = _tell(case, found, policy, improved)
+    stated = _mismatch(case, found, policy, improved)
     hardly = is_far or share < settings.least_share
     if hardly and not stated.findings and not contradictions:
         return _undecided([_FAR_AND_UNNAMED], share, record)
@@ -173,7 +173,7 @@ def _screened(
 
 def _smoothed(drives: Sequence[Drive], roles: Sequence[str], vehicle: Vehicle) -> list[Series]:
     places, lap = places_of(drives, vehicle.wheelbase)
-    return together(
+    return map_in_threads(
         lambda one: build_series(one[0], one[1], one[2][0], lap_length=lap, place_reference=one[2][1]),
         zip(drives, roles, places, strict=True),
     )
@@ -213,7 +213,7 @@ def _match(
     )  # fmt: skip
 
 
-def _of_known_inputs(candidates: Sequence[Candidate], real: Sequence[Drive]) -> list[Candidate]:
+def _with_known_torque(candidates: Sequence[Candidate], real: Sequence[Drive]) -> list[Candidate]:
     """Return the candidates without those of a torque that came of pedals: its map is a guess."""
     guessed = any(drive.metadata.torque_is_from_pedals for drive in real)
     return [one for one in candidates if not (guessed and "torque" in one.needs)]
@@ -275,7 +275,7 @@ def _compare(
         if is_autocorrelated(autocorrelation, usual_autocorrelation, policy)
         else 1.0,
     ]
-    p_value = 0.0 if contradictions else min(1.0, _WAYS * min(ways))
+    p_value = 0.0 if contradictions else min(1.0, _TESTS * min(ways))
     return _Comparison(outcome, line, p_value, contradictions, scales)
 
 
@@ -284,7 +284,7 @@ def _p_of_a_part(selection: Selection) -> float:
     return 1.0 if partly is None else partly.p_value
 
 
-def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: bool) -> Diagnosis:
+def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: bool) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
     selection, findings, remainder, unexplained = describe(found.outcome, found.scales)
     structured, unexplained = unexplained, unexplained or found.line is not None
@@ -325,7 +325,7 @@ def _tell(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: boo
             unexplained,
             location,
             remainder,
-            [*in_sentences(found.contradictions), *_for_a_while(found, bool(findings), policy)],
+            [*in_sentences(found.contradictions), *_in_a_part(found, bool(findings), policy)],
             improvement,
             case.vehicle,
             corrected,
@@ -359,13 +359,13 @@ def _improve(
     )
 
 
-def _for_a_while(found: _Comparison, named: bool, policy: Policy) -> list[str]:
+def _in_a_part(found: _Comparison, named: bool, policy: Policy) -> list[str]:
     """Return what terms explain of a gap without a name in a part of the drive, as sentences.
 
     A part that is nearly all of the drive is none.
     """
     one = None if named else found.outcome.selection.partly()
-    if one is None or _WAYS * one.p_value >= policy.comparison.level or one.share > policy.reporting.everywhere:
+    if one is None or _TESTS * one.p_value >= policy.comparison.level or one.share > policy.reporting.everywhere:
         return []
     several = len(found.outcome.structure.objective.evidence) > 1
     most = policy.abstention.most_alternatives

@@ -25,7 +25,7 @@ def use_threads(count: int) -> None:
     _threads = count
 
 
-def together(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
+def map_in_threads(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
     """Return the function of each item, in order; the first error is raised as if they were done in turn."""
     items = list(items)
     count = min(len(items), _threads or min(cores(), _MOST))
@@ -36,8 +36,8 @@ def together(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[
 
 
 @contextmanager
-def handing_out(apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]) -> Iterator[None]:
-    """Let ``apply(function, items)`` do what `apart` is given, in the body."""
+def distributing_by(apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]) -> Iterator[None]:
+    """Let ``apply(function, items)`` do what `map_distributed` is given, in the body."""
     global _apply
     _apply = apply
     try:
@@ -46,21 +46,23 @@ def handing_out(apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[
         _apply = None
 
 
-def apart(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
-    """Return the function of each item, in order, as `together` does; for pieces that are worth a journey.
+def map_distributed(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
+    """Return the function of each item, in order, as `map_in_threads` does; for pieces that are worth sending.
 
-    What they return is plain, and nothing they alter is needed: both may have been copied. What every piece needs,
-    and many calls share, travels once where the function is a `functools.partial` of it: see `apart_with`.
+    What they return can be pickled, and nothing that they alter is needed: both may be copies. What every piece
+    needs travels once where the function is a `functools.partial` of it: see `map_distributed_with`.
     """
     items = list(items)
     if _apply is None or len(items) < 2:
-        return together(function, items)
+        return map_in_threads(function, items)
     return list(_apply(function, items))
 
 
-def apart_with(held: _Held, function: Callable[[_Held, _Item], _Out], items: Iterable[_Item]) -> list[_Out]:
-    """Return ``function(held, item)`` of each item as `apart` does; `held` travels once for all calls with it."""
-    return apart(partial(function, held), items)
+def map_distributed_with(
+    held: _Held, function: Callable[[_Held, _Item], _Out], items: Iterable[_Item]
+) -> list[_Out]:
+    """Return ``function(held, item)`` of each item as `map_distributed` does; `held` travels once."""
+    return map_distributed(partial(function, held), items)
 
 
 def cores() -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.parallel import handing_out
+from split_cli.diagnosis.parallel import distributing_by
 from split_cli.diagnosis.remainder.location import FORCES
 from split_cli.diagnosis.statement.document import VEHICLES, diagnosis_to_text, vehicle_name
 from split_cli.diagnosis.statement.improvement import Improvement
@@ -69,7 +69,7 @@ def diagnose_files(
         Called with the name of each step, and with what a reader should know of the inputs.
     """
     refuse_what_cannot_be_a_folder(output)
-    with handing_out(engine.map) if engine.carries_closures else contextlib.nullcontext():
+    with distributing_by(engine.map) if engine.carries_closures else contextlib.nullcontext():
         diagnosis, vehicle, drives = read_and_diagnose(
             real, vehicle_path, simulated=simulated, holdout=holdout, held=held, progress=progress, note=note
         )

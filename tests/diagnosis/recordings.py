@@ -135,7 +135,7 @@ def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
         car, series, jacobian, whitener, np.zeros((len(at), 3)), np.zeros((len(at), 3, 0)),
         np.array(at, dtype=np.int64), strength, np.ones(len(at)), rolling(series, car),
     )  # fmt: skip
-    return replace(evidence, plain=evidence.rows(()))
+    return replace(evidence, nominal_rows=evidence.rows(()))
 
 
 def bare_objective(*evidence: Evidence, kinematics: Sequence[KinematicResiduals] = ()) -> MarginalLikelihood:

@@ -55,7 +55,7 @@ def test_defects_beside_sensors_are_those_of_a_model_evaluated_alone(objective):
         expected = (
             motion(series, one.jacobian, measured, smooth) - inside * series.period * np.stack(rates, 1)[:-1]
         )
-        np.testing.assert_allclose(one.left(terms), expected, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(one.defects(terms), expected, rtol=0.0, atol=1e-13)
 
 
 def _without(term, series, velocity: np.ndarray) -> np.ndarray:

@@ -47,7 +47,7 @@ def against_itself(simulation: Drive, reality: Drive) -> SelfTest:
     case = case_of(reality, simulation)
     candidates = build_candidates(road_car(), case.real[0].series)
     return self_test(
-        case.graded, case.discrepancy, candidates, variance_inflation=1.5, reach=0.35, posterior=case.posterior
+        case.rewhitened, case.discrepancy, candidates, variance_inflation=1.5, reach=0.35, posterior=case.posterior
     )
 
 

@@ -9,7 +9,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part, tangent
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.diagnosis.statement.result import Detectable
-from split_cli.diagnosis.verdict.detectable import smallest_named
+from split_cli.diagnosis.verdict.detectable import detection_limits
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, faulty, late, noisy_objective
@@ -23,7 +23,7 @@ def objective_of(*terms) -> MarginalLikelihood:
 
 
 def smallest(objective: MarginalLikelihood, *objectives: MarginalLikelihood) -> dict[str, Detectable]:
-    found = smallest_named((objective, *objectives), candidates_of(objective, *NAMES), VARIANCE_INFLATION, LEVEL)
+    found = detection_limits((objective, *objectives), candidates_of(objective, *NAMES), VARIANCE_INFLATION, LEVEL)
     return {one.term: one for one in found}
 
 
@@ -89,7 +89,7 @@ def test_a_size_that_is_told_has_an_interval_without_no_effect(sound):
     """Model-form error widens the intervals of all that acts on tyres: with 0.45 of a size it takes 0.9 of it."""
     vague = replace(sound, policy=sound.policy.altered("selection", form_error_share=0.45))
     candidates = candidates_of(vague, *NAMES)
-    for one in smallest_named((vague,), candidates, VARIANCE_INFLATION, LEVEL):
+    for one in detection_limits((vague,), candidates, VARIANCE_INFLATION, LEVEL):
         (own,) = (candidate for candidate in candidates if candidate.term == one.term)
         for name, (value, _) in one.parameters.items():
             part = Part(own, {name: value})
@@ -108,7 +108,7 @@ def test_what_is_told_holds_for_every_variant(sound):
     assert len(candidates) == 3
 
     def dx(*some) -> float:
-        (one,) = smallest_named((sound,), some, VARIANCE_INFLATION, LEVEL * len(some))
+        (one,) = detection_limits((sound,), some, VARIANCE_INFLATION, LEVEL * len(some))
         return one.parameters["dx"][0]
 
     each = [dx(one) for one in candidates]
@@ -118,7 +118,7 @@ def test_what_is_told_holds_for_every_variant(sound):
 def test_each_parameter_is_told_as_if_it_were_there_alone(sound):
     """Softer front tyres alone take more to be seen than both axles' tyres, and as much as is told is named."""
     candidates = candidates_of(sound, "tire_stiffness", *NAMES)
-    found = {one.term: one.parameters for one in smallest_named((sound,), candidates, VARIANCE_INFLATION, LEVEL)}
+    found = {one.term: one.parameters for one in detection_limits((sound,), candidates, VARIANCE_INFLATION, LEVEL)}
     assert set(found["tire_stiffness"]) == {"front_scale", "rear_scale"}
     told = found["tire_stiffness"]["front_scale"][0]
     for share, expected in ((1.5, ["tire_stiffness"]), (0.5, [])):

@@ -7,7 +7,7 @@ import pytest
 
 from split_cli.diagnosis.innovations.evidence import gather_evidence, rolling
 from split_cli.diagnosis.remainder.spectrum import strongest_line
-from split_cli.diagnosis.search.identifiable import limits_of
+from split_cli.diagnosis.search.identifiable import what_was_not_excited
 from tests.diagnosis.recordings import bare_objective, light_evidence, noisy, prepared
 from tests.factories import road_car
 
@@ -88,9 +88,9 @@ def test_rows_with_spinning_wheels_are_not_compared(spinning, gathered, discrepa
     assert (one.weight[outside] > 0.0).all() and not one.weight[inside].any()
     # Nor do they say how much shakes the car: what was asked for and never arrived is many times its noise.
     np.testing.assert_allclose(one.disturbance, gathered.disturbance, rtol=3.0)
-    assert np.abs(one.plain[inside, 0]).mean() > 10.0
+    assert np.abs(one.nominal_rows[inside, 0]).mean() > 10.0
     # What follows has forgotten it.
-    compared = one.plain[one.weight > 0.0]
+    compared = one.nominal_rows[one.weight > 0.0]
     assert np.abs(compared).max() < 6.0
 
 
@@ -109,9 +109,11 @@ def test_lines_are_not_sought_where_wheels_spin(noisy_nominal):
 def test_how_much_is_not_compared_is_said(spinning, discrepancy):
     one = light_evidence(spinning)
     assert 0.0 < 1.0 - one.rolls.mean() < 0.02
-    assert not [text for text in limits_of([one], road_car()) if "spin or lock" in text]
+    assert not [text for text in what_was_not_excited([one], road_car()) if "spin or lock" in text]
     longer = asked_for(spinning.drive, 0.95, slice(FIRST, FIRST + 500))
     (text,) = (
-        text for text in limits_of([light_evidence(prepared(longer))], road_car()) if "spin or lock" in text
+        text
+        for text in what_was_not_excited([light_evidence(prepared(longer))], road_car())
+        if "spin or lock" in text
     )
     assert text.startswith(f"{100 * 540 / len(spinning):.0f} % of the real drive")

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.search import form_error
-from split_cli.diagnosis.search.exchange import alone, joined, merged, relieved, said_of, split, turned_over
+from split_cli.diagnosis.search.exchange import (
+    alone,
+    inverted_stretch,
+    joined,
+    merged,
+    move_in_words,
+    split,
+    with_fewer_parts,
+)
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing, select_terms
@@ -48,7 +56,7 @@ def test_a_peak_and_both_stiffnesses_merge_into_a_curve():
     found = merged(explore, nothing(objective), both, (True, True))
     (part,) = found.parts
     assert part.candidate.label == "friction_scale" and part.values["scale"] == pytest.approx(0.7, abs=0.02)
-    assert said_of(both, found) == "another variant in place of tire_stiffness"
+    assert move_in_words(both, found) == "another variant in place of tire_stiffness"
     alone = select_terms(objective, explore.candidates, VARIANCE_INFLATION)
     assert [term.id for term in alone.terms] == ["friction_scale"]
 
@@ -122,12 +130,12 @@ def test_the_rest_of_a_lap_gives_way_to_the_stretch_and_a_stretch_beside_a_true_
     both = fitted(explore, road_grade__stretch=starts, rolling_resistance={"force": -120.0})
     mass = explore.objective.evidence[0].vehicle.mass
     assert both.parts[1].values["force"] == pytest.approx(-mass * 9.81 * 0.01, rel=0.1)
-    (part,) = turned_over(explore, both).parts
+    (part,) = inverted_stretch(explore, both).parts
     assert part.values["angle"] == pytest.approx(-0.01, abs=0.001)
     assert part.values["s_start"] == pytest.approx(120.0, abs=0.02 * LAP)
     explore = explorer(noisy_objective(driven(35, [grade, force]), 6), "road_grade", "rolling_resistance")
     assert (
-        turned_over(explore, fitted(explore, road_grade__stretch=slope, rolling_resistance={"force": 50.0}))
+        inverted_stretch(explore, fitted(explore, road_grade__stretch=slope, rolling_resistance={"force": 50.0}))
         is None
     )
 
@@ -168,7 +176,7 @@ def test_late_sensors_split_into_a_lag_and_a_delay_where_that_is_what_acts():
     values = {part.candidate.term: next(iter(part.values.values())) for part in found.parts}
     assert values["steer_lag"] == pytest.approx(0.05, abs=0.005)
     assert values["drive_delay"] == pytest.approx(0.12, abs=0.005)
-    assert said_of(one, found) == "drive_delay and steer_lag in place of sensor_delay"
+    assert move_in_words(one, found) == "drive_delay and steer_lag in place of sensor_delay"
     # What has no name is not split.
     assert split(explore, nothing(objective), one, (False,)) is None
 
@@ -192,13 +200,13 @@ def test_two_terms_that_imitate_a_moved_centre_of_gravity_give_way_to_it():
         fitted(explore, tire_stiffness=stiff, cg_shift__loaded={"dx": 0.02}),
         fitted(explore, sensor_lever_arm={"dx": 0.05}, cg_shift__loaded={"dx": 0.02}),
     ]
-    found = relieved(explore, both, rivals)
+    found = with_fewer_parts(explore, both, rivals)
     (part,) = found.parts
     assert part.candidate.label == "cg_shift (loaded)" and part.values["dx"] == pytest.approx(0.05, abs=0.005)
-    assert said_of(both, found) == "cg_shift in place of sensor_lever_arm and tire_stiffness"
+    assert move_in_words(both, found) == "cg_shift in place of sensor_lever_arm and tire_stiffness"
     # Where all of them act none is needless.
     true = [CATALOGUE["cg_shift"]({"dx": 0.05}, "loaded"), CATALOGUE["tire_stiffness"](stiff, "")]
     explore = explorer(noisy_objective(driven(31, true), 2), "cg_shift", "tire_stiffness", "sensor_lever_arm")
     both = fitted(explore, tire_stiffness=stiff, cg_shift__loaded={"dx": 0.05})
     other = fitted(explore, tire_stiffness=stiff, sensor_lever_arm={"dx": 0.05})
-    assert relieved(explore, both, [other]) is None
+    assert with_fewer_parts(explore, both, [other]) is None

@@ -11,7 +11,7 @@ from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.verdict import findings
 from split_cli.diagnosis.verdict.constancy import Bend
-from split_cli.diagnosis.verdict.findings import is_apart_from_none
+from split_cli.diagnosis.verdict.findings import excludes_no_effect
 from split_cli.logs.drive_metadata import DriveMetadata
 
 RULES = STANDARD.abstention
@@ -79,7 +79,7 @@ def finding(term: str, **intervals: tuple[float, float]) -> Finding:
     ],
 )
 def test_a_finding_leaves_out_that_there_is_no_effect(term, intervals, expected):
-    assert is_apart_from_none(finding(term, **intervals)) is expected
+    assert excludes_no_effect(finding(term, **intervals)) is expected
 
 
 def test_what_explains_no_more_than_is_left_and_its_untrusted_look_alikes_has_no_name():

@@ -186,7 +186,11 @@ def test_a_further_term_is_sought_beyond_the_form_error_of_the_others():
     clean = noisy_objective(driven(41, **commands), 3)
     (one,), delay = clean.evidence, fitted(clean, "steer_delay")
     wrong = clean.stack(
-        [one.whitener(module._varied_by(one, one.left(()) - one.left(delay.terms), False, module._functions(one)))]
+        [
+            one.whitener(
+                module._varied_by(one, one.defects(()) - one.defects(delay.terms), False, module._functions(one))
+            )
+        ]
     )
     # Only a size that is small beside the delay's in another channel would be in doubt.
     policy = clean.policy.altered("selection", considered=1, form_error_across=0.0)
@@ -212,7 +216,7 @@ def test_of_tyres_either_axle_may_be_wrong_by_itself(behind):
     assert varied[:, [0, 6, 12]].sum(axis=1) == pytest.approx(effect, abs=1e-9)
     # At the rear m v_y' gains what I r'/l_r loses: the two channels of the third piece before they are whitened.
     (one,) = behind.evidence
-    rates = module._by_force(one.left(()) - one.left((grip,)), one.vehicle)[:, :, 2]
+    rates = module._by_force(one.defects(()) - one.defects((grip,)), one.vehicle)[:, :, 2]
     car = one.vehicle
     across, turning = car.mass * rates[:, 1], car.yaw_inertia * rates[:, 2]
     assert np.abs(rates).max() > 0.0
@@ -236,7 +240,7 @@ def test_a_heavier_car_goes_up_the_curve_of_either_axle(behind, heavier):
     (plain,) = (one for one in candidates_of(behind, "mass") if not one.variant)
     mass = plain.build({"scale": 1.15})
     (one,) = behind.evidence
-    effect = one.left(()) - one.left((mass,))
+    effect = one.defects(()) - one.defects((mass,))
     assert np.abs(effect[:, 2]).max() < 1e-12 < np.abs(module._by_force(effect, one.vehicle)[:, 2, 1]).max()
     varied = module._varied(behind, heavier.terms, 0)
     whole = behind.residual(()) - behind.residual(heavier.terms)

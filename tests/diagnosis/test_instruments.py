@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.recording.witnesses import build_witnesses, habits_of, late_against_position
+from split_cli.diagnosis.recording.witnesses import build_witnesses, late_against_position, usual_parts
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
@@ -15,7 +15,7 @@ from split_cli.diagnosis.search.identifiable import identifiable
 from split_cli.diagnosis.search.late_channel import late_by_witnesses, with_late_channel
 from split_cli.diagnosis.search.selection import Selection, nothing, rivals_of
 from split_cli.diagnosis.search.term_tests import (
-    is_apart_from_itself,
+    exceeds_simulation_scatter,
     systematic_error,
     witnessed_p,
     witnesses_disagree,
@@ -84,7 +84,7 @@ def test_a_witness_contradicts_the_fault_and_agrees_once_it_is_corrected(term, v
     one = fault(term, variant, parameters)
     clean = build_witnesses(prepared(recording(32)))
     scales = {witness.kind: witness.scale for witness in clean}
-    faulty = build_witnesses(prepared(recording(33, one)), habits_of(clean))
+    faulty = build_witnesses(prepared(recording(33, one)), usual_parts(clean))
     # A fault that varies widens what a recording takes for its noise, so that of the clean one is taken.
     faulty = [replace(witness, scale=scales[witness.kind]) for witness in faulty]
     for witness in faulty:
@@ -213,15 +213,15 @@ def test_half_a_degree_of_a_sensor_is_no_fault_where_no_position_tells_it_from_t
 def late_yaw_rate():
     """A yaw rate that is 40 ms late, with position and accelerations as witnesses."""
     series = prepared(recording(42, fault("channel_delay", "r", {"r": 0.04}), seconds=12.0))
-    habits = habits_of(build_witnesses(prepared(recording(43, seconds=12.0))))
-    return bare_objective(light_evidence(series), kinematics=build_witnesses(series, habits))
+    usual_by_kind = usual_parts(build_witnesses(prepared(recording(43, seconds=12.0))))
+    return bare_objective(light_evidence(series), kinematics=build_witnesses(series, usual_by_kind))
 
 
 def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error_is():
     """A moved unit: with the velocity alone moved v_y fits as well, and the accelerometer contradicts."""
     series = prepared(recording(44, fault("sensor_lever_arm", "unit", {"dx": 0.8}), seconds=12.0))
-    habits = habits_of(build_witnesses(prepared(recording(45, seconds=12.0))))
-    evidence, felt = light_evidence(series), [w for w in build_witnesses(series, habits) if w.kind == "a_y"]
+    usual_by_kind = usual_parts(build_witnesses(prepared(recording(45, seconds=12.0))))
+    evidence, felt = light_evidence(series), [w for w in build_witnesses(series, usual_by_kind) if w.kind == "a_y"]
 
     def excess(kinematics) -> float:
         objective = replace(bare_objective(evidence, kinematics=kinematics), form_error_inflation=150.0)
@@ -308,8 +308,8 @@ def test_what_is_not_late_is_not_told_to_be(k):
     """A clean recording, and those of a sensor that is biased or scaled."""
     faults = [] if k is None else [fault(*PLANTED[k])]
     series = prepared(recording(46, *faults))
-    habits = habits_of(build_witnesses(prepared(recording(47))))
-    objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series, habits))
+    usual_by_kind = usual_parts(build_witnesses(prepared(recording(47))))
+    objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series, usual_by_kind))
     names = ("channel_delay", "velocity_bias", "yaw_rate_scale", "yaw_rate_bias", "speed_scale")
     every = tuple(candidates_of(objective, *names))
     assert with_late_channel(objective, without_a_name(objective), every, 1.5) is None
@@ -319,8 +319,8 @@ def test_a_term_is_one_where_it_saves_twice_what_halves_of_the_simulation_differ
     (one,) = (c for c in candidates_of(late_yaw_rate, "channel_delay") if c.variant == "r")
     known = replace(late_yaw_rate, own_savings={"channel_delay (r)": 100.0})
     # Sizes go with the root of what they save: 1.96 times the size is 3.84 times the saving.
-    assert is_apart_from_itself(known, one, 385.0) and not is_apart_from_itself(known, one, 384.0)
-    assert is_apart_from_itself(late_yaw_rate, one, 1.0)
+    assert exceeds_simulation_scatter(known, one, 385.0) and not exceeds_simulation_scatter(known, one, 384.0)
+    assert exceeds_simulation_scatter(late_yaw_rate, one, 1.0)
 
 
 def without_a_name(objective) -> Selection:

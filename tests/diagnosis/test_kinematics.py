@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.recording.kinematics import build_kinematics, common_habit
+from split_cli.diagnosis.recording.kinematics import build_kinematics, usual_part
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from tests.diagnosis.recordings import bare_objective, faulty, light_evidence, noisy, prepared
@@ -49,13 +49,13 @@ def test_a_sensor_that_is_right_contradicts_nothing(nominal_drive):
 
 
 def test_a_simulation_that_contradicts_itself_is_no_fault_of_reality(nominal_drive):
-    """Velocities of a point 0.3 m ahead in both: a habit of the simulation, taken off reality's rows."""
-    habit = common_habit([build_kinematics(series_of(nominal_drive, 4, dx=0.3))])
-    assert habit[0] == pytest.approx(-0.3, abs=0.03) and abs(habit[1]) < 0.002
-    values, errors = solved(build_kinematics(series_of(nominal_drive, 3, dx=0.3), habit), "sensor_lever_arm")
-    # The habit is as uncertain as the answer.
+    """Velocities of a point 0.3 m ahead in both: what is usual in the simulation, taken off reality's rows."""
+    usual = usual_part([build_kinematics(series_of(nominal_drive, 4, dx=0.3))])
+    assert usual[0] == pytest.approx(-0.3, abs=0.03) and abs(usual[1]) < 0.002
+    values, errors = solved(build_kinematics(series_of(nominal_drive, 3, dx=0.3), usual), "sensor_lever_arm")
+    # What is usual is as uncertain as the answer.
     assert abs(values[0]) < 3.0 * np.sqrt(2.0) * errors[0]
-    np.testing.assert_array_equal(common_habit([]), np.zeros(2))
+    np.testing.assert_array_equal(usual_part([]), np.zeros(2))
 
 
 def test_a_straight_line_by_hand(nominal_drive):

@@ -23,13 +23,13 @@ class WrittenEvidence(SimpleNamespace):
     """Rows that are simply given."""
 
     def rows(self, terms, discrepancy_rates=None):
-        return self.plain
+        return self.nominal_rows
 
 
 def written(seed: int, rows: int = ROWS, columns: int = COLUMNS, size: float = 1.0) -> WrittenEvidence:
     rng = np.random.default_rng(seed)
     return WrittenEvidence(
-        plain=rng.standard_normal((rows, 3)),
+        nominal_rows=rng.standard_normal((rows, 3)),
         discrepancy=size * rng.standard_normal((rows, 3, columns)),
         weight=np.sqrt(rng.uniform(0.3, 1.0, rows)),
         series=SimpleNamespace(t=0.04 * np.arange(rows)),
@@ -56,7 +56,7 @@ def flat(*evidence: WrittenEvidence) -> tuple[np.ndarray, np.ndarray]:
     for one in evidence:
         for k in range(len(one.at)):
             for channel in range(3):
-                rows.append(one.weight[k] * one.plain[k, channel])
+                rows.append(one.weight[k] * one.nominal_rows[k, channel])
                 columns.append(one.weight[k] * one.discrepancy[k, channel])
     return np.array(rows), np.array(columns)
 
@@ -65,7 +65,7 @@ def test_the_shared_discrepancy_is_learned_by_ridge():
     one, two = written(1), written(2, rows=25)
     for each in (one, two):
         # Nine times the variance they are whitened by: believed as five times, never less.
-        each.plain *= 3.0
+        each.nominal_rows *= 3.0
     rows, columns = flat(one, two)
     known = learn_discrepancy([one, two], variance_inflation=1.7)
     # What noise the rows are believed to have, told by the precision: these rows hold more than the columns do.
@@ -87,7 +87,7 @@ def test_a_simulation_is_believed_as_far_as_the_dictionary_holds_it():
     for level, expected in ((0.1, 0.01), (0.0, 1e-3), (1.5, 2.25), (9.0, 5.0)):
         one = written(24, rows=600)
         one.weight = np.ones(600)
-        one.plain = one.discrepancy @ truth + level * one.plain
+        one.nominal_rows = one.discrepancy @ truth + level * one.nominal_rows
         known = learn_discrepancy([one], variance_inflation=1.5)
         _, columns = flat(one)
         noise = np.trace(columns.T @ columns) / np.trace(known.precision - np.eye(COLUMNS)) / 1.5
@@ -169,7 +169,7 @@ def test_without_a_simulation_nothing_is_common():
 def test_shared_cost_is_what_the_simulation_explains_of_reality():
     one = written(16)
     truth = np.random.default_rng(17).standard_normal(COLUMNS)
-    one.plain = one.discrepancy @ truth
+    one.nominal_rows = one.discrepancy @ truth
     objective = objective_of(one, posterior=DiscrepancyPosterior(truth, 1e9 * np.eye(COLUMNS)))
     rows, _ = flat(one)
     # Everything is explained; weights that explain nothing share nothing.
@@ -183,7 +183,7 @@ def test_rows_that_are_not_compared_have_no_say():
     # The first block of 50 rows is not compared at all, of the others a third.
     mask = (np.arange(130) % 3 == 0) & (np.arange(130) >= 50)
     shorter = WrittenEvidence(
-        plain=one.plain[mask],
+        nominal_rows=one.nominal_rows[mask],
         discrepancy=one.discrepancy[mask],
         weight=one.weight[mask],
         series=one.series,
@@ -245,7 +245,7 @@ def test_costs_follow_the_shared_discrepancy_where_a_term_moves_it(gathered, dis
     known = replace(known, weights=known.weights + 0.3)
     objective = build_objective([gathered], known, discrepancy, [np.ones(len(gathered.at), dtype=bool)])
     terms = (CATALOGUE[name](values),)
-    left = gathered.left(terms, discrepancy.rates(gathered.series, known.weights, terms))
+    left = gathered.defects(terms, discrepancy.rates(gathered.series, known.weights, terms))
     expected = float(np.sum(objective.whiten(objective.stack([gathered.whitener(left)])) ** 2))
     # Between shifts of the CG that are 0.02 wheelbases apart the discrepancy runs in straight lines.
     assert objective.cost(terms) == pytest.approx(expected, rel=1e-3 if name == "cg_shift" else 1e-9)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis import parallel as module
-from split_cli.diagnosis.parallel import apart_with, handing_out, together, use_threads
+from split_cli.diagnosis.parallel import distributing_by, map_distributed_with, map_in_threads, use_threads
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import driven, noisy_objective
 
@@ -21,8 +21,8 @@ def threads(request):
 
 
 def test_results_are_in_order_and_errors_come_out(threads):
-    assert together(lambda x: x * x, range(7)) == [x * x for x in range(7)]
-    assert together(lambda x: x, []) == []
+    assert map_in_threads(lambda x: x * x, range(7)) == [x * x for x in range(7)]
+    assert map_in_threads(lambda x: x, []) == []
 
     def fails(x: int) -> int:
         if x:
@@ -30,7 +30,7 @@ def test_results_are_in_order_and_errors_come_out(threads):
         return x
 
     with pytest.raises(ValueError, match="^2$"):
-        together(fails, [0, 2, 5])
+        map_in_threads(fails, [0, 2, 5])
 
 
 def test_several_are_under_way_at_once_where_they_may_be(threads):
@@ -44,7 +44,7 @@ def test_several_are_under_way_at_once_where_they_may_be(threads):
             return False
         return True
 
-    assert together(meets, range(3)) == [threads == 3] * 3
+    assert map_in_threads(meets, range(3)) == [threads == 3] * 3
 
 
 def test_there_are_no_more_threads_than_cores_or_four(monkeypatch):
@@ -52,7 +52,7 @@ def test_there_are_no_more_threads_than_cores_or_four(monkeypatch):
     monkeypatch.setattr(module, "ThreadPoolExecutor", lambda count: seen.append(count) or Pool())
     for cores in (2, 64):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: set(range(cores)), raising=False)
-        together(str, range(9))
+        map_in_threads(str, range(9))
     assert seen == [2, 4]
 
 
@@ -76,11 +76,13 @@ def test_what_travels_forgets_what_it_found_by_ids():
     here.memo["kinematics", id(here)] = {}
     there = pickle.loads(pickle.dumps(here))
     assert here.memo and not there.memo
-    assert here.evidence[0].series._plain_flows and not there.evidence[0].series._plain_flows
+    assert here.evidence[0].series._nominal_flows and not there.evidence[0].series._nominal_flows
     assert np.array_equal(there.residual([drag]), left)
 
 
 def test_what_is_held_comes_first():
-    assert apart_with(10, lambda held, item: held - item, [3, 4]) == [7, 6]
-    with handing_out(lambda function, items: [function.func(*function.args, item) for item in reversed(items)]):
-        assert apart_with(10, lambda held, item: held - item, [3, 4]) == [6, 7]
+    assert map_distributed_with(10, lambda held, item: held - item, [3, 4]) == [7, 6]
+    with distributing_by(
+        lambda function, items: [function.func(*function.args, item) for item in reversed(items)]
+    ):
+        assert map_distributed_with(10, lambda held, item: held - item, [3, 4]) == [6, 7]

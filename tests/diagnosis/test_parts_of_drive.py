@@ -93,7 +93,7 @@ def test_a_steering_that_is_wrong_for_a_while_is_found_where_it_is(gain, runs):
 
     objective = noisy_objective(driven(41, steer=steer), 9)
     explore = Explorer(objective, tuple(candidates_of(objective, *NAMES)), 1.5)
-    found = strongest_part(objective, explore.lines(), nothing(objective).residuals, 1.5)
+    found = strongest_part(objective, explore.tangents(), nothing(objective).residuals, 1.5)
     if gain == 1.0:
         assert found.p_value > 0.05
         return
@@ -125,7 +125,7 @@ def test_a_late_channel_is_asked_of_a_part_only_where_nothing_witnesses_it(recor
     witnesses = [one for one in build_witnesses(series) if recorded_twice]
     objective = bare_objective(light_evidence(series), kinematics=witnesses)
     explore = Explorer(objective, tuple(candidates_of(objective, "channel_delay")), 1.5)
-    lines = [one for one in explore.lines() if "r" in one.part.values]
+    lines = [one for one in explore.tangents() if "r" in one.part.values]
     found = strongest_part(objective, lines, nothing(objective).residuals, 1.5)
     assert lines
     if recorded_twice:

@@ -12,7 +12,7 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import term_p
-from split_cli.diagnosis.verdict.detectable import smallest_named
+from split_cli.diagnosis.verdict.detectable import detection_limits
 from split_cli.diagnosis.verdict.planted import faulty, planted_saving
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -57,7 +57,7 @@ def promised(sound) -> tuple[float, float]:
     objective = objective_of(sound)
     candidates = candidates_of(objective, "steer_gain")
     ways = None, partial(planted_saving, case=sound, reach=REACH)
-    found = [smallest_named((objective,), candidates, VARIANCE_INFLATION, LEVEL, way) for way in ways]
+    found = [detection_limits((objective,), candidates, VARIANCE_INFLATION, LEVEL, way) for way in ways]
     before, after = (one.parameters["gain"][0] for (one,) in found)
     return before, after
 

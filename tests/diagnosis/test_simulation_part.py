@@ -13,7 +13,7 @@ from split_cli.diagnosis.innovations.objective import learn_discrepancy
 from split_cli.diagnosis.innovations.rollouts import HORIZONS, SharedRates, _that_returns, shared_rates
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.verdict.improvement import measure_improvement
-from split_cli.diagnosis.verdict.simulation_part import SimulationPart, believed_parts, part_of
+from split_cli.diagnosis.verdict.simulation_part import SimulationPart, chosen_simulation_parts, part_of
 from split_cli.logs.drive import read_drive
 from split_cli.logs.track_position import places_of
 from split_cli.proof.injection import split_in_blocks
@@ -34,7 +34,7 @@ def test_what_was_taught_rightly_is_believed_and_what_reality_does_not_have_is_n
     posterior = learn_discrepancy([taught])
     for real, believed in ((recorded(43, (RESISTANCE,)), True), (other, False)):
         known = shared_rates(real.series, discrepancy, posterior)
-        parts = believed_parts([(real, held_last_quarter(real))], [taught], discrepancy, [known], [known])
+        parts = chosen_simulation_parts([(real, held_last_quarter(real))], [taught], discrepancy, [known], [known])
         assert (parts[0].longitudinal != "nominal") == believed
 
 
@@ -44,10 +44,10 @@ def test_a_part_that_fails_on_the_simulation_itself_is_not_believed():
     discrepancy = build_shared_discrepancy(simulated.vehicle, simulated.series)
     # Rows that say nothing but noise teach noise; the check learns for itself from the first three quarters.
     rng = np.random.default_rng(3)
-    noise = replace(simulated, plain=5.0 * rng.normal(size=simulated.plain.shape))
+    noise = replace(simulated, nominal_rows=5.0 * rng.normal(size=simulated.nominal_rows.shape))
     real = recorded(45, (RESISTANCE,))
     known = shared_rates(real.series, discrepancy, learn_discrepancy([noise]))
-    parts = believed_parts([(real, held_last_quarter(real))], [noise], discrepancy, [known], [known])
+    parts = chosen_simulation_parts([(real, held_last_quarter(real))], [noise], discrepancy, [known], [known])
     assert parts == (SimulationPart(), SimulationPart())
 
 

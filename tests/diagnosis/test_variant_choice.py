@@ -60,7 +60,7 @@ def test_a_lag_that_a_fit_has_shrunk_to_nothing_is_none(objective):
     none = nothing(objective)
     lags = [Part(one, {"tau": 0.0}) for one in candidates_of(objective, "steer_lag", "drive_lag")]
     assert len(lags) == 2
-    without, shrunk = free_running_errors(objective, [none, replace(none, parts=tuple(lags))])
+    without, shrunk = open_loop_errors(objective, [none, replace(none, parts=tuple(lags))])
     assert shrunk == without
 
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from split_cli.cli.main import group
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.parallel import handing_out
+from split_cli.diagnosis.parallel import distributing_by
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
@@ -123,9 +123,9 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
             travelled.append(getattr(function, "func", function).__qualname__)
             return apply(function, items)
 
-        return handing_out(noted)
+        return distributing_by(noted)
 
-    monkeypatch.setattr("split_cli.workflows.diagnose.handing_out", noting)
+    monkeypatch.setattr("split_cli.workflows.diagnose.distributing_by", noting)
     # What travels is asked for here, not what a long search finds.
     short = STANDARD.altered("selection", full_fits=3, rounds=2)
     monkeypatch.setattr("split_cli.workflows.diagnose.diagnose", partial(diagnose, policy=short))
@@ -133,6 +133,6 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
         told[name] = json.loads(run("diagnose", *given, "--out", tmp_path / name, "--json", *way))
         assert (tmp_path / name / "report.html").exists()
     assert told["cluster"] == told["one"]
-    for name in ("self_test", "smallest_named", "_fitted", "refitted"):
+    for name in ("self_test", "detection_limits", "_fitted", "refitted"):
         assert any(function.startswith(name) for function in travelled), name
     assert told["one"]["verdict"] != "undecided" and told["one"]["detectable"]

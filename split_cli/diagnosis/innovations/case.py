@@ -9,13 +9,13 @@ import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy
 from split_cli.diagnosis.innovations.comparable import comparable
-from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, graded_as
+from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rewhitened_with_noise
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, learn_discrepancy
-from split_cli.diagnosis.parallel import together
+from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series
-from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
+from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_parts
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -38,7 +38,7 @@ class DiagnosisCase:
     simulated: tuple[Evidence, ...] = ()
     keep_holdout: tuple[np.ndarray, ...] = ()
     # The simulated recordings as if they had the noise and disturbance of the real ones.
-    graded: tuple[Evidence, ...] = ()
+    rewhitened: tuple[Evidence, ...] = ()
 
     def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case with those real rows compared that are within `reach` of a simulated one."""
@@ -50,7 +50,7 @@ class DiagnosisCase:
 
     def recorded_as(self, series: Sequence[Series], reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case with other real recordings, filtered and compared as these; witnesses stay."""
-        real = together(
+        real = map_in_threads(
             lambda one: _gathered(self.vehicle, one, self.discrepancy, self.simulated, policy.believing), series
         )
         keep = (comparable(one, self.simulated, self.discrepancy, reach, policy) for one in real)
@@ -68,24 +68,24 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     rules = policy.believing
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
     discrepancy = build_shared_discrepancy(vehicle, (by_role["sim"] or by_role["real"])[0])
-    simulated = together(lambda one: gather_evidence(vehicle, one, discrepancy, rules=rules), by_role["sim"])
+    simulated = map_in_threads(lambda one: gather_evidence(vehicle, one, discrepancy, rules=rules), by_role["sim"])
     real, holdout = (
-        together(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules), by_role[role])
+        map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules), by_role[role])
         for role in ("real", "holdout")
     )
     noise = np.median([one.series.stated_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
-    graded = [graded_as(one, noise, disturbance, discrepancy) for one in simulated]
-    posterior = learn_discrepancy(graded, policy.comparison.variance_inflation, rules) if graded else None
+    rewhitened = [rewhitened_with_noise(one, noise, disturbance, discrepancy) for one in simulated]
+    posterior = learn_discrepancy(rewhitened, policy.comparison.variance_inflation, rules) if rewhitened else None
     theirs = [one for series in by_role["sim"] for one in build_witnesses(series, rules=rules)]
-    habits = habits_of(theirs)
-    kinematics = [one for series in by_role["real"] for one in build_witnesses(series, habits, rules)]
+    usual_by_kind = usual_parts(theirs)
+    kinematics = [one for series in by_role["real"] for one in build_witnesses(series, usual_by_kind, rules)]
     if by_role["sim"]:
-        # Where the simulation's recordings lack an instrument, nobody knows its habits.
-        kinematics = [one for one in kinematics if one.kind in habits]
+        # Where the simulation's recordings lack an instrument, nobody knows what is usual.
+        kinematics = [one for one in kinematics if one.kind in usual_by_kind]
     case = DiagnosisCase(
         vehicle, tuple(real), tuple(holdout), discrepancy, posterior, (), tuple(kinematics), tuple(theirs),
-        tuple(simulated), graded=tuple(graded),
+        tuple(simulated), rewhitened=tuple(rewhitened),
     )  # fmt: skip
     return case.compared(policy.comparison.reach, policy)
 
@@ -101,4 +101,4 @@ def _gathered(
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
     own = gather_evidence(vehicle, series, discrepancy, least, rules)
     # Nothing is shared with a nominal model.
-    return own if simulated else replace(own, discrepancy=np.empty((*own.plain.shape, 0)))
+    return own if simulated else replace(own, discrepancy=np.empty((*own.nominal_rows.shape, 0)))

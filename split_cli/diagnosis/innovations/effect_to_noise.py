@@ -76,5 +76,5 @@ def effects_to_noise_of(
 
     `discrepancy_rates` returns what terms make of the shared discrepancy, (N, 3), or nothing.
     """
-    with_all, with_some = (evidence.left(some, discrepancy_rates(some)) for some in (terms, without))
+    with_all, with_some = (evidence.defects(some, discrepancy_rates(some)) for some in (terms, without))
     return effects_to_noise(evidence.series, with_all - with_some, rows)

@@ -26,7 +26,7 @@ class Evidence:
     series: Series
     jacobian: np.ndarray  # (N, 3, 3): nominal velocity Jacobian at the smoothed states
     whitener: Whitener
-    plain: np.ndarray  # (G, 3): whitened rows against the nominal model
+    nominal_rows: np.ndarray  # (G, 3): whitened rows against the nominal model
     discrepancy: np.ndarray  # (G, 3, C): whitened columns of the shared discrepancy
     at: np.ndarray  # int64 (G,): sample in the middle of each row
     disturbance: np.ndarray  # (3,)
@@ -39,10 +39,10 @@ class Evidence:
     )
 
     def rows(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
-        """Return whitened rows, shape (G, 3), of what `left` returns."""
-        return self.whitener(self.left(terms, discrepancy_rates))
+        """Return whitened rows, shape (G, 3), of what `defects` returns."""
+        return self.whitener(self.defects(terms, discrepancy_rates))
 
-    def left(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
+    def defects(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
         """Return the defects that the nominal model with `terms` leaves, shape (N - 1, 3); 0 over gaps.
 
         Parameters
@@ -132,7 +132,7 @@ def gather_evidence(
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
 
 
-def graded_as(
+def rewhitened_with_noise(
     one: Evidence, noise: np.ndarray, disturbance: np.ndarray, discrepancy: SharedDiscrepancy
 ) -> Evidence:
     """Whiten a recording as if it had at least this noise and disturbance, shape (3,) each.
@@ -150,7 +150,7 @@ def graded_as(
         one.whitener.group,
     )
     columns = whitened_blocks(series, whitener, discrepancy.blocks(series))
-    return replace(one, whitener=whitener, plain=whitener(one.left(())), discrepancy=columns)
+    return replace(one, whitener=whitener, nominal_rows=whitener(one.defects(())), discrepancy=columns)
 
 
 def rolling(series: Series, vehicle: Vehicle, rules: Believing = STANDARD.believing) -> np.ndarray:

@@ -63,7 +63,7 @@ def learn_discrepancy(
     columns = np.concatenate(
         [one.discrepancy.reshape(-1, one.discrepancy.shape[2]) * _entry_weight(one) for one in simulations]
     )
-    target = np.concatenate([one.plain.reshape(-1) * _entry_weight(one)[:, 0] for one in simulations])
+    target = np.concatenate([one.nominal_rows.reshape(-1) * _entry_weight(one)[:, 0] for one in simulations])
     normal, score = columns.T @ columns, columns.T @ target
     prior = np.eye(len(score))
     noise = variance_inflation
@@ -295,7 +295,7 @@ class MarginalLikelihood:
     def shared_cost(self) -> float:
         """Cost that the shared discrepancy, at the simulation's weights, explains of the real recordings."""
         if "shared cost" not in self.memo:
-            plain = self.stack([evidence.plain for evidence in self.evidence])
+            plain = self.stack([evidence.nominal_rows for evidence in self.evidence])
             self.memo["shared cost"] = max(float(plain @ plain - np.sum((plain - self.offset) ** 2)), 0.0)
         return self.memo["shared cost"]
 

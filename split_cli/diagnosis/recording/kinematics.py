@@ -38,11 +38,11 @@ class KinematicResiduals:
     angle: np.ndarray  # (N,): yaw, averaged over 0.2 s [rad]
     scale: float  # spread of what velocities leave of it [m], faults of the sensor taken off
     # (2,): share of yaw angle [m] and of distance [1] that the simulation's recordings leave too.
-    habit: np.ndarray
+    usual: np.ndarray
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return this difference, less what the simulation shows too, over its spread, shape (W,)."""
-        return (self.difference(terms) - self.causes @ self.habit) / self.scale
+        return (self.difference(terms) - self.causes @ self.usual) / self.scale
 
     def difference(self, terms: Sequence[Term]) -> np.ndarray:
         """Return the displacement to the left by positions minus that by velocities [m], shape (W,)."""
@@ -106,7 +106,7 @@ class KinematicResiduals:
         return integral(rate, self.begin, self.end, self.series.period, averaged=averaged)
 
 
-def build_kinematics(series: Series, habit: np.ndarray | None = None) -> KinematicResiduals | None:
+def build_kinematics(series: Series, usual: np.ndarray | None = None) -> KinematicResiduals | None:
     """Return the windows of a recording, or None without position and yaw, or with too few windows."""
     drive = series.drive
     if not drive.has_position:
@@ -126,7 +126,7 @@ def build_kinematics(series: Series, habit: np.ndarray | None = None) -> Kinemat
     middle = angle[(begin + end) // 2]
     along, across = _in_car_frame(middle, x[end] - x[begin], y[end] - y[begin])
     plain = KinematicResiduals(
-        series, begin, end, across, along, angle, 1.0, np.zeros(2) if habit is None else habit
+        series, begin, end, across, along, angle, 1.0, np.zeros(2) if usual is None else usual
     )
     left, causes = plain.difference(()), np.hstack([plain.causes, plain.drifting_or_late])
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
@@ -158,12 +158,12 @@ def _in_car_frame(angle: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.n
     return np.cos(angle) * x + np.sin(angle) * y, -np.sin(angle) * x + np.cos(angle) * y
 
 
-def common_habit(several: Sequence[Any]) -> np.ndarray:
+def usual_part(several: Sequence[Any]) -> np.ndarray:
     """Return what recordings leave by each cause of one kind of witness: of displacements across the car, by yaw
     angle [m] and distance [1], shape (2,).
     """
     if not sum(len(one.begin) for one in several):
-        return np.zeros(len(several[0].habit) if several else 2)
+        return np.zeros(len(several[0].usual) if several else 2)
     causes = np.concatenate([one.causes / one.scale for one in several])
     left = np.concatenate([one.difference(()) / one.scale for one in several])
     return np.linalg.lstsq(causes, left, rcond=None)[0]

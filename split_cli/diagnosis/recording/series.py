@@ -49,7 +49,7 @@ class Series:
     lap_length: float | None = None
     place_reference: str = "dead_reckoned"
     # Made anew for a copy with other arrays.
-    _plain_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _nominal_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
     _turned_by: dict[tuple[str, str], bool] = field(default_factory=dict, init=False, repr=False, compare=False)
     _corrected_before: Recent[tuple[np.ndarray, np.ndarray]] = field(
         default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
@@ -63,7 +63,7 @@ class Series:
 
     def __getstate__(self) -> dict:
         # Flows are found by ids of vehicles, which another process gives to others.
-        return {**self.__dict__, "_plain_flows": {}}
+        return {**self.__dict__, "_nominal_flows": {}}
 
     def __len__(self) -> int:
         return len(self.t)
@@ -158,9 +158,9 @@ class Series:
         a sample: of a staircase they are exact. Place, time and yaw are those of the sample's begin.
         """
         if velocity is not None and velocity is not self.smooth:
-            plain = self._plain_at(velocity, model.vehicle)
+            plain = self._without_terms_at(velocity, model.vehicle)
         else:
-            plain = self._plain(model.vehicle)
+            plain = self._without_terms(model.vehicle)
         return self._flow(model, plain.vx, plain.vy, plain.r, plain=plain) if model.terms else plain
 
     def inputs(self, model: SingleTrack, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -180,12 +180,12 @@ class Series:
     def _columns(self) -> tuple[np.ndarray, ...]:
         return tuple(np.ascontiguousarray(over_samples(self.smooth, self.recording).T))
 
-    def _plain(self, vehicle: Vehicle) -> Flow:
+    def _without_terms(self, vehicle: Vehicle) -> Flow:
         """Return the flow without any term, from which all others take what their terms leave as it was."""
         # A flow holds its vehicle, so that no other can come to have its id.
-        if id(vehicle) not in self._plain_flows:
-            self._plain_flows[id(vehicle)] = self._flow(SingleTrack(vehicle, ()), *self._columns)
-        return self._plain_flows[id(vehicle)]
+        if id(vehicle) not in self._nominal_flows:
+            self._nominal_flows[id(vehicle)] = self._flow(SingleTrack(vehicle, ()), *self._columns)
+        return self._nominal_flows[id(vehicle)]
 
     def rates(self, model: SingleTrack, velocity: np.ndarray | None = None) -> np.ndarray:
         """Return (v_x', v_y', r') of a model in the middle of samples, shape (N, 3); see `flow`."""
@@ -198,14 +198,14 @@ class Series:
         """Return v_x', v_y' and r' of a model in the middle of samples, shape (N,) each."""
         return model.balance(self.flow(model, velocity))
 
-    def _plain_at(self, velocity: np.ndarray, vehicle: Vehicle) -> Flow:
+    def _without_terms_at(self, velocity: np.ndarray, vehicle: Vehicle) -> Flow:
         """Return the flow without any term at corrected velocities, shape (N, 3)."""
 
         def made() -> tuple[np.ndarray, Flow]:
             columns = map(np.ascontiguousarray, over_samples(velocity, self.recording).T)
             # Velocities are kept with their flow, so that no others can come to have their id. Wheels point where
             # they do at the recorded velocities.
-            return velocity, self._flow(SingleTrack(vehicle, ()), *columns, plain=self._plain(vehicle))
+            return velocity, self._flow(SingleTrack(vehicle, ()), *columns, plain=self._without_terms(vehicle))
 
         return self._flows_before((id(velocity), id(vehicle)), made)[1]
 

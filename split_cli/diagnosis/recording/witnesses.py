@@ -2,7 +2,7 @@
 
 Every witness compares, over windows of half a second, what one instrument says with what the velocities make of
 it. Physics that a model lacks moves none of them; faults of sensors do. What the simulation's recordings leave in
-the same way (a scale, a bias and a delay of each witness) is their habit and no difference.
+the same way (a scale, a bias and a delay of each witness) is usual and no difference.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from split_cli.diagnosis.recording.kinematics import (
     KinematicResiduals,
     averaged_change,
     build_kinematics,
-    common_habit,
     integral,
+    usual_part,
 )
 from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.recording.series import Series
@@ -45,11 +45,11 @@ class Witness:
     end: np.ndarray
     position: KinematicResiduals | None  # with the displacements of the windows, for ``way`` and ``turn``
     scale: float  # spread of what the velocities leave
-    habit: np.ndarray  # (3,): what the simulation's recordings leave by scale, bias and delay
+    usual: np.ndarray  # (3,): what the simulation's recordings leave by scale, bias and delay
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return this difference, less what the simulation shows too, over its spread, shape (W,)."""
-        return (self.difference(terms) - self.causes @ self.habit) / self.scale
+        return (self.difference(terms) - self.causes @ self.usual) / self.scale
 
     def difference(self, terms: Sequence[Term]) -> np.ndarray:
         """Return the instrument's value minus that computed from the velocities, shape (W,)."""
@@ -89,12 +89,12 @@ class Witness:
 
 
 def build_witnesses(
-    series: Series, habits: Mapping[str, np.ndarray] | None = None, rules: Believing = STANDARD.believing
+    series: Series, usual_by_kind: Mapping[str, np.ndarray] | None = None, rules: Believing = STANDARD.believing
 ) -> list[KinematicResiduals | Witness]:
-    """Return all that a recording can be held against; habits by kind, of the simulation's recordings."""
-    habits, found = habits or {}, []
+    """Return all that a recording can be held against; what is usual by kind, of the simulation's recordings."""
+    usual_by_kind, found = usual_by_kind or {}, []
     measured_position = measures(series.drive, "X", "Y", "yaw")
-    position = build_kinematics(series, habits.get("across")) if measured_position else None
+    position = build_kinematics(series, usual_by_kind.get("across")) if measured_position else None
     if position is not None:
         found.append(position)
     for kind in _KINDS:
@@ -107,19 +107,19 @@ def build_witnesses(
         size = float(np.std(causes[:, 0]))
         if not np.isfinite(spread) or size <= 0.0:
             continue
-        habit = habits.get(kind)
+        usual = usual_by_kind.get(kind)
         found.append(
-            replace(one, scale=max(spread, _LEAST_SPREAD * size), habit=np.zeros(3) if habit is None else habit)
+            replace(one, scale=max(spread, _LEAST_SPREAD * size), usual=np.zeros(3) if usual is None else usual)
         )
     return found
 
 
-def habits_of(witnesses: Iterable[KinematicResiduals | Witness]) -> dict[str, np.ndarray]:
+def usual_parts(witnesses: Iterable[KinematicResiduals | Witness]) -> dict[str, np.ndarray]:
     """Return what recordings leave of each kind of witness: by kind, shape (2,) or (3,)."""
     by_kind: dict[str, list[KinematicResiduals | Witness]] = {}
     for one in witnesses:
         by_kind.setdefault(one.kind, []).append(one)
-    return {kind: common_habit(several) for kind, several in by_kind.items()}
+    return {kind: usual_part(several) for kind, several in by_kind.items()}
 
 
 def late_against_position(series: Series, policy: Policy = STANDARD) -> bool:
@@ -128,7 +128,7 @@ def late_against_position(series: Series, policy: Policy = STANDARD) -> bool:
     Velocities that were derived from position are not; what was shifted since, or read with another clock, is.
     """
     witnesses = build_witnesses(series, rules=policy.believing)
-    delays = [abs(common_habit([one])[2]) for one in witnesses if one.kind in ("turn", "way")]
+    delays = [abs(usual_part([one])[2]) for one in witnesses if one.kind in ("turn", "way")]
     return max(delays, default=0.0) > policy.screening.late_samples * series.period
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, scaled_features, spread
 from split_cli.diagnosis.innovations.effect_to_noise import windowed
 from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence, integrated
-from split_cli.diagnosis.parallel import cores, together
+from split_cli.diagnosis.parallel import cores, map_in_threads
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
@@ -58,7 +58,7 @@ def flexible_rows(
 
     for group, blocks in groups.items():
         while some := list(islice(blocks, cores())):
-            yield from together(piece, [(group, block) for block in some])
+            yield from map_in_threads(piece, [(group, block) for block in some])
 
 
 def left_out(series: Series) -> np.ndarray:

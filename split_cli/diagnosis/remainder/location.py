@@ -25,7 +25,7 @@ def gap_forces(evidence: Evidence, terms: Sequence[Term], discrepancy_rates: np.
     Rates left by model, terms and the shared discrepancy, through the inverse of the invariant force matrix.
     """
     series = evidence.series
-    left = evidence.left(terms, discrepancy_rates) / series.period
+    left = evidence.defects(terms, discrepancy_rates) / series.period
     left = np.concatenate([left, left[-1:]])
     width = max(1, int(round(_AVERAGE_SECONDS / series.period)))
     total = np.cumsum(np.concatenate([np.zeros((1, 3)), left]), axis=0)

@@ -99,7 +99,7 @@ class _Remainder:
 def _left(objective: MarginalLikelihood, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
     """Return the defects that terms and discrepancy leave, shape (N - 1, 3); 0 where wheels spin or lock."""
     known = objective.posterior
-    left = one.left(
+    left = one.defects(
         terms, None if known is None else objective.discrepancy.rates(one.series, known.weights, terms)
     )
     left[~one.rolls[1:]] = 0.0

@@ -212,10 +212,10 @@ def _known(
     *,
     fixed_baseline: bool = False,
 ) -> SelfTest:
-    if not case.graded:
+    if not case.rewhitened:
         return SelfTest()
     return self_test(
-        case.graded,
+        case.rewhitened,
         case.discrepancy,
         candidates,
         case.kinematics,

@@ -20,10 +20,10 @@ from split_cli.diagnosis.innovations.objective import (
     build_objective,
     learn_discrepancy,
 )
-from split_cli.diagnosis.parallel import apart, together
+from split_cli.diagnosis.parallel import map_distributed, map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
-from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, habits_of
+from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_parts
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import FlexiblePiece, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
@@ -85,7 +85,7 @@ class SelfTest:
 
 
 def self_test(
-    graded: Sequence[Evidence],
+    rewhitened: Sequence[Evidence],
     discrepancy: SharedDiscrepancy,
     candidates: Sequence[Candidate],
     kinematics: Sequence[KinematicResiduals | Witness] = (),
@@ -100,8 +100,8 @@ def self_test(
 
     Parameters
     ----------
-    graded : sequence of Evidence
-        The simulation with the noise and disturbance of the real recordings, see `graded_as`.
+    rewhitened : sequence of Evidence
+        The simulation with the noise and disturbance of the real recordings, see `rewhitened_with_noise`.
     candidates : sequence of Candidate
         Terms that reality will be searched for.
     kinematics : sequence of KinematicResiduals or Witness
@@ -123,18 +123,22 @@ def self_test(
         scales[one.kind] = max(one.scale, scales.get(one.kind, 0.0))
     positions = tuple(
         (k, replace(one, scale=max(one.scale, scales[one.kind])))
-        for k, recording in enumerate(graded)
+        for k, recording in enumerate(rewhitened)
         for one in build_witnesses(recording.series, rules=policy.believing)
         if one.kind in scales
     )
-    all_rows = [np.ones(len(one.at), dtype=bool) for one in graded]
-    objective = build_objective(graded, None, discrepancy, all_rows, [one for _, one in positions], policy=policy)
+    all_rows = [np.ones(len(one.at), dtype=bool) for one in rewhitened]
+    objective = build_objective(
+        rewhitened, None, discrepancy, all_rows, [one for _, one in positions], policy=policy
+    )
     offers = _offers(replace(objective, posterior=posterior), candidates)
-    rows = tuple(tuple(flexible_rows(one, discrepancy)) for one in graded)
-    sides = _Sides(tuple(graded), positions, rows, discrepancy, variance_inflation, reach, fixed_baseline, policy)
-    dealings = (_every_other_block(graded, policy), _first_half(graded))
+    rows = tuple(tuple(flexible_rows(one, discrepancy)) for one in rewhitened)
+    sides = _Sides(
+        tuple(rewhitened), positions, rows, discrepancy, variance_inflation, reach, fixed_baseline, policy
+    )
+    dealings = (_every_other_block(rewhitened, policy), _first_half(rewhitened))
     halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]
-    tests = apart(lambda teaching: _test_half(sides, teaching, offers), halves)
+    tests = map_distributed(lambda teaching: _test_half(sides, teaching, offers), halves)
     tests = [test for test in tests if test is not None]
     if not tests:
         return SelfTest()
@@ -150,7 +154,7 @@ def self_test(
     )
 
 
-def _every_other_block(graded: Sequence[Evidence], policy: Policy) -> list[np.ndarray]:
+def _every_other_block(rewhitened: Sequence[Evidence], policy: Policy) -> list[np.ndarray]:
     """Return the rows in every other block of driving time, of each recording, shape (G,).
 
     Halves in blocks cover the same ground, as the two drives of a comparison do where rows are compared: the first
@@ -158,19 +162,20 @@ def _every_other_block(graded: Sequence[Evidence], policy: Policy) -> list[np.nd
     the longest: within a block, rows depend on each other. What drifts, as the biases of instruments do, differs
     between the first and the second half alone; so the recording is dealt both ways.
     """
-    total = sum(len(one.at) for one in graded)
+    total = sum(len(one.at) for one in rewhitened)
     length = int(np.clip(total // policy.self_test.blocks, 1, policy.comparison.least_rows))
-    first = np.cumsum([0, *(len(one.at) for one in graded)])
+    first = np.cumsum([0, *(len(one.at) for one in rewhitened)])
     return [
-        (before + np.arange(len(one.at))) // length % 2 == 0 for before, one in zip(first, graded, strict=False)
+        (before + np.arange(len(one.at))) // length % 2 == 0
+        for before, one in zip(first, rewhitened, strict=False)
     ]
 
 
-def _first_half(graded: Sequence[Evidence]) -> list[np.ndarray]:
+def _first_half(rewhitened: Sequence[Evidence]) -> list[np.ndarray]:
     """Return the rows in the first half of all driving time, of each recording, shape (G,)."""
-    total = sum(len(one.at) for one in graded)
-    first = np.cumsum([0, *(len(one.at) for one in graded)])
-    return [before + np.arange(len(one.at)) < total / 2 for before, one in zip(first, graded, strict=False)]
+    total = sum(len(one.at) for one in rewhitened)
+    first = np.cumsum([0, *(len(one.at) for one in rewhitened)])
+    return [before + np.arange(len(one.at)) < total / 2 for before, one in zip(first, rewhitened, strict=False)]
 
 
 @dataclass(frozen=True)
@@ -205,14 +210,14 @@ def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> l
             out.append(_Offer(candidate.effect, np.stack(columns, axis=1), ""))
         return out
 
-    return [offer for several in together(offered, candidates) for offer in several]
+    return [offer for several in map_in_threads(offered, candidates) for offer in several]
 
 
 @dataclass(frozen=True)
 class _Sides:
     """A simulation with the noise of reality, half of it to teach and half to be judged."""
 
-    graded: tuple[Evidence, ...]
+    rewhitened: tuple[Evidence, ...]
     positions: tuple[tuple[int, KinematicResiduals | Witness], ...]
     rows: tuple[tuple[FlexiblePiece, ...], ...]
     discrepancy: SharedDiscrepancy
@@ -222,31 +227,31 @@ class _Sides:
     policy: Policy = STANDARD
 
     def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[KinematicResiduals | Witness], np.ndarray]:
-        """Return kinematic windows outside the teaching half, with its habits, and which of all they are."""
+        """Return kinematic windows outside the teaching half, with what is usual, and which of all they are."""
         pairs = []
         for k, one in self.positions:
             mask = teaching[k]
-            pairs.append((one, mask[np.searchsorted(self.graded[k].at, one.begin).clip(max=len(mask) - 1)]))
-        habits = habits_of(one.select(side) for one, side in pairs)
-        judged = [replace(one.select(~side), habit=habits[one.kind]) for one, side in pairs]
+            pairs.append((one, mask[np.searchsorted(self.rewhitened[k].at, one.begin).clip(max=len(mask) - 1)]))
+        usual_by_kind = usual_parts(one.select(side) for one, side in pairs)
+        judged = [replace(one.select(~side), usual=usual_by_kind[one.kind]) for one, side in pairs]
         return judged, np.concatenate([~side for _, side in pairs]) if pairs else np.zeros(0, dtype=bool)
 
 
 def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_Offer]) -> SelfTest | None:
-    graded, discrepancy = sides.graded, sides.discrepancy
-    taught = [replace(one, weight=one.weight * mask) for one, mask in zip(graded, teaching, strict=True)]
+    rewhitened, discrepancy = sides.rewhitened, sides.discrepancy
+    taught = [replace(one, weight=one.weight * mask) for one, mask in zip(rewhitened, teaching, strict=True)]
     if not any((one.weight > 0.0).any() for one in taught):
         return None
     keep = [
         comparable(one, taught, discrepancy, sides.reach, sides.policy) & ~mask
-        for one, mask in zip(graded, teaching, strict=True)
+        for one, mask in zip(rewhitened, teaching, strict=True)
     ]
     rows = sum(int(mask.sum()) for mask in keep)
     if rows < sides.policy.comparison.rows_of_half:
         return None
     positions, windows = sides.windows(teaching)
     posterior = learn_discrepancy(taught, sides.variance_inflation, sides.policy.believing)
-    objective = build_objective(graded, posterior, discrepancy, keep, positions, policy=sides.policy)
+    objective = build_objective(rewhitened, posterior, discrepancy, keep, positions, policy=sides.policy)
     if sides.fixed_baseline:
         objective = objective.with_fixed_baseline()
     residuals = objective.whiten(objective.residual(()))
@@ -254,7 +259,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
     fit = structure.fit(residuals, sides.variance_inflation)
     chosen = np.concatenate([np.repeat(np.concatenate(keep), 3), windows])
     s = objective.places()
-    lap = graded[0].series.lap_length
+    lap = rewhitened[0].series.lap_length
     terms, witnessed, partly = ({offer.term: 0.0 for offer in offers} for _ in range(3))
     own = objective.of_witnesses(residuals)
     for offer in offers:

@@ -41,7 +41,7 @@ def explanation_of_every_car(
     whole = physics_of_every_car(explore, nothing)
     if not _costs_less(explore, whole, found):
         return None
-    grown, history = _with_surprises(explore, whole)
+    grown, history = _with_further_terms(explore, whole)
     return grown, (f"what every car has: {', '.join(whole.names)}", *history)
 
 
@@ -52,7 +52,7 @@ def physics_of_every_car(explore: Explorer, nothing: Fit) -> Fit:
     -----
     Each begins near none, held by the prior of what a car of this size can have; then the prior is let go.
     """
-    lines = [one for one in explore.first_lines(nothing) if CATALOGUE[one.part.candidate.term].in_every_car]
+    lines = [one for one in explore.first_tangents(nothing) if CATALOGUE[one.part.candidate.term].in_every_car]
     parts = [near_none(one.part) for one in lines]
     priors = [prior_of(part.candidate, explore.rules.deviations) for part in parts]
     fit, _ = fit_with_prior(explore.objective, parts, priors)
@@ -82,11 +82,11 @@ def _costs_less(explore: Explorer, fit: Fit, than: Fit) -> bool:
     What every car has is no surprise and has no price; all other terms have theirs.
     """
     there, here = costs_beside_form_error(explore.objective, [than, fit])
-    price = explore.rules.price * (_surprise(fit) - _surprise(than))
+    price = explore.rules.price * (_further_parameters(fit) - _further_parameters(than))
     return (here - there) / explore.variance_inflation + price < 0.0
 
 
-def _with_surprises(explore: Explorer, whole: Fit) -> tuple[Fit, list[str]]:
+def _with_further_terms(explore: Explorer, whole: Fit) -> tuple[Fit, list[str]]:
     """Return an explanation with what else is believed beside it, and that in words.
 
     A term that resembles what is there may be large while the others make way for it: a yaw inertia beside a
@@ -131,7 +131,7 @@ def is_shown(explore: Explorer, fit: Fit, without: Fit) -> bool:
     return bool(np.any(changed > least))
 
 
-def _surprise(fit: Fit) -> float:
+def _further_parameters(fit: Fit) -> float:
     """Return how many parameters were effectively searched for beside those of what every car has."""
     own = (part.candidate for part in fit.parts)
     return sum(one.complexity for one in own if not CATALOGUE[one.term].in_every_car)

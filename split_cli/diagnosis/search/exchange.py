@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from split_cli.diagnosis.parallel import together
+from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
@@ -51,7 +51,7 @@ def _promising_mergers(
     Notes
     -----
     Taking part k away moves the residuals by what it does beside the others, another variant by how the two differ
-    at the same values; along straight lines the rest follows, and promises what `Tangent.cost` says.
+    at the same values; to first order the rest follows, and promises what `Tangent.cost` says.
     """
     objective, parts = explore.objective, chosen.parts
     siblings = [(j, one) for j, part in enumerate(parts) for one in _siblings(part.candidate, explore.candidates)]
@@ -82,7 +82,7 @@ def _promising_mergers(
                 out.append((worse, (*kept, line.part), parts[k]))
         return out
 
-    found = together(lambda one: promises(*one), siblings)
+    found = map_in_threads(lambda one: promises(*one), siblings)
     most = explore.variance_inflation * explore.rules.price
     promising = [one for several in found for one in several if one[0] < most]
     return [(kept, out) for _, kept, out in sorted(promising, key=lambda one: one[0])]
@@ -103,7 +103,7 @@ def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
     return (there - here) / explore.variance_inflation > price + least
 
 
-def relieved(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | None:
+def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | None:
     """Return the best of an explanation and its rivals with one part less, or of it with several less.
 
     None is returned where the explanation or a rival is better. Two terms may imitate one that is not among them.
@@ -200,7 +200,7 @@ def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
     return best
 
 
-def turned_over(explore: Explorer, chosen: Fit) -> Fit | None:
+def inverted_stretch(explore: Explorer, chosen: Fit) -> Fit | None:
     """Return the best explanation with a stretch in the place of the rest of the lap, where that costs less.
 
     A slope on a stretch is the opposite slope on the rest of the lap, beside a force along the car and a bias of
@@ -242,7 +242,7 @@ def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
     return best
 
 
-def said_of(before: Fit, after: Fit) -> str:
+def move_in_words(before: Fit, after: Fit) -> str:
     """Return a move in words, for the history."""
     come, gone = sorted(set(after.names) - set(before.names)), sorted(set(before.names) - set(after.names))
     kept = {part.candidate.label for part in after.parts} <= {part.candidate.label for part in before.parts}

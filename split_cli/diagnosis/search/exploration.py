@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.cache import give_back
+from split_cli.diagnosis.cache import release_memory
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.parallel import apart_with, together
+from split_cli.diagnosis.parallel import map_distributed_with, map_in_threads
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
@@ -67,7 +67,7 @@ class Explorer:
         fits = _best_of_each(sorted([*begun.values(), *found], key=self.price))
         self._explored.append((current, worth, fits))
         self._forget_oldest()
-        give_back()
+        release_memory()
         return fits
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ class Explorer:
 
     def _tangents_at(self, parts: Sequence[Part]) -> list[Tangent]:
         base = self._base
-        return together(lambda part: tangent(self.objective, base, part), parts)
+        return map_in_threads(lambda part: tangent(self.objective, base, part), parts)
 
     @cached_property
     def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
@@ -121,8 +121,8 @@ class Explorer:
             (one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts
         ]
 
-    def lines(self) -> list[Tangent]:
-        """Return every start of every term without a place, as straight lines."""
+    def tangents(self) -> list[Tangent]:
+        """Return every start of every term without a place, linearised."""
         return self._tangents
 
     def _promises(self, current: Fit, free: np.ndarray | None) -> list[tuple[float, Tangent]]:
@@ -134,18 +134,18 @@ class Explorer:
             if candidate.term not in taken:
                 starts = scan_places(self.objective, current.residuals, candidate, effect)
                 lines += self._tangents_at([Part(candidate, start) for start in starts])
-        promises = together(lambda one: (one.cost(current, free), one), lines)
+        promises = map_in_threads(lambda one: (one.cost(current, free), one), lines)
         return sorted(
             promises,
             key=lambda one: one[0] / self.variance_inflation + self.rules.price * one[1].part.candidate.complexity,
         )
 
-    def first_lines(self, current: Fit) -> list[Tangent]:
-        """Return the most promising start and variant of every other term without a place, as straight lines."""
+    def first_tangents(self, current: Fit) -> list[Tangent]:
+        """Return the most promising start and variant of every other term without a place, linearised."""
         sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
         best: dict[str, tuple[float, Tangent]] = {}
-        for promised, line in together(lambda one: (one.cost(current), one), self._tangents):
+        for promised, line in map_in_threads(lambda one: (one.cost(current), one), self._tangents):
             term = line.part.candidate.term
             if term not in taken and (term not in best or promised < best[term][0]):
                 best[term] = promised, line
@@ -165,7 +165,9 @@ class Explorer:
 
     def _fits(self, current: Fit, starts: dict[str, list[tuple[float, Tangent]]]) -> list[Fit]:
         """Return fits of promises, with the second start of a variant where it promises more."""
-        found = apart_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
+        found = map_distributed_with(
+            self.objective, _fitted, [(current, promises) for promises in starts.values()]
+        )
         fits = [fit for several in found for fit in several]
         return sorted((fit for fit in fits if self._is_possible(fit)), key=self.price)
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.parallel import apart_with
+from split_cli.diagnosis.parallel import map_distributed_with
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.descent import Slopes, descend
 from split_cli.vehicle.effects import Term
@@ -120,7 +120,7 @@ def refitted(objective: MarginalLikelihood, asked: tuple[Sequence[Part], Fit]) -
 def fits_without(objective: MarginalLikelihood, fit: Fit, numbers: Iterable[int]) -> list[Fit]:
     """Return an explanation refitted without each of some of its parts in turn."""
     fewer = [fit.parts[:k] + fit.parts[k + 1 :] for k in numbers]
-    return apart_with(objective, refitted, [(parts, fit) for parts in fewer])
+    return map_distributed_with(objective, refitted, [(parts, fit) for parts in fewer])
 
 
 def fit_with_prior(

@@ -176,7 +176,7 @@ def divided_out(moved: np.ndarray, away: np.ndarray, slopes: np.ndarray) -> np.n
     Parameters
     ----------
     moved : ndarray, shape (P,)
-        How far by straight lines.
+        How far to first order.
     away : ndarray, shape (P,)
         How far the parameters are from no effect.
     slopes : ndarray, shape (R, P)
@@ -304,7 +304,7 @@ def _effect(one: Evidence, terms: tuple[Term, ...], k: int) -> tuple[np.ndarray,
     others = terms[:k] + terms[k + 1 :]
     # A heavier car goes up the curves of its tyres: what asks them for other forces errs with them.
     by_axle = (terms[k].through_tires or alters_body(terms[k])) and not alters_inputs(terms[k])
-    return one.left(others) - one.left(terms), by_axle
+    return one.defects(others) - one.defects(terms), by_axle
 
 
 def _varied_by(one: Evidence, effect: np.ndarray, by_axle: bool, functions: np.ndarray) -> np.ndarray:

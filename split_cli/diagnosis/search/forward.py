@@ -11,7 +11,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error
 from split_cli.diagnosis.search.term_tests import (
-    is_apart_from_itself,
+    exceeds_simulation_scatter,
     is_denied,
     is_form_error,
     is_spread,
@@ -108,7 +108,7 @@ def search_forward(
         p_value = min(p_value, witnessed) * len(explore.candidates)
         last = best.parts[-1]
         small = p_value >= rules.level or last.candidate.is_everyday(last.values)
-        small |= witnessed > p_value and not is_apart_from_itself(
+        small |= witnessed > p_value and not exceeds_simulation_scatter(
             objective, last.candidate, chosen.cost - best.cost
         )
         spread = witnessed <= p_value or is_spread(objective, best, len(best.parts) - 1, chosen, rules)

@@ -19,7 +19,7 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.parameters import Vehicle
 
 
-def limits_of(
+def what_was_not_excited(
     real: Sequence[Evidence], vehicle: Vehicle, share: float = 1.0, policy: Policy = STANDARD
 ) -> tuple[str, ...]:
     """Return which kinds of physics the real recordings could not show, and the manoeuvre that would.

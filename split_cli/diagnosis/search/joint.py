@@ -11,9 +11,9 @@ from itertools import takewhile
 
 import numpy as np
 
-from split_cli.diagnosis.cache import give_back
+from split_cli.diagnosis.cache import release_memory
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.parallel import apart_with
+from split_cli.diagnosis.parallel import map_distributed_with
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import (
@@ -29,7 +29,7 @@ from split_cli.vehicle.effects import CATALOGUE
 
 _NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
 _NO_EFFECT = 1e-12  # curvature, in chi squared by a step, of what changes nothing
-_TRIED = 2  # parts whose leaving is tried by a refit, those that cost least by straight lines
+_TRIED = 2  # parts whose leaving is tried by a refit, those that cost least to first order
 
 
 def promised_by_all(explore: Explorer, current: Fit) -> float:
@@ -40,7 +40,7 @@ def promised_by_all(explore: Explorer, current: Fit) -> float:
     The terms' derivatives D at their first starts and the explanation's own sensitivity: e^T P e with P the
     projection onto [D S], e the residuals left. Of pure noise it saves one for every column.
     """
-    lines = [one.slopes for one in explore.first_lines(current)]
+    lines = [one.slopes for one in explore.first_tangents(current)]
     columns = np.hstack([*lines, sensitivity_of(explore.objective, current)])
     columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
     score = columns.T @ current.residuals
@@ -68,12 +68,12 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
     placed = tuple(part for part in current.parts if part.candidate.located)
     begun = fit_parts(explore.objective, placed) if placed else nothing
     begins = [_everything_from(explore, one) for one in (begun, current)]
-    give_back()  # derivatives by all terms at once are the largest arrays of a search
-    (fit, curvature), (beside, its_curvature) = apart_with(explore.objective, _fit_from, begins)
+    release_memory()  # derivatives by all terms at once are the largest arrays of a search
+    (fit, curvature), (beside, its_curvature) = map_distributed_with(explore.objective, _fit_from, begins)
     if beside.cost < fit.cost - explore.rules.price * explore.variance_inflation:
         fit, curvature = beside, its_curvature
     kept = _not_needless(explore, fit.parts, curvature)
-    give_back()
+    release_memory()
     if not kept:
         return current
     return without_needless(explore, fit_parts(explore.objective, kept))
@@ -82,7 +82,7 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
 def without_needless(explore: Explorer, fit: Fit) -> Fit:
     """Return an explanation without the parts whose leaving costs less than their price, one after the other.
 
-    Only those whose leaving costs least by straight lines are tried.
+    Only those whose leaving costs least to first order are tried.
     """
     while len(fit.parts) > 1:
         tried = cheapest_first(explore, fit)[:_TRIED]
@@ -95,12 +95,12 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
 
 
 def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:
-    """Return the numbers of a fit's parts, by what leaving them costs beyond their price by straight lines."""
+    """Return the numbers of a fit's parts, by what leaving them costs beyond their price to first order."""
     return [int(k) for k in np.argsort(promised_without(explore, fit))]
 
 
 def promised_without(explore: Explorer, fit: Fit) -> np.ndarray:
-    """Return what leaving each part of a fit costs beyond its price by straight lines, (parts,) [chi squared]."""
+    """Return what leaving each part of a fit costs beyond its price to first order, (parts,) [chi squared]."""
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
     slopes = sensitivity_of(explore.objective, fit) * steps
     worth = _worth(explore, _blocks(fit.parts), slopes.T @ slopes, np.zeros(len(steps)))
@@ -131,7 +131,7 @@ def _fit_from(
 
 def _everything_from(explore: Explorer, current: Fit) -> tuple[list[Part], list[dict[str, Prior]]]:
     """Return an explanation's parts and all other terms, each in its most promising variant, near none; priors."""
-    parts = [*current.parts, *(near_none(one.part) for one in explore.first_lines(current))]
+    parts = [*current.parts, *(near_none(one.part) for one in explore.first_tangents(current))]
     return parts, [prior_of(part.candidate, explore.rules.deviations) for part in parts]
 
 

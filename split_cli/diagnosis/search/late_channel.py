@@ -55,7 +55,7 @@ def with_late_channel(
 def late_by_witnesses(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> Part | None:
     """Return the late channel that leaves least of what witnesses contradict; None where another fault does too.
 
-    The others are all faults of sensors, along straight lines from no effect.
+    The others are all faults of sensors, to first order from no effect.
     """
     rules = objective.policy.selection
     before = _left(objective, None)
@@ -106,7 +106,7 @@ def _fitted(objective: MarginalLikelihood, candidate: Candidate) -> Part:
 
 
 def _saved_along(objective: MarginalLikelihood, candidate: Candidate, before: np.ndarray) -> float:
-    """Return what a sensor's fault saves of the witnesses' cost along straight lines from no effect."""
+    """Return what a sensor's fault saves of the witnesses' cost to first order from no effect."""
     neutral, most = CATALOGUE[candidate.term].neutral, 0.0
     for start in candidate.starts:
         sized = [name for name in start if neutral.get(name) is not None]

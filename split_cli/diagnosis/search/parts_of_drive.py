@@ -14,7 +14,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.parallel import together
+from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.remainder.structure import minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Part, Tangent
@@ -130,7 +130,7 @@ def strongest_part(
     Parameters
     ----------
     lines : sequence of Tangent
-        Terms, as straight lines.
+        Terms, linearised.
     residuals : ndarray, shape (R,)
         Whitened, what nothing has explained.
     """
@@ -153,7 +153,7 @@ def strongest_part(
                     found.append((one, (int(parts.first[w]), int(parts.last[w]))))
         return parts.saved.size, found
 
-    answers = together(asked, lines)
+    answers = map_in_threads(asked, lines)
     tried = sum(count for count, _ in answers)
     every = (one for _, found in answers for one in found)
     best, blocks = min(every, key=lambda one: one[0].p_value, default=(None, (0, 0)))

@@ -11,13 +11,13 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.every_car import explanation_of_every_car, is_shown
 from split_cli.diagnosis.search.exchange import (
     alone,
+    inverted_stretch,
     is_better_beside_form_error,
     joined,
     merged,
-    relieved,
-    said_of,
+    move_in_words,
     split,
-    turned_over,
+    with_fewer_parts,
 )
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fit_parts, fits_without
@@ -34,7 +34,7 @@ from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, promis
 from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_part
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
-    is_apart_from_itself,
+    exceeds_simulation_scatter,
     is_denied,
     is_spread,
     is_witnessed,
@@ -125,7 +125,7 @@ def select_terms(
     def score(found: Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
-    partly = cache(lambda: strongest_part(objective, explore.lines(), base.residuals, variance_inflation))
+    partly = cache(lambda: strongest_part(objective, explore.tangents(), base.residuals, variance_inflation))
     whole = explanation_of_every_car(explore, base, found.with_what_matters(base, rules), leaves_more_than_noise)
     if whole is not None:
         selection = _named_of_every_car(explore, base, whole[0])
@@ -136,7 +136,7 @@ def select_terms(
     if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
         jointly = _all_at_once(explore, base, found.with_what_matters(base, rules))
     if jointly is not None:
-        chosen, history = jointly, [*found.history, f"joint search: {said_of(found.chosen, jointly)}"]
+        chosen, history = jointly, [*found.history, f"joint search: {move_in_words(found.chosen, jointly)}"]
     else:
         for other in other_beginnings(first, base, rules) if found.left_something else ():
             found = min(found, search_forward(explore, base, [other]), key=score)
@@ -146,7 +146,7 @@ def select_terms(
             history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
         else:
             chosen = found.chosen
-    selection = _examined(explore, base, _turned_over(explore, chosen, history))
+    selection = _examined(explore, base, _inverted_stretch(explore, chosen, history))
     for _ in range(rules.rounds):
         selection, exchanged = _exchanged(explore, selection, history)
         selection, moved = _exchanged_beside_form_error(explore, selection, history)
@@ -157,12 +157,12 @@ def select_terms(
         if len(grown.chosen.parts) == len(selection.chosen.parts):
             break
         history += grown.history
-        selection = _examined(explore, base, _turned_over(explore, grown.chosen, history))
+        selection = _examined(explore, base, _inverted_stretch(explore, grown.chosen, history))
     selection = _settled_nuisances(explore, selection, history)
     # Last: whatever were added to it again, or took its place, would be part of the explanation that it replaced.
     single = alone(explore, base, selection.chosen, selection.named)
     if single is not None:
-        history.append(said_of(selection.chosen, single))
+        history.append(move_in_words(selection.chosen, single))
         selection = _examined(explore, base, single)
     explore.close()
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
@@ -202,9 +202,9 @@ def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
     return bool(refusal(explore, rest, sizes_with_form_error(explore.objective, rest.terms), last))
 
 
-def _turned_over(explore: Explorer, chosen: Fit, history: list[str]) -> Fit:
+def _inverted_stretch(explore: Explorer, chosen: Fit, history: list[str]) -> Fit:
     """Return an explanation with a stretch in the place of the rest of the lap, if that costs less, and say so."""
-    other = turned_over(explore, chosen)
+    other = inverted_stretch(explore, chosen)
     if other is None:
         return chosen
     gone = sorted(set(chosen.names) - set(other.names))
@@ -216,9 +216,9 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
     """Let other terms take places while that saves, and say so; return whether any did."""
     rules, base, before = explore.rules, selection.base, selection.chosen
     rivals = [rival.fit for several in (*selection.rivals, *selection.siblings) for rival in several]
-    fewer = relieved(explore, selection.chosen, rivals)
+    fewer = with_fewer_parts(explore, selection.chosen, rivals)
     if fewer is not None:
-        history.append(said_of(selection.chosen, fewer))
+        history.append(move_in_words(selection.chosen, fewer))
         selection = _examined(explore, base, fewer)
     all_known = True
     for _ in range(rules.swaps * max(len(selection.chosen.parts), 1)):
@@ -240,7 +240,7 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
     for move in moves:
         other = move(explore, selection.base, selection.chosen, selection.named)
         if other is not None:
-            history.append(said_of(selection.chosen, other))
+            history.append(move_in_words(selection.chosen, other))
             selection, all_known = _compared(explore, base, other), False
     if not all_known:
         selection = _with_rivals(explore, selection)
@@ -327,7 +327,7 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
             (
                 term_p(objective, chosen, k, one.cost - chosen.cost, explore.variance_inflation) < level
                 and is_spread(objective, chosen, k, one, rules)
-                and is_apart_from_itself(objective, chosen.parts[k].candidate, one.cost - chosen.cost)
+                and exceeds_simulation_scatter(objective, chosen.parts[k].candidate, one.cost - chosen.cost)
             )
             or witnessed_p(objective, chosen, k, one, rules) < level
         )

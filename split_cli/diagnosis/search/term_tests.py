@@ -169,7 +169,7 @@ def is_denied(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
     return False
 
 
-def is_apart_from_itself(objective: MarginalLikelihood, candidate: Candidate, saved: float) -> bool:
+def exceeds_simulation_scatter(objective: MarginalLikelihood, candidate: Candidate, saved: float) -> bool:
     """Return whether a term saves more than what halves of the simulation differ by, as a standard deviation.
 
     What a term saves grows with the square of its size: halves that differ by a size are a draw of how far two

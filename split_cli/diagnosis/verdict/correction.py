@@ -58,7 +58,9 @@ def learn_correction(
     if whole is None:
         return None
     others = [_learned(parts, errors, [(f >= 0) & (f != k) for f in folds], vehicle) for k in range(_FOLDS)]
-    trust = _borne(recordings, stages, parts, folds, others, _trust_in_labels(parts, errors, folds, others))
+    trust = _trust_by_rollouts(
+        recordings, stages, parts, folds, others, _trust_in_labels(parts, errors, folds, others)
+    )
     return replace(whole, trust=trust) if np.any(trust) else None
 
 
@@ -131,7 +133,7 @@ class _LeftOut:
         return out
 
 
-def _borne(recordings, stages, parts, folds, others, trust: np.ndarray) -> np.ndarray:
+def _trust_by_rollouts(recordings, stages, parts, folds, others, trust: np.ndarray) -> np.ndarray:
     """Return the trust, less by `_SHARES` in every group until no rollout error of it grows beyond chance."""
     of_rows = [
         _fold_of_rows(part, fold, len(one.series))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
-from split_cli.diagnosis.parallel import apart
+from split_cli.diagnosis.parallel import map_distributed
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit, Part, tangent
 from split_cli.diagnosis.search.selection import nothing
@@ -26,7 +26,7 @@ _LEAST_GROWTH = 1.02  # the least step in which a size grows until recordings th
 _NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
 
 
-def smallest_named(
+def detection_limits(
     objectives: Sequence[MarginalLikelihood],
     candidates: Sequence[Candidate],
     variance_inflation: float,
@@ -69,7 +69,7 @@ def smallest_named(
 
     every = _alone(candidates)
     tried = [(one, start) for several in every.values() for one, start in several]
-    found = iter(apart(lambda one: smallest(*one), tried))
+    found = iter(map_distributed(lambda one: smallest(*one), tried))
     parameters: dict[str, dict[str, tuple[float, str]]] = {}
     for (term, name), several in every.items():
         # Which variant of them is there nobody knows: what is reported holds for all.
@@ -153,7 +153,7 @@ def _smallest(
         if everyday or abs(log) < near:
             if planted is not None and alters_commands(term):
                 factor = _grown_seen(objective, candidate, start, factor, excess, planted)
-            return _grown_apart(objective, bare, candidate, start, factor)
+            return _grown_until_significant(objective, bare, candidate, start, factor)
     return np.inf, {}
 
 
@@ -195,7 +195,7 @@ def _grown_seen(
     return np.inf
 
 
-def _grown_apart(
+def _grown_until_significant(
     objective: MarginalLikelihood, bare: Fit, candidate: Candidate, start: Mapping[str, float], factor: float
 ) -> tuple[float, dict[str, float]]:
     """Return a factor and values as of `_smallest`, grown until an interval leaves out no effect."""
@@ -203,13 +203,13 @@ def _grown_apart(
         values = candidate.moved(start, factor)
         if not (np.isfinite(factor) and candidate.allows(values)):
             break
-        if _is_apart(objective, bare, Part(candidate, values)):
+        if _is_significant(objective, bare, Part(candidate, values)):
             return factor, values
         factor *= _GROWTH
     return np.inf, {}
 
 
-def _is_apart(objective: MarginalLikelihood, bare: Fit, part: Part) -> bool:
+def _is_significant(objective: MarginalLikelihood, bare: Fit, part: Part) -> bool:
     """Return whether a part that leaves what is left now would have an interval without its neutral value.
 
     Nor may the interval reach where no real car lies beyond.

@@ -219,7 +219,7 @@ def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequen
         term, parameters = one.finding.term, one.finding.parameters
         if sum(name not in one.declared for name in one.finding.alternatives) > rules.most_alternatives:
             out.add(term)
-        if not is_apart_from_none(one.finding):
+        if not excludes_no_effect(one.finding):
             out.add(term)
         for name in ("s_start", "s_end"):
             if name in parameters:
@@ -229,12 +229,12 @@ def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequen
     return out
 
 
-def is_apart_from_none(finding: Finding) -> bool:
+def excludes_no_effect(finding: Finding) -> bool:
     """Return whether a parameter's 95 % interval leaves out its neutral value, or all of them together do."""
-    return finding.combination is not None or _is_one_apart(finding.term, finding.parameters)
+    return finding.combination is not None or _one_excludes_no_effect(finding.term, finding.parameters)
 
 
-def _is_one_apart(term: str, parameters: Mapping[str, ParameterEstimate]) -> bool:
+def _one_excludes_no_effect(term: str, parameters: Mapping[str, ParameterEstimate]) -> bool:
     """Return whether some parameter's interval leaves out its neutral value; so it is where none has one."""
     neutral = CATALOGUE[term].neutral
     apart = [
@@ -255,7 +255,7 @@ def known_together(
     regions : sequence of JointRegion
         Of the same parameters together, by every explanation that may be the true one.
     """
-    if not regions or len(regions[0].names) < 2 or _is_one_apart(term, parameters):
+    if not regions or len(regions[0].names) < 2 or _one_excludes_no_effect(term, parameters):
         return None
     weights = apart_along(regions)
     if weights is None:

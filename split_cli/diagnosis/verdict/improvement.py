@@ -26,7 +26,7 @@ from split_cli.diagnosis.verdict.label_errors import (
     in_standard_errors,
     label_errors,
 )
-from split_cli.diagnosis.verdict.simulation_part import believed_parts, part_of
+from split_cli.diagnosis.verdict.simulation_part import chosen_simulation_parts, part_of
 from split_cli.vehicle.effects import Term
 
 _BOOTSTRAPS = 400
@@ -60,13 +60,13 @@ def measure_improvement(
 
     Notes
     -----
-    The simulation is the best of what it offers, with terms as without, see `believed_parts`: one that diverges is
-    easy to beat.
+    The simulation is the best of what it offers, with terms as without, see `chosen_simulation_parts`:
+    one that diverges is easy to beat.
     """
     terms = tuple(terms)
     plain = [shared_rates(one.series, discrepancy, posterior) for one, _ in recordings]
     named = [shared_rates(one.series, discrepancy, posterior, terms) for one, _ in recordings] if terms else plain
-    chosen = believed_parts(recordings, simulated, discrepancy, plain, named, terms)
+    chosen = chosen_simulation_parts(recordings, simulated, discrepancy, plain, named, terms)
     plain, named = (
         [part_of(part, one) for one in several] for part, several in zip(chosen, (plain, named), strict=True)
     )

@@ -45,7 +45,7 @@ def part_of(part: SimulationPart, whole: SharedRates | None) -> SharedRates | No
     return whole.only(offers != "nominal", offers == "taught_elsewhere")
 
 
-def believed_parts(
+def chosen_simulation_parts(
     recordings: Sequence[tuple[Evidence, np.ndarray]],
     simulated: Sequence[Evidence],
     discrepancy: SharedDiscrepancy,
@@ -105,7 +105,10 @@ def _without(evidence: Evidence, rows: np.ndarray) -> Evidence:
     """Return evidence to learn from, less what lies on `rows` of the recording."""
     kept = ~rows[evidence.at]
     return replace(
-        evidence, plain=evidence.plain[kept], discrepancy=evidence.discrepancy[kept], weight=evidence.weight[kept]
+        evidence,
+        nominal_rows=evidence.nominal_rows[kept],
+        discrepancy=evidence.discrepancy[kept],
+        weight=evidence.weight[kept],
     )
 
 
