@@ -123,6 +123,7 @@ def test_a_missing_channel_leaves_look_alikes_where_neither_shape_nor_witness_te
     metadata = DriveMetadata()
     drive = SimpleNamespace(columns=dict.fromkeys(columns.split()), metadata=metadata)
     objective = SimpleNamespace(
+        posterior=None,
         form_error_inflation=inflation,
         policy=STANDARD,
         evidence=(SimpleNamespace(series=SimpleNamespace(drive=drive)),),
