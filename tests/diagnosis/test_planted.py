@@ -99,6 +99,17 @@ def test_what_a_fault_saves_is_what_it_saves_of_a_drive_that_has_it(promised, as
     assert saved == pytest.approx(rows[0] @ rows[0] - rows[1] @ rows[1], rel=1e-3)
 
 
+def test_without_a_simulation_recordings_that_have_a_fault_may_keep_other_rows():
+    case = gather_case(road_car(), [prepared(at_the_limit(31), "real")])
+    every_other = tuple(np.arange(len(mask)) % 2 == 0 for mask in case.keep)
+    term = CATALOGUE["steer_offset"]({"offset": 0.05}, "")
+    saved, _ = planted_saving(build_objective(case.real, None, case.discrepancy, every_other), term, case, REACH)
+    faulty_case = case.recorded_as([faulty(one, term) for one in case.real], REACH)
+    there = build_objective(faulty_case.real, None, case.discrepancy, faulty_case.keep)
+    assert len(there.weight) > 3 * sum(mask.sum() for mask in every_other)
+    assert saved == pytest.approx(there.cost(()) - there.cost((term,)), rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("kind", "values"),
     [

@@ -267,7 +267,7 @@ def test_a_draft_map_reads_what_it_was_drafted_from(tmp_path):
     path.write_text(text)
     made = gather(recording, read_map(path))
     assert {"vx", "vy", "r", "T"} <= set(made.series) and "open: delta from steer_angle" in text
-    assert made.series["vx"][0].source == "Ground Speed" and "Not used: time, foo" in text
+    assert made.series["vx"][0].source == "Ground Speed" and "Not used: foo" in text
 
 
 def test_a_map_of_many_channels_is_no_work_squared():

@@ -51,8 +51,9 @@ def planted_saving(
     pairs = zip(planted.real, planted.keep, strict=True)
     weight = np.concatenate([np.repeat(one.weight[mask], 3) for one, mask in pairs])
     witnesses = sum(len(one.begin) for one in objective.kinematics)
+    weight = np.append(weight, np.ones(witnesses))
     there = replace(
-        objective, evidence=planted.real, keep=planted.keep, memo={}, weight=np.append(weight, np.ones(witnesses))
+        objective, evidence=planted.real, keep=planted.keep, memo={}, weight=weight, offset=np.zeros(len(weight))
     )
     if objective.posterior is not None:
         columns = there.stack([one.discrepancy for one in planted.real])
