@@ -62,7 +62,7 @@ _MUCH_FORM_ERROR = (
     "small effects: halves of the simulation differ by far more than noise, and smaller effects are not "
     "identified; calibrate the vehicle file (split calibrate), or drive both more alike"
 )
-_TESTS = 5  # to differ, see `_compare`
+_TESTS = 5  # of whether there is a difference, see `_compare`
 
 
 def diagnose(
@@ -247,7 +247,7 @@ class _Comparison:
 def _compare(
     case: DiagnosisCase, outcome: SearchOutcome, contradictions: tuple[str, ...], scales: Mapping[str, float]
 ) -> _Comparison:
-    """Ask five ways whether there is a difference.
+    """Test in five ways whether there is a difference.
 
     A name, a name in a part of the drive, a smooth function, a line, or residual autocorrelation.
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import assemble_drive
-from split_cli.logs.assembling.clean import CleanSeries
+from split_cli.logs.assembling.clean import CleanSeries, written_on_change
+from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.resample import (
     Resampled,
     SampleClock,
@@ -16,6 +17,7 @@ from split_cli.logs.assembling.resample import (
     resample_together,
     runs_of,
 )
+from split_cli.logs.assembling.trim import trim
 from tests.logs.planted import PlantedDrive, planted_map
 
 
@@ -184,3 +186,29 @@ def test_a_steer_angle_that_is_written_only_on_change_is_held_over_straights():
         assert made.drive["t"][-1] - made.drive["t"][0] > 59.0 - (sensor.time[-1] - sensor.time[changed][-1])
         assert len(made.drive.segments()) == 1
         assert np.max(np.abs(made.drive["delta"] - planted.at("delta", made.drive["t"]))) < 0.0101
+
+
+def test_what_a_signal_written_on_change_becomes_in_a_cut_holds_behind_it():
+    """What it was before the cut had been held until its next change, seconds later."""
+    t = np.arange(0.0, 60.0, 0.02)
+    # Turns of ever other lengths up to 30 s, and straight from there on.
+    steps = np.where(t < 30.0, np.round(0.05 * np.sin(3.0 * t + np.sin(t)) / 0.01) * 0.01, 0.0)
+    changed = np.concatenate([[True], np.diff(steps) != 0.0])
+    series = {
+        "vx": (RawSeries("vx", "vx", t, np.full(len(t), 10.0)),),
+        "delta": (RawSeries("delta", "delta", t[changed], steps[changed]),),
+    }
+    before = float(steps[t < 20.3][-1])
+    assert before != 0.0
+    kept, _ = trim(series, 5.0, None, [(20.3, 40.0)], 0.1)
+    (delta,) = kept["delta"]
+    assert delta.time[0] == 5.0 and delta.values[0] == steps[t <= 5.0][-1]
+    assert delta.time[-1] == 40.0 and delta.values[-1] == 0.0
+    assert np.array_equal(kept["vx"][0].time, t[(t >= 5.0) & ((t < 20.3) | (t >= 40.0))])
+    # A value that comes back in the cut stands once: it is still told as written on change.
+    rows = np.flatnonzero(steps[changed] == 0.02)
+    pair = next((a, b) for a, b in zip(rows[:-1], rows[1:], strict=True) if b - a > 1)
+    at = t[changed]
+    kept, _ = trim(series, None, None, [(float(at[pair[0]]) + 0.01, float(at[pair[1]]) + 0.01)], 0.02)
+    (delta,) = kept["delta"]
+    assert written_on_change(delta.time, delta.values)

@@ -180,7 +180,7 @@ def _grown_seen(
         far = np.log(_FURTHEST)
         if saved > 0.0 and passes(0.0) >= 0.0:
             return 1.0
-        if saved <= 0.0 or passes(far) < 0.0:
+        if not saved > 0.0 or passes(far) < 0.0:
             return _GROWTH
         return max(float(np.exp(brentq(passes, 0.0, far, xtol=0.01))), _LEAST_GROWTH)
 

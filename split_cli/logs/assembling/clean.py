@@ -54,16 +54,21 @@ class CleanSeries:
 
     @cached_property
     def on_change(self) -> bool:
-        """Whether it is written only where it changes, so that between two samples nothing is missing.
+        """Whether it is written only where it changes, see `written_on_change`."""
+        return written_on_change(self.time, self.values)
 
-        Then no value stands twice in a row, the values are few, and the steps of time are as different as a drive
-        is. Messages that come regularly have one usual step, and those of a noisy sensor hardly repeat a value.
-        """
-        steps, values = np.diff(self.time), self.values
-        if len(steps) < _FEWEST_CHANGES or np.any(np.diff(values) == 0.0):
-            return False
-        short, long = np.quantile(steps, [0.1, 0.9])
-        return bool(long > _IRREGULAR * short) and len(np.unique(values)) <= 0.5 * len(values)
+
+def written_on_change(time: np.ndarray, values: np.ndarray) -> bool:
+    """Tell a signal that is written only where it changes, so that between two samples nothing is missing.
+
+    Then no value stands twice in a row, the values are few, and the steps of time are as different as a drive is.
+    Messages that come regularly have one usual step, and those of a noisy sensor hardly repeat a value.
+    """
+    steps = np.diff(time)
+    if len(steps) < _FEWEST_CHANGES or np.any(np.diff(values) == 0.0):
+        return False
+    short, long = np.quantile(steps, [0.1, 0.9])
+    return bool(long > _IRREGULAR * short) and len(np.unique(values)) <= 0.5 * len(values)
 
 
 def join_clock_resets(

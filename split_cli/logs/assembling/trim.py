@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import MapError
+from split_cli.logs.assembling.clean import written_on_change
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.scratch import set_aside
+from split_cli.signals import CHANNELS
 
 
 def trim(
@@ -60,6 +62,8 @@ def trim(
         kept = []
         for part in parts:
             time = part.time - part.delay - zero
+            if channel not in CHANNELS or CHANNELS[channel].kind == "held":
+                part, time = _with_last_values(part, time, spans)
             keep = np.ones(len(time), dtype=bool)
             for first, last in spans:
                 keep &= ~((time >= first) & (time < last))
@@ -71,6 +75,30 @@ def trim(
     left_out = [f"before {last:g} s" if np.isinf(first) else f"after {first:g} s" if np.isinf(last)
             else f"from {first:g} to {last:g} s" for first, last in spans]  # fmt: skip
     return made, (f"left out on request: {', '.join(left_out)}",)
+
+
+def _with_last_values(
+    part: RawSeries, time: np.ndarray, spans: Sequence[tuple[float, float]]
+) -> tuple[RawSeries, np.ndarray]:
+    """Return a series and its time (N,) [s]; the last sample in each span is moved to the span's end.
+
+    So is one that is written only where it changes: what it changed to in a span holds on behind it.
+    """
+    known = np.flatnonzero(np.isfinite(time) & np.isfinite(part.values))
+    if not written_on_change(time[known], part.values[known]):
+        return part, time
+    moved = time.copy()
+    for first, last in sorted(spans):
+        sooner = known[moved[known] < last]
+        inside = sooner[moved[sooner] >= first]
+        before = sooner[moved[sooner] < first]
+        if not len(inside) or np.isinf(last):
+            continue
+        latest = inside[np.argmax(moved[inside])]
+        # A value that is as it was before the span holds on by itself.
+        if not len(before) or part.values[before[np.argmax(moved[before])]] != part.values[latest]:
+            moved[latest] = last
+    return replace(part, time=part.time + (moved - time)), moved
 
 
 def _span(time: np.ndarray) -> str:

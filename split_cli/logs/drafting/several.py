@@ -41,13 +41,12 @@ def agreed_draft(
     kept = [s for s in draft.suggestions if s.channel not in added]
     whole = [_compared(s, best, others) if s.channel in mapped else s for s in (*kept, *added.values())]
     for name in drafts:
-        # A quaternion stands in the map by the name of its message's field.
         absent = [
             f"{s.channel} ({source})"
             for s in whole
             if s.status != "open"
             for source in s.sources
-            if not any(have == source or have.startswith(source) for have in recorded[name])
+            if not any(_is_of(source, have) for have in recorded[name])
         ]
         if absent:
             notes.append(f"{name} does not hold {', '.join(absent)}.")
@@ -56,6 +55,12 @@ def agreed_draft(
     ]
     undefined = tuple(dict.fromkeys(kind for one in drafts.values() for kind in one.undefined))
     return replace(draft, suggestions=tuple(whole), undefined=undefined), tuple(notes)
+
+
+def _is_of(source: str, recorded: str) -> bool:
+    """Whether a signal is a source of a map; a quaternion stands there by the name of its message's field."""
+    rest = recorded.removeprefix(source)
+    return recorded.startswith(source) and (not rest or source.endswith(":") or rest[0] in "./")
 
 
 def _compared(s: Suggestion, log: str, others: Mapping[str, Draft]) -> Suggestion:
