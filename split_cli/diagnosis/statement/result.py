@@ -127,7 +127,8 @@ class Lead:
     limits : mapping of str to (float, float)
         What a real car can have, of those parameters that would have to go beyond; empty where none would.
     share : float
-        Of what the best explanation saves, how much this one would save alone.
+        Of what the best explanation saves, how much this one would save alone; where held-out time speaks against
+        it, the share of the gap that it would explain.
     instead : tuple of str
         Terms that explain nearly as much within what a car can have, best first.
     """

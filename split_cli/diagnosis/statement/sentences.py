@@ -114,14 +114,15 @@ def withdrawn_sentence(
     Parameters
     ----------
     rises : tuple of float
-        By which share the held-out squared one-step error rises with all such names; value, upper and lower end.
+        By which share the squared one-step error above the noise floor rises on held-out time with all findings;
+        value, upper and lower end.
     """
     share, high, low = (100.0 * one for one in rises)
     statement = statement_for(term, variant, parameters, vehicle)
     return (
-        f"A lead, not a finding: {statement[:1].lower()}{statement[1:]}. With it the squared "
-        f"one-step error of held-out time rises by {share:.0f} % (95 %: {low:.0f} to {high:.0f} %), and a part of "
-        "the gap has no name: it stands for something else."
+        f"A lead, not a finding: {statement[:1].lower()}{statement[1:]}. On held-out time the squared one-step "
+        f"error above the noise floor rises by {share:.0f} % with all identified effects (95 %: {low:.0f} to "
+        f"{high:.0f} %), and a part of the gap has no name. So this effect stands for something else."
     )
 
 
