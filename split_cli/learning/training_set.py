@@ -24,8 +24,7 @@ from split_cli.vehicle.parameters import EffectSpec, Vehicle, vehicle_from_mappi
 SET_FORMAT = "split-set/2"
 _READABLE = (SET_FORMAT, "split-set/1")  # the first one knew no trust: all of it
 _RETRAIN = "Train it again with `split train`."
-GAIN_TOLERANCE = 1e-9
-"""Absolute, of gains between 0 and 1: LAPACK's inverse against the factors that learning keeps."""
+_GAIN_TOLERANCE = 1e-9  # of gains between 0 and 1: LAPACK's inverse against the factors that learning keeps
 _JITTER = 1e-10  # the largest that learning adds to a kernel matrix
 _NUMBERS_AT_ONCE = 1 << 20  # of the kernel matrices that are inverted together: 8 MB
 
@@ -444,7 +443,7 @@ def wrong_gains(training_set: TrainingSet) -> int:
                 inverse = np.linalg.inv(kernel + _JITTER * np.eye(n))
             own = np.diagonal(inverse, axis1=1, axis2=2)
             change = np.square(inverse / own[:, None, :]).sum(axis=1)
-            allowed = GAIN_TOLERANCE + (_JITTER + 4 * n * np.finfo(float).eps) * change
+            allowed = _GAIN_TOLERANCE + (_JITTER + 4 * n * np.finfo(float).eps) * change
             wrong += int((~(np.abs(1.0 / own - s.gamma[rows]) <= allowed)).sum())
     return wrong
 

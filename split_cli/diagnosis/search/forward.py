@@ -23,7 +23,7 @@ from split_cli.diagnosis.search.term_tests import (
 )
 from split_cli.vehicle.effects import Term
 
-_DENIED = "denied by yaw"
+_DENIED = "contradicted by the recorded yaw"
 _ONCE = "nearly all of it in a few moments"
 _FORM_ERROR = "within the model-form error of the other terms"
 

@@ -51,8 +51,8 @@ def changed_clock(checks: Checks) -> list[ConsistencyFinding]:
     measured = "; ".join(f"{name} {np.exp(value):.3g}" for name, value in factors.items())
     text = (
         f"the time counts {max(factor, 1.0 / factor):.3g} times too {'fast' if factor > 1.0 else 'slow'} "
-        f"{' and '.join(stretches)}, by what is measured there over what is measured elsewhere: {measured}. "
-        "`--cut FROM:TO` leaves it out, else give the true times."
+        f"{' and '.join(stretches)}. Ratios there, over those elsewhere: {measured}. "
+        "`--cut FROM:TO` leaves the stretch out; or correct the times in the log."
     )
     return [ConsistencyFinding("clock", "time", text, factor, None)]
 

@@ -178,7 +178,7 @@ def init_project(
     Parameters
     ----------
     logs : sequence of path-like
-        One recording, or several files that are one drive.
+        One recording, several of one car, or with `together` the files of one drive.
     folder : path-like
         Made when it does not exist.
     together : bool

@@ -7,7 +7,7 @@ import numpy as np
 
 from split_cli.errors import SplitError
 from split_cli.files import refuse_no_regular_file, sha256_of_file
-from split_cli.learning.training_set import GAIN_TOLERANCE, TrainingSet, points_elsewhere, read_set, wrong_gains
+from split_cli.learning.training_set import TrainingSet, points_elsewhere, read_set, wrong_gains
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.verifying.relabelled import points_against_drives
 from split_cli.workflows.verifying.verification import Verification, VerifiedItem
@@ -147,7 +147,7 @@ def verify_set(training_set: TrainingSet) -> tuple[VerifiedItem, ...]:
     elsewhere = f"{wrong} of {s.size} are elsewhere"
     items.append(_item("points in their cells", wrong == 0, f"all {s.size} points", elsewhere))
     wrong = wrong_gains(s)
-    right = f"all are within {GAIN_TOLERANCE:g} of 1/[K^-1]_ii"
+    right = "all are 1/[K^-1]_ii of the points of their cell"
     items.append(_item("gains", wrong == 0, right, f"{wrong} of {s.size} are not 1/[K^-1]_ii"))
     items.append(_sources(s))
     return tuple(items)
