@@ -1,4 +1,4 @@
-"""Speed and yaw rate against position and yaw: a sensor out of scale is reported, and no physics is."""
+"""Speed and yaw rate against position and yaw: a scale that is off is told, and physics like it is not named."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -93,6 +93,10 @@ def describe(
         imitating -= _confirmed_by_witnesses(objective, selection)
         doubted = _vague(objective, selection, reported) - imitating
         kept = {one.term for one in findings} - doubted - imitating
+        if scales:
+            # Values are those of another fit than the first: they are held against the scales once more.
+            sensors = {one.term for one in findings if not one.exported}
+            kept &= sensors | _stays_beside(objective, selection, findings, scales)
         vague |= doubted
     return selection, findings, remainder, unexplained
 
