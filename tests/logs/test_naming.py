@@ -2,7 +2,7 @@
 
 import pytest
 
-from split_cli.logs.drafting.naming import meanings
+from split_cli.logs.drafting.naming import meanings, named_without_source
 from split_cli.logs.raw import RawChannelInfo, column_name_and_unit
 
 NAMES = {
@@ -26,10 +26,11 @@ NAMES = {
     ),
     "wheel_speed_rr": ("Wheel Angular Velocity Rear Right",),
     "yaw": ("rotation_yaw", "pf_theta", "Yaw"),
-    # Desired values are not measured, a wheel spins about its lateral axis alone, and a motor's speed is no car's.
-    "": ("DesYaw", "desired_yaw", "delta_v_cmd", "delta_t", "V_cmd", "motor_speed", "AVx_L1", "AVz_L1",
-         "accelerator_pedal_gradient_sign", "/gps/fix_velocity/header.seq", "/gps/fix_velocity/header.stamp.sec",
-         "/gps/fix_velocity/header.stamp.nanosec"),
+    # Desired values are not measured, a wheel spins about its lateral axis alone, and a motor's speed is no car's,
+    # nor is an opponent's.
+    "": ("vx_opp", "speed_opponent", "DesYaw", "desired_yaw", "delta_v_cmd", "delta_t", "V_cmd", "motor_speed",
+         "AVx_L1", "AVz_L1", "accelerator_pedal_gradient_sign", "/gps/fix_velocity/header.seq",
+         "/gps/fix_velocity/header.stamp.sec", "/gps/fix_velocity/header.stamp.nanosec"),
 }  # fmt: skip
 
 
@@ -42,3 +43,11 @@ def test_a_name_means_one_channel_or_none(name, channel):
     assert [one.channel for one in meanings(RawChannelInfo(bare, kind, None, unit))] == (
         [channel] if channel else []
     )
+
+
+def test_a_last_word_is_no_source_where_it_says_another_car_or_another_time():
+    """The opponent's channels fit each other as well as the car's own do: no check tells them apart."""
+    stems, words = ("x", "y", "yaw", "vx"), ("opti", "imu", "opponent", "prev", "mean", "offset")
+    infos = [RawChannelInfo(f"{stem}_{word}", "column", None) for word in words for stem in stems]
+    found = {info: bare.name for info, bare in named_without_source(infos).items()}
+    assert found == {f"{stem}_{word}": stem for word in ("opti", "imu") for stem in stems}

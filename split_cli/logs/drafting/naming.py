@@ -124,6 +124,12 @@ _COMMAND_WORDS = {
 }  # fmt: skip
 COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")
 """Channels that a driver or a controller asks for: a command of any other one is no measurement of it."""
+_NO_SOURCES = {
+    "other", "lead", "leader",  # another car
+    "next", "old", "last", "first", "init", "initial", "start", "begin", "end",  # another time
+    "mean", "avg", "average", "peak", "lim", "pred", "track", "centerline", "wall", "noise", "offset", "origin",
+}  # fmt: skip
+"""Last words of what this car did not do there and then: no device measured it, however many names end so."""
 _SEVERAL = 3
 """Channels whose names end with the same word, from which it says who measured and not what [1]; judgement."""
 _COMMAND_IN_FRONT = "des"
@@ -195,7 +201,7 @@ def named_without_source(infos: Sequence[RawChannelInfo]) -> dict[str, RawChanne
     ends: dict[str, dict[str, RawChannelInfo]] = {}  # by last word and stem
     for info in infos:
         *stem, word = words_of(info.name) or [""]
-        other = concepts_of([word])[0] - {"engine"} or word in _UNIT_WORDS or word in _JUDGED
+        other = concepts_of([word])[0] - {"engine"} or word in {*_UNIT_WORDS, *_JUDGED, *_NO_SOURCES}
         if stem and word.isalpha() and len(word) > 2 and not other and not info.name.startswith("/"):
             ends.setdefault(word, {})["_".join(stem)] = info
     bare = {(word, stem): replace(info, name=stem) for word, stems in ends.items() for stem, info in stems.items()}

@@ -69,7 +69,7 @@ _WORDS: dict[str, str] = {
         "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
         "sats hdop aax aay aaz residual spring damper jounce suspension steps engine_speed orientation quaternion "
-        "quat"
+        "quat opp opponent rival obstacle ghost prev previous"
     ),
     "driver": "driver fahrer",
     "user": "user pilot",
