@@ -128,7 +128,7 @@ class Lead:
         What a real car can have, of those parameters that would have to go beyond; empty where none would.
     share : float
         Of what the best explanation saves, how much this one would save alone; where held-out time speaks against
-        it, the share of the gap that it would explain.
+        it, its `gap_explained` as a finding.
     instead : tuple of str
         Terms that explain nearly as much within what a car can have, best first.
     """
