@@ -85,7 +85,8 @@ def settling_time(vehicle: Vehicle) -> float:
     terms = SingleTrack(vehicle).terms
     slowest = [term.fastest_rate(vehicle.minimum_speed) for term in terms if getattr(term, "state_names", ())]
     delays = [delay for term in terms for delay in getattr(term, "input_delays", {}).values()]
-    return max((SETTLED / rate for rate in slowest), default=0.0) + max(delays, default=0.0)
+    # What follows at once, a lag of 0 s, has no rate and needs no time.
+    return max((SETTLED / rate for rate in slowest if rate > 0.0), default=0.0) + max(delays, default=0.0)
 
 
 class LabellingLearner(Learner):

@@ -11,14 +11,15 @@ import pytest
 from click.testing import CliRunner
 
 from split_cli.cli.main import group
+from split_cli.control.learner import settling_time
 from split_cli.control.limits import first_share
-from split_cli.control.policy import FIRST_DEVIATION, MARGIN, SIZE
+from split_cli.control.policy import FIRST_DEVIATION, MARGIN, SETTLED, SIZE
 from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
 from split_cli.learning.features import parse_features
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.plant.cars import F1TENTH_CAR, FORMULA_CAR, ROAD_CAR
-from split_cli.vehicle.parameters import read_vehicle
+from split_cli.vehicle.parameters import EffectSpec, read_vehicle
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
 from split_cli.workflows.racing.choice import (
@@ -271,6 +272,15 @@ def test_the_margin_may_fall_to_the_share_of_the_error_that_a_model_left():
     assert next_deviation(0.8, 0.1, found * 0.8) == pytest.approx(0.24, abs=0.02)
     assert next_deviation(0.8, 0.5, found * 0.8) == 0.5
     assert next_deviation(0.2, 0.0, share_left(after, after, noise) * 0.8) == pytest.approx(0.16)
+
+
+def test_commands_matter_as_long_as_delays_and_lags_last_and_a_lag_of_no_time_takes_none():
+    car = read_vehicle(CAR)
+    specs = {tau: EffectSpec("steer_lag", {"tau": tau}) for tau in (0.0, 0.1)}
+    delay = EffectSpec("steer_delay", {"delay": 0.05})
+    assert settling_time(car.with_effects(specs[0.0], delay)) == pytest.approx(0.05)
+    assert settling_time(car.with_effects(specs[0.1], delay)) == pytest.approx(0.05 + 0.1 * SETTLED)
+    assert settling_time(car.with_effects(EffectSpec("tire_relaxation", {"length": 0.0}))) == 0.0
 
 
 def test_a_small_car_keeps_lengths_in_proportion_and_its_plans_to_its_actuators():
