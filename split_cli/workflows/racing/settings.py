@@ -53,8 +53,9 @@ class RaceSettings:
     # [m]; by default `FIRST_DEVIATION`, in proportion to the car's wheelbase. After each lap it is what the lap
     # needed, and no less than a share of what it was.
     deviation: float | None = None
-    # Whether after a lap the deviation may fall at once to the share of the nominal error that the model left.
-    margin_by_error: bool = False
+    # Whether after a lap the deviation may fall at once to the share of the nominal error that the model left; by
+    # a fifth a lap otherwise, as it does without a model.
+    margin_by_error: bool = True
     tightening: float = 0.0  # standard deviations by which the borders are moved in [1]
     settings: MpccSettings = LEARNING  # its margin and its largest speed are those named above
     # Share of the peak that run-up and lap 0 may use with the nominal model [1]; by default `first_share` of the
