@@ -13,7 +13,7 @@ from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance, p_of_effect
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
-from split_cli.diagnosis.verdict.planted import alters_commands
+from split_cli.diagnosis.verdict.planted import alters_commands, other_side
 from split_cli.vehicle.effects import CATALOGUE, Term
 
 Planted = Callable[[MarginalLikelihood, Term], tuple[float, float]]
@@ -243,10 +243,7 @@ def _moved(objective: MarginalLikelihood, bare: Fit, term: Term) -> tuple[float,
 def _other_sign(candidate: Candidate, values: Mapping[str, float]) -> tuple[Term, ...]:
     """Return the term as far to the other side, a ratio's inverse; none where a car has but one side of it."""
     neutral = CATALOGUE[candidate.term].neutral
-    sized = [name for name in values if neutral.get(name) is not None]
-    if any(not candidate.ranges[name].lower < neutral[name] < candidate.ranges[name].upper for name in sized):
+    turned = other_side(neutral, values)
+    if any(not candidate.ranges[name].lower < neutral[name] < candidate.ranges[name].upper for name in turned):
         return ()
-    turned = {
-        name: 1.0 / values[name] if neutral[name] == 1.0 else 2.0 * neutral[name] - values[name] for name in sized
-    }
     return (candidate.build({**values, **turned}),)

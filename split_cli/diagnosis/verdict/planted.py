@@ -5,6 +5,7 @@ With a fault both are others, and so is what the simulation taught at these comm
 its peak hardly pushes back, and the filter believes slow errors less. So faults are put in before whitening.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -91,10 +92,14 @@ def faulty(one: Evidence, term: Term) -> Series:
 
 def _turned(term: Term) -> Term:
     """Return a term with values as far to the other side of no effect, a ratio's inverse."""
-    neutral = CATALOGUE[term.id].neutral
-    turned = {
+    turned = other_side(CATALOGUE[term.id].neutral, term.parameters)
+    return type(term)({**term.parameters, **turned}, term.variant)
+
+
+def other_side(neutral: Mapping[str, float | None], values: Mapping[str, float]) -> dict[str, float]:
+    """Return values that have a neutral one as far to its other side, a ratio's inverse."""
+    return {
         name: 1.0 / value if neutral[name] == 1.0 else 2.0 * neutral[name] - value
-        for name, value in term.parameters.items()
+        for name, value in values.items()
         if neutral.get(name) is not None
     }
-    return type(term)({**term.parameters, **turned}, term.variant)
