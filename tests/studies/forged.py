@@ -5,9 +5,7 @@ row a command, which forged sets it took, and each run that broke a rule.
 """
 
 import argparse
-import os
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,8 +17,8 @@ from split_cli.errors import SplitError
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from tests.factories import write_forged_set
-from tests.studies.hostile import load_commands, try_run
-from tests.studies.kill import prepare, run
+from tests.studies.hostile import load_commands, prepared_folders, try_run
+from tests.studies.kill import run
 
 
 def at(*keys: str | int, value: object) -> Callable[[dict], None]:
@@ -121,12 +119,7 @@ def main() -> int:
     given = parser.parse_args()
     load_commands()
     broken = 0
-    with tempfile.TemporaryDirectory() as place:
-        source, work = Path(place) / "source", Path(place) / "work"
-        for folder in (source, Path(place) / "tmp"):
-            folder.mkdir()
-        os.environ |= {"TMPDIR": f"{place}/tmp", "HOME": f"{place}/home"}
-        prepare(source, ["train"])
+    with prepared_folders() as (source, work):
         made = ("maneuver", "brake-avoid", "--vehicle", "road_car.yaml", "--set", "turn.split")
         if run(source, made) != 0:
             raise RuntimeError("no set of a manoeuvre could be made")

@@ -19,6 +19,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -209,15 +210,22 @@ def load_commands() -> None:
         importlib.import_module(f"split_cli.cli.{name}")
 
 
-def run(only: str, patience: float, every: int = 1) -> list[str]:
-    """Try every so many runs of the commands whose name holds `only`; return what broke a rule."""
-    broken: list[str] = []
+@contextmanager
+def prepared_folders() -> Iterator[tuple[Path, Path]]:
+    """Yield a folder with what `train` needs, and one for each run to work in; processes have no other place."""
     with tempfile.TemporaryDirectory() as place:
         source, work = Path(place) / "source", Path(place) / "work"
         for folder in (source, Path(place) / "tmp"):
             folder.mkdir()
         os.environ |= {"TMPDIR": f"{place}/tmp", "HOME": f"{place}/home"}
         prepare(source, ["train"])
+        yield source, work
+
+
+def run(only: str, patience: float, every: int = 1) -> list[str]:
+    """Try every so many runs of the commands whose name holds `only`; return what broke a rule."""
+    broken: list[str] = []
+    with prepared_folders() as (source, work):
         shutil.rmtree(source / "tmp")
         counts: dict[str, Counter[str]] = {}
         for name, arguments in itertools.islice(hostile_runs(only), 0, None, every):
