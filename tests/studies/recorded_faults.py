@@ -106,15 +106,18 @@ def dealt(drive: Drive, split: str) -> tuple[Drive, Drive]:
 
 @dataclass(frozen=True)
 class Told:
-    """What became of one row; `promised` by term and parameter joined with a colon."""
+    """What became of one row; `promised` by term and parameter joined with a colon.
+
+    `values` are the sizes put in, and `inside` tells of each fault that was named whether its interval holds it.
+    """
 
     pair: str
     fault: str
     multiple: float | None
-    value: float | None
+    values: tuple[float, ...]
     outcome: str
     said: str
-    inside: bool | None
+    inside: tuple[bool, ...]
     seconds: float
     history: tuple[str, ...]
     summary: str
@@ -138,7 +141,7 @@ class Study:
         """Return a row, from the file or computed now."""
         for one in self.rows:
             if (one.pair, one.fault, one.multiple) == (row.pair, row.fault, row.multiple) and (
-                row.value is None or one.value == row.value
+                row.value is None or [*one.values] == [row.value]
             ):
                 return one
         told = self._computed(row)
@@ -151,27 +154,31 @@ class Study:
         name, split = row.pair.split(", ")
         prepare, file = DRIVES[name]
         drive, vehicle = prepare(self.datasets, self.folder), read_vehicle(vehicle_file(file))
-        fault = self._fault(row, drive, vehicle)
-        empty = Told(row.pair, row.fault, row.multiple, row.value, "not put in", "", None, 0.0, (), "", {})
-        if fault is None:
+        faults = self._faults(row, drive, vehicle)
+        empty = Told(row.pair, row.fault, row.multiple, (), "not put in", "", (), 0.0, (), "", {})
+        if faults is None:
             return replace(empty, said="nothing is promised")
+        faulty = drive
         try:
-            faulty = inject(drive, fault, vehicle)
+            for fault in faults:
+                faulty = inject(faulty, fault, vehicle)
         except SplitError as error:
             return replace(empty, said=str(error))
         begun = time.process_time()
         told = diagnose([dealt(faulty, split)[1]], vehicle, [dealt(drive, split)[0]], improved=False)
         mapping = diagnosis_to_mapping(told)
-        said = statement_of(mapping)
-        interval = _of_the_true(mapping, fault)
         return Told(
             pair=row.pair,
             fault=row.fault,
             multiple=row.multiple,
-            value=fault.value if fault.term else None,
-            outcome=judge([fault.term] if fault.term else [], said),
+            values=tuple(fault.value for fault in faults),
+            outcome=judge([fault.term for fault in faults], statement_of(mapping)),
             said=in_words(mapping),
-            inside=None if interval is None else bool(interval[0] <= fault.value <= interval[1]),
+            inside=tuple(
+                bool(interval[0] <= fault.value <= interval[1])
+                for fault in faults
+                for interval in _of_the_true(mapping, fault)
+            ),
             seconds=time.process_time() - begun,
             history=told.history,
             summary=told.summary,
@@ -183,23 +190,33 @@ class Study:
             },
         )
 
-    def _fault(self, row: Row, drive: Drive, vehicle: Vehicle) -> InjectedFault | None:
+    def _faults(self, row: Row, drive: Drive, vehicle: Vehicle) -> list[InjectedFault] | None:
+        """Return the faults of a row, none for a clean pair; None if one of them cannot be put in."""
         if row.fault == "none":
-            return InjectedFault("none", "", ())
-        kinds = faults_for(drive, vehicle, [row.fault])[1:]
-        if not kinds:
-            return None
-        if row.value is not None:
-            return replace(kinds[0], parameters=tuple((name, row.value) for name, _ in kinds[0].parameters))
-        promised = {tuple(key.split(":")): value for key, value in self.clean(row.pair).promised.items()}
-        return next(iter(faults_of_sizes(kinds[:1], promised, [row.multiple])), None)
+            return []
+        found = []
+        for name in row.fault.split(" + "):
+            kinds = faults_for(drive, vehicle, [name])[1:2]
+            if row.value is not None:
+                kinds = [
+                    replace(one, parameters=tuple((each, row.value) for each, _ in one.parameters))
+                    for one in kinds
+                ]
+            else:
+                promised = {tuple(key.split(":")): value for key, value in self.clean(row.pair).promised.items()}
+                kinds = faults_of_sizes(kinds, promised, [row.multiple])
+            if not kinds:
+                return None
+            found += kinds
+        return found
 
 
-def _of_the_true(mapping: dict[str, Any], fault: InjectedFault) -> tuple[float, float] | None:
-    for finding in mapping["findings"]:
-        if fault.term == finding["term"] and fault.parameters[0][0] in finding["parameters"]:
-            return tuple(finding["parameters"][fault.parameters[0][0]]["interval_95"])
-    return None
+def _of_the_true(mapping: dict[str, Any], fault: InjectedFault) -> list[tuple[float, float]]:
+    return [
+        tuple(finding["parameters"][fault.parameters[0][0]]["interval_95"])
+        for finding in mapping["findings"]
+        if fault.term == finding["term"] and fault.parameters[0][0] in finding["parameters"]
+    ]
 
 
 def in_words(mapping: dict[str, Any]) -> str:
@@ -232,7 +249,7 @@ def main() -> None:
         wanted = not arguments.only or row.pair in arguments.only
         if wanted and (not arguments.faults or row.fault in arguments.faults):
             told.append(one := study.row(row))
-            size = "" if one.value is None else f" {one.value:.4g}"
+            size = "".join(f" {value:.4g}" for value in one.values)
             print(
                 f"| {one.pair} | {one.fault}{size} | {one.outcome} | {one.said} | {one.seconds:.0f} s |",
                 flush=True,
@@ -240,7 +257,7 @@ def main() -> None:
     for outcome in dict.fromkeys(one.outcome for one in told):
         count = sum(one.outcome == outcome for one in told)
         print(f"{outcome}: {count} of {len(told)}")
-    inside = [one.inside for one in told if one.inside is not None]
+    inside = [each for one in told for each in one.inside]
     print(f"intervals that hold the truth: {sum(inside)} of {len(inside)}")
 
 

@@ -12,7 +12,8 @@ class Row:
     pair : str
         Recording and split, joined by a comma.
     fault : str
-        Of `proof.injection.FAULTS`, or ``none``.
+        Of `proof.injection.FAULTS`, or ``none``. Several are joined by a plus sign, and are put in in that order:
+        what changes the car, then commands, then sensors.
     multiple : float or None
         Size over the one that the pair without a fault promises to name.
     value : float or None
@@ -61,6 +62,35 @@ LISTS: dict[str, list[Row]] = {
         *_rows("tum second file, blocks", "steering scaled", "clocks shifted", "lateral acceleration biased"),
         *_rows("genesis, swapped halves", "steering offset", "velocity rotated", "speed scaled"),
     ],
+    "several": [
+        *_rows(
+            "rubber, blocks", ("steering late + yaw rate scaled", 2.0), ("torque scaled + steering scaled", 2.0)
+        ),
+        *_rows("rubber, blocks", ("heavier + steering late + speed scaled", 3.0))[1:],
+        *_rows(
+            "tape, blocks", ("steering scaled + yaw rate late", 2.0), ("steering late + velocity rotated", 3.0)
+        ),
+        *_rows(
+            "slippery, blocks", ("torque late + yaw rate biased", 2.0), ("steering late + velocity moved", 3.0)
+        ),
+        *_rows("free, blocks", ("torque scaled + steering late", 2.0), ("steering late + yaw rate scaled", 3.0)),
+        *_rows("free, blocks", ("torque scaled + steering scaled + velocity rotated", 3.0))[1:],
+        *_rows(
+            "kth, halves", ("steering late + velocity rotated", 2.0), ("yaw rate scaled + steering scaled", 3.0)
+        ),
+        *_rows("tum, blocks", ("torque scaled + steering late", 2.0), ("steering scaled + yaw rate late", 3.0)),
+        *_rows("tum, blocks", ("torque scaled + steering offset + velocity moved", 3.0))[1:],
+        *_rows(
+            "av21, halves", ("velocity moved + yaw rate late", 2.0), ("velocity rotated + yaw rate scaled", 3.0)
+        ),
+        *_rows(
+            "genesis, blocks", ("steering scaled + speed scaled", 2.0), ("steering late + yaw rate biased", 3.0)
+        ),
+        *_rows(
+            "autorally 5, halves", ("torque scaled + yaw rate late", 2.0), ("steering late + speed scaled", 3.0)
+        ),
+    ],
 }
 """By name. ``first`` are the 42 faults of docs/records/recorded_faults.md at today's sizes.
-``second`` has parts and faults that no search had seen when the list was fixed, on 25 November 2026."""
+``second`` has parts and faults that no search had seen when the list was fixed, on 25 November 2026.
+``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed."""
