@@ -15,7 +15,7 @@ from split_cli.learning.reference import PrintedLearner
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.verifying.verify import verify_set
+from split_cli.workflows.verifying.verify import verify
 from tests.factories import make_drive, make_labels, make_training_set, road_car, smooth_residual, valid_features
 
 
@@ -74,7 +74,7 @@ def test_appending_equals_one_run_bit_for_bit_and_a_file_reads_back(tmp_path):
     write_set(twice, tmp_path / "two.split")
     assert (tmp_path / "one.split").read_bytes() == (tmp_path / "two.split").read_bytes()
     assert once.size == 80 and once.sources[-1].replacements > 5
-    assert all(item.passed for item in verify_set(once))
+    assert verify(tmp_path / "one.split").passed
     counted = sum(source.insertions for source in once.sources)
     assert counted == once.size
 

@@ -218,7 +218,7 @@ def prepared_folders() -> Iterator[tuple[Path, Path]]:
         for folder in (source, Path(place) / "tmp"):
             folder.mkdir()
         os.environ |= {"TMPDIR": f"{place}/tmp", "HOME": f"{place}/home"}
-        prepare(source, ["train"])
+        prepare(source, ["train"], segments=2)  # of 3 s: what every command reads in a moment
         yield source, work
 
 

@@ -11,6 +11,7 @@ import pytest
 from split_cli.errors import SetError
 from split_cli.learning.cells import recompute_gains
 from split_cli.learning.training_set import read_set, write_set, wrong_gains
+from split_cli.workflows.verifying.verify import verify
 from tests.factories import make_training_set, write_forged_set
 from tests.studies.forged import HEADERS, POINTS, at
 
@@ -112,6 +113,29 @@ def test_gains_are_those_of_the_definition_also_in_near_singular_cells(sound):
         assert wrong_gains(replace(one, gamma=recompute_gains(one))) == 0
         assert (defined.min() < 1e-9) == near
         assert wrong_gains(replace(one, gamma=defined + 1e-3)) == len(z)
+
+
+def test_of_large_cells_reading_computes_some_gains_and_verify_all(sound, tmp_path):
+    # Beyond a number of kernel values each k-th cell is computed. A changed length scale is in all of them.
+    write_forged_set(sound, tmp_path / "kernel.split", HEADERS["length_scales 10"])
+    wrong = sound.gamma.copy()
+    wrong[-1] += 1e-6
+    write_set(replace(sound, gamma=wrong), tmp_path / "a.split")
+    with pytest.raises(SetError, match=f"gains of 1 of {sound.size}"):
+        read_set(tmp_path / "a.split")
+    assert read_set(tmp_path / "a.split", kernel_numbers=sound.size // 2).size == sound.size
+    for name, says in (("a.split", f"gains of 1 of {sound.size}"), ("kernel.split", "gains of")):
+        with pytest.raises(SetError, match=says):
+            verify(tmp_path / name)
+    with pytest.raises(SetError, match="gains of"):
+        read_set(tmp_path / "kernel.split", kernel_numbers=sound.size // 2)
+
+
+def test_counts_of_drives_that_are_not_those_of_the_set_are_told(sound, tmp_path):
+    last = replace(sound.sources[-1], points=sound.size + 1)
+    for sources, passed in ((sound.sources, True), ((*sound.sources[:-1], last), False)):
+        write_set(replace(sound, sources=sources), tmp_path / "a.split")
+        assert [i.passed for i in verify(tmp_path / "a.split").items if i.check == "sources"] == [passed]
 
 
 @pytest.mark.parametrize(
