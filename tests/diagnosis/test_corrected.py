@@ -9,10 +9,17 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from split_cli.diagnosis.statement.document import diagnosis_to_text, read_schema
-from split_cli.diagnosis.statement.improvement import CorrectedVehicle, HorizonErrors, Improvement, StateChange
+from split_cli.diagnosis.statement.improvement import (
+    NORMAL_95,
+    CorrectedVehicle,
+    HorizonErrors,
+    Improvement,
+    StateChange,
+)
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate
-from split_cli.diagnosis.statement.sentences import summarise
+from split_cli.diagnosis.statement.sentences import not_accepted, summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
+from split_cli.diagnosis.verdict.label_errors import in_standard_errors
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.diagnose import write_diagnosis
@@ -116,3 +123,19 @@ def test_a_state_is_worse_beyond_chance_and_beyond_noise_only():
     assert worse.is_worse and not worse.is_better
     assert not replace(worse, change=1.5).is_worse
     assert not replace(worse, noise_floor=0.03).is_worse
+
+
+def test_a_file_that_spins_in_one_place_is_rejected_where_standard_errors_see_no_change():
+    """One of six blocks holds the whole increase: the mean is one standard error of it, whatever its size."""
+    increase = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e6])
+    assert in_standard_errors(np.repeat(increase, 3)[:, None], np.repeat(np.arange(6), 3))[0] < NORMAL_95
+    spun = StateChange("v_x", "m/s", 2.0, 0.47, 3.57, 2.17, 0.02, 1.5)
+    calm = StateChange("v_x", "m/s", 0.05, 0.04, 0.02, 0.11, 0.02, -1.3)
+    rejected = CorrectedVehicle((calm, spun, replace(spun, channel="v_y", nominal=1.08, corrected=2.58)))
+    assert rejected.runs_away and not rejected.accepted
+    assert "v_x after 2 s (3.6 instead of 0.47 m/s)" in not_accepted(rejected)
+    assert "velocities held as they are would be nearer (v_x 2.2 m/s" in not_accepted(rejected)
+    # One velocity that is a little beyond the held one does not make a model that runs away.
+    assert CorrectedVehicle((replace(spun, corrected=2.2), replace(spun, channel="v_y", corrected=1.0))).accepted
+    # Where the given file is beyond the held velocities too, standard errors decide alone.
+    assert CorrectedVehicle((replace(spun, nominal=2.5),)).accepted

@@ -40,9 +40,32 @@ class CorrectedVehicle:
     states: tuple[StateChange, ...]
 
     @property
+    def farthest(self) -> tuple[StateChange, ...]:
+        """Return the velocities at the longest horizon."""
+        longest = max((one.horizon for one in self.states), default=0.0)
+        return tuple(one for one in self.states if one.horizon == longest)
+
+    @property
+    def runs_away(self) -> bool:
+        """Whether velocities held as they are predict better than it at the longest horizon, though not better
+        than the nominal model.
+
+        Notes
+        -----
+        A spin of the model makes one large error. Standard errors grow with it, so they never call it worse: a
+        single block of B makes at most one standard error. Squared errors are those of all velocities together,
+        each in units of the held one's.
+        """
+        held = [one for one in self.farthest if one.persistence > 0.0]
+        corrected, nominal = (
+            sum((getattr(one, name) / one.persistence) ** 2 for one in held) for name in ("corrected", "nominal")
+        )
+        return corrected > len(held) >= nominal
+
+    @property
     def accepted(self) -> bool:
-        """Whether it is no worse than the nominal model in any state beyond chance."""
-        return not any(one.is_worse for one in self.states)
+        """Whether it is no worse than the nominal model in any state beyond chance, and does not run away."""
+        return not self.runs_away and not any(one.is_worse for one in self.states)
 
 
 @dataclass(frozen=True)

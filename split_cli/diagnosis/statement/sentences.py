@@ -335,15 +335,19 @@ def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) 
 
 def not_accepted(corrected: CorrectedVehicle) -> str:
     """Return why a corrected vehicle is not to be used."""
-    worse = [
+    worse = [one for one in corrected.states if one.is_worse] or corrected.farthest
+    errors = ", ".join(
         f"{one.channel} after {one.horizon:g} s "
         f"({number(one.corrected, 2)} instead of {number(one.nominal, 2)} {one.unit})"
-        for one in corrected.states
-        if one.is_worse
-    ]
+        for one in worse
+    )
+    away = ""
+    if corrected.runs_away:
+        held = ", ".join(f"{one.channel} {number(one.persistence, 2)} {one.unit}" for one in corrected.farthest)
+        away = f" It runs away there, as in a spin: velocities held as they are would be nearer ({held})."
     return (
-        "On held-out data the corrected vehicle file predicts worse than the given one: "
-        f"{', '.join(worse)}. It is written as vehicle_rejected.yaml, for inspection only; do not use it."
+        f"On held-out data the corrected vehicle file predicts worse than the given one: {errors}.{away} "
+        "It is written as vehicle_rejected.yaml, for inspection only; do not use it."
     )
 
 
