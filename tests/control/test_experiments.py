@@ -1,5 +1,7 @@
 """The plan of the experiments hangs together, and its page is filled from what was kept."""
 
+import json
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -7,9 +9,11 @@ from click.testing import CliRunner
 from split_cli.cli.experiments import command
 from split_cli.errors import SplitError
 from split_cli.vehicle.parameters import read_vehicle
+from split_cli.workflows.racing import experiments
 from split_cli.workflows.racing.experiments import PLAN, run_experiments
 from split_cli.workflows.racing.experiments_page import fill_page, tables
 from split_cli.workflows.racing.maneuver import ManeuverSettings
+from split_cli.workflows.racing.result import RaceResult
 
 
 def lap(number: int, time: float | None, outside: float = 0.0) -> dict:
@@ -125,3 +129,14 @@ def test_a_page_that_cannot_be_filled_is_told_before_an_hour_of_races(tmp_path, 
     told = CliRunner().invoke(command, words)
     assert isinstance(told.exception, SplitError) and says in str(told.exception)
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_kept_of_a_race_is_json_as_every_reader_takes_it(tmp_path, sample_logs, monkeypatch):
+    """A value that is not a number is null; bare NaN is no JSON."""
+    driven = RaceResult("small", "road_car", "road_car", "none", float("nan"), (), None, None, ())
+    monkeypatch.setattr(experiments, "run_race", lambda *words, **options: driven)
+    name = next(e.name for e in PLAN.experiments if e.vehicle == "gentle")
+    assert run_experiments(tmp_path, {"gentle": sample_logs / "road_car.yaml"}, only=(name,)) == [name]
+    kept = json.loads((tmp_path / f"{name}.json").read_text(), parse_constant=pytest.fail)
+    assert kept["result"]["length"] is None and kept["settings"]["laps"] == 10
+    assert experiments.stored(tmp_path)[name]["traces"] == {}

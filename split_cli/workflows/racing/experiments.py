@@ -2,13 +2,13 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from split_cli.errors import SplitError, nearest_names
-from split_cli.files import atomic_path, atomic_write_text
+from split_cli.files import atomic_path, atomic_write_text, json_ready
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.racing.first_lap import PAST_TERM
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
@@ -240,23 +240,19 @@ def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callabl
         keeps = settings.learner != "none"
         result = run_race(settings, vehicle, set_output=trained if keeps else None, progress=say)
         traces |= {f"lap{lap.number}": trace for lap, trace in zip(result.laps, result.traces, strict=True)}
-        record = asdict(result.summary())
+        record = result.summary()
     else:
         if settings.start_set is not None:
             settings = replace(settings, start_set=folder / f"{settings.start_set}.split")
         learns = experiment.model.startswith("nominal") and settings.scenario == "iso3888-1"
         result = run_maneuvers(settings, vehicle, set_output=trained if learns else None)
         traces |= {f"run{k}": run.trace for k, run in enumerate(result.runs)}
-        record = asdict(result.summary())
+        record = result.summary()
     record = {"name": experiment.name, "group": experiment.group, "model": experiment.model, "result": record}
-    record["settings"] = asdict(experiment.settings)
+    record = json_ready(record | {"settings": experiment.settings})
     with atomic_path(folder / f"{experiment.name}.npz") as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **traces)
-    atomic_write_text(folder / f"{experiment.name}.json", json.dumps(record, default=_plain, indent=1) + "\n")
-
-
-def _plain(value):
-    return value.tolist() if hasattr(value, "tolist") else str(value)
+    atomic_write_text(folder / f"{experiment.name}.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
 
 
 def stored(folder: str | Path) -> dict[str, dict]:
