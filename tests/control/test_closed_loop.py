@@ -183,10 +183,11 @@ def test_the_race_says_whether_learning_helped():
 
 def test_a_lap_0_off_the_track_asks_for_a_diagnosis_where_the_file_has_no_terms():
     car = read_vehicle(CAR)
-    off, lost, clean = (SimpleNamespace(number=0, time=time, outside=outside, clean=not outside)
+    off, lost, clean = (SimpleNamespace(number=0, time=time, outside=outside, clean=not outside, share=0.75)
                         for time, outside in ((40.0, 0.2), (None, 2.0), (40.0, 0.0)))  # fmt: skip
     assert "0.20 m outside" in what_lap_0_asks([off], car) and "split diagnose" in what_lap_0_asks([off], car)
     assert "not finished" in what_lap_0_asks([lost], car)
+    assert "--p-ellipse-lap0 0.6)" in what_lap_0_asks([lost], car)
     lagged = replace(car, effects=(SimpleNamespace(term="steer_lag"),))
     assert what_lap_0_asks([clean], car) == what_lap_0_asks([off], lagged) == what_lap_0_asks([], car) == ""
 

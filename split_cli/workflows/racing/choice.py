@@ -17,6 +17,10 @@ from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import AUTO, RaceSettings
 from split_cli.workflows.training.select import select
 
+GENTLER = 0.8
+"""Of the share of the peak in a lap that the car did not follow, what is advised for the next [1]: speeds in bends
+go with its root, and are a tenth lower."""
+
 
 class FeatureChoice(NamedTuple):
     """What a race learns from now on."""
@@ -118,16 +122,18 @@ def what_lap_0_asks(laps: Sequence[Lap], vehicle: Vehicle) -> str:
     Notes
     -----
     A file without terms has no lag of steering or torque. The smaller a car, the more its lags displace it: times
-    shrink with the root of the lengths (Froude), and lags do not. One lap tells them, an unfinished one too.
+    shrink with the root of the lengths (Froude), and lags do not. A lap that the car follows tells them; one that
+    ends in a spin is held out where it spins, and little is named.
     """
     if not laps or laps[0].number != 0 or laps[0].clean or vehicle.effects:
         return ""
     first = laps[0]
     what = f"{first.outside:.2f} m outside the track" if first.time is not None else "not finished"
+    share = GENTLER * first.share
     return (
-        f"lap 0 was {what}, and the file of {vehicle.name} has no lags: keep that lap (-o lap0.parquet --laps 0 "
-        "--learner none), let `split diagnose --real lap0.parquet` name what the file lacks, and race with its "
-        "corrected file"
+        f"lap 0 was {what}, and the file of {vehicle.name} has no lags: drive a gentler one (-o lap0.parquet "
+        f"--laps 0 --learner none --p-ellipse-lap0 {share:.2g}), let `split diagnose --real lap0.parquet` name "
+        "what the file lacks, and race with its corrected file"
     )
 
 
