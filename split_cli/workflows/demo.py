@@ -14,6 +14,7 @@ VEHICLE = "road_car.yaml"
 REAL_LOG = "road_pair_real.parquet"
 SIMULATED_LOG = "road_pair_sim.parquet"
 DIAGNOSIS = "diagnosis"
+_SAMPLES = (VEHICLE, TRAINING_LOG, HELD_OUT_LOG, REAL_LOG, SIMULATED_LOG)
 INSTALLED = Path("share/split-cli/sample_logs")
 """In the prefix of an installation (pyproject.toml, data-files)."""
 
@@ -44,7 +45,7 @@ def find_samples(folder: str | Path | None = None) -> Path:
     installed = [Path(sysconfig.get_path("data", scheme)) / INSTALLED for scheme in schemes]
     candidates = [Path(folder)] if folder else [Path("sample_logs"), beside_package, *installed]
     for candidate in candidates:
-        if (candidate / VEHICLE).is_file():
+        if all((candidate / name).is_file() for name in _SAMPLES):
             return candidate
     advice = "Install the program again, run the demo in a clone of it, or name the folder with --samples."
     raise SplitError("the sample logs are not here", where=str(candidates[0]), advice=advice)
