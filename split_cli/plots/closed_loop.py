@@ -63,7 +63,7 @@ def draw_lap_times(races: Mapping[str, Sequence[RacePicture]]) -> Figure:
     ):
         axis.set(xlabel="lap", title=title)
         quiet(axis)
-    axes[0].legend(frameon=False)
+    figure.legend(frameon=False, ncols=len(races), loc="outside upper center")
     return figure
 
 
@@ -103,8 +103,10 @@ def draw_learning(races: Mapping[str, RacePicture]) -> Figure:
     axes = figure.subplots(2, 3)
     for position, (name, race) in enumerate(races.items(), 1):
         style = {"color": _colour(position), "marker": "o", "markersize": 3, "label": name}
+        # A dictionary has no cells.
         for axis, values in zip(axes[0], (race.size, race.updates, race.cells), strict=True):
-            axis.plot(race.number, values, **style)
+            if values.any():
+                axis.plot(race.number, values, **style)
         for output, axis in enumerate(axes[1]):
             axis.plot(race.number, race.after[:, output], **style)
             axis.plot(race.number, race.before[:, output], color=_colour(position), linestyle=":", linewidth=1.0)
