@@ -34,6 +34,7 @@ class RawChannelInfo:
     type_name: str  # message type or column type
     count: int | None  # messages or rows, where the file says so without decoding
     unit: str | None = None  # as the file states it
+    group: str = ""  # what a row above the titles of a table calls several columns together
 
 
 @dataclass(frozen=True)

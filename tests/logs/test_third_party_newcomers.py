@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.errors import LogError
-from split_cli.logs.assembling.assemble import assemble_drive
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
@@ -185,8 +185,12 @@ def test_an_index_without_a_title_that_counts_in_seconds_is_the_time(columns, tm
     assert drafted_table({"": rows, "v_x": 0.1 * rows}, tmp_path).time.startswith("# time: {period")
 
 
-def test_runs_that_one_clock_joins_are_segments(columns, tmp_path):
-    """Three runs in a table whose index was counted anew: at the joints the motion jumps, and no car does that."""
+@pytest.mark.parametrize("gap", [None, 3.0])
+def test_runs_that_one_clock_joins_are_segments(gap, columns, tmp_path):
+    """Three runs in a table whose index was counted anew: at the joints the motion jumps, and no car does that.
+
+    Nothing is interpolated from one run to the next, whatever gap is bridged and however slow a source is.
+    """
     t, c = columns
     kept = ((t > 5.0) & (t < 18.0)) | ((t > 24.0) & (t < 37.0)) | (t > 43.0)
     run = np.digitize(t, [20.0, 40.0])[kept].astype(float)
@@ -196,7 +200,7 @@ def test_runs_that_one_clock_joins_are_segments(columns, tmp_path):
     signal_map = map_from_mapping(
         {"time": {"source": "t"}, "channels": {k: {"source": k} for k in ("vx", "vy", "r", "ax", "delta", "T")}}
     )
-    made = assemble_drive(open_recording(tmp_path / "log.csv"), signal_map)
+    made = assemble_drive(open_recording(tmp_path / "log.csv"), signal_map, settings=IngestSettings(gap=gap))
     parts = made.drive.segments()
     assert [len(made.drive["vx"][part]) for part in parts] == [np.count_nonzero(run == k) for k in range(3)]
     np.testing.assert_allclose(made.drive["vx"][parts[1]], table["vx"][run == 1], atol=1e-9)

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.errors import ClockError, DriveError, MapError, SplitError, nearest_names
 from split_cli.files import sha256_of_file
-from split_cli.logs.assembling.clean import join_clock_resets
+from split_cli.logs.assembling.clean import USUAL_GAP, join_clock_resets
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.derivation import DerivationInputs, Derived
 from split_cli.logs.assembling.derive import DERIVATIONS, can_derive, derivation_named, reachable
@@ -40,8 +40,6 @@ from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 
-_USUAL_GAP = 0.1
-"""Longest step that is interpolated unless said otherwise [s]."""
 MOST_CHECKED = 2**20
 """Rows in the middle of a drive whose channels are checked against each other: hours show any wrong unit."""
 _MOST_BESIDE_A_CLOCK = 3
@@ -141,6 +139,7 @@ def _assemble(
         clock=settings.clock,
         wheel_radius=vehicle.wheel_radius if vehicle else None,
         needed=needed,
+        gap=gap,
     )
     _check_required(gathered, derivations, signal_map, recording.name)
     series, joined = join_clock_resets(_with_delays(gathered, settings), gap)
@@ -199,7 +198,7 @@ def _assemble(
 
 def _gap_and_map(settings: IngestSettings, signal_map: SignalMap) -> tuple[float, SignalMap]:
     """Return the longest step that is bridged [s], and the map with the rate of rows that was asked for."""
-    gap = _USUAL_GAP if settings.gap is None else settings.gap
+    gap = USUAL_GAP if settings.gap is None else settings.gap
     if not gap > 0:
         raise MapError(f"the gap is {gap:g} s, it must be positive", advice="Give --gap in seconds.")
     if settings.row_rate is None:

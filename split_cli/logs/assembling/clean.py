@@ -1,6 +1,6 @@
 """Time stamps and samples made fit for resampling; whatever is dropped or moved is counted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +20,12 @@ _FAR_OUT = 3.0
 """Times the range of nine tenths of a signal, by which no motion leaves its neighbours for two samples [1]."""
 _SPIKE_SIGMAS = 25.0
 _LONGEST_SPIKE = 2
+USUAL_GAP = 0.1
+"""Longest step that is interpolated unless said otherwise [s]."""
+_PAUSE = 1.0
+"""Least pause between runs that are joined [s]."""
+_BRIDGED = 5.0
+"""Samples of a slow source, over which it is held or interpolated at most [1]; see `Channels.gap_of`."""
 _EXTRAS_LIMIT = 1e100
 """Of channels without a meaning known here; squares of it are still finite."""
 
@@ -101,6 +107,9 @@ def join_clock_resets(
         what = f"the clock of {worst[0]} jumps back {len(boundaries[worst])} times, those of other channels do not"
         advice = "Choose another clock with --clock, or cut the recording there."
         raise LogError(what, where=series[worst[0]][worst[1]].source, advice=advice)
+    pause = pause_between_runs(
+        [(part.time, part.values) for parts in series.values() for part in parts], largest_step_back
+    )
     eras = counts.pop() + 1
     pieces = {
         key: np.split(np.arange(len(series[key[0]][key[1]].time)), found) for key, found in boundaries.items()
@@ -110,7 +119,7 @@ def join_clock_resets(
     for era in range(1, eras):
         end = max(np.nanmax(times[key][pieces[key][era - 1]]) for key in pieces)
         start = min(np.nanmin(times[key][pieces[key][era]]) for key in pieces)
-        back, shift = end - shift - start, end - start + 1.0
+        back, shift = end - shift - start, end - start + pause
         for key in pieces:
             times[key][pieces[key][era]] += shift
         said.append(f"the clock jumps back by {back:.3f} s: what follows was moved behind it, as a new segment")
@@ -119,6 +128,25 @@ def join_clock_resets(
         for channel, parts in series.items()
     }
     return joined, tuple(said)
+
+
+def pause_between_runs(sources: Iterable[tuple[np.ndarray, np.ndarray]], gap: float) -> float:
+    """Return the pause between runs that are joined [s]: so long that no source is interpolated over it.
+
+    Parameters
+    ----------
+    sources : iterable of (ndarray, ndarray)
+        Times [s] and values of each, shapes (N,).
+    gap : float
+        Longest step that is bridged [s]; of a slow source up to five of its samples are.
+    """
+    longest = gap
+    for time, values in sources:
+        step = np.diff(time)
+        step = step[step > 0.0]
+        if len(step):
+            longest = max(longest, _BRIDGED * float(np.median(step)) * longest_repeat(values))
+    return max(_PAUSE, 2.0 * longest)
 
 
 def _without_stray_stamps(

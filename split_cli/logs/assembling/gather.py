@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from split_cli.errors import ClockError, LogError, MapError, nearest_names
-from split_cli.logs.assembling.clean import newest_first
+from split_cli.logs.assembling.clean import USUAL_GAP, newest_first, pause_between_runs
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
 from split_cli.logs.checking.plausible import DAMAGED
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
@@ -29,8 +29,6 @@ _NUMBERS_RUNS = re.compile(
 """Columns that number runs; a lap or a sector goes on where the one before ended."""
 _MOST_CHANGES = 0.01
 """Of the rows, up to which a number is that of a run [1]; judgement."""
-_PAUSE = 1.0
-"""Between runs whose clock goes on [s]; as between those whose clock starts again."""
 _SUFFIXES = {
     "yaw_from_quaternion": ("x", "y", "z", "w"),
     "local_x": ("latitude", "longitude"),
@@ -64,6 +62,7 @@ def gather(
     clock: Clock | None = None,
     wheel_radius: float | None = None,
     needed: Sequence[str] = (),
+    gap: float = USUAL_GAP,
 ) -> Gathered:
     """Read every channel of the map from a recording.
 
@@ -75,6 +74,8 @@ def gather(
         Turns wheel speeds in rad/s into m/s [m].
     needed : sequence of str
         Channels that must not be skipped even where the map calls them optional.
+    gap : float
+        Longest step that is bridged [s]; runs are further apart.
 
     Raises
     ------
@@ -105,7 +106,7 @@ def gather(
     if common is not None and newest_first(common):
         common, signals = turned(common, signals)
         notes.conversions.append("rows in reverse order, the newest first: turned round")
-    common = None if common is None else set_aside(_parted_by_runs(common, signals, notes))
+    common = None if common is None else set_aside(_parted_by_runs(common, signals, notes, gap))
     converter = Converter(recording.name, signal_map, wheel_radius, notes)
     others = [column for column in extras if column not in clocks]
     maps, series = _converted(found, others, signals, Counter(extras) + Counter(clocks), converter, common)
@@ -368,7 +369,9 @@ def _common_time(
     return time, float(convert_to_si(np.array([first]), unit or "s")[0]), f"column {column}"
 
 
-def _parted_by_runs(common: np.ndarray, signals: Mapping[str, RawSignal], notes: ConversionNotes) -> np.ndarray:
+def _parted_by_runs(
+    common: np.ndarray, signals: Mapping[str, RawSignal], notes: ConversionNotes, gap: float
+) -> np.ndarray:
     """Return the clock with a pause wherever a column that numbers runs changes and the clock goes on [s].
 
     In a table of several runs with one clock the motion jumps from the end of one to the beginning of the next.
@@ -381,10 +384,11 @@ def _parted_by_runs(common: np.ndarray, signals: Mapping[str, RawSignal], notes:
         step = np.diff(common)
         joined = changes[np.abs(step[changes]) < 2.0 * np.nanmedian(step)]
         if len(joined) and len(changes) < _MOST_CHANGES * len(values):
+            apart = pause_between_runs([(common, s.values) for s in signals.values() if s.time is None], gap)
             pause = np.zeros(len(values))
-            pause[joined + 1] = _PAUSE
+            pause[joined + 1] = apart
             said = f"{name} changes {len(joined)} times while the time goes on"
-            notes.conversions.append(f"{said}: each run is a segment, {_PAUSE:g} s behind the one before")
+            notes.conversions.append(f"{said}: each run is a segment, {apart:g} s behind the one before")
             return common + np.cumsum(pause)
     return common
 

@@ -9,6 +9,7 @@ from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudge
 from split_cli.logs.checking.clock import changed_clock
 from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
+from split_cli.logs.checking.jumps import speed_jumps
 from split_cli.logs.checking.measuring_point import place_of_lateral_velocity
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
@@ -95,6 +96,8 @@ def check_consistency(
     wrong = {finding.channel for finding in found} - set(factors) - ({"X"} if "hand" in factors else set())
     exchanged = exchanged_accelerations(finer)
     findings = [*constant, *found, *exchanged]
+    if "vx" not in wrong:
+        findings += speed_jumps(finer)
     if not {"vx", "r"} & wrong:
         placed = place_of_lateral_velocity(finer, not {"ay", "vy"} & wrong)
         if "vx" in factors and not vy_judged and placed:

@@ -51,6 +51,7 @@ _SIGNS = {
 }
 _SPEED_UNITS = ((3.6, "km/h"), (1 / 0.44704, "mph"), (1 / 0.514444, "kn"))
 _RARE_SPEED_UNITS = ((1 / 0.3048, "ft/s"), (100.0, "cm/s"), (1000.0, "mm/s"))
+_MILE_IN_KM = 1.609344
 _LENGTH_UNITS = ((1 / 0.3048, "ft"), (1e-3, "km"), (100.0, "cm"), (1000.0, "mm"))
 _STEERING_RATIOS = (8.0, 25.0)
 """Of steering wheel to road wheel, from racing cars to lorries [1]."""
@@ -74,6 +75,9 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
             known += _factor(channel, factor, f"is in {unit}", f"set `unit: {unit}`", RARE, unit)
         twice = "was converted from km/h although it is in m/s"
         known += _factor(channel, 1.0 / 3.6, twice, "set `unit: m/s`", RARE, "m/s")
+        for stated, unit, factor in (("km/h", "mph", _MILE_IN_KM), ("mph", "km/h", 1.0 / _MILE_IN_KM)):
+            what = f"was converted from {stated} although it is in {unit}"
+            known += _factor(channel, 1.0 / factor, what, f"set `unit: {unit}`", RARE, unit)
     if channel.startswith("wheel_speed") and vehicle is not None:
         known += _unit(channel, 1.0 / vehicle.wheel_radius, "rad/s")
         known += _unit(channel, 60.0 / (2.0 * np.pi * vehicle.wheel_radius), "rpm")

@@ -65,11 +65,10 @@ def clock_of_rows(
     clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
     rising = [i for i in clocks if i.name in signals and _counts(signals[i.name].values)]
     rising = rising or [i for i in timed if i.name in signals and _counts(signals[i.name].values)]
+    # Whatever it is called: what counts evenly since 1970 is a clock.
+    rising = rising or [i for i in infos if i.name in signals and _counts_since_1970(signals[i.name].values)]
     # A clock of fewer digits than the rows come in stands still between them; ingest drops what shares a stamp.
     rising = rising or [i for i in clocks if i.name in signals and _never_falls(signals[i.name].values)]
-    if not rising:
-        # Whatever it is called: what counts evenly since 1970 is a clock.
-        rising = [i for i in infos if i.name in signals and _counts_since_1970(signals[i.name].values)]
     rising = rising or _first_that_counts(infos, signals)
     if rising and row_rate is None:
         info = rising[0]

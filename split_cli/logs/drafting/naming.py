@@ -228,6 +228,8 @@ def stated_unit(info: RawChannelInfo) -> str | None:
         return _LAST_TWO[tuple(words[-2:])]
     if len(words) > 1 and words[-1] in _UNIT_WORDS:
         return _UNIT_WORDS[words[-1]]
+    if words[:1] == ["g"] and concepts_of(words[1:])[0] <= {"acceleration", "long", "lat", "up"} and words[1:]:
+        return "g"  # g_lat, g_force_lon
     return None
 
 
@@ -296,6 +298,9 @@ def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
         if read is None and info.name.count("/") > 1:
             # Of /eps/angle the field alone says nothing.
             read = read_concepts(tokens_of("_".join(info.name.rsplit("/", 2)[1:])))
+        if read is None and info.group:
+            # "Long" says nothing by itself, and under "Vehicle Acceleration" it does.
+            read = read_concepts(tokens_of(f"{info.group} {bare}"))
         if read is not None:
             found[read[0]] = read[1]
     if {"wheel_torque", "T"} & set(found):

@@ -103,6 +103,11 @@ def read_yaw_rate(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float)
     if s.status != "assumed" or s.unit != unit or s.channel not in columns:
         return s
     reach = float(np.nanquantile(np.abs(columns[s.channel]), 0.99))
+    if np.radians(reach) > limit:
+        remark = (
+            f"unit not stated; it reaches {reach:.3g}, more than any car's in rad/s or deg/s. Give its `scale:`"
+        )
+        return replace(s, status="open", reason=remark)
     remark = f"unit not stated; it reaches {reach:.3g}, and no car's exceeds {limit:g} {unit}, so deg/s"
     return replace(s, unit="deg/s", reason=remark) if reach > limit else s
 

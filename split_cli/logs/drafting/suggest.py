@@ -327,7 +327,11 @@ def _read(
     names |= {name for three in triples if names & set(three) for name in three}
     listed = recording.channels()
     if not recording.clocks:
-        names |= {info.name for info in listed if re.search("time|stamp|^t$", info.name, re.IGNORECASE)}
+        names |= {
+            info.name
+            for info in listed
+            if re.search("time|stamp|millis|micros|epoch|^t$", info.name, re.IGNORECASE)
+        }
         names |= {info.name for info in [time_column(listed)] if info is not None}
         names |= {info.name for info in listed if info.type_name != "text" and info is listed[0]}
         names |= {info.name for info in listed if getattr(find_unit(stated_unit(info) or ""), "si", "") == "s"}

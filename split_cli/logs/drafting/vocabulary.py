@@ -64,7 +64,7 @@ _WORDS: dict[str, str] = {
     ),
     "other": (
         "std stddev sigma cov covariance var variance err error accuracy quality status valid validity "
-        "flag sign vorzeichen vz count cnt counter id seq index "
+        "hacc vacc sacc eph epv flag sign vorzeichen vz count cnt counter id seq index "
         "min max limit bias temp temperature lap age confidence jerk "
         "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "

@@ -22,6 +22,7 @@ from split_cli.logs.raw import (
     column_name_and_unit,
     note_once,
 )
+from split_cli.logs.readers.clock_of_day import packed_clock
 from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_grouped, sniff, unwrapped
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
@@ -34,6 +35,7 @@ _BLOCK_BYTES, _BLOCK_BYTES_A_COLUMN = 1 << 20, 200
 
 FIRST_UNTITLED = "column1"
 """What the first column is called where others have titles and it has none."""
+_CALLED_CLOCK = re.compile(r"time|clock|utc|stamp|zeit|heure|hora", re.IGNORECASE)
 _Columns = tuple[dict[int, np.ndarray], Counter[int], int]
 """Values by position, cells of each that are no numbers, and rows that were left out."""
 
@@ -54,8 +56,9 @@ def open_delimited(path: Path) -> RawRecording:
     notes: list[ReadNote] = []
     columns = _columns(sniffed, path, notes)
     width = len(sniffed.header)
+    groups = sniffed.groups or [""] * width
     infos = [
-        RawChannelInfo(name, "text" if _is_text(sniffed, index) else "column", None, unit)
+        RawChannelInfo(name, "text" if _is_text(sniffed, index) else "column", None, unit, groups[index])
         for name, (index, unit) in columns.items()
     ]
 
@@ -69,6 +72,12 @@ def open_delimited(path: Path) -> RawRecording:
         values = read_columns(path, sniffed.dialect, width, titles, notes)
         if not len(next(iter(values.values()))):
             raise LogError("holds no rows", where=path.name, advice="Export it again.")
+        for name, (index, unit) in chosen.items():
+            clock = packed_clock(values[index]) if unit is None and _CALLED_CLOCK.search(name) else None
+            if clock is not None:
+                what = "column of hours, minutes and seconds in one number, read as seconds since midnight"
+                note_once(notes, ReadNote(what, f"{path.name}, column {name}"))
+                values[index] = clock
         return {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
 
     return LazyTableRecording(path.name, path, infos, load, notes=notes)
@@ -86,6 +95,8 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
             # "100: gps" under one speed and "calc" under another tell them apart.
             device = re.sub(r"[^A-Za-z ]", "", sniffed.devices[index]).strip()
             name = f"{name} {device}".strip()
+        elif title in repeated and name and sniffed.groups and sniffed.groups[index]:
+            name = f"{sniffed.groups[index]}.{name}"
         elif title in messages:
             name = f"{messages[title][index]}.{name}"
         stated = sniffed.units[index].strip().strip("[]()") if sniffed.units else ""

@@ -25,6 +25,8 @@ _BLANKS = " "
 _CHECKED_ROWS = 200
 _CONFIRMING_ROWS = 3
 _ROWS_BELOW = 20
+_FEWEST_GROUPS = 2
+"""Of several columns each, that make a row of groups [1]: one is the name of a table, or of its driver."""
 _MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
@@ -75,6 +77,7 @@ class Sniffed:
     titles: int = 0  # then the most titles that stand in a row before the values, and do not fit them in number
     # Where each column comes from, if a further row under the titles tells it (RaceChrono: ``100: gps``).
     devices: list[str] | None = None
+    groups: list[str] | None = None  # what a row above the titles calls each column and those beside it
 
 
 def sniff(path: Path) -> Sniffed:
@@ -281,7 +284,25 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
         rows[:first], width
     )
     devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
-    return Sniffed(dialect, (above[chosen] + [""] * width)[:width], units, values, False, 0, devices)
+    groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
+    return Sniffed(dialect, (above[chosen] + [""] * width)[:width], units, values, False, 0, devices, groups)
+
+
+def _groups(row: list[str], width: int) -> list[str] | None:
+    """Return the group of each column, from a row that names several columns at once at the first of them.
+
+    Spreadsheets write a name, and empty cells up to the next. Two groups of several columns make such a row.
+    """
+    named = [n for n, cell in enumerate(row[:width]) if cell.strip()]
+    sizes = [end - begin for begin, end in zip(named, [*named[1:], width], strict=True)]
+    if abs(len(row) - width) > 1 or sum(size > 1 for size in sizes) < _FEWEST_GROUPS:
+        return None
+    if not all(_WORD.search(row[n]) for n in named):
+        return None
+    groups = [""] * width
+    for begin, size in zip(named, sizes, strict=True):
+        groups[begin : begin + size] = [row[begin].strip()] * size
+    return groups
 
 
 def _units_of_labview(rows: list[list[str]], width: int) -> list[str] | None:

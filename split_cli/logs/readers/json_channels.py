@@ -35,6 +35,8 @@ _SHORTEST_SERIES = 8
 LARGEST_DOCUMENT = 32 << 20
 """Of a document that is held as a whole [bytes]: objects take ten times as much memory."""
 _BEGINNING = 1 << 16
+_Named = list[tuple[str, Mapping[str, Any]]]
+"""Channels with their names, which may occur twice."""
 
 
 def open_json_channels(path: Path) -> RawRecording | None:
@@ -56,18 +58,20 @@ def open_json_channels(path: Path) -> RawRecording | None:
         return None
     refuse_many_columns(len(channels), path.name)
     unique, signals = UniqueNames(), {}
-    for title, channel in channels.items():
+    for title, channel in channels:
         time, values = _samples(channel)
         name, unit = column_name_and_unit(title)
         name = unique.of(name or title)
         stated = next((str(channel[key]) for key in channel if key.lower() in ("unit", "units")), unit or "")
         known = find_unit(stated) if stated else None
         signals[name] = RawSignal(name, time, values, known.symbol if known else stated or None)
+    if unique.renamed:
+        notes.append(ReadNote("channel names that occur twice, numbered", path.name, unique.renamed))
     return TableRecording(path.name, path, signals, notes=notes)
 
 
-def _groups_of_lists(path: Path, notes: list[ReadNote]) -> dict[str, Mapping[str, Any]] | None:
-    """Return the channels of a long document by name, with arrays for their lists; None of another form.
+def _groups_of_lists(path: Path, notes: list[ReadNote]) -> _Named | None:
+    """Return the channels of a long document with their names, and arrays for their lists; None of another form.
 
     They stand in an object by their names, or in a list with their names inside.
 
@@ -95,9 +99,9 @@ def _groups_of_lists(path: Path, notes: list[ReadNote]) -> dict[str, Mapping[str
         notes.append(ReadNote("the document is cut off or damaged: only channels before that are read", path.name))
     held = {place: one for place, one in found.items() if place and _key(one, _VALUES) is not None}
     # An object of a list is called by the name inside, others by their key.
-    channels = {str(one.get(_key(one, _NAMES) or "", place[-1])) if place[-1].startswith("[") else place[-1]: one
-                for place, one in held.items()}  # fmt: skip
-    channels = {name: one for name, one in channels.items() if np.size(one[_key(one, _VALUES)]) > 1}
+    channels = [(str(one.get(_key(one, _NAMES) or "", place[-1])) if place[-1].startswith("[") else place[-1], one)
+                for place, one in held.items()]  # fmt: skip
+    channels = [(name, one) for name, one in channels if np.size(one[_key(one, _VALUES)]) > 1]
     return channels if len(channels) > 1 else None
 
 
@@ -125,8 +129,8 @@ def _grown(elements: Iterator[Any], places: Sequence[int | None]) -> list[np.nda
     return [column.finished() for column in columns]
 
 
-def _groups(node: Any, depth: int) -> Iterator[dict[str, Mapping[str, Any]]]:
-    """Yield the first objects that are channels, by name."""
+def _groups(node: Any, depth: int) -> Iterator[_Named]:
+    """Yield the first objects that are channels, with their names."""
     if depth > _DEEPEST:
         return
     if isinstance(node, list):
@@ -136,7 +140,7 @@ def _groups(node: Any, depth: int) -> Iterator[dict[str, Mapping[str, Any]]]:
         named = [(str(key), one) for key, one in channels.items() if isinstance(one, dict)]
     else:
         return
-    found = {name: one for name, one in named if name and _holds_numbers(one)}
+    found = [(name, one) for name, one in named if name and _holds_numbers(one)]
     if len(found) > 1:
         yield found
         return

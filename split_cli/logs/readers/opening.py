@@ -57,6 +57,7 @@ _OTHERS = {
     **dict.fromkeys((".xls", ".xlsx", ".ods"), ("a spreadsheet", "Export it as CSV.")),
 }
 """Files that other programs write and that are not read, by suffix: what they are and the way out."""
+_TABLE_SUFFIXES = (".csv", ".mat", ".vbo", ".mf4", ".parquet", ".bag", ".json", ".ulg", ".ibt")
 _BINARY_SUFFIXES = {
     ".mcap": "an MCAP file", ".bag": "a ROS 1 bag", ".db3": "a rosbag2 database", ".parquet": "a Parquet file",
     ".feather": "a Feather file", ".arrow": "an Arrow file", ".mf4": "an MDF file", ".dat": "an MDF file",
@@ -225,6 +226,7 @@ def _open_folder(path: Path, message_paths: Sequence[str | Path]) -> RawRecordin
         advice = _advice_on_pieces(path)
         if not advice and is_array_folder(path):
             return open_array_folder(path)
+        advice = advice or _advice_on_tables(path)
         if not advice:
             raise
         raise LogError("is a folder of pieces, not one recording", where=str(path), advice=advice) from error
@@ -240,6 +242,16 @@ def _advice_on_pieces(folder: Path) -> str:
             "one table: a first line of titles with units, a column of time, and a line for each text."
         )
     return ""
+
+
+def _advice_on_tables(folder: Path) -> str:
+    """Name what may be recordings of their own in a folder; empty where it holds none."""
+    files = [file for file in itertools.islice(folder.rglob("*"), _MOST_LISTED) if file.is_file()]
+    tables = sorted(str(file.relative_to(folder)) for file in files if file.suffix.lower() in _TABLE_SUFFIXES)
+    if not tables:
+        return ""
+    named = f"{', '.join(tables[:2])}{' and others' * (len(tables) > 2)}"
+    return f"It holds {named}: name one of them, or the parts of one drive with --together."
 
 
 def _messages(path: Path, container: Container, message_paths: Sequence[str | Path]) -> RawRecording:

@@ -6,6 +6,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording
+from split_cli.logs.readers.clock_of_day import seconds_of_day
 from split_cli.signals import find_unit
 
 # Units of the columns that every VBOX writes. Positions are converted while reading: no unit says "west positive".
@@ -43,7 +44,7 @@ def open_vbo(path: Path) -> RawRecording:
     for index, name in enumerate(names):
         values = rows[:, index]
         if name == "time":
-            values = _seconds(values)
+            values = seconds_of_day(values)
         elif name in ("lat", "_lat"):
             values = values / 60.0
         elif name in ("long", "_long"):
@@ -114,15 +115,6 @@ def _unit(text: str) -> str | None:
     bare = text.strip()
     known = find_unit(_SPELLINGS.get(bare.lower(), bare)) if bare else None
     return known.symbol if known else bare or None
-
-
-def _seconds(clock: np.ndarray) -> np.ndarray:
-    """Return seconds since midnight of HHMMSS.sss, a day added after each midnight, shape (N,)."""
-    hours, rest = np.divmod(clock, 10000.0)
-    minutes, seconds = np.divmod(rest, 100.0)
-    time = hours * 3600.0 + minutes * 60.0 + seconds
-    midnight = np.concatenate([[0.0], np.cumsum(np.diff(time) < -43200.0)])
-    return np.round(time + 86400.0 * midnight, 6)
 
 
 def _without_stray_end(signals: dict[str, RawSignal], path: Path, notes: list[ReadNote]) -> dict[str, RawSignal]:

@@ -1,0 +1,141 @@
+"""Faults first seen in six more public logs: a phone, a lap timer, a student car, a data logger, a simulation."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from split_cli.errors import LogError
+from split_cli.logs.checking.consistency import check_consistency
+from split_cli.logs.drafting.naming import meanings, stated_unit
+from split_cli.logs.drive import Drive
+from split_cli.logs.raw import RawChannelInfo
+from split_cli.logs.readers import json_channels
+from split_cli.logs.readers.clock_of_day import packed_clock
+from split_cli.logs.readers.opening import open_recording
+from split_cli.signals import STANDARD_GRAVITY, convert_to_si
+from tests.logs.planted import PlantedDrive
+from tests.logs.test_third_party_public import drafted_table
+
+
+def packed(seconds: np.ndarray, scale: float) -> np.ndarray:
+    """Return seconds since midnight as HHMMSS in one number, times `scale`."""
+    hours, rest = np.divmod(np.mod(seconds, 86400.0), 3600.0)
+    return np.round((hours * 10000.0 + rest // 60.0 * 100.0 + rest % 60.0) * scale, 3)
+
+
+@pytest.mark.parametrize("scale", [1.0, 100.0, 1000.0])
+def test_a_clock_in_one_number_is_read_as_seconds_across_minutes_hours_and_midnight(scale):
+    seconds = 86400.0 - 125.0 + 0.1 * np.arange(3000)
+    read = packed_clock(packed(seconds, scale))
+    assert read == pytest.approx(seconds, abs=1e-6)
+
+
+def test_a_count_of_seconds_a_distance_and_a_short_clock_are_no_clock_of_the_day():
+    count = 0.1 * np.arange(9000)
+    assert packed_clock(count) is None and packed_clock(1000.0 * count) is None
+    # Within one minute nothing tells them apart, and the seconds are the same.
+    assert packed_clock(packed(45000.0 + 0.1 * np.arange(300), 1.0)) is None
+    # A row every two minutes skips the hundreds by chance.
+    assert packed_clock(100.0 * np.arange(50) + 30.0) is None
+
+
+def test_a_finer_clock_goes_before_one_whose_stamps_several_rows_share(tmp_path):
+    """A phone writes the receiver's clock of 0.1 s beside milliseconds since 1970, 50 rows a second."""
+    planted = PlantedDrive(seconds=59.0)
+    t = np.arange(0.0, 59.0, 0.02)
+    table = {"time": packed(45505.0 + np.floor(10.0 * t) / 10.0, 1000.0), "millis": 1395837505119.0 + 1000.0 * t}
+    table |= {"speed [m/s]": planted.at("vx", t), "yawrate [rad/s]": planted.at("r", t)}
+    assert "time: {source: millis, unit: ms}" in drafted_table(table, tmp_path).time
+
+
+def test_thousandths_of_g_and_of_degrees_a_second_are_units():
+    assert convert_to_si(np.array([1000.0]), "milli-g")[0] == pytest.approx(STANDARD_GRAVITY)
+    for spelled in ("mdps", "milli-dps", "mdeg/s"):
+        assert convert_to_si(np.array([180e3]), spelled)[0] == pytest.approx(np.pi)
+
+
+def test_a_yaw_rate_beyond_every_cars_in_degrees_too_is_left_open(tmp_path):
+    t = np.arange(0.0, 20.0, 0.05)
+    draft = drafted_table({"time": t, "gyro_z": 4e4 * np.sin(t)}, tmp_path)
+    assert draft.of("r").status == "open" and "rad/s or deg/s" in draft.of("r").reason
+
+
+def test_a_row_of_groups_above_the_titles_says_what_short_titles_mean(tmp_path):
+    path = tmp_path / "crash.csv"
+    rows = [
+        "Run,Acceleration,,,Lateral Forces,,Vertical Forces,",
+        "Time sec,1 Long g,2 Lat g,3 Vert g,LF klb,RF klb,LF klb,RF klb",
+    ]
+    rows += [f"{0.1 * k},{k % 3},{k % 5},1,{k},{2 * k},3,4" for k in range(30)]
+    path.write_text("\n".join(rows) + "\n")
+    recording = open_recording(path)
+    infos = {info.name: info for info in recording.channels()}
+    assert {"Lateral Forces.LF klb", "Vertical Forces.LF klb"} <= set(infos)
+    assert recording.read(["Vertical Forces.LF klb"])["Vertical Forces.LF klb"].values[5] == 3.0
+    found = {
+        name: (meanings(info)[0].channel, stated_unit(info)) for name, info in infos.items() if meanings(info)
+    }
+    assert found == {"1 Long g": ("ax", "g"), "2 Lat g": ("ay", "g")}
+    # A name of the table with one of its driver is no row of groups.
+    path.write_text("\n".join(["Driver,Long Accelerations,,,,,,", *rows[1:]]) + "\n")
+    assert {info.group for info in open_recording(path).channels()} == {""}
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_channels_of_one_name_in_a_list_are_numbered_and_none_replaces_another(large, tmp_path, monkeypatch):
+    if large:
+        monkeypatch.setattr(json_channels, "LARGEST_DOCUMENT", 10)
+    names = ("speed", "yaw rate", "speed")
+    content = [
+        {"name": n, "unit": "m/s", "data": [float(k + 100 * p) for k in range(30)]} for p, n in enumerate(names)
+    ]
+    path = tmp_path / "channels.json"
+    path.write_text(json.dumps({"channels": content}))
+    recording = open_recording(path)
+    assert [info.name for info in recording.channels()] == ["speed", "yaw rate", "speed_2"]
+    signals = recording.read(["speed", "speed_2"])
+    assert (signals["speed"].values[0], signals["speed_2"].values[0]) == (0.0, 200.0)
+    assert any("twice" in note.what for note in recording.notes)
+
+
+def test_a_speed_in_miles_that_the_file_calls_kilometres_is_named(tmp_path):
+    planted = PlantedDrive(seconds=59.0)
+    t = np.arange(0.0, 59.0, 0.02)
+    table = {"time": t, "X [m]": planted.at("X", t), "Y [m]": planted.at("Y", t)}
+    draft = drafted_table(table | {"speed [km/h]": planted.at("vx", t) / 0.44704}, tmp_path)
+    assert draft.of("vx").status == "open" and "from km/h although it is in mph" in draft.of("vx").reason
+    draft = drafted_table(table | {"speed [mph]": planted.at("vx", t) * 3.6}, tmp_path)
+    assert draft.of("vx").status == "open" and "from mph although it is in km/h" in draft.of("vx").reason
+
+
+def test_an_accuracy_is_no_acceleration_and_a_name_that_begins_with_g_is_in_g():
+    assert not meanings(RawChannelInfo("GPSi_hAcc", "column", None))
+    assert [stated_unit(RawChannelInfo(name, "column", None)) for name in ("g_lat", "g_force_lon")] == ["g", "g"]
+    assert stated_unit(RawChannelInfo("g_level", "column", None)) is None
+
+
+def test_a_folder_of_tables_names_them(tmp_path):
+    for name in ("vx", "psi"):
+        savemat(tmp_path / f"{name}.mat", {name: np.arange(9.0)})
+    with pytest.raises(LogError, match=r"psi\.mat, vx\.mat: name one of them, or .* --together"):
+        open_recording(tmp_path)
+
+
+def test_a_speed_that_jumps_beyond_all_grip_is_counted_with_its_times():
+    """A small car's simulator put it elsewhere: v_x read 91 m/s for a second, and nothing was said of it."""
+    planted = PlantedDrive(seconds=59.0)
+    t = np.arange(0.0, 59.0, 0.01)
+    columns = {"t": t, **{name: planted.at(name, t) for name in ("vx", "vy", "r", "T", "delta")}}
+    away = (t >= 20.0) & (t < 21.0)
+    columns["vx"] = np.where(away, 91.0, columns["vx"])
+    drive = Drive("jumping", columns, np.zeros(len(t), np.int32), 0.01)
+    for vehicle, limit in ((planted.vehicle, "twice what the tyres"), (None, "70 m/s")):
+        found = [f for f in check_consistency(drive, vehicle, {}).findings if f.check == "jump"]
+        assert len(found) == 1 and found[0].measured == 2.0
+        assert "to 91 m/s at t = 19." in found[0].text and limit in found[0].text
+    # Braking at the limit of grip is no jump, nor is a segment that begins at another speed.
+    columns["vx"] = np.where(t < 30.0, 20.0, np.maximum(20.0 - 9.81 * (t - 30.0), 1.0) + 30.0 * (t > 45.0))
+    drive = Drive("braking", columns, (t > 45.0).astype(np.int32), 0.01)
+    assert not [f for f in check_consistency(drive, planted.vehicle, {}).findings if f.check == "jump"]
