@@ -2,17 +2,15 @@
 
 from typing import ClassVar
 
-from split_cli.vehicle.effects.search import LAG_SEARCH
-from split_cli.vehicle.effects.term import Term
+from split_cli.vehicle.effects.late import Lagging
+from split_cli.vehicle.effects.search import LAG_SEARCH, Course, Search
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["FeatureLag"]
 
-_SHORTEST = 1e-3  # time constant that is stepped as it stands [s]; the neutral value 0 is followed at once
 
-
-class FeatureLag(Term):
+class FeatureLag(Lagging):
     """Slip angles and torque behind a first-order lag, as features; no force depends on them.
 
     Each state follows its source: tau y' = source - y, steady at each start. Training uses the states as features
@@ -21,11 +19,13 @@ class FeatureLag(Term):
     """
 
     id = "feature_lag"
-    units: ClassVar = {"tau": "s"}
-    neutral: ClassVar = {"tau": 0.0}
     order = 9
     states = ("alpha_f", "alpha_r", "torque")
     state_units: ClassVar = {"alpha_f": "rad", "alpha_r": "rad", "torque": "N m"}
+
+    @classmethod
+    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        return None
 
     @classmethod
     def limits(cls, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
@@ -33,14 +33,8 @@ class FeatureLag(Term):
         slowest = LAG_SEARCH.ranges["tau"].widened(0.0)
         return {"tau": (slowest.lower, slowest.upper)}
 
-    def fastest_rate(self, speed: float) -> float:
-        """Return 1/tau."""
-        return 1.0 / max(self.parameters["tau"], _SHORTEST)
-
     def lateral(self, flow: Flow) -> None:
         """Follow both slip angles and the torque that arrives."""
-        tau = self.parameters["tau"]
-        rate = 1.0 / (max(tau, _SHORTEST) if isinstance(tau, int | float) else tau)
-        self.first_order(flow, "alpha_f", flow.front.slip_angle, rate)
-        self.first_order(flow, "alpha_r", flow.rear.slip_angle, rate)
-        self.first_order(flow, "torque", flow.T, rate)
+        self.first_order(flow, "alpha_f", flow.front.slip_angle, self.rate)
+        self.first_order(flow, "alpha_r", flow.rear.slip_angle, self.rate)
+        self.first_order(flow, "torque", flow.T, self.rate)
