@@ -135,6 +135,14 @@ def make_drive(
     return Drive(name, columns, number.astype(np.int32), period, sha256=f"{seed:064d}")
 
 
+def one_run(columns: dict[str, np.ndarray], period: float, name: str = "drive", **about: Any) -> Drive:
+    """Return a drive of one run, from t = 0 unless columns say so; v_y, r, T and delta are 0 if not given."""
+    count = len(columns["vx"])
+    still = {channel: np.zeros(count) for channel in ("vy", "r", "T", "delta")}
+    whole = {"t": period * np.arange(count), **still, **columns}
+    return Drive(name, whole, np.zeros(count, dtype=np.int32), period, **about)
+
+
 def write_garage(folder: Path, drives: int = 2, **made: object) -> Path:
     """Write a car, a heavier one, and drives ``d0.parquet``, ... of the first, as `make_drive` makes them."""
     write_vehicle(road_car(), folder / "car.yaml")

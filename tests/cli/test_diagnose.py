@@ -12,11 +12,11 @@ from split_cli.diagnosis.statement.document import diagnosis_to_text
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, GapSeries
 from split_cli.errors import VehicleError
 from split_cli.files import sha256_of_file
-from split_cli.logs.drive import Drive, read_drive, write_drive
+from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import EffectSpec, vehicle_file, write_vehicle
 from split_cli.workflows import diagnose as workflow
-from tests.factories import make_drive, road_car
+from tests.factories import make_drive, one_run, road_car
 
 VERDICTS = {
     "match": Diagnosis(
@@ -92,9 +92,7 @@ def test_a_match_tells_what_would_have_been_named(monkeypatch):
 
 def test_a_vehicle_of_the_library_is_named_and_hashed_by_its_file(tmp_path):
     # Too short to judge, so that nothing but the reading of files takes time.
-    t = 0.01 * np.arange(200)
-    columns = {name: np.zeros_like(t) for name in ("vy", "r", "T", "delta")} | {"t": t, "vx": 5.0 + 0.0 * t}
-    write_drive(Drive("short", columns, np.zeros(len(t), dtype=np.int32), 0.01), tmp_path / "short.parquet")
+    write_drive(one_run({"vx": np.full(200, 5.0)}, 0.01, "short"), tmp_path / "short.parquet")
     said = workflow.diagnose_files([tmp_path / "short.parquet"], "tum_sim", tmp_path / "out")
     assert said.verdict == "undecided"
     (vehicle,) = [one for one in said.inputs if one.role == "vehicle"]
@@ -105,9 +103,7 @@ def test_a_vehicle_of_the_library_is_named_and_hashed_by_its_file(tmp_path):
 def test_what_a_long_diagnosis_takes_is_told_beforehand(tmp_path):
     told = {}
     for rows in (200, 40_000):
-        t = 0.01 * np.arange(rows)
-        columns = {name: np.zeros_like(t) for name in ("vy", "r", "T", "delta")} | {"t": t, "vx": 5.0 + 0.0 * t}
-        write_drive(Drive("long", columns, np.zeros(rows, dtype=np.int32), 0.01), tmp_path / "long.parquet")
+        write_drive(one_run({"vx": np.full(rows, 5.0)}, 0.01, "long"), tmp_path / "long.parquet")
         told[rows] = []
         workflow.diagnose_files([tmp_path / "long.parquet"], "tum_sim", tmp_path / "out", note=told[rows].append)
     more = [text for text in told[40_000] if "more than 1 GB of memory" in text]
@@ -128,8 +124,7 @@ def test_the_gap_stands_beside_labels_that_know_where_effects_act(tmp_path):
     climb = EffectSpec("road_grade", {"angle": 0.05, "s_start": 50.0, "s_end": 150.0}, "stretch")
     t = 0.01 * np.arange(1001)
     zero = np.zeros_like(t)
-    columns = {"t": t, "X": 20.0 * t, "Y": zero, "yaw": zero, "vx": 20.0 + zero, "vy": zero, "r": zero}
-    drive = Drive("real.parquet", {**columns, "T": zero, "delta": zero}, np.zeros(len(t), dtype=np.int32), 0.01)
+    drive = one_run({"X": 20.0 * t, "Y": zero, "yaw": zero, "vx": 20.0 + zero}, 0.01, "real.parquet")
     at = np.arange(2, len(t), 4)
     nowhere, three = np.full(len(at), np.nan), np.zeros((len(at), 3))
     gap = GapSeries(

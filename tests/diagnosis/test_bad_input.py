@@ -16,7 +16,7 @@ from split_cli.logs.drive import Drive, DriveMetadata, read_drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.tire import MagicFormula
-from tests.factories import make_drive, road_car
+from tests.factories import make_drive, one_run, road_car
 
 NOISE = {"X": 0.01, "Y": 0.01, "yaw": 0.001, "vx": 0.01, "vy": 0.01, "r": 0.002}
 
@@ -155,14 +155,13 @@ def test_too_short_says_how_long_it_has_to_be(real, simulated):
 
 
 def cruising(seed: int) -> Drive:
-    rng, zero = np.random.default_rng(seed), np.zeros(4000)
-    car = road_car()
+    rng, zero, car = np.random.default_rng(seed), np.zeros(4000), road_car()
     force = car.rolling_resistance_front + car.rolling_resistance_rear + car.drag_coefficient * 400.0
     columns = {
-        "t": 0.02 * np.arange(4000), "X": 0.4 * np.arange(4000), "Y": zero, "yaw": zero, "vx": zero + 20.0,
-        "vy": zero, "r": zero, "T": zero + force * car.wheel_radius, "delta": 1e-4 * rng.standard_normal(4000),
+        "X": 0.4 * np.arange(4000), "Y": zero, "yaw": zero, "vx": zero + 20.0,
+        "T": zero + force * car.wheel_radius, "delta": 1e-4 * rng.standard_normal(4000),
     }  # fmt: skip
-    return noisy(Drive(f"cruise{seed}.parquet", columns, np.zeros(4000, dtype=np.int32), 0.02), seed)
+    return noisy(one_run(columns, 0.02, f"cruise{seed}.parquet"), seed)
 
 
 def test_straight_constant_driving_says_what_would_show_something():
@@ -338,7 +337,7 @@ class TestWheelThatIsHeld:
         rate = rate + yaw_rate_beside_speed * np.sin(2.0 * np.pi * t / 7.0)
         steer = np.where(t < 1.0, 0.0, 0.08)
         columns = {"t": t, "vx": speed, "vy": 0.9 * rate, "r": rate, "T": 50.0 * np.sin(t), "delta": steer}
-        return Drive("circle", columns, np.zeros(len(t), dtype=np.int32), 0.01)
+        return one_run(columns, 0.01, "circle")
 
     def test_a_circle_is_kept_whole_and_a_lost_steer_angle_is_left_out(self):
         kept, notes = cleaned(self.circle(0.0))
@@ -362,7 +361,7 @@ class TestSpeedThatIsHeld:
             "t": t, "vx": speed, "vy": -0.2 * rate, "r": rate, "T": np.sin(t), "delta": 0.3 * rate, "yaw": yaw,
             "X": np.cumsum(true * np.cos(yaw)) * 0.02, "Y": np.cumsum(true * np.sin(yaw)) * 0.02,
         }  # fmt: skip
-        return Drive("slalom", columns, np.zeros(len(t), dtype=np.int32), 0.02)
+        return one_run(columns, 0.02, "slalom")
 
     def test_what_the_path_confirms_is_kept_with_the_position_of_a_car_at_rest(self):
         kept, notes = cleaned(self.slalom(braking=False))

@@ -13,14 +13,13 @@ from split_cli.diagnosis.verdict.improvement import _bootstrap, improvable_remov
 from split_cli.diagnosis.verdict.label_errors import label_errors
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
-from split_cli.logs.drive import Drive
 from split_cli.scoring.rollouts import roll_out
 from split_cli.vehicle.effects import CATALOGUE, build_terms
 from split_cli.vehicle.integration import Situation, integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
 from tests.diagnosis.recordings import SIGMA, driven, light_evidence, noisy, prepared, recorded
-from tests.factories import road_car
+from tests.factories import one_run, road_car
 
 RESISTANCE = CATALOGUE["rolling_resistance"]({"force": 450.0})
 
@@ -148,14 +147,8 @@ def test_a_stretch_of_road_acts_where_it_lies():
         states.append(state[0])
         places.append(s)
     velocity = np.array(states)
-    columns = {
-        "t": period * np.arange(count),
-        "s": np.array(places),
-        "T": np.zeros(count),
-        "delta": np.zeros(count),
-    }
-    columns |= dict(zip(("vx", "vy", "r"), velocity.T, strict=True))
-    drive = Drive("climb", columns, np.zeros(count, dtype=np.int32), period)
+    columns = {"s": np.array(places), **dict(zip(("vx", "vy", "r"), velocity.T, strict=True))}
+    drive = one_run(columns, period, "climb")
     starts = np.array([0, 60, 200])
     path = roll_out(model, drive, starts, 40, 5)[:, -1, 0]
     flat = roll_out(SingleTrack(road_car()), drive, starts, 40, 5)[:, -1, 0]

@@ -9,6 +9,7 @@ from split_cli.diagnosis.recording.kinematics import build_kinematics, usual_par
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from tests.diagnosis.recordings import bare_objective, faulty, light_evidence, noisy, prepared
+from tests.factories import one_run
 
 POSITION = 0.01  # standard deviation of X and Y [m]
 
@@ -63,8 +64,8 @@ def test_a_straight_line_by_hand(nominal_drive):
     count = 1001
     zero, t = np.zeros(count), 0.01 * np.arange(count)
     columns = {"t": t, "X": 20.0 * t * np.cos(0.4), "Y": 20.0 * t * np.sin(0.4), "yaw": zero + 0.4, "s": 20.0 * t}
-    columns |= {"vx": zero + 20.0 * np.cos(0.01), "vy": zero - 20.0 * np.sin(0.01), "r": zero}
-    drive = Drive("straight", {**columns, "T": zero, "delta": zero}, np.zeros(count, dtype=np.int32), 0.01)
+    columns |= {"vx": zero + 20.0 * np.cos(0.01), "vy": zero - 20.0 * np.sin(0.01)}
+    drive = one_run(columns, 0.01, "straight")
     kinematics = build_kinematics(prepared(drive))
     np.testing.assert_allclose(kinematics.difference(()), 0.5 * 20.0 * np.sin(0.01), rtol=1e-9)
     right = (CATALOGUE["sensor_misalignment"]({"angle": 0.01}),)

@@ -20,7 +20,7 @@ from split_cli.diagnosis.verdict.power import (
 )
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.factories import make_drive, road_car
+from tests.factories import make_drive, one_run, road_car
 
 
 def test_what_a_big_effect_would_make_is_hidden(nominal_objective, nominal_series):
@@ -94,7 +94,7 @@ def circles(noise: float, *, frozen: bool = False) -> Drive:
         "t": t, "vx": speed + rng.normal(0.0, noise, 6000), "vy": rng.normal(0.0, noise, 6000),
         "r": r + rng.normal(0.0, 0.1 * noise, 6000), "T": 100.0 * np.sin(t), "delta": np.full(6000, 0.03),
     }  # fmt: skip
-    return Drive("circles.parquet", columns, np.zeros(6000, dtype=np.int32), 0.01)
+    return one_run(columns, 0.01, "circles.parquet")
 
 
 def test_a_steer_angle_held_on_purpose_is_not_frozen():

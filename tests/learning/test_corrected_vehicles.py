@@ -19,7 +19,7 @@ from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import label_drive
 from split_cli.workflows.recordings import RecordingCorrection
-from tests.factories import road_car
+from tests.factories import one_run, road_car
 
 CAR = road_car()
 PATCH = EffectSpec("friction_patch", {"scale": 0.7, "s_start": 150.0, "s_end": 400.0})
@@ -49,7 +49,7 @@ def recorded() -> Drive:
     assert place > 420.0
     sensor = CATALOGUE["sensor_lever_arm"](dict(LEVER.parameters))
     columns = sensor.corrupt(columns, Recording.single(PERIOD, count))
-    return Drive("real.parquet", columns, np.zeros(count, dtype=np.int32), PERIOD)
+    return one_run(columns, PERIOD, "real.parquet")
 
 
 def residual(drive: Drive, vehicle, folder) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:

@@ -16,7 +16,7 @@ from split_cli.logs.drive import Drive, open_drive, read_drive, write_drive
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
-from tests.factories import MissingForce, make_drive, road_car
+from tests.factories import MissingForce, make_drive, one_run, road_car
 
 CAR = road_car()
 
@@ -30,17 +30,7 @@ def pushed_straight(speed: float, force: float, horizon: float, samples: int = 1
     for _ in range(samples):
         state = integrate_recorded(model, state, np.zeros((1, 2)), np.zeros((1, 2)), period, 200)
         states.append(state)
-    vx, vy, r = np.concatenate(states).T
-    count = samples + 1
-    columns = {
-        "t": np.arange(count) * period,
-        "vx": vx,
-        "vy": vy,
-        "r": r,
-        "T": np.zeros(count),
-        "delta": np.zeros(count),
-    }
-    return Drive("pushed", columns, np.zeros(count, dtype=np.int32), period)
+    return one_run(dict(zip(("vx", "vy", "r"), np.concatenate(states).T, strict=True)), period, "pushed")
 
 
 def front_and_rear(y: np.ndarray) -> tuple[float, float]:

@@ -7,7 +7,7 @@ import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.checking.consistency import Consistency, check_consistency
-from split_cli.logs.drive import Drive
+from tests.factories import one_run
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
 DEGREES = 180.0 / np.pi
@@ -265,18 +265,8 @@ def test_at_a_steady_speed_neither_sideslip_nor_corners_are_faults_of_scale(side
     yaw = np.cumsum(r) * 0.01
     steps = np.stack([vx * np.cos(yaw) - vy * np.sin(yaw), vx * np.sin(yaw) + vy * np.cos(yaw)]) * 0.01
     x, y = np.cumsum(steps, axis=1)
-    columns = {
-        "t": t,
-        "vx": vx,
-        "vy": vy,
-        "r": r,
-        "T": np.sin(t),
-        "delta": 0.1 * np.sin(t),
-        "X": x,
-        "Y": y,
-        "yaw": yaw,
-    }
-    made = Drive("steady", columns, np.zeros(len(t), dtype=np.int32), 0.01)
+    columns = {"vx": vx, "vy": vy, "r": r, "T": np.sin(t), "delta": 0.1 * np.sin(t), "X": x, "Y": y, "yaw": yaw}
+    made = one_run(columns, 0.01, "steady")
     assert "scale" not in {finding.check for finding in check_consistency(made, None, {}).findings}
 
 
@@ -291,7 +281,7 @@ def test_a_drive_that_cannot_tell_a_course_from_a_yaw_is_not_said_to_have_one(sp
     )
     columns = {"t": t, "vx": vx, "vy": vy, "r": rate + 0.0 * t, "X": X, "Y": Y, "yaw": yaw,
                "delta": np.full(len(t), 0.01), "T": 100.0 * np.cos(t)}  # fmt: skip
-    drive = Drive("sim", columns, np.zeros(len(t), dtype=np.int32), 0.02)
+    drive = one_run(columns, 0.02, "sim")
     assert "course" not in {
         f.check for f in check_consistency(drive, PlantedDrive().vehicle, {}, frozenset()).findings
     }

@@ -8,6 +8,7 @@ import pytest
 from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
 from split_cli.logs.laps import first_lap, lap_numbers
+from tests.factories import one_run
 
 
 def circle(laps: float, noise: float = 0.0, radius: float = 40.0, speed: float = 10.0) -> Drive:
@@ -16,16 +17,12 @@ def circle(laps: float, noise: float = 0.0, radius: float = 40.0, speed: float =
     angle = speed * t / radius
     rng = np.random.default_rng(3)
     columns = {
-        "t": t,
         "X": radius * np.sin(angle) + noise * rng.normal(size=len(t)),
         "Y": radius * (1.0 - np.cos(angle)) + noise * rng.normal(size=len(t)),
         "vx": np.full(len(t), speed),
-        "vy": np.zeros(len(t)),
         "r": np.full(len(t), speed / radius),
-        "T": np.zeros(len(t)),
-        "delta": np.zeros(len(t)),
     }
-    return Drive("circle", columns, np.zeros(len(t), dtype=np.int32), period)
+    return one_run(columns, period, "circle")
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])

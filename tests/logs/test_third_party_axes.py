@@ -8,11 +8,11 @@ from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drafting.draft import quoted
 from split_cli.logs.drafting.suggest import draft_map, render_draft
-from split_cli.logs.drive import Drive
 from split_cli.logs.raw import RawSignal, TableRecording, time_column, unit_of_time
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.together import open_together
 from split_cli.logs.signal_map import map_from_mapping
+from tests.factories import one_run
 from tests.logs.planted import PlantedDrive, planted_map
 from tests.logs.test_third_party_styles import DEG, G, Style, bearing, compare, degrees_of, written
 from tests.optional import needed
@@ -96,7 +96,7 @@ def test_ingest_says_that_a_velocity_is_along_the_world(planted, hand, known):
     columns = {"t": t, "vx": east, "vy": hand * north, "delta": c["delta"], "T": c["T"]}
     columns |= {name: c[name] for name in ("r", *known)}
     kinds = {} if "r" in known else {"r": "derived: nothing"}
-    drive = Drive("log", columns, np.zeros(len(t), dtype=np.int32), 0.01)
+    drive = one_run(columns, 0.01, "log")
     findings = check_consistency(drive, planted.vehicle, kinds).findings
     assert [(f.check, f.channel) for f in findings] == [("world", "vx"), ("world", "vy")]
 
@@ -105,9 +105,8 @@ def test_a_car_that_drifts_with_half_a_radian_of_sideslip_is_along_its_own_axes(
     t = np.arange(0.0, 60.0, 0.01)
     r = planted.at("r", t)
     speed, slip = planted.at("vx", t), -0.5 * r / np.max(np.abs(r))
-    columns = {"t": t, "vx": speed * np.cos(slip), "vy": speed * np.sin(slip), "r": r,
-               "delta": 0.0 * t, "T": 0.0 * t}  # fmt: skip
-    drive = Drive("log", columns, np.zeros(len(t), dtype=np.int32), 0.01)
+    columns = {"vx": speed * np.cos(slip), "vy": speed * np.sin(slip), "r": r}
+    drive = one_run(columns, 0.01, "log")
     kinds = {"delta": "derived: nothing", "T": "derived: nothing"}
     assert not [f for f in check_consistency(drive, None, kinds).findings if f.check == "world"]
 

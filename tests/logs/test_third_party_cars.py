@@ -10,11 +10,11 @@ from split_cli.logs.assembling.gather import row_rate_from_path
 from split_cli.logs.checking.checks import NOT_RECORDED
 from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drafting.suggest import draft_map, render_draft
-from split_cli.logs.drive import Drive
 from split_cli.logs.raw import unit_of_time
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import read_map
 from split_cli.workflows.ingesting.init import init_project
+from tests.factories import one_run
 from tests.logs.test_third_party_loggers import table
 
 DEG, G = 180.0 / np.pi, 9.80665
@@ -53,11 +53,10 @@ def test_wheels_of_one_axle_are_in_one_unit_though_a_circle_makes_one_of_them_sl
     t = np.arange(0.0, 60.0, 0.02)
     vx = 6.0 + 2.0 * np.sin(0.4 * t)
     r = vx / 10.0
-    still = np.zeros_like(t)
-    columns = {"t": t, "vx": vx, "vy": still, "r": r, "T": still, "delta": still}
+    columns = {"vx": vx, "r": r}
     columns |= {f"wheel_speed_f{side}": 3.6 * (vx + hand * HALF_TRACK * r) for side, hand in (("l", -1), ("r", 1))}
     kinds = dict.fromkeys(("vy", "T", "delta"), NOT_RECORDED)
-    drive = Drive("log", columns, np.zeros(len(t), dtype=np.int32), 0.02)
+    drive = one_run(columns, 0.02, "log")
     texts = [f.text for f in check_consistency(drive, planted.vehicle, kinds).findings if "wheel" in f.channel]
     assert texts and not any("ft/s" in text for text in texts)
     assert any("km/h" in text for text in texts)
@@ -160,11 +159,10 @@ def test_damaged_samples_are_no_wrong_unit(planted, driven):
     t, c = driven
     damaged = c["r"].copy()
     damaged[np.arange(len(t)) % 400 < 4] = 300.0
-    columns = {"t": t, "vx": c["vx"], "vy": np.zeros(len(t)), "T": np.zeros(len(t)), "delta": np.zeros(len(t))}
     kinds = dict.fromkeys(("vy", "T", "delta"), NOT_RECORDED)
 
     def findings(r):
-        drive = Drive("log", {**columns, "r": r}, np.zeros(len(t), dtype=np.int32), 0.02)
+        drive = one_run({"vx": c["vx"], "r": r}, 0.02, "log")
         return [f.text for f in check_consistency(drive, planted.vehicle, kinds).findings]
 
     assert not any("deg/s" in text for text in findings(damaged))

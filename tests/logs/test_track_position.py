@@ -4,6 +4,7 @@ import numpy as np
 
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import build_reference, places_of
+from tests.factories import one_run
 
 
 def circle(radius: float, speed: float, laps: float, seed: int, start: float = 0.0) -> Drive:
@@ -12,17 +13,14 @@ def circle(radius: float, speed: float, laps: float, seed: int, start: float = 0
     angle = start + speed * t / radius
     n = len(t)
     columns = {
-        "t": t,
         "X": radius * np.sin(angle) + rng.normal(0, 0.02, n),
         "Y": radius * (1 - np.cos(angle)) + rng.normal(0, 0.02, n),
         "yaw": angle + rng.normal(0, 0.001, n),
         "vx": speed + rng.normal(0, 0.02, n),
         "vy": rng.normal(0, 0.02, n),
         "r": np.full(n, speed / radius),
-        "T": np.zeros(n),
-        "delta": np.zeros(n),
     }
-    return Drive(f"circle {seed}", columns, np.zeros(n, np.int32), 0.01)
+    return one_run(columns, 0.01, f"circle {seed}")
 
 
 def test_a_closed_path_has_the_length_of_its_circle():
@@ -54,11 +52,8 @@ def test_without_position_places_are_dead_reckoned_and_have_no_lap():
 def test_an_open_path_keeps_its_own_arc_length():
     t = np.arange(0.0, 30.0, 0.01)
     zero = np.zeros(len(t))
-    columns = {
-        "t": t, "X": 15.0 * t, "Y": zero, "yaw": zero,
-        "vx": zero + 15.0, "vy": zero, "r": zero, "T": zero, "delta": zero,
-    }  # fmt: skip
-    ((s, _),), lap = places_of([Drive("road", columns, np.zeros(len(t), np.int32), 0.01)], 2.7)
+    columns = {"X": 15.0 * t, "Y": zero, "yaw": zero, "vx": zero + 15.0}
+    ((s, _),), lap = places_of([one_run(columns, 0.01, "road")], 2.7)
     assert lap is None
     np.testing.assert_allclose(s, 15.0 * t, atol=1e-9)
 
@@ -67,9 +62,8 @@ def test_a_drive_that_leaves_an_open_path_has_places_on_it_alone():
     t = np.arange(0.0, 20.0, 0.01)
 
     def straight(begin: float, speed: float) -> Drive:
-        columns = {name: np.zeros(len(t)) for name in ("Y", "yaw", "vy", "r", "T", "delta")}
-        columns |= {"t": t, "X": begin + speed * t, "vx": np.full(len(t), speed)}
-        return Drive("straight", columns, np.zeros(len(t), np.int32), 0.01)
+        columns = {"X": begin + speed * t, "Y": 0.0 * t, "yaw": 0.0 * t, "vx": np.full(len(t), speed)}
+        return one_run(columns, 0.01, "straight")
 
     # The first ten seconds lie before the path begins.
     (_, (s, reference)), lap = places_of([straight(0.0, 10.0), straight(-100.0, 10.0)], 2.7)

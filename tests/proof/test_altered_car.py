@@ -13,6 +13,7 @@ from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
+from tests.factories import one_run
 
 VEHICLE = Vehicle(
     "car", 1500.0, 2500.0, 1.2, 1.5, 0.3, 0.5, 0.6, MagicFormula(9.0, 1.3, 8000.0),
@@ -65,7 +66,7 @@ def _drive(vehicle: Vehicle) -> Drive:
         "t": _AT, "X": x, "Y": y, "yaw": yaw, "vx": vx, "vy": vy, "r": r, "T": torque, "delta": _steer(_AT),
         "ax": dvx - vy * r, "ay": dvy + vx * r,
     }  # fmt: skip
-    return Drive("car", columns, np.zeros(len(_AT), dtype=np.int32), 0.01, DriveMetadata())
+    return one_run(columns, 0.01, "car")
 
 
 @pytest.fixture(scope="module")

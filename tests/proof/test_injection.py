@@ -11,14 +11,11 @@ from split_cli.proof.altered_car import ALTERATIONS
 from split_cli.proof.injection import FAULTS, faults_for, faults_of_sizes, inject, split_in_blocks, split_in_halves
 from split_cli.proof.outcome import Statement
 from split_cli.proof.windows import window_errors
-from split_cli.vehicle.parameters import Vehicle, write_vehicle
-from split_cli.vehicle.tire import MagicFormula
+from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.proving.prove_recording import prove_recording
+from tests.factories import one_run, road_car
 
-VEHICLE = Vehicle(
-    "car", 1500.0, 2500.0, 1.2, 1.5, 0.3, 0.5, 0.6, MagicFormula(9.0, 1.3, 8000.0),
-    MagicFormula(10.0, 1.3, 6500.0), 2000.0, 5000.0, drag_coefficient=0.4,
-)  # fmt: skip
+VEHICLE = road_car()
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +28,7 @@ def drive() -> Drive:
         "r": 0.25 * np.sin(0.7 * t - 0.2), "T": 800 * np.sin(0.9 * t), "delta": steer,
     }  # fmt: skip
     kinds = {"T": "command", "delta": "command"}
-    return Drive("real", columns, np.zeros(len(t), dtype=np.int32), 0.01, DriveMetadata(kinds=kinds))
+    return one_run(columns, 0.01, "real", metadata=DriveMetadata(kinds=kinds))
 
 
 # An accelerometer's bias leaves what the velocities tell, and another car drives elsewhere: see test_altered_car.

@@ -14,7 +14,7 @@ from split_cli.scoring.handling.whiteness import autocorrelation
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
-from tests.factories import road_car
+from tests.factories import one_run, road_car
 
 PERIOD = 0.01
 CAR = road_car()
@@ -31,9 +31,7 @@ def driven(vehicle: Vehicle, delta: np.ndarray, speed: np.ndarray) -> Drive:
         state = integrate_recorded(model, state, torque, np.array([[delta[k], delta[ahead]]]), PERIOD)
         state[0, 0] = speed[ahead]
     vx, vy, r = np.array(rows).T
-    t = PERIOD * np.arange(len(delta))
-    columns = {"t": t, "vx": vx, "vy": vy, "r": r, "T": np.zeros_like(t), "delta": delta}
-    return Drive("made.parquet", columns, np.zeros(len(t), dtype=np.int32), PERIOD)
+    return one_run({"vx": vx, "vy": vy, "r": r, "delta": delta}, PERIOD, "made.parquet")
 
 
 def gentle(seconds: float = 60.0, seed: int = 0, size: float = 0.008) -> np.ndarray:

@@ -9,12 +9,11 @@ from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
 from split_cli.scoring.evaluation import HeldOutSamples
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
-from tests.factories import make_drive, road_car
+from tests.factories import make_drive, one_run, road_car
 
 
 def clock(rows: int, period: float = 0.02) -> Drive:
-    columns = {name: np.zeros(rows) for name in ("vx", "vy", "r", "T", "delta")}
-    return Drive("clock", {"t": np.arange(rows) * period, **columns}, np.zeros(rows, np.int32), period)
+    return one_run({"vx": np.zeros(rows)}, period, "clock")
 
 
 @pytest.mark.parametrize(

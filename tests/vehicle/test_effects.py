@@ -10,15 +10,10 @@ from split_cli.vehicle.operations import NUMPY
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
+from tests.factories import road_car
 from tests.term_examples import EXAMPLES
 
-CAR = Vehicle(
-    name="test car", mass=1500.0, yaw_inertia=2600.0, cg_to_front_axle=1.25, cg_to_rear_axle=1.45,
-    wheel_radius=0.31, drive_split_front=0.4, brake_split_front=0.66,
-    front_tire=MagicFormula(11.0, 1.45, 7900.0), rear_tire=MagicFormula(12.5, 1.45, 6800.0),
-    max_torque=2500.0, max_brake_torque=6500.0, rolling_resistance_front=90.0, rolling_resistance_rear=80.0,
-    drag_coefficient=0.42, cg_height=0.55,
-)  # fmt: skip
+CAR = road_car(max_brake_torque=6500.0, cg_height=0.55)
 A, B = CAR.cg_to_front_axle, CAR.cg_to_rear_axle
 G = 9.80665
 

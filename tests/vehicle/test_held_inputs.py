@@ -10,7 +10,7 @@ from split_cli.vehicle.effects.recording import first_order_from_means, first_or
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import recorded_inputs
-from tests.factories import road_car
+from tests.factories import one_run, road_car
 
 PERIOD, FINE = 0.02, 40
 
@@ -115,15 +115,14 @@ def test_windows_resume_from_the_memory_of_a_staircase():
 
 def test_compiled_labels_agree_with_the_reference_for_every_course_of_the_inputs():
     from split_cli.learning.labels import nominal_errors
-    from split_cli.logs.drive import Drive
 
     rng = np.random.default_rng(4)
     count = 200
     columns = {
-        "t": PERIOD * np.arange(count), "vx": 20.0 + staircase(rng, count, 1.0), "vy": staircase(rng, count, 0.3),
+        "vx": 20.0 + staircase(rng, count, 1.0), "vy": staircase(rng, count, 0.3),
         "r": staircase(rng, count, 0.2), "T": staircase(rng, count, 500.0), "delta": staircase(rng, count, 0.05),
     }  # fmt: skip
-    plain = Drive("plain", columns, np.zeros(count, dtype=np.int32), PERIOD)
+    plain = one_run(columns, PERIOD, "plain")
     model, starts = SingleTrack(road_car()), np.arange(0, 190, 3)
     found = {}
     for held in ((), ("T",), ("delta",), ("T", "delta")):
@@ -137,11 +136,10 @@ def test_compiled_labels_agree_with_the_reference_for_every_course_of_the_inputs
 
 def test_a_stated_course_is_kept_in_files_and_a_wrong_one_is_told(tmp_path):
     from split_cli.errors import DriveError
-    from split_cli.logs.drive import Drive, DriveMetadata, read_drive, unstated_inputs, write_drive
+    from split_cli.logs.drive import DriveMetadata, read_drive, unstated_inputs, write_drive
 
-    columns = {name: np.zeros(5) for name in ("vx", "vy", "r", "T", "delta")} | {"t": PERIOD * np.arange(5)}
     metadata = DriveMetadata(between={"T": "held", "r": "held"})
-    drive = Drive("d", columns, np.zeros(5, dtype=np.int32), PERIOD, metadata)
+    drive = one_run({"vx": np.zeros(5)}, PERIOD, "d", metadata=metadata)
     write_drive(drive, tmp_path / "d.parquet")
     back = read_drive(tmp_path / "d.parquet")
     assert back.held == ("T",)
