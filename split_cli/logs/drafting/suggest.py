@@ -8,25 +8,20 @@ import numpy as np
 
 from split_cli.errors import SplitError
 from split_cli.logs.assembling.clean import newest_first
-from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.gather import fitting_presets
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.drafting.axes import without_other_axes, without_the_world
+from split_cli.logs.drafting.candidates import candidates_of
 from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
-from split_cli.logs.drafting.draft import UNITS_OF, Draft, Suggestion, quoted, render_draft
-from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_no_measurement, is_of_a_command
+from split_cli.logs.drafting.draft import Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.handedness import what_tells_left, without_a_side
-from split_cli.logs.drafting.nameless import is_of_a_state, named_by_motion
+from split_cli.logs.drafting.nameless import named_by_motion
 from split_cli.logs.drafting.naming import (
-    COMMANDED,
     Meaning,
     is_command,
     meanings,
-    named_by_axis,
-    named_without_source,
-    spelled_without_unit,
     stated_unit,
     words_of,
 )
@@ -46,7 +41,7 @@ from split_cli.logs.drafting.table_layout import hints_on_the_form
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity, unit_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.drafting.wheels import PARTS, note_on_engine, sums_of_torques, torques_alike
+from split_cli.logs.drafting.wheels import PARTS, note_on_engine, torques_alike
 from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, time_column, turned
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
@@ -79,7 +74,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     as clearly the best explanation; what they do not settle is left open or marked.
     """
     infos = recording.channels()
-    candidates = _candidates(recording, infos)
+    candidates = candidates_of(recording, infos)
     if not any(c.channel in _OF_MOTION for c in candidates):
         candidates += named_by_motion(recording, infos)
     triples = names_of_triples(infos)
@@ -93,17 +88,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     candidates = with_units_of_multiples(candidates, signals)
     trial = Trial(signals, time, vehicle, known)
     trial.torques = torques_alike(candidates)
-    opened: list[Suggestion] = []
-    usable: dict[str, list[TrialCandidate]] = {}
-    copies = copies_of_others(candidates, signals)
-    for candidate in candidates:
-        reason = trial.unusable(candidate) or copies.get(candidate.sources, "")
-        if reason:
-            opened.append(Suggestion(candidate.channel, candidate.sources, status="open", reason=reason))
-        else:
-            usable.setdefault(candidate.channel, []).append(candidate)
-    _only_measured(usable, opened)
-    opened += without_other_axes(usable, trial, lambda candidate: _first_guess(candidate, trial))
+    usable, opened = _usable(candidates, trial)
     chosen = _choose(usable, trial)
     while world := without_the_world(usable, chosen, trial):  # a receiver and an inertial unit may both give one
         opened += world
@@ -111,25 +96,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     corrected, consistency = _with_rivals_that_fit(*correct(chosen, trial), usable, trial)
     corrected = as_others_turn(as_siblings(corrected, consistency), consistency)
     line += "".join(f"   # CHECK: {f.text}" for f in consistency.findings if f.channel == "time")
-    suggestions = [with_status(s, corrected, consistency) for s in corrected.values()]
-    suggestions = [s for s in suggestions if s.channel not in ("delta", "steering_wheel_angle", *_HELPERS)]
-    suggestions = [_as_course(s, consistency, trial, corrected) if s.channel == "yaw" else s for s in suggestions]
-    in_doubt = {s.channel for s in suggestions if s.status == "open"}
-    clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
-    turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
-    steering = read_steering(corrected, turning, vehicle, Suggestion)
-    hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
-    alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
-             "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate, "yaw": read_yaw}  # fmt: skip
-    suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
-    suggestions = [unit_by_gravity(s, triples, signals) for s in suggestions]
-    suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
-    suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
-    suggestions = _in_pairs(without_the_tilted(suggestions))
-    suggestions = [
-        read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions
-    ]
-    suggestions += [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
+    suggestions = _judged(corrected, consistency, trial, infos, triples)
     taken = {name for s in suggestions for name in s.sources}
     known = {s.channel for s in suggestions}
     left_out, opened = opened, [s for s in opened if s.channel not in known and not set(s.sources) & taken]
@@ -145,6 +112,57 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     presets = fitting_presets(recording, still)
     whole = (*suggestions, *dict.fromkeys(opened))
     return Draft(whole, line, unused, tuple(undefined), left_by, hints, by_gravity, presets)
+
+
+def _usable(
+    candidates: Sequence[TrialCandidate], trial: Trial
+) -> tuple[dict[str, list[TrialCandidate]], list[Suggestion]]:
+    """Return the candidates of each channel that the data allow, and the others as open, with the reason."""
+    opened: list[Suggestion] = []
+    usable: dict[str, list[TrialCandidate]] = {}
+    copies = copies_of_others(candidates, trial.signals)
+    for candidate in candidates:
+        reason = trial.unusable(candidate) or copies.get(candidate.sources, "")
+        if reason:
+            opened.append(Suggestion(candidate.channel, candidate.sources, status="open", reason=reason))
+        else:
+            usable.setdefault(candidate.channel, []).append(candidate)
+    _only_measured(usable, opened)
+    opened += without_other_axes(usable, trial, lambda candidate: _first_guess(candidate, trial))
+    return usable, opened
+
+
+def _judged(
+    corrected: Mapping[str, Suggestion],
+    consistency: Consistency,
+    trial: Trial,
+    infos: Sequence[RawChannelInfo],
+    triples: Sequence[tuple[str, str, str]],
+) -> list[Suggestion]:
+    """Return what the map says of each channel: by the checks, then, where these are silent, by its own values.
+
+    The steering comes last, read by the motion that is not in doubt.
+    """
+    suggestions = [with_status(s, corrected, consistency) for s in corrected.values()]
+    suggestions = [s for s in suggestions if s.channel not in ("delta", "steering_wheel_angle", *_HELPERS)]
+    suggestions = [_as_course(s, consistency, trial, corrected) if s.channel == "yaw" else s for s in suggestions]
+    in_doubt = {s.channel for s in suggestions if s.status == "open"}
+    clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
+    turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
+    steering = read_steering(corrected, turning, trial.vehicle, Suggestion)
+    hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
+    alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
+             "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate, "yaw": read_yaw}  # fmt: skip
+    suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
+    suggestions = [unit_by_gravity(s, triples, trial.signals) for s in suggestions]
+    suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
+    suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
+    suggestions = _in_pairs(without_the_tilted(suggestions))
+    suggestions = [
+        read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions
+    ]
+    steered = [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
+    return [*suggestions, *steered]
 
 
 def suggest_map(recording: RawRecording, *, row_rate: float | None = None, vehicle: Vehicle | None = None) -> str:
@@ -213,110 +231,6 @@ def _changes_with_the_fix(s: Suggestion, trial: Trial) -> bool:
 def _first_meaning(name: str) -> str:
     """Return the channel that a column's name means first; empty where it means none."""
     return next((meaning.channel for meaning in meanings(RawChannelInfo(name, "column", None))), "")
-
-
-def _candidates(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:
-    """Return what names and units suggest; a unit of another quantity rules a channel out."""
-    time = None if recording.clocks else time_column(infos)
-    found: list[TrialCandidate] = []
-    for channel, sources, convert in field_candidates(infos):
-        # Messages of ROS are in SI by its conventions (REP 103), positions of a fix in degrees.
-        unit = "deg" if channel in ("latitude", "longitude") else expected_unit(channel)
-        info = next((i for i in infos if i.name == sources[0]), None)
-        stated = stated_unit(info) if info is not None else None
-        fixed = bool(convert) or channel in ("latitude", "longitude")
-        by_convention = stated is None and not fixed and info is not None and "/" in info.type_name
-        unit = unit if fixed or by_convention else None
-        asked = info is not None and asks_by_type(info)
-        found.append(TrialCandidate(channel, sources, 3, stated or unit, convert, by_convention, asked=asked))
-    by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
-    renamed = named_without_source(infos) | named_by_axis(infos)
-    for info in infos:
-        if info == time or info.type_name == "text" or info.name in by_field or is_of_a_state(info, infos):
-            continue
-        if is_no_measurement(info):
-            continue
-        unit = stated_unit(info)
-        asked = info.name.startswith("/") and is_of_a_command(info.name.rpartition("/")[0])
-        for meaning in meanings(renamed.get(info.name, info)):
-            channel = meaning.channel
-            if asked and channel not in COMMANDED:
-                continue
-            si = getattr(find_unit(unit), "si", None) if unit else None
-            if channel == "brake" and si == "Pa":
-                channel = "brake_pressure"
-            if channel in ("yaw", "r") and si in ("rad", "rad/s"):
-                channel = "yaw" if si == "rad" else "r"  # some call the rate yaw, as the axis
-            expected = UNITS_OF.get(channel) or expected_unit(channel)
-            turning = channel.startswith("wheel_speed") and si == "rad/s"
-            turning = turning or (channel in ("delta", "steering_wheel_angle") and unit == "%")
-            if si is not None and expected is not None and si != expected and not turning:
-                continue
-            foreign = info.unit if info.unit and unit is None else ""
-            weight = meaning.weight - info.name.startswith("_")
-            found.append(TrialCandidate(channel, (info.name,), weight, unit, foreign_unit=foreign))
-    bare = {spelled_without_unit(info): info for info in infos if info.type_name != "text"}
-    for u, v in (("u", "v"), ("U", "V"), ("Vl", "Vq"), ("vl", "vq"), ("v_l", "v_q"), ("V_l", "V_q")):
-        if u in bare and v in bare:
-            # Beside a u, v is the lateral velocity of the textbooks; q is quer, German for it.
-            found = [c for c in found if c.sources not in ((bare[v].name,), (bare[u].name,))]
-            found += [TrialCandidate("vx", (bare[u].name,), 2, stated_unit(bare[u])),
-                      TrialCandidate("vy", (bare[v].name,), 2, stated_unit(bare[v]))]  # fmt: skip
-    numbers = [info for info in infos if info.type_name != "text"]
-    lowered = {spelled_without_unit(info).lower(): info for info in numbers}
-    lowered |= {"_".join(words_of(info.name)): info for info in numbers}
-    for north, east in (("x_n", "y_e"), ("pos_n", "pos_e"), ("p_n", "p_e"), ("pn", "pe"), ("utm_n", "utm_e")):
-        if north in lowered and east in lowered:
-            # y_E alone may be an error; beside x_N it is east.
-            pair = {"X": lowered[east], "Y": lowered[north]}
-            found = [c for c in found if c.sources[0] not in {info.name for info in pair.values()}]
-            found += [TrialCandidate(c, (info.name,), 3, info.unit) for c, info in pair.items()]
-    fix = {c.channel: c.sources for c in reversed(found) if c.channel in ("latitude", "longitude")}
-    if len(fix) == 2:
-        # Beside a latitude, lon is no longitudinal acceleration.
-        found = [c for c in found if c.channel in fix or c.sources not in fix.values()]
-    return [*_signed(found, infos), *_fixes(found)]
-
-
-_SIGN_WORDS = frozenset({"vz", "vorzeichen", "sign", "sgn"})
-
-
-def _signed(found: Sequence[TrialCandidate], infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:
-    """Join a size with the column of its sign: named alike but for a word that says sign, as CAN data bases do."""
-    signs = {}
-    for info in infos:
-        words = tokens_of(info.name)
-        if _SIGN_WORDS & set(words):
-            signs[tuple(w for w in words if w not in _SIGN_WORDS)] = info.name
-    made = []
-    for c in found:
-        sign = signs.get(tuple(tokens_of(c.sources[0]))) if not c.convert and len(c.sources) == 1 else None
-        if sign is None or sign == c.sources[0]:
-            made.append(c)
-        else:
-            made.append(replace(c, sources=(c.sources[0], sign), convert="signed"))
-    return made
-
-
-def _fixes(found: Sequence[TrialCandidate]) -> list[TrialCandidate]:
-    """Return X and Y from latitude and longitude, sums of wheel torques and brake pressures."""
-    first = {c.channel: c for c in reversed(found) if c.channel in ("latitude", "longitude")}
-    made = []
-    if len(first) == 2:
-        pair = (first["latitude"].sources[0], first["longitude"].sources[0])
-        made += [TrialCandidate("X", pair, 2, "m", "local_x"), TrialCandidate("Y", pair, 2, "m", "local_y")]
-    made += sums_of_torques(found)
-    sides = {side: c for c in found if c.channel == "delta" for side in ("fl", "fr", "left", "right")
-             if side in concepts_of(tokens_of(c.sources[0]))[0] and not is_command(c.sources[0])}  # fmt: skip
-    for left, right in (("fl", "fr"), ("left", "right")):
-        if left in sides and right in sides and sides[left].unit == sides[right].unit:
-            both = (sides[left].sources[0], sides[right].sources[0])
-            made.append(TrialCandidate("delta", both, 4, sides[left].unit, "pair_mean"))
-    pressures = [c for c in found if c.channel == "brake_pressure"]
-    if len(pressures) == 2:
-        both = tuple(c.sources[0] for c in pressures)
-        made.append(TrialCandidate("brake_pressure", both, 4, pressures[0].unit, "sum"))
-    return made
 
 
 def _read(
