@@ -1,7 +1,7 @@
 """Plant mistakes in a log, alone and in pairs, ingest it with a vehicle file, and print what is said of each.
 
-Example: ``python -m tests.studies.planted_logs genesis.parquet --vehicle genesis``. Unlike
-`tests.studies.mistakes`, which changes a drive's columns, the whole of ingest runs: clocks, delays, wheel speeds.
+Example: ``python -m tests.studies.planted_logs genesis.parquet --vehicle genesis``. The whole of ingest runs, with
+clocks, delays and wheel speeds.
 
 Of each case the table says: *right*, the words of the mistake are said of its channel; *told*, something new is
 said, also that a relation is not judged; *silent*; and *false*, a channel without a mistake is blamed.
