@@ -57,28 +57,30 @@ def check_consistency(
     """
     checks = Checks(drive.columns, drive, vehicle, kinds, certain)
     constant = checks.constant_channels()
-    if look_swapped(checks):
-        return Consistency(tuple([*constant, swap_finding(checks)]), (), tuple(checks.unjudged))
-    world = along_the_world(checks)
-    if world:
-        return Consistency(tuple([*constant, *world]), (), tuple(checks.unjudged))
-    checks.measure_relations()
-    clock = changed_clock(checks)
-    if clock:
-        return Consistency(tuple([*constant, *clock]), (), tuple(checks.unjudged))
+    spoilt = [swap_finding(checks)] if look_swapped(checks) else along_the_world(checks)
+    if not spoilt:
+        checks.measure_relations()
+        spoilt = changed_clock(checks)
+    if spoilt:
+        # Of exchanged channels, velocities along the world and a clock that is off nothing else can be told.
+        return Consistency((*constant, *spoilt), (), tuple(checks.unjudged))
     explanation = explain(checks.relations, vehicle, checks.magnitudes())
     found, factors, finer = list(explanation.findings), dict(explanation.factors), checks
-    vy_judged = any(relation.name == ACROSS for relation in checks.relations)
+    vy_judged = _is_across_judged(checks)
     shared = {channel: factors[channel] for channel in _IN_OTHERS if channel in factors}
+    if {"X", "hand", "yaw"} & set(shared):
+        # What was derived from the pose before it was right judges nobody.
+        kinds = {c: NOT_RECORDED if is_derived(kind) else kind for c, kind in kinds.items()}
+
+    def of(columns: Mapping[str, np.ndarray]) -> Checks:
+        return Checks(columns, drive, vehicle, kinds, certain)
+
     if shared:
-        if {"X", "hand", "yaw"} & set(shared):
-            # What was derived from the pose before it was right judges nobody.
-            kinds = {c: NOT_RECORDED if is_derived(kind) else kind for c, kind in kinds.items()}
         # The path may judge v_y now; where it does not, v_y has the unit of v_x.
         for judged in (True, False):
-            finer = Checks(corrected_columns(drive.columns, shared, judged), drive, vehicle, kinds, certain)
+            finer = of(corrected_columns(drive.columns, shared, judged))
             finer.measure_relations()
-            vy_judged = vy_judged or any(relation.name == ACROSS for relation in finer.relations)
+            vy_judged = vy_judged or _is_across_judged(finer)
             if vy_judged:
                 break
         again = explain(finer.relations, vehicle, finer.magnitudes())
@@ -91,32 +93,57 @@ def check_consistency(
         reported, unjudged = tuple([*constant, *found]), tuple(dict.fromkeys(checks.unjudged))
         return Consistency(reported, _plain(checks), unjudged, factors, explanation.cost)
     if factors:
-        corrected = Checks(corrected_columns(drive.columns, factors, vy_judged), drive, vehicle, kinds, certain)
+        corrected = of(corrected_columns(drive.columns, factors, vy_judged))
         corrected.unjudged, finer = finer.unjudged, corrected
     wrong = {finding.channel for finding in found} - set(factors) - ({"X"} if "hand" in factors else set())
+    # Whether v_y has the unit of v_x is open: a place that only one of the two gives is none.
+    in_doubt = "vx" in factors and not vy_judged and not {"vx", "r"} & wrong
+    as_it_is = of({**finer.k.columns, "vy": drive.columns["vy"]}) if in_doubt else None
+    findings = _with_compass(_fine(finer, as_it_is, wrong, [*constant, *found]))
+    unjudged = dict.fromkeys([*checks.unjudged, *finer.unjudged])
+    return Consistency(findings, _plain(checks), tuple(unjudged), factors, explanation.cost)
+
+
+def _is_across_judged(checks: Checks) -> bool:
+    return any(relation.name == ACROSS for relation in checks.relations)
+
+
+def _fine(
+    finer: Checks, as_it_is: Checks | None, wrong: Collection[str], findings: Sequence[ConsistencyFinding]
+) -> list[ConsistencyFinding]:
+    """Return findings with those of the finer checks: places, biases, grip, sides and directions.
+
+    Parameters
+    ----------
+    finer : Checks
+        Of the columns with what is known put right.
+    as_it_is : Checks or None
+        The same with v_y as recorded, where that may be right.
+    wrong : collection of str
+        Channels that are off by what nothing tells: they judge no other.
+    findings : sequence of ConsistencyFinding
+        Those so far.
+    """
     exchanged = exchanged_accelerations(finer)
-    findings = [*constant, *found, *exchanged]
+    findings = [*findings, *exchanged]
     if "vx" not in wrong:
         findings += speed_jumps(finer)
-    if not {"vx", "r"} & wrong:
-        placed = place_of_lateral_velocity(finer, not {"ay", "vy"} & wrong)
-        if "vx" in factors and not vy_judged and placed:
-            # Whether v_y has the unit of v_x is open: a place that only one of the two gives is none.
-            as_it_is = Checks({**finer.k.columns, "vy": drive.columns["vy"]}, drive, vehicle, kinds, certain)
-            placed = place_of_lateral_velocity(as_it_is, not {"ay", "vy"} & wrong) and placed
+    if not {"vx", "r"} & set(wrong):
+        across_is_right = not {"ay", "vy"} & set(wrong)
+        placed = place_of_lateral_velocity(finer, across_is_right)
+        if as_it_is is not None and placed:
+            placed = place_of_lateral_velocity(as_it_is, across_is_right) and placed
         # Of a v_y that is off by what nothing tells, neither bias nor grip can be told.
         findings += [f for f in finer.straight_line() if f.channel != "vy" or "vy" not in wrong]
         findings += [*placed, *(finer.grip() if "vy" not in wrong else ())]
     if "r" not in wrong:
         findings += finer.wheel_sides()
-    if not {"X", "Y", "yaw"} & wrong:
+    if not {"X", "Y", "yaw"} & set(wrong):
         useless = [*velocity_across(finer), *velocity_along(finer)]
         findings += [*direction_of_travel(finer, not useless), *useless, *yaw_is_course(finer)]
     # Along another axis, an acceleration tells nothing of a tilt or a bias.
     along = {finding.channel for finding in exchanged}
-    findings = [f for f in findings if f in exchanged or f.channel not in along or f.check == "constant"]
-    unjudged = dict.fromkeys([*checks.unjudged, *finer.unjudged])
-    return Consistency(_with_compass(findings), _plain(checks), tuple(unjudged), factors, explanation.cost)
+    return [f for f in findings if f in exchanged or f.channel not in along or f.check == "constant"]
 
 
 def _plain(checks: Checks) -> tuple[Relation, ...]:

@@ -182,24 +182,32 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     # What agrees with a channel that no car's can be has it for a companion, not for a judge.
     beyond = {f.channel for f in verdict.findings if f.check == "range"}
     holding = [r for r in verdict.relations if r.holds and keys & set(r.powers) and not beyond & set(r.powers)]
-    notes = [f.text for f in verdict.findings if f.channel == s.channel]
     remark = f"{s.reason}; " if s.reason else ""
+    unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
     if _agree_in_any_unit(s, chosen, verdict):
-        unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
         return replace(
             s, unit=unit, reason=f"{remark}unit not stated, {unit} assumed: r and yaw agree in degrees too"
         )
     if holding:
+        notes = [f"; note: {f.text}" for f in verdict.findings if f.channel == s.channel]
         shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])
-        return replace(s, status="judged", reason=f"{remark}{shown}{'; note: ' + notes[0] if notes else ''}")
+        return replace(s, status="judged", reason=f"{remark}{shown}{''.join(notes[:1])}")
     if s.status == "stated":
         return replace(s, reason=f"{'; ' + s.reason if s.reason else ''}")
-    unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
+    return replace(s, unit=unit, reason=f"{_assumed(s, unit)}, and {_who_could_judge(s, verdict)}")
+
+
+def _assumed(s: Suggestion, unit: str) -> str:
+    """Say what is taken for granted of a unit that nothing judges, behind what was said of the channel."""
+    if s.reason.endswith(_STATED):
+        return s.reason
     assumed = "unit not stated" if s.unit else f"unit not stated, {unit} assumed"
     if s.foreign_unit and not s.unit:
         assumed = f"the file says {s.foreign_unit!r}, which is no known unit; {unit} assumed"
+    return f"{s.reason}; {assumed}" if s.reason else assumed
+
+
+def _who_could_judge(s: Suggestion, verdict: Consistency) -> str:
+    """Say which check would have judged a channel, and why it could not."""
     tried = next((u for u in verdict.unjudged if u.check.startswith(_SYMBOLS.get(s.channel, "-"))), None)
-    if s.reason.endswith(_STATED):
-        remark, assumed = "", s.reason
-    judge = f"not judged ({tried.check}: {tried.reason})" if tried is not None else "nothing judges it"
-    return replace(s, unit=unit, reason=f"{remark}{assumed}, and {judge}")
+    return f"not judged ({tried.check}: {tried.reason})" if tried is not None else "nothing judges it"

@@ -238,17 +238,10 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
     if c & {"steer", "handwheel", "torque", "throttle", "brake", "pressure", "current", "engine"}:
         return None
     if corner is not None:
-        # A wheel's spin is its rate about the lateral axis (CarSim: AVy_L1).
-        other = "angle" in c or "angular" in c and c & {"long", "up", "acceleration"}
-        spins = {"angular", "lat"} <= c or ("velocity" in c or "wheel" in c) and not other
-        return (f"wheel_speed_{corner}", 3) if spins else None
+        return (f"wheel_speed_{corner}", 3) if _spins(c) else None
     turning = "yaw" in c or ("up" in c and bool(c & {"rate", "angular"} or {"angle", "velocity"} <= c))
     if "acceleration" in c:
-        if "angular" in c or "yaw" in c or "up" in c:
-            return None
-        if c == {"acceleration"}:
-            return "ax", 1
-        return ("ax", 3) if "long" in c else ("ay", 3) if c & {"lat", *_SIDES} else None
+        return _acceleration(c)
     if turning and c & {"rate", "velocity", "angular"}:
         return ("r", 3) if not c & {"long", "lat"} else None
     if c == {"angle", "up"}:
@@ -261,6 +254,24 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
         return ("sideslip", 2) if c <= {"slip", "angle"} else None
     if "velocity" in c or "linear" in c:
         return _velocity(c)
+    return _position(c)
+
+
+def _spins(c: set[str]) -> bool:
+    """Whether the words of a wheel are its spin: its rate about the lateral axis (CarSim: AVy_L1)."""
+    other = "angle" in c or "angular" in c and c & {"long", "up", "acceleration"}
+    return {"angular", "lat"} <= c or ("velocity" in c or "wheel" in c) and not other
+
+
+def _acceleration(c: set[str]) -> tuple[str, int] | None:
+    if c & {"angular", "yaw", "up"}:
+        return None
+    if c == {"acceleration"}:
+        return "ax", 1
+    return ("ax", 3) if "long" in c else ("ay", 3) if c & {"lat", *_SIDES} else None
+
+
+def _position(c: set[str]) -> tuple[str, int] | None:
     if c & {"east", "north"}:
         return ("X", 3) if "east" in c else ("Y", 3)
     if "position" in c:
@@ -286,17 +297,7 @@ def _input(c: set[str]) -> tuple[str, int] | None:
     if "pressure" in c:
         return ("brake_pressure", 3) if "brake" in c else None
     if "torque" in c:
-        if c <= {"torque", "engine"} and "engine" in c:
-            return "engine_torque", 3
-        if c & {"steer", "handwheel", "yaw"} or ("engine" in c and not c & {"wheel", "road"}):
-            return None  # the driver's hand, or before the gearbox
-        if "brake" in c and "drive" not in c:
-            return None
-        if corner is not None:
-            return "wheel_torque", 3
-        if c & {"front", "rear"}:
-            return "axle_torque", 3
-        return "T", 3 if c & {"wheel", "drive"} else 2
+        return _torque(c, corner)
     if c & {"rate", "velocity", "acceleration", "slip"}:
         return None
     if "handwheel" in c:
@@ -315,3 +316,17 @@ def _input(c: set[str]) -> tuple[str, int] | None:
     if {"engine", "current"} <= c:
         return "motor_current", 2
     return None
+
+
+def _torque(c: set[str], corner: str | None) -> tuple[str, int] | None:
+    if c <= {"torque", "engine"} and "engine" in c:
+        return "engine_torque", 3
+    if c & {"steer", "handwheel", "yaw"} or ("engine" in c and not c & {"wheel", "road"}):
+        return None  # the driver's hand, or before the gearbox
+    if "brake" in c and "drive" not in c:
+        return None
+    if corner is not None:
+        return "wheel_torque", 3
+    if c & {"front", "rear"}:
+        return "axle_torque", 3
+    return "T", 3 if c & {"wheel", "drive"} else 2
