@@ -4,16 +4,24 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parent.parent / "split_cli"
 
 
-def test_no_two_classes_share_a_name():
+@pytest.fixture(scope="module")
+def nodes() -> list[tuple[Path, ast.AST]]:
+    """Every node of the code of every module."""
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(ROOT.rglob("*.py"))}
+    return [(path.relative_to(ROOT), node) for path, tree in trees.items() for node in ast.walk(tree)]
+
+
+def test_no_two_classes_share_a_name(nodes):
     """One name, one meaning: a reader who meets a class knows which one it is."""
     where: dict[str, list[str]] = {}
-    for path in sorted(ROOT.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ClassDef):
-                where.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    for path, node in nodes:
+        if isinstance(node, ast.ClassDef):
+            where.setdefault(node.name, []).append(str(path))
     assert {name: places for name, places in where.items() if len(places) > 1} == {}
 
 
@@ -50,15 +58,26 @@ def test_no_test_patches_a_private_name():
     assert not patched
 
 
-def test_words_that_mean_nothing_are_no_names():
+def test_words_that_mean_nothing_are_no_names(nodes):
     """What is "told" is a finding, a note, a remark, a document or what labels taught: a name says which."""
     named = []
-    for path in sorted(ROOT.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [getattr(node, word, None) for word in ("id", "arg", "attr", "name")]
-            named += [
-                f"{path.name}: {one}"
-                for one in names
-                if isinstance(one, str) and {"told", "stranger", "strangers"} & set(one.lower().split("_"))
-            ]
+    for path, node in nodes:
+        names = [getattr(node, word, None) for word in ("id", "arg", "attr", "name")]
+        named += [
+            f"{path.name}: {one}"
+            for one in names
+            if isinstance(one, str) and {"told", "stranger", "strangers"} & set(one.lower().split("_"))
+        ]
     assert not named
+
+
+def test_plain_is_a_kind_of_label(nodes):
+    """As a parameter, an attribute or a field the word means the paper's plain difference, and nothing else."""
+    others = []
+    for path, node in nodes:
+        named = getattr(node, "arg", None) or getattr(node, "attr", None)
+        if isinstance(node, ast.AnnAssign) and isinstance(node.value, ast.Call):
+            named = getattr(node.target, "id", None)
+        if named == "plain" and path.parts[0] not in ("learning", "scoring", "export", "workflows", "cli"):
+            others.append(f"{path}:{node.lineno}")
+    assert not others

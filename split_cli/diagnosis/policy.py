@@ -121,7 +121,7 @@ class SelectionRules:
         "size of a term, from scores block by block, from which on it need not save in enough blocks of time",
         CHOSEN,
     )
-    plain: float = number(
+    above_noise: float = number(
         1.0,
         "effect-to-noise ratio",
         "size from which on a term need not either, and a remainder is unexplained however large the gap",

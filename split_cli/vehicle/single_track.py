@@ -69,12 +69,12 @@ class SingleTrack:
         ops: Operations = NUMPY,
         states: Mapping[str, Any] | None = None,
         recording: Any = None,
-        plain: Flow | None = None,
+        bare: Flow | None = None,
     ) -> Flow:
         """Evaluate every stage and return the flow with all forces, before the balance.
 
         Parameters are arrays of one shape, in the units of `Flow`. With `recording` they are a whole recording,
-        shape (N,), and states and delays are solved along it. `plain` is a flow of the same vehicle without terms
+        shape (N,), and states and delays are solved along it. `bare` is a flow of the same vehicle without terms
         at the very same arrays: what the terms leave as it was is taken from there instead of being computed anew.
         """
         car = self.vehicle
@@ -82,15 +82,15 @@ class SingleTrack:
         for term in self.terms:
             term.body(flow)
         front, rear = flow.front, flow.rear
-        self._turn(flow, plain)
-        if plain is not None and flow.T is plain.T:
-            front.longitudinal_force = plain.front.longitudinal_force
-            rear.longitudinal_force = plain.rear.longitudinal_force
+        self._turn(flow, bare)
+        if bare is not None and flow.T is bare.T:
+            front.longitudinal_force = bare.front.longitudinal_force
+            rear.longitudinal_force = bare.rear.longitudinal_force
         else:
             front.longitudinal_force, rear.longitudinal_force = self._longitudinal_forces(flow.T, ops)
         for term in self.terms:
             term.tire(flow)
-        known_axles = (None, None) if plain is None else (plain.front, plain.rear)
+        known_axles = (None, None) if bare is None else (bare.front, bare.rear)
         for axle, known in zip((front, rear), known_axles, strict=True):
             if known is not None and same_curve(axle, known):
                 axle.lateral_force = known.lateral_force
@@ -134,23 +134,23 @@ class SingleTrack:
         return flow
 
     @staticmethod
-    def _turn(flow: Flow, plain: Flow | None) -> None:
+    def _turn(flow: Flow, bare: Flow | None) -> None:
         """Take where the wheels point: sine and cosine of the steer angle, and slip angles."""
         ops = flow.ops
-        if plain is not None and flow.delta is plain.delta:
-            flow.sine, flow.cosine = plain.sine, plain.cosine
+        if bare is not None and flow.delta is bare.delta:
+            flow.sine, flow.cosine = bare.sine, bare.cosine
         else:
             flow.sine, flow.cosine = ops.sin(flow.delta), ops.cos(flow.delta)
         alike = ("vx", "vy", "r", "l_f", "l_r")
-        if plain is None or any(getattr(flow, name) is not getattr(plain, name) for name in alike):
+        if bare is None or any(getattr(flow, name) is not getattr(bare, name) for name in alike):
             flow.front.slip_angle, flow.rear.slip_angle = slip_angles(
                 flow.vx, flow.vy, flow.r, flow.delta, flow.l_f, flow.l_r, ops
             )
             return
         # The axles move as they did: steering turns but the front one.
-        turned = plain.front.slip_angle
-        flow.front.slip_angle = turned if flow.delta is plain.delta else turned + (flow.delta - plain.delta)
-        flow.rear.slip_angle = plain.rear.slip_angle
+        turned = bare.front.slip_angle
+        flow.front.slip_angle = turned if flow.delta is bare.delta else turned + (flow.delta - bare.delta)
+        flow.rear.slip_angle = bare.rear.slip_angle
 
     def _longitudinal_forces(self, T: Any, ops: Operations) -> tuple[Any, Any]:
         """Return F_fx and F_rx [N]: SPLIT paper, longitudinal tire forces, with a split of its own for T < 0."""

@@ -31,7 +31,7 @@ def test_what_a_big_effect_would_make_is_hidden(nominal_objective, nominal_serie
         for one in (value, 1.0 / value)
     )
     # Nobody knows to which side a hidden ratio would be; on the nominal grip's curve more of it does less.
-    assert STANDARD.selection.plain < more < less
+    assert STANDARD.selection.above_noise < more < less
     (hidden,) = hidden_effects(nominal_objective, [grip], 1.01 * less)
     assert (hidden.term, hidden.parameter, hidden.value) == ("friction_scale", "scale", pytest.approx(value))
     said = no_match_in_words(hidden, 1.01 * less)
@@ -50,7 +50,7 @@ def test_an_effect_that_would_have_been_named_does_not_hide(nominal_objective, n
     nearer = min((limits.lower, limits.upper), key=lambda end: abs(end - 1.0))
     big = 1.0 + STANDARD.abstention.greater_part * (nearer - 1.0)
     size = effect_to_noise_of_terms(nominal_objective, (inertia.build({"scale": big}),))
-    assert size > STANDARD.selection.plain
+    assert size > STANDARD.selection.above_noise
 
     def hides(scale: float | None = None) -> bool:
         known = [] if scale is None else [Detectable("yaw_inertia", {"scale": (scale, "1")})]

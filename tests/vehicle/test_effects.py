@@ -109,7 +109,7 @@ def test_what_a_term_leaves_as_it_was_may_be_taken_from_the_plain_flow(name, var
     plain = SingleTrack(CAR, ()).flow(**at)
     for terms in ((), (CATALOGUE[name](EXAMPLES[name, variant], variant),)):
         model = SingleTrack(CAR, terms)
-        taken = np.stack(model.balance(model.flow(**at, plain=plain)))
+        taken = np.stack(model.balance(model.flow(**at, bare=plain)))
         # Rounding only: where the steer angle is another, its difference is added to the plain slip angle.
         np.testing.assert_allclose(taken, np.stack(model.velocity_derivative(**at)), rtol=1e-12, atol=1e-12)
 
@@ -130,7 +130,7 @@ def test_the_plain_flow_spares_what_is_the_same(monkeypatch):
         (term("cg_shift", dx=0.02), ["slip_angles", "lateral_force", "lateral_force"]),
     ):
         counted.clear()
-        SingleTrack(CAR, (model,)).flow(**at, plain=plain)
+        SingleTrack(CAR, (model,)).flow(**at, bare=plain)
         assert counted == computed
 
 

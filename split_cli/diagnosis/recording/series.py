@@ -158,10 +158,10 @@ class Series:
         a sample: of a staircase they are exact. Place, time and yaw are those of the sample's begin.
         """
         if velocity is not None and velocity is not self.smooth:
-            plain = self._without_terms_at(velocity, model.vehicle)
+            bare = self._without_terms_at(velocity, model.vehicle)
         else:
-            plain = self._without_terms(model.vehicle)
-        return self._flow(model, plain.vx, plain.vy, plain.r, plain=plain) if model.terms else plain
+            bare = self._without_terms(model.vehicle)
+        return self._flow(model, bare.vx, bare.vy, bare.r, bare=bare) if model.terms else bare
 
     def inputs(self, model: SingleTrack, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what actuators make of torque [N m] and steer angle [rad], means over samples, (N,) each."""
@@ -169,8 +169,8 @@ class Series:
         flow = model.actuated(*velocity.T, self.torque, self.steer_angle, **self._situation)
         return flow.T + 0.0 * self.t, flow.delta + 0.0 * self.t
 
-    def _flow(self, model: SingleTrack, vx, vy, r, plain: Flow | None = None) -> Flow:
-        return model.flow(vx, vy, r, self.torque, self.steer_angle, **self._situation, plain=plain)
+    def _flow(self, model: SingleTrack, vx, vy, r, bare: Flow | None = None) -> Flow:
+        return model.flow(vx, vy, r, self.torque, self.steer_angle, **self._situation, bare=bare)
 
     @property
     def _situation(self) -> dict:
@@ -205,7 +205,7 @@ class Series:
             columns = map(np.ascontiguousarray, over_samples(velocity, self.recording).T)
             # Velocities are kept with their flow, so that no others can come to have their id. Wheels point where
             # they do at the recorded velocities.
-            return velocity, self._flow(SingleTrack(vehicle, ()), *columns, plain=self._without_terms(vehicle))
+            return velocity, self._flow(SingleTrack(vehicle, ()), *columns, bare=self._without_terms(vehicle))
 
         return self._flows_before((id(velocity), id(vehicle)), made)[1]
 

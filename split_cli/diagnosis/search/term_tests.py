@@ -34,7 +34,7 @@ def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rul
     agree = blocks_p(objective, fit, without) < objective.policy.comparison.level
     # Where one block outweighs the others the sandwich has no tail to speak of: then it has to be small by far.
     agree |= block_t(objective, fit, without) > rules.sure
-    return agree or term_size(objective, fit, k) > rules.plain
+    return agree or term_size(objective, fit, k) > rules.above_noise
 
 
 def block_t(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:

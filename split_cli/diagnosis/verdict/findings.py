@@ -288,7 +288,8 @@ def _is_unexplained(
     policy = outcome.structure.objective.policy
     least, selection = policy.allowances.unnamed, policy.selection
     large = max(
-        policy.allowances.large, min(selection.form_error_share * outcome.gap.effect_to_noise, selection.plain)
+        policy.allowances.large,
+        min(selection.form_error_share * outcome.gap.effect_to_noise, selection.above_noise),
     )
     if (
         is_autocorrelated(autocorrelation, outcome.known.autocorrelation, policy)

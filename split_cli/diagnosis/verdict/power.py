@@ -61,15 +61,15 @@ def hidden_effects(
     hides only where even this size of it would not have been named.
     """
     smallest = {one.term: one.parameters for one in detectable}
-    plain, found = objective.policy.selection.plain, {}
-    if gap_to_noise <= plain:
+    least, found = objective.policy.selection.above_noise, {}
+    if gap_to_noise <= least:
         return ()
     for one in candidates:
         for name, value, values in _big(one, objective.policy.abstention.greater_part):
             if _would_be_named(one, name, value, smallest.get(one.term, {})):
                 continue
             term = one.build(values)
-            if plain < effect_to_noise_of_terms(objective, (term,)) <= gap_to_noise:
+            if least < effect_to_noise_of_terms(objective, (term,)) <= gap_to_noise:
                 hidden = HiddenEffect(one.term, name, value, force_share(objective, term))
                 if one.term not in found or found[one.term].share < hidden.share:
                     found[one.term] = hidden

@@ -49,7 +49,7 @@ def chosen_simulation_parts(
     recordings: Sequence[tuple[Evidence, np.ndarray]],
     simulated: Sequence[Evidence],
     discrepancy: SharedDiscrepancy,
-    plain: Sequence[SharedRates | None],
+    bare: Sequence[SharedRates | None],
     named: Sequence[SharedRates | None],
     terms: Sequence[Term] = (),
 ) -> tuple[SimulationPart, SimulationPart]:
@@ -59,7 +59,7 @@ def chosen_simulation_parts(
     ----------
     recordings : sequence of (Evidence, ndarray of bool of shape (N,))
         Real recordings and which of their rows are held out; those are not looked at.
-    plain, named : sequence of SharedRates or None
+    bare, named : sequence of SharedRates or None
         All that the simulation knows along each recording, without and with terms.
 
     Notes
@@ -68,11 +68,11 @@ def chosen_simulation_parts(
     before; of the pairs of those that do, the one is taken that predicts the real drives' training time best. Both
     by `relative_error`.
     """
-    if any(one is None for one in plain):
+    if any(one is None for one in bare):
         return SimulationPart(), SimulationPart()
     believable = _that_predict_the_simulation(simulated, discrepancy)
     rows = [(one, ~held) for one, held in recordings]
-    before = _best(rows, plain, (), believable)
+    before = _best(rows, bare, (), believable)
     return before, _best(rows, named, terms, believable) if terms else before
 
 
