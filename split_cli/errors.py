@@ -2,11 +2,13 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 __all__ = [
     "OUR_FAULT", "ClockError", "DriveError", "ExportError", "LogError", "MapError", "NumericalRepairWarning",
-    "SetError", "SplitError", "VehicleError", "nearest_names", "printable", "spreadsheet_text",
+    "SetError", "SplitError", "VehicleError", "damaged", "nearest_names", "printable", "reason_of",
+    "spreadsheet_text",
 ]  # fmt: skip
 
 
@@ -115,6 +117,16 @@ def printable(text: str) -> str:
         return text
     unfit = [c for c in set(text) if not c.isprintable()]
     return text.translate({ord(c): f"\\x{ord(c):02x}" if ord(c) < 256 else f"\\u{ord(c):04x}" for c in unfit})
+
+
+def reason_of(error: BaseException) -> str:
+    """Return the first line of what a library's error says, 160 characters at most; its kind if it has none."""
+    return next(iter(str(error).splitlines()), "")[:160] or type(error).__name__
+
+
+def damaged(path: Path, error: BaseException, advice: str) -> LogError:
+    """Return the error of a recording that a format's library cannot read to its end."""
+    return LogError(f"is cut off or damaged ({reason_of(error)})", where=path.name, advice=advice)
 
 
 def spreadsheet_text(text: str) -> str:

@@ -8,7 +8,7 @@ import casadi
 import numpy as np
 
 from split_cli.compiled_code import cache_folder
-from split_cli.errors import ExportError
+from split_cli.errors import ExportError, reason_of
 from split_cli.export.compiler import find_compiler
 from split_cli.files import ScratchFolder
 
@@ -61,7 +61,7 @@ def compiled(function: casadi.Function) -> tuple[casadi.Function, str]:
     try:
         compiler, folder = find_compiler(), cache_folder()
     except ExportError as error:
-        return function, str(error).splitlines()[0]
+        return function, reason_of(error)
     if compiler is None or folder is None:
         return function, "no C compiler was found" if compiler is None else "no folder can hold compiled code"
     generator = casadi.CodeGenerator(function.name())
@@ -79,4 +79,4 @@ def compiled(function: casadi.Function) -> tuple[casadi.Function, str]:
                 os.replace(built, library)
         return casadi.external(function.name(), str(library)), ""
     except (ExportError, OSError, RuntimeError) as error:
-        return function, f"its C could not be built ({str(error).splitlines()[0]})"
+        return function, f"its C could not be built ({reason_of(error)})"

@@ -7,7 +7,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from split_cli.errors import ExportError
+from split_cli.errors import ExportError, reason_of
 from split_cli.export.memory import Memory, exported_model, memory_of
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.labels import DEFAULT_HORIZON
@@ -135,7 +135,7 @@ def _trace(model: SingleTrack, low_speed: float) -> _Trace:
         )
         rates = casadi.vertcat(*model.balance(flow))
     except (TypeError, NotImplementedError, RuntimeError, AttributeError) as error:
-        what = f"a term cannot be traced symbolically ({type(error).__name__}: {str(error).splitlines()[0]})"
+        what = f"a term cannot be traced symbolically ({type(error).__name__}: {reason_of(error)})"
         advice = "A term may use only the shared operations of split_cli.vehicle.operations."
         raise ExportError(what, where=where, advice=advice) from error
     silent = sorted(set(names) - set(flow.rates))

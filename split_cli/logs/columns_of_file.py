@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-from split_cli.errors import DriveError
+from split_cli.errors import DriveError, reason_of
 from split_cli.files import ScratchFolder
 from split_cli.logs.budget import refuse_many_columns
 from split_cli.signals import CHANNELS, convert_to_si, split_name_and_unit
@@ -101,9 +101,8 @@ class ColumnsOfFile(Mapping[str, np.ndarray]):
                 if at >= last:
                     break
         except (pa.ArrowException, OSError) as error:
-            reason = str(error).splitlines()[0][:160]
             advice = "Ingest the log again."
-            raise DriveError(f"is damaged ({reason})", where=str(self.path), advice=advice) from error
+            raise DriveError(f"is damaged ({reason_of(error)})", where=str(self.path), advice=advice) from error
         return out
 
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-from split_cli.errors import DriveError, nearest_names
+from split_cli.errors import DriveError, nearest_names, reason_of
 from split_cli.files import atomic_path, refuse_no_regular_file, sha256_of_file
 from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.columns_of_file import ColumnsOfFile, column_in_si, columns_of_csv
@@ -182,9 +182,8 @@ def read_drive(path: str | Path, held: Sequence[str] = ()) -> Drive:
     try:
         drive = _drive_from_table(_read_table(path), path)
     except (UnicodeDecodeError, pa.ArrowException) as error:  # text is decoded when it is asked for
-        reason = str(error).splitlines()[0][:160]
         advice = "Ingest the recording again."
-        raise DriveError(f"is damaged ({reason})", where=str(path), advice=advice) from error
+        raise DriveError(f"is damaged ({reason_of(error)})", where=str(path), advice=advice) from error
     return drive.with_held(held) if held else drive
 
 
@@ -232,7 +231,7 @@ def _read_table(path: Path) -> pa.Table:
                 refuse_many_columns(len(file.schema_arrow), str(path))
                 table = file.read()
     except (pa.ArrowInvalid, pa.ArrowException, OSError, ValueError) as error:
-        reason = str(error).splitlines()[0]
+        reason = reason_of(error)
         if "magic bytes not found" in reason:
             reason = "it is no Parquet file"
         advice = "A drive is the Parquet that `split ingest` writes. Give a recording to `split ingest` first."

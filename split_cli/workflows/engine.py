@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from split_cli.diagnosis.parallel import cores, use_threads
-from split_cli.errors import SplitError
+from split_cli.errors import SplitError, reason_of
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")
@@ -196,7 +196,7 @@ def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
                 client = stack.enter_context(Client(scheduler, timeout=5))
                 client.wait_for_workers(1, timeout=30)
         except (OSError, TimeoutError, ValueError) as error:
-            what = f"no Dask scheduler with workers answers ({str(error).splitlines()[0][:120]})"
+            what = f"no Dask scheduler with workers answers ({reason_of(error)})"
             advice = "Start one with `dask scheduler` and `dask worker`."
             raise SplitError(what, where=str(scheduler or "--engine dask"), advice=advice) from error
         workers = len(client.scheduler_info(n_workers=-1)["workers"])

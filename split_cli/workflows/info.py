@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from split_cli.errors import SplitError
+from split_cli.errors import SplitError, reason_of
 from split_cli.files import parse_json, refuse_no_regular_file
 
 
@@ -101,7 +101,7 @@ def _parquet(path: Path) -> FileDescription:
         if {"y_vx", "y_vy", "y_r", "reason"} <= set(names):
             reasons = pa.parquet.read_table(path, columns=["reason"])["reason"]
     except (pa.ArrowException, OSError, ValueError) as error:
-        what = f"is not a whole Parquet file ({str(error).splitlines()[0]})"
+        what = f"is not a whole Parquet file ({reason_of(error)})"
         raise SplitError(what, where=str(path), advice="Copy the file again, or make it anew.") from error
     if reasons is not None:
         counts = reasons.value_counts().to_pylist()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 
-from split_cli.errors import SplitError
+from split_cli.errors import SplitError, reason_of
 from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.logs.readers.numpy_arrays import is_array_folder
 from split_cli.logs.readers.opening import is_prose
@@ -101,7 +101,7 @@ def _in_one_line(address: str) -> Iterator[None]:
     except FileNotFoundError as error:
         raise SplitError("does not exist", where=_text(address)) from error
     except Exception as error:  # each file system has errors of its own: credentials, network, permission
-        reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        reason = reason_of(error)
         raise SplitError(f"cannot be read ({reason})", where=_text(address)) from error
 
 

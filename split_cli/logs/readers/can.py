@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, damaged, reason_of
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, nearest_column
 from split_cli.logs.readers.blf import is_cut_blf
@@ -79,9 +79,8 @@ def read_databases(paths: Sequence[Path]) -> Any:
         except LogError:
             raise
         except Exception as error:  # cantools has an error for each grammar
-            reason = str(error).splitlines()[0][:160]
             advice = "Give a DBC, ARXML, KCD or SYM file, as the car's maker or a CAN tool saves it."
-            what = f"cannot be read as a CAN database ({reason})"
+            what = f"cannot be read as a CAN database ({reason_of(error)})"
             raise LogError(what, where=str(path), advice=advice) from error
     database.refresh()
     return database
@@ -165,9 +164,7 @@ def _decode(
         raise
     except Exception as error:  # python-can passes on what damaged blocks lead to
         if not decoded:
-            reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-            what = f"is cut off or damaged ({reason})"
-            raise LogError(what, where=path.name, advice="Record it again.") from error
+            raise damaged(path, error, "Record it again.") from error
         unfit["(the file is cut off or damaged here)"] += 1
     lost += unread.count
     notes = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from split_cli.errors import LogError, nearest_names
+from split_cli.errors import LogError, nearest_names, reason_of
 from split_cli.files import read_text
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS
 
@@ -169,7 +169,7 @@ def _parse(type_name: str, schema_encoding: str, schema: bytes) -> dict[str, Any
     except (TypesysError, AssertionError, ValueError, KeyError, IndexError, RecursionError) as error:
         raise LogError(
             f"the definition of {type_name!r} stored in the recording ({schema_encoding}) cannot be parsed: "
-            f"{str(error).splitlines()[0][:160] if str(error) else type(error).__name__}",
+            f"{reason_of(error)}",
             advice="Record with ros2msg definitions, or give the type's .msg file with --msg-path.",
         ) from error
 

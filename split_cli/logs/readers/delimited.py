@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, reason_of
 from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import (
     LazyTableRecording,
@@ -409,7 +409,7 @@ def _numbers(texts: Any, decimal: str) -> tuple[np.ndarray, int]:
 
 
 def _unreadable(path: Path, error: Exception) -> LogError:
-    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+    reason = reason_of(error)
     if "straddl" in reason:
         reason = f"a row is longer than {_BLOCK_BYTES / 1e6:.0f} MB"
     advice = "Export it again, one row a line, the same separator throughout."

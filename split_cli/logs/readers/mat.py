@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, damaged
 from split_cli.logs import scratch
 from split_cli.logs.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
@@ -49,11 +49,11 @@ def open_mat(path: Path) -> RawRecording:
                 else:
                     leaves += [(name, _aside(values)) for name, values in _leaves(key, value, 0)]
     except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
-        raise _damaged(path, error) from error
+        raise damaged(path, error, "Save it again.") from error
     # SciPy only warns where it takes numbers for others, cannot read a variable or meets one a second time.
     lost = [str(warning.message) for warning in said if not issubclass(warning.category, DeprecationWarning)]
     if any("byte ordering" in text for text in lost):
-        raise _damaged(path, ValueError("numbers in an order of bytes that no PC writes"))
+        raise damaged(path, ValueError("numbers in an order of bytes that no PC writes"), "Save it again.")
     return _recording(path, leaves, objects, len(lost))
 
 
@@ -105,7 +105,7 @@ def open_mat_hdf5(path: Path) -> RawRecording:
     except LogError:
         raise
     except Exception as error:  # h5py passes on whatever the HDF5 library finds
-        raise _damaged(path, error) from error
+        raise damaged(path, error, "Save it again.") from error
     return _recording(path, leaves, objects, elsewhere=found.elsewhere)
 
 
@@ -289,8 +289,3 @@ def _recording(
     return recording_of_vectors(
         path, leaves, notes, "Save the signals as vectors: save('log.mat', 't', 'vx', 'vy').", "vector"
     )
-
-
-def _damaged(path: Path, error: Exception) -> LogError:
-    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-    return LogError(f"is cut off or damaged ({reason})", where=path.name, advice="Save it again.")

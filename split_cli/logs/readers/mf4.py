@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, damaged
 from split_cli.files import ScratchFolder, refuse_no_regular_file
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote, note_once
 from split_cli.logs.readers.probe import probe
@@ -82,7 +82,7 @@ def _open_within(path: Path, databases: Sequence[Path], copies: str, open_files:
             places = _places(file)
     except Exception as error:  # asammdf passes on whatever damaged blocks lead to
         _mark_closed(error)
-        raise _damaged(path, error) from error
+        raise damaged(path, error, "Record it again.") from error
     if not places:
         what = "holds no frame of a message that the database defines" if databases else "holds no channel"
         raise LogError(what, where=path.name, advice="Is it the file, and the DBC, of this drive?")
@@ -136,7 +136,7 @@ def _signal(
                 ),
             )
     except Exception as error:  # see open_mf4
-        raise _damaged(path, error) from error
+        raise damaged(path, error, "Record it again.") from error
     if values.dtype.kind not in "biuf" or values.ndim != 1:
         advice = "Map another channel; `split ingest LOG --list` shows all."
         raise LogError(f"channel {name!r} holds no numbers", where=path.name, advice=advice)
@@ -200,8 +200,3 @@ def _unit(text: str | None) -> str | None:
     stated = (text or "").strip()
     known = find_unit(stated) if stated else None
     return known.symbol if known else stated or None
-
-
-def _damaged(path: Path, error: Exception) -> LogError:
-    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-    return LogError(f"is cut off or damaged ({reason})", where=path.name, advice="Record it again.")

@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from split_cli.errors import LogError
+from split_cli.errors import damaged
 from split_cli.logs.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote
 from split_cli.logs.readers.vectors import is_time, recording_of_vectors
@@ -58,7 +58,7 @@ def open_npz(path: Path) -> RawRecording:
                 objects += values is None
                 leaves += _leaves(member.filename.removesuffix(".npy"), values)
     except (zipfile.BadZipFile, OSError, EOFError, ValueError, NotImplementedError) as error:
-        raise _damaged(path, error) from error
+        raise damaged(path, error, "Save it again.") from error
     return recording_of_vectors(path, leaves, _notes(path, objects), _NO_NUMBERS)
 
 
@@ -74,7 +74,7 @@ def open_npy(path: Path) -> RawRecording:
         try:
             values = _array(stream, path.stat().st_size, path.name)
         except (OSError, EOFError, ValueError) as error:
-            raise _damaged(path, error) from error
+            raise damaged(path, error, "Save it again.") from error
     leaves = _leaves("" if values is not None and values.dtype.names else path.stem, values)
     return recording_of_vectors(path, list(leaves), _notes(path, values is None), _NO_NUMBERS)
 
@@ -112,7 +112,7 @@ def open_array_folder(folder: Path) -> RawRecording:
                 try:
                     values = _array(stream, file.stat().st_size, file.name)
                 except (OSError, EOFError, ValueError) as error:
-                    raise _damaged(file, error) from error
+                    raise damaged(file, error, "Save it again.") from error
             objects += values is None
             leaves += _leaves(name, values)
         elif file.suffix.lower() == ".txt" and (numbers := _numbers_of_text(file)) is not None:
@@ -209,8 +209,3 @@ def _leaves(name: str, values: np.ndarray | None) -> Iterator[tuple[str, np.ndar
 
 def _notes(path: Path, objects: int) -> list[ReadNote]:
     return [ReadNote(_OBJECTS, path.name, int(objects))] if objects else []
-
-
-def _damaged(path: Path, error: Exception) -> LogError:
-    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-    return LogError(f"is cut off or damaged ({reason})", where=path.name, advice="Save it again.")

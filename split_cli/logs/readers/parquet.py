@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, reason_of
 from split_cli.logs.budget import MOST_FIELDS, Unfolded, refuse_many_columns, refuse_unpacked_size
 from split_cli.logs.raw import (
     LazyTableRecording,
@@ -203,7 +203,5 @@ def numbers_of(column: Any) -> np.ndarray:
 
 
 def _damaged(path: Path, kind: str, error: Exception) -> LogError:
-    reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
-    return LogError(
-        f"is cut off or damaged, or no {kind} file ({reason})", where=path.name, advice="Record it again."
-    )
+    what = f"is cut off or damaged, or no {kind} file ({reason_of(error)})"
+    return LogError(what, where=path.name, advice="Record it again.")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from split_cli.errors import SplitError
+from split_cli.errors import SplitError, reason_of
 from split_cli.files import parse_json, sha256_of_file
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS
@@ -38,7 +38,7 @@ def verify_parquet(path: Path) -> tuple[str, tuple[VerifiedItem, ...]]:
     try:
         names = set(pa.parquet.read_schema(path).names)
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise SplitError(f"is not a whole Parquet file ({str(error).splitlines()[0]})", where=str(path)) from error
+        raise SplitError(f"is not a whole Parquet file ({reason_of(error)})", where=str(path)) from error
     if {"drive", "y_vx", "y_vy", "y_r"} <= names:
         text, _ = read_gap(path)
         return "gap of a diagnosis", (VerifiedItem("pages", True, text),)
@@ -62,7 +62,7 @@ def read_gap(path: Path) -> tuple[str, set[str]]:
         table = pa.parquet.read_table(path, page_checksum_verification=True)
         drives = set(table["drive"].unique().to_pylist())
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise SplitError(str(error).splitlines()[0], where=str(path)) from error
+        raise SplitError(reason_of(error), where=str(path)) from error
     return f"{table.num_rows} rows, every page with a checksum has it right", drives
 
 
