@@ -1,6 +1,6 @@
 """The best explanation of what does not fit together, put into findings with evidence, remedy and rivals."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,9 +22,7 @@ def tell(
         # Mirrored as a whole, the pose and the car contradict each other alike: one question, told as one.
         rivals = [s for s in rivals if s is not opposite]
         world, car = (best, opposite) if best.axes == "world" else (opposite, best)
-        plain = tuple(m for m in best.shared if m.channel not in best.mirrored)
-        left = tuple(leaf for leaf in best.leaves if leaf.relation.leaf not in best.mirrored)
-        rest = replace(best, shared=plain, leaves=left, axes="")
+        rest = _without_the_mirrored(best)
         return [*_opposite_hands(world, car, broken), *tell(rest, rivals, relations, beyond)]
     others = [_in_words(story) for story in rivals]
     others = list(dict.fromkeys(others))[:3]
@@ -36,22 +34,9 @@ def tell(
     # What every story says is not in doubt.
     doubt = {m: "" if all(m in rival.mistakes for rival in rivals) else alternative for m in best.mistakes}
     found = [_finding(mistake, broken, doubt[mistake], (), reach) for mistake in best.shared]
-    wheels: set[str] = set()
     alike = _wheels_alike(best)
     found += [_of_all_wheels(alike, alternative)] if alike else []
-    for leaf in best.leaves:
-        if leaf in alike:
-            continue
-        if leaf.mistake is not None:
-            one = _finding(leaf.mistake, [leaf.relation], doubt[leaf.mistake], leaf.rivals)
-            if leaf.relation.leaf.startswith("wheel_speed"):
-                slope = leaf.relation.slope.slope
-                likewise = f"{one.channel} likewise (slope {slope:.4g}): {leaf.mistake.what}"
-                one = replace(one, text=likewise) if leaf.mistake.what in wheels else one
-                wheels.add(leaf.mistake.what)
-            found.append(one)
-        elif leaf.unknown:
-            found.append(_unexplained(leaf, alternative))
+    found += _of_leaves([leaf for leaf in best.leaves if leaf not in alike], doubt, alternative)
     left_over = {m.channel: m.high for m in best.mistakes}
     for magnitude, words in zip(beyond, reach, strict=True):
         if magnitude.cost(left_over) > 0.0:
@@ -60,6 +45,31 @@ def tell(
             text = f"{words}: check the unit of {' and '.join(magnitude.powers)}{units}.{alternative}"
             found.append(ConsistencyFinding("range", first, text, magnitude.value))
     return found
+
+
+def _without_the_mirrored(story: Story) -> Story:
+    """Return a story without what it says of axes that are mirrored as a whole."""
+    shared = tuple(m for m in story.shared if m.channel not in story.mirrored)
+    leaves = tuple(leaf for leaf in story.leaves if leaf.relation.leaf not in story.mirrored)
+    return replace(story, shared=shared, leaves=leaves, axes="")
+
+
+def _of_leaves(
+    leaves: Sequence[Leaf], doubt: Mapping[Mistake, str], alternative: str
+) -> Iterator[ConsistencyFinding]:
+    """Yield what is said of channels that judge no other; of wheels that are off alike, once in full."""
+    wheels: set[str] = set()
+    for leaf in leaves:
+        if leaf.mistake is not None:
+            one = _finding(leaf.mistake, [leaf.relation], doubt[leaf.mistake], leaf.rivals)
+            if leaf.relation.leaf.startswith("wheel_speed"):
+                slope = leaf.relation.slope.slope
+                likewise = f"{one.channel} likewise (slope {slope:.4g}): {leaf.mistake.what}"
+                one = replace(one, text=likewise) if leaf.mistake.what in wheels else one
+                wheels.add(leaf.mistake.what)
+            yield one
+        elif leaf.unknown:
+            yield _unexplained(leaf, alternative)
 
 
 def _wheels_alike(story: Story) -> list[Leaf]:

@@ -29,25 +29,14 @@ def agreed_draft(
     """
     best = max(drafts, key=lambda name: sum(_WEIGHT[s.status] for s in drafts[name].suggestions))
     draft, others = drafts[best], {name: other for name, other in drafts.items() if name != best}
-    taken = {source for s in draft.suggestions if s.status != "open" for source in s.sources}
     mapped = {s.channel for s in draft.suggestions if s.status != "open"}
-    added: dict[str, Suggestion] = {}
-    notes = []
-    for name, other in others.items():
-        for s in other.suggestions:
-            if s.status in ("open", "assumed") or s.channel in mapped | added.keys() or taken & set(s.sources):
-                continue
-            added[s.channel] = replace(s, reason=f"{s.reason}; by {name}" if s.reason else f"by {name}")
+    added = _of_others(draft, others, mapped)
     kept = [s for s in draft.suggestions if s.channel not in added]
     whole = [_compared(s, best, others) if s.channel in mapped else s for s in (*kept, *added.values())]
+    named = [(f"{s.channel} ({source})", source) for s in whole if s.status != "open" for source in s.sources]
+    notes = []
     for name in drafts:
-        absent = [
-            f"{s.channel} ({source})"
-            for s in whole
-            if s.status != "open"
-            for source in s.sources
-            if not any(_is_of(source, have) for have in recorded[name])
-        ]
+        absent = [shown for shown, source in named if not any(_is_of(source, have) for have in recorded[name])]
         if absent:
             notes.append(f"{name} does not hold {', '.join(absent)}.")
     notes += [
@@ -55,6 +44,18 @@ def agreed_draft(
     ]
     undefined = tuple(dict.fromkeys(kind for one in drafts.values() for kind in one.undefined))
     return replace(draft, suggestions=tuple(whole), undefined=undefined), tuple(notes)
+
+
+def _of_others(draft: Draft, others: Mapping[str, Draft], mapped: Collection[str]) -> dict[str, Suggestion]:
+    """Return the channels that a draft leaves open and another log maps, each by the first that does."""
+    taken = {source for s in draft.suggestions if s.status != "open" for source in s.sources}
+    added: dict[str, Suggestion] = {}
+    for name, other in others.items():
+        for s in other.suggestions:
+            is_new = s.status not in ("open", "assumed") and s.channel not in {*mapped, *added}
+            if is_new and not taken & set(s.sources):
+                added[s.channel] = replace(s, reason=f"{s.reason}; by {name}" if s.reason else f"by {name}")
+    return added
 
 
 def _is_of(source: str, recorded: str) -> bool:

@@ -41,6 +41,25 @@ def is_ibt(path: Path, head: bytes) -> bool:
     )
 
 
+def _fields(listed: bytes, record: int, path: Path) -> tuple[dict[str, tuple[str, int, int, str]], int]:
+    """Return type, place in the record, count and unit of each variable, and how many arrays are of cars."""
+    fields: dict[str, tuple[str, int, int, str]] = {}
+    of_cars = 0
+    for v in np.frombuffer(listed, _VARIABLE):
+        name = v["name"].decode("latin-1").strip()
+        kind = _TYPES[v["type"]] if 0 <= v["type"] < len(_TYPES) else ""
+        count, offset = int(v["count"]), int(v["offset"])
+        if not name or not kind or count < 1 or offset < 0 or offset + count * np.dtype(kind).itemsize > record:
+            advice = "Copy it again."
+            raise LogError(f"has a variable {name!r} outside its records", where=path.name, advice=advice)
+        if count > 1 and not v["as_time"]:
+            of_cars += 1
+        elif kind != "S1":
+            unit = v["unit"].decode("latin-1").strip()
+            fields[name] = (kind, offset, count, "1" if unit == "%" else unit)
+    return fields, of_cars
+
+
 def open_ibt(path: Path) -> RawRecording:
     """Open telemetry of iRacing: every variable with its unit, over the time of the session.
 
@@ -62,20 +81,7 @@ def open_ibt(path: Path) -> RawRecording:
     size, record, data = path.stat().st_size, int(h["record"]), int(h["data"])
     if len(listed) < int(h["variables"]) * _VARIABLE.itemsize:
         raise LogError("is cut off within its list of variables", where=path.name, advice="Copy it again.")
-    fields: dict[str, tuple[str, int, int, str]] = {}
-    of_cars = 0
-    for v in np.frombuffer(listed, _VARIABLE):
-        name = v["name"].decode("latin-1").strip()
-        kind = _TYPES[v["type"]] if 0 <= v["type"] < len(_TYPES) else ""
-        count, offset = int(v["count"]), int(v["offset"])
-        if not name or not kind or count < 1 or offset < 0 or offset + count * np.dtype(kind).itemsize > record:
-            advice = "Copy it again."
-            raise LogError(f"has a variable {name!r} outside its records", where=path.name, advice=advice)
-        if count > 1 and not v["as_time"]:
-            of_cars += 1
-        elif kind != "S1":
-            unit = v["unit"].decode("latin-1").strip()
-            fields[name] = (kind, offset, count, "1" if unit == "%" else unit)
+    fields, of_cars = _fields(listed, record, path)
     whole = max(size - data, 0) // record if data > 0 else 0
     rows = min(whole, promised) if promised > 0 else whole
     if rows < 2:

@@ -87,6 +87,22 @@ def _index(data: mmap.mmap, path: Path, notes: list[ReadNote]) -> dict[str, _Top
     numbered: dict[int, _Topic] = {}
     lost = damaged = undefined = fields = 0
     appended: list[int] = []
+
+    def subscribed(instance: int, name: str) -> _Topic | None:
+        """Return the topic that a subscription names, made if it is new; None if its definition is damaged."""
+        nonlocal fields
+        called = f"{name}_{instance}" if instance else name
+        if called not in topics:
+            if name not in layouts:
+                layouts[name] = _layout(name, formats)
+            layout = layouts[name]
+            if layout is None:
+                return None
+            fields += len(layout.names or ())
+            refuse_many_columns(fields, path.name)  # before a short file lists a long message many times
+            topics[called] = _Topic(layout)
+        return topics[called]
+
     at = _HEAD
     while at + _MESSAGE_HEAD.size <= len(data):
         size, kind = _MESSAGE_HEAD.unpack_from(data, at)
@@ -111,20 +127,11 @@ def _index(data: mmap.mmap, path: Path, notes: list[ReadNote]) -> dict[str, _Top
             name, _, content = data[begin:end].decode("utf-8", "replace").partition(":")
             formats[name] = content
         elif kind == ord("A") and size > 3:
-            name = data[begin + 3 : end].decode("utf-8", "replace")
-            called = f"{name}_{data[begin]}" if data[begin] else name
-            if called not in topics:
-                if name not in layouts:
-                    layouts[name] = _layout(name, formats)
-                layout = layouts[name]
-                if layout is None:
-                    undefined += 1
-                else:
-                    fields += len(layout.names or ())
-                    refuse_many_columns(fields, path.name)  # before a short file lists a long message many times
-                    topics[called] = _Topic(layout)
-            if called in topics:
-                numbered[data[begin + 1] | data[begin + 2] << 8] = topics[called]
+            topic = subscribed(data[begin], data[begin + 3 : end].decode("utf-8", "replace"))
+            if topic is None:
+                undefined += 1
+            else:
+                numbered[data[begin + 1] | data[begin + 2] << 8] = topic
         elif kind == ord("O"):
             lost += 1
         elif kind == ord("B") and size >= 40 and data[begin + 8] & 1:
