@@ -37,12 +37,12 @@ from split_cli.logs.drafting.single_channel import (
 )
 from split_cli.logs.drafting.speed_units import copies_of_others, with_units_of_multiples
 from split_cli.logs.drafting.steering import read_steering
-from split_cli.logs.drafting.table_layout import hints_on_the_form
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity, unit_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheels import PARTS, note_on_engine, torques_alike
 from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, time_column, turned
+from split_cli.logs.readers.named_values import NAMES, VALUES
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
 
@@ -387,3 +387,29 @@ def _yaw_of_the_pose(
     if same is None or message(chosen["yaw"].sources) == place:
         return {}
     return {"yaw": _first_guess(same, trial)}
+
+
+def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> tuple[str, ...]:
+    """Return how to rewrite a table without titles, or one with a signal's name and value in each row.
+
+    Parameters
+    ----------
+    infos : sequence of RawChannelInfo
+        Its channels.
+    """
+    if infos and all(re.fullmatch(r"column\d+", info.name) for info in infos):
+        return (
+            f"{recording.name} has no row of titles: write one as its first line, with units, for instance "
+            "`time [s],vx [m/s],yaw_rate [deg/s]`, and start again.",
+        )
+    texts = {info.name.strip().lower(): info.name for info in infos if info.type_name == "text"}
+    numbers = {info.name.strip().lower(): info.name for info in infos if info.type_name != "text"}
+    name = next((texts[n] for n in NAMES if n in texts), None)
+    value = next((numbers[n] for n in VALUES if n in numbers), None)
+    if name is None or value is None:
+        return ()
+    time = next((i.name for i in infos if "time" in i.name.lower() or i.name == "t"), "time")
+    return (
+        f"{recording.name} holds one value a row, with its name in {name!r}. Write a column for each name: in "
+        f"pandas, table.pivot_table(index={time!r}, columns={name!r}, values={value!r}).to_csv('wide.csv').",
+    )
