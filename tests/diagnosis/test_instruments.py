@@ -303,6 +303,21 @@ def test_witnesses_alone_tell_how_late_a_channel_is(late_yaw_rate):
     )
 
 
+def test_a_late_channel_is_told_beside_a_name(late_yaw_rate):
+    """The parts that were named stay as they were, and each is judged with the late channel beside it."""
+    (gain,) = candidates_of(late_yaw_rate, "steer_gain")
+    chosen, base = fit_at(late_yaw_rate, Part(gain, {"gain": 0.95})), nothing(late_yaw_rate)
+    before = Selection(base, chosen, (base,), ((),), ((),), (True,), first_p=1e-9)
+    every = tuple(candidates_of(late_yaw_rate, "channel_delay", "steer_gain", "yaw_rate_scale", "speed_scale"))
+    told = with_late_channel(late_yaw_rate, before, every, 1.5)
+    first, second = told.terms
+    assert first.parameters == {"gain": 0.95} and second.parameters["r"] == pytest.approx(0.04, abs=0.004)
+    assert told.chosen.cost == pytest.approx(late_yaw_rate.cost(told.terms), rel=1e-6)
+    assert told.without[0].cost == pytest.approx(late_yaw_rate.cost([second]), rel=1e-2)
+    assert told.without[1] is chosen and told.chosen.sensitivity.shape[1] == 2 and told.first_p == 1e-9
+    assert with_late_channel(late_yaw_rate, told, every, 1.5) is None  # not twice
+
+
 @pytest.mark.parametrize("k", [None, 3, 4, 6])
 def test_what_is_not_late_is_not_told_to_be(k):
     """A clean recording, and those of a sensor that is biased or scaled."""

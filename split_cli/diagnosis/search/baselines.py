@@ -10,7 +10,7 @@ inputs or sensors do that. Where model-form error is large, both searches are ma
 names and values: where the first is less sure, the discrepancy took a part of the value. Other terms are named
 with a fixed baseline only where the first search had chosen them, too small to name. What the first names gives
 way to a surer fault of the second: a steering offset, free to be taken by the discrepancy, leaves what looks like
-a road that leans all along. Where neither leaves a name, witnesses are asked for a late channel, see
+a road that leans all along. Then witnesses are asked for a late channel, alone or beside what is named, see
 `late_channel`.
 """
 
@@ -79,10 +79,9 @@ def search(
     progress("naming with a fixed baseline")
     again = search_again(case, candidates, objective, reach=reach)
     found = settled(first, again, policy.selection)
-    if any(found.selection.named):
-        return found
-    late = with_late_channel(again.structure.objective, again.selection, candidates, again.variance_inflation)
-    return found if late is None else replace(again, selection=late, objectives=found.objectives)
+    asked = found if any(found.selection.named) else again
+    late = with_late_channel(asked.structure.objective, asked.selection, candidates, asked.variance_inflation)
+    return found if late is None else replace(asked, selection=late, objectives=found.objectives)
 
 
 def search_again(

@@ -13,7 +13,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.fitting import Fit, Part, tangent
+from split_cli.diagnosis.search.fitting import Fit, Part, Tangent, sensitivity_of, tangent
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.search.term_tests import witnessed_p
 from split_cli.vehicle.calibration.least_squares import solve
@@ -23,75 +23,82 @@ from split_cli.vehicle.effects import CATALOGUE
 def with_late_channel(
     objective: MarginalLikelihood, selection: Selection, candidates: Sequence[Candidate], variance_inflation: float
 ) -> Selection | None:
-    """Return a selection of the one late channel that witnesses tell, or None where they tell none.
+    """Return a selection with the one late channel that witnesses tell, or None where they tell none.
 
-    It has to save more than halves of the simulation differ by, and more than the equations of motion lose by it,
-    whose model-form error widens what they say. Its size is that which the witnesses tell.
+    Beside what is named, or alone. It has to save more than halves of the simulation differ by, and more than the
+    equations of motion lose by it, whose model-form error widens what they say. Its size is that which the
+    witnesses tell.
     """
-    rules = objective.policy.selection
-    part = late_by_witnesses(objective, candidates)
+    rules, is_named = objective.policy.selection, any(selection.named)
+    base = selection.chosen if is_named else selection.base
+    part = late_by_witnesses(objective, candidates, base.parts)
     if part is None:
         return None
-    fit, base = _as_it_is(objective, part, selection.base), selection.base
-    p_value = witnessed_p(objective, fit, 0, base, rules) * len(candidates)
+    line = tangent(objective, objective.left_by(base.terms), part, base.terms)
+    fit = _as_it_is(objective, line, base)
+    p_value = witnessed_p(objective, fit, len(base.parts), base, rules) * len(candidates)
     seen = objective.witnesses_cost(base.residuals) - objective.witnesses_cost(fit.residuals)
     lost = fit.cost - base.cost + seen
     evidence = seen / variance_inflation - lost / max(objective.form_error_inflation, variance_inflation)
     own = objective.witness_floors.get(part.candidate.effect, 0.0) / objective.policy.self_test.term_margin
     if p_value >= rules.level or evidence < rules.price or seen < rules.deviations**2 * own:
         return None
+    others = selection.without if is_named else ()
     return replace(
         selection,
         chosen=fit,
-        without=(base,),
-        rivals=((),),
-        siblings=((),),
-        named=(True,),
+        without=(*(_as_it_is(objective, line, one) for one in others), base),
+        rivals=(*(selection.rivals if is_named else ()), ()),
+        siblings=(*(selection.siblings if is_named else ()), ()),
+        named=(*(selection.named if is_named else ()), True),
         history=(*selection.history, f"added {part.candidate.label}, witnesses save {seen:.0f}"),
-        first_p=p_value,
+        first_p=selection.first_p if is_named else p_value,
     )
 
 
-def late_by_witnesses(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> Part | None:
+def late_by_witnesses(
+    objective: MarginalLikelihood, candidates: Sequence[Candidate], beside: Sequence[Part] = ()
+) -> Part | None:
     """Return the late channel that leaves least of what witnesses contradict; None where another fault does too.
 
-    The others are all faults of sensors, to first order from no effect.
+    The others are all faults of sensors, to first order from no effect. None is added to parts beside it of which
+    one moves samples in time, too: together they would say one delay twice.
     """
-    rules = objective.policy.selection
-    before = _left(objective, None)
-    if not len(before):
+    rules, named = objective.policy.selection, {part.candidate.term for part in beside}
+    before = _left(objective, beside)
+    if not len(before) or any(CATALOGUE[one].moves_samples and not CATALOGUE[one].exported for one in named):
         return None
     best, most, others = None, 0.0, [0.0]
     total = float(before @ before)
     for one in candidates:
         kind = CATALOGUE[one.term]
-        if kind.exported or not one.starts:
+        if kind.exported or not one.starts or one.term in named:
             continue
         if kind.moves_samples:
-            part = _fitted(objective, one)
-            after = _left(objective, part)
+            part = _fitted(objective, one, beside)
+            after = _left(objective, (*beside, part))
             saved = total - float(after @ after)
             if saved > most and len(one.ranges) == 1:
                 best, most = part, saved
         else:
-            others.append(_saved_along(objective, one, before))
+            others.append(_saved_along(objective, one, beside, before))
     if best is None or best.candidate.at_limit(best.values) or most < rules.fair_share * total:
         return None
     return best if max(others) < (1.0 - rules.fair_share) * most else None
 
 
-def _left(objective: MarginalLikelihood, part: Part | None) -> np.ndarray:
+def _left(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:
     """Return what witnesses contradict, the mean of each taken off, shape (W,)."""
-    return objective.of_witnesses(objective.witness_rows(() if part is None else (part.term,)))
+    return objective.of_witnesses(objective.witness_rows([part.term for part in parts]))
 
 
-def _fitted(objective: MarginalLikelihood, candidate: Candidate) -> Part:
+def _fitted(objective: MarginalLikelihood, candidate: Candidate, beside: Sequence[Part]) -> Part:
     """Return the size of a delay that leaves least of what witnesses contradict."""
     names = list(candidate.ranges)
     lower, upper = (np.array([getattr(candidate.ranges[n], end) for n in names]) for end in ("lower", "upper"))
 
     def left(x: np.ndarray) -> np.ndarray:
-        return _left(objective, Part(candidate, dict(zip(names, x.tolist(), strict=True))))
+        return _left(objective, (*beside, Part(candidate, dict(zip(names, x.tolist(), strict=True)))))
 
     starts = [np.array([start[name] for name in names]) for start in candidate.starts]
     begin = min(starts, key=lambda x: float(np.sum(left(x) ** 2)))
@@ -105,14 +112,17 @@ def _fitted(objective: MarginalLikelihood, candidate: Candidate) -> Part:
     return Part(candidate, dict(zip(names, found.parameters.tolist(), strict=True)))
 
 
-def _saved_along(objective: MarginalLikelihood, candidate: Candidate, before: np.ndarray) -> float:
+def _saved_along(
+    objective: MarginalLikelihood, candidate: Candidate, beside: Sequence[Part], before: np.ndarray
+) -> float:
     """Return what a sensor's fault saves of the witnesses' cost to first order from no effect."""
     neutral, most = CATALOGUE[candidate.term].neutral, 0.0
     for start in candidate.starts:
         sized = [name for name in start if neutral.get(name) is not None]
         none = {**start, **{name: neutral[name] for name in sized}}
         columns = np.stack(
-            [_left(objective, Part(candidate, {**none, name: start[name]})) - before for name in sized], axis=1
+            [_left(objective, (*beside, Part(candidate, {**none, name: start[name]}))) - before for name in sized],
+            axis=1,
         )
         weights = np.linalg.lstsq(columns, -before, rcond=1e-9)[0]
         after = before + columns @ weights
@@ -120,9 +130,9 @@ def _saved_along(objective: MarginalLikelihood, candidate: Candidate, before: np
     return most
 
 
-def _as_it_is(objective: MarginalLikelihood, part: Part, base: Fit) -> Fit:
-    """Return an explanation by one part at the values it has, not fitted."""
-    line = tangent(objective, objective.left_by(()), part)
+def _as_it_is(objective: MarginalLikelihood, line: Tangent, base: Fit) -> Fit:
+    """Return an explanation with one part more at the values it has, not fitted."""
     residuals = base.residuals + line.moved
-    steps = np.array([part.candidate.ranges[name].step for name in part.values])
-    return Fit((part,), float(residuals @ residuals), residuals, line.slopes / steps)
+    steps = np.array([line.part.candidate.ranges[name].step for name in line.part.values])
+    sensitivity = np.hstack([sensitivity_of(objective, base), line.slopes / steps])
+    return Fit((*base.parts, line.part), float(residuals @ residuals), residuals, sensitivity)
