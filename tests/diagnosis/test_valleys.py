@@ -1,0 +1,49 @@
+"""Valleys of the cost over a delay: as many as a steering that swings at one frequency has, and one otherwise."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.valleys import other_valleys
+from split_cli.diagnosis.verdict.estimates import parameter_estimates
+from tests.diagnosis.recordings import candidates_of, driven, late, noisy_objective
+
+SWING = 0.25
+"""Period of the steering [s]."""
+LATE = 0.1
+"""How late the steering answers [s]."""
+
+
+def swinging(commands: np.ndarray, step: float) -> np.ndarray:
+    """Command a steering that swings at one frequency instead, and return what becomes of it."""
+    t = step * np.arange(commands.shape[1])
+    commands[:] = 0.02 * np.sin(2.0 * np.pi * t / SWING)
+    return np.broadcast_to(0.02 * np.sin(2.0 * np.pi * (t - LATE) / SWING), commands.shape)
+
+
+def fitted(steer: Callable[[np.ndarray, float], np.ndarray], delay: float = LATE):
+    objective = noisy_objective(driven(61, runs=4, steer=steer), 7)
+    (one,) = candidates_of(objective, "steer_delay")
+    return objective, fit_parts(objective, [Part(one, {"delay": delay})])
+
+
+def test_a_swing_of_one_frequency_tells_a_delay_up_to_its_period():
+    objective, fit = fitted(swinging, LATE + SWING)
+    assert fit.parts[0].values["delay"] == pytest.approx(LATE + SWING, abs=0.01)
+    found = other_valleys(objective, fit, 0, "delay")
+    assert found[0] == pytest.approx(LATE, abs=0.013)  # points are 13 ms apart
+    (told,) = parameter_estimates(objective, fit)
+    low, high = told["delay"].interval_95
+    assert low <= LATE and high >= LATE + SWING
+
+
+def test_steering_of_many_frequencies_has_one_valley():
+    objective, fit = fitted(lambda commands, step: late(commands, LATE, step))
+    assert other_valleys(objective, fit, 0, "delay") == []
+    (told,) = parameter_estimates(objective, fit)
+    assert told["delay"].value == pytest.approx(LATE, abs=0.005)
+    # Only delays have valleys.
+    (one,) = candidates_of(objective, "yaw_inertia")
+    assert other_valleys(objective, fit_parts(objective, [Part(one, {"scale": 1.1})]), 0, "scale") == []
