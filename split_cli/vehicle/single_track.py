@@ -70,15 +70,20 @@ class SingleTrack:
         states: Mapping[str, Any] | None = None,
         recording: Any = None,
         bare: Flow | None = None,
+        arrived: Flow | None = None,
     ) -> Flow:
         """Evaluate every stage and return the flow with all forces, before the balance.
 
         Parameters are arrays of one shape, in the units of `Flow`. With `recording` they are a whole recording,
         shape (N,), and states and delays are solved along it. `bare` is a flow of the same vehicle without terms
         at the very same arrays: what the terms leave as it was is taken from there instead of being computed anew.
+        `arrived` is the same with those of the terms that act on commands, which then have acted already.
         """
         car = self.vehicle
-        flow = self.actuated(vx, vy, r, T, delta, yaw=yaw, t=t, s=s, ops=ops, states=states, recording=recording)
+        acted = self
+        if arrived is not None:
+            acted, bare, T, delta = SingleTrack(car, ()), arrived, arrived.T, arrived.delta
+        flow = acted.actuated(vx, vy, r, T, delta, yaw=yaw, t=t, s=s, ops=ops, states=states, recording=recording)
         for term in self.terms:
             term.body(flow)
         front, rear = flow.front, flow.rear

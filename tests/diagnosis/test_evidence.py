@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.innovations.evidence import gather_evidence, rolling
+from split_cli.diagnosis.recording.series import extended_model
 from split_cli.diagnosis.remainder.spectrum import strongest_line
 from split_cli.diagnosis.search.identifiable import what_was_not_excited
+from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_objective, light_evidence, noisy, prepared
 from tests.factories import road_car
+from tests.term_examples import EXAMPLES
 
 FIRST, LAST = 1200, 1300
 
@@ -117,3 +120,20 @@ def test_how_much_is_not_compared_is_said(spinning, discrepancy):
         if "spin or lock" in text
     )
     assert text.startswith(f"{100 * 540 / len(spinning):.0f} % of the real drive")
+
+
+def test_what_commands_become_is_kept_for_other_terms(noisy_nominal):
+    """Beside a lag and a gain, every term gives the rates of one evaluation of all stages, to the bit."""
+    series = prepared(noisy_nominal)
+    acting = ("steer_lag", {"tau": 0.1}), ("drive_gain", EXAMPLES["drive_gain", ""])
+    before = [CATALOGUE[name](values) for name, values in acting]
+    for (name, variant), values in EXAMPLES.items():
+        model = extended_model(road_car(), [*before, CATALOGUE[name](values, variant)])
+        bare = series.flow(extended_model(road_car()))
+        whole = model.flow(
+            bare.vx, bare.vy, bare.r, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s,
+            recording=series.recording, bare=bare,
+        )  # fmt: skip
+        for _ in range(2):
+            for row, expected in zip(series.rate_rows(model), model.balance(whole), strict=True):
+                np.testing.assert_array_equal(row, expected, err_msg=name)

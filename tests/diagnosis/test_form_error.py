@@ -270,6 +270,22 @@ def test_how_tyres_carry_another_load_is_free_between_the_laws(behind, heavier, 
     assert bool(saved > 100.0) is (share > 1.0)
 
 
+def test_what_an_explanation_may_get_wrong_is_worked_out_once(behind, delay, heavier, monkeypatch):
+    """However many further terms are asked beside it; anew for another one, or with a fixed baseline."""
+    afters = [
+        moved(heavier, 0.1 * rows) for rows in np.random.default_rng(3).standard_normal((3, len(behind.block)))
+    ]
+    calls, made = [], module.form_error_columns
+    monkeypatch.setattr(module, "form_error_columns", lambda *asked: calls.append(asked) or made(*asked))
+    several = [saved_beside_form_error(behind, heavier, after) for after in afters]
+    assert len(calls) == 1
+    module.forget_form_error(behind)
+    assert [saved_beside_form_error(behind, heavier, after) for after in reversed(afters)] == several[::-1]
+    saved_beside_form_error(behind, moved(heavier, 0.0), afters[0])
+    saved_beside_form_error(behind.with_fixed_baseline(), heavier, afters[0])
+    assert len(calls) == 4
+
+
 def test_a_mass_moves_to_what_it_is_with_the_law_between_the_variants(behind, heavier):
     """Residuals of 3 % more mass half-way to another law: the fit with that law finds both."""
     (part,) = heavier.parts

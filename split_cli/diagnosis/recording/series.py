@@ -60,6 +60,9 @@ class Series:
     _flows_before: Recent[tuple[np.ndarray, Flow]] = field(
         default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
     )
+    _arrived_before: Recent[tuple[Flow, Flow]] = field(
+        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    )
 
     def __getstate__(self) -> dict:
         # Flows are found by ids of vehicles, which another process gives to others.
@@ -161,7 +164,20 @@ class Series:
             bare = self._without_terms_at(velocity, model.vehicle)
         else:
             bare = self._without_terms(model.vehicle)
-        return self._flow(model, bare.vx, bare.vy, bare.r, bare=bare) if model.terms else bare
+        if not model.terms:
+            return bare
+        acting = tuple(term for term in model.terms if type(term).actuate is not Term.actuate)
+        arrived = self._arrived(bare, model.vehicle, acting) if acting else None
+        return self._flow(model, bare.vx, bare.vy, bare.r, bare=bare, arrived=arrived)
+
+    def _arrived(self, bare: Flow, vehicle: Vehicle, acting: tuple[Term, ...]) -> Flow:
+        """Return the flow with the terms that act on commands alone, as it was made before for the same values."""
+
+        def made() -> tuple[Flow, Flow]:
+            # Flows without terms are kept beside it, so that no others can come to have their id.
+            return bare, self._flow(SingleTrack(vehicle, acting), bare.vx, bare.vy, bare.r, bare=bare)
+
+        return self._arrived_before((id(bare), values_of(acting)), made)[1]
 
     def inputs(self, model: SingleTrack, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what actuators make of torque [N m] and steer angle [rad], means over samples, (N,) each."""
@@ -169,8 +185,9 @@ class Series:
         flow = model.actuated(*velocity.T, self.torque, self.steer_angle, **self._situation)
         return flow.T + 0.0 * self.t, flow.delta + 0.0 * self.t
 
-    def _flow(self, model: SingleTrack, vx, vy, r, bare: Flow | None = None) -> Flow:
-        return model.flow(vx, vy, r, self.torque, self.steer_angle, **self._situation, bare=bare)
+    def _flow(self, model: SingleTrack, vx, vy, r, bare: Flow | None = None, arrived: Flow | None = None) -> Flow:
+        inputs = self.torque, self.steer_angle
+        return model.flow(vx, vy, r, *inputs, **self._situation, bare=bare, arrived=arrived)
 
     @property
     def _situation(self) -> dict:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.search import Course, Range
@@ -32,7 +30,7 @@ class Candidate:
     def build(self, values: Mapping[str, float]) -> Term:
         """Return the term with values held inside their bounds."""
         inside = {
-            name: float(np.clip(values[name], limit.lower, limit.upper)) for name, limit in self.ranges.items()
+            name: float(min(max(values[name], limit.lower), limit.upper)) for name, limit in self.ranges.items()
         }
         return CATALOGUE[self.term](inside, self.variant)
 

@@ -21,7 +21,11 @@ from split_cli.diagnosis.search.fitting import (
     sensitivity_of,
     tangent,
 )
-from split_cli.diagnosis.search.form_error import free_to_form_error, saved_beside_form_error
+from split_cli.diagnosis.search.form_error import (
+    forget_form_error,
+    free_to_form_error,
+    saved_beside_form_error,
+)
 from split_cli.diagnosis.search.term_tests import is_denied
 
 
@@ -62,6 +66,7 @@ class Explorer:
                 if as_much >= worth:
                     return fits
                 begun |= {fit.parts[-1].candidate.label: fit for fit in fits}
+        forget_form_error(self.objective)
         starts = self._starts(current, worth=worth)
         found = self._fits(current, {label: several for label, several in starts.items() if label not in begun})
         fits = _best_of_each(sorted([*begun.values(), *found], key=self.price))

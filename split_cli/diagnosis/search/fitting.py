@@ -180,8 +180,10 @@ def _fit(
     upper = np.array([limit.upper for limit in limits]) / steps
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
+    terms_at = _terms_of(parts)
+
     def residual_at(x: np.ndarray) -> np.ndarray:
-        return objective.left_by([part.term for part in _with(parts, names, x * steps)])
+        return objective.left_by(terms_at(x * steps))
 
     mean, precision = pulls if pulls is not None else (np.zeros(len(x)), np.zeros(len(x)))
 
@@ -247,9 +249,10 @@ def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarr
     steps = np.array([limit.step for limit in limits])
     upper = np.array([limit.upper for limit in limits]) / steps
     x = np.array([parts[k].values[name] for k, name in names]) / steps
+    terms_at = _terms_of(parts)
 
     def residual_at(x: np.ndarray) -> np.ndarray:
-        return objective.left_by([part.term for part in _with(parts, names, x * steps)])
+        return objective.left_by(terms_at(x * steps))
 
     return _slopes(residual_at, residual_at(x), x, upper, range(len(x)))
 
@@ -341,6 +344,23 @@ def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside:
     columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]
     lines = objective.whiten(np.stack(columns, axis=1))
     return Tangent(part, np.ascontiguousarray(lines[:, 0]), np.ascontiguousarray(lines[:, 1:]))
+
+
+def _terms_of(parts: Sequence[Part]) -> Callable[[np.ndarray], list[Term]]:
+    """Return what makes the terms of parts at other values (P,), over the parts in order; each is made once."""
+    known: list[dict[tuple[float, ...], Term]] = [{} for _ in parts]
+
+    def terms_at(values: np.ndarray) -> list[Term]:
+        out, left = [], iter(values.tolist())
+        for part, made in zip(parts, known, strict=True):
+            own = dict(zip(part.values, left, strict=False))
+            key = tuple(own.values())
+            if key not in made:
+                made[key] = part.candidate.build(own)
+            out.append(made[key])
+        return out
+
+    return terms_at
 
 
 def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndarray) -> tuple[Part, ...]:

@@ -6,7 +6,8 @@ happens to err less would win by it. With that share free, what decides is what 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -22,6 +23,40 @@ from split_cli.vehicle.parameters import Vehicle
 
 _ROWS_AT_ONCE = 512  # [rows] of all parts' columns that are whitened at a time; decides memory alone
 _DISCREPANCY = "varied discrepancy"  # what is remembered of the shared discrepancy's columns, before whitening
+_ASKED = "asked beside"  # the same of the explanation that further terms were asked beside last
+
+
+@dataclass(frozen=True)
+class _FormError:
+    """What an explanation may get wrong: one explanation, asked about many further terms."""
+
+    fit: Fit
+    basis: np.ndarray  # of the objective whose rows these are
+    columns: np.ndarray  # (R, Q): M as in `costs_beside_form_error`, the shared discrepancy's columns among them
+    laws: np.ndarray  # (R, V): of `_other_load_laws`
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """I + M^T M, shape (Q, Q)."""
+        return _normal(self.columns)
+
+
+def forget_form_error(objective: MarginalLikelihood) -> None:
+    """Let go of what the explanation that was asked about last may get wrong: as large as a sensitivity."""
+    objective.memo.pop(_ASKED, None)
+
+
+def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
+    """Return what an explanation may get wrong, as it was worked out for the further term before this one."""
+    known = objective.memo.get(_ASKED)
+    if known is None or known.fit is not fit or known.basis is not objective.basis:
+        forget_form_error(objective)  # before the next is made: both may be large
+        laws, shared = _other_load_laws(objective, fit), _columns_of_discrepancy(objective)
+        columns = form_error_columns(objective, fit) if laws.shape[1] or shared.shape[1] else shared
+        if shared.shape[1]:
+            columns = np.hstack([columns, shared])
+        known = objective.memo[_ASKED] = _FormError(fit, objective.basis, columns, laws)
+    return known
 
 
 def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
@@ -70,7 +105,8 @@ def _products(
     normal, scores = np.zeros((count, count)), np.zeros((count, residuals.shape[1]))
     seen, end = np.zeros((basis.shape[1], count)), 0
     for one, keep in zip(objective.evidence, objective.keep, strict=True):
-        effects, functions = [_effect(one, *part) for part in parts], _functions(one)
+        left, functions = _left_by_all(one, parts), _functions(one)
+        effects = [_effect(one, terms, k, left[id(terms)]) for terms, k in parts]
         estimate = np.zeros((3, count))
         for at, rows, whitener in one.whitener.stretches(_ROWS_AT_ONCE):
             varied = [_varied_by(one, effect[at], by_axle, functions[at]) for effect, by_axle in effects]
@@ -97,18 +133,17 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
     With P = (I + M M^T)^-1 as in `costs_beside_form_error` and the columns V of `_other_load_laws`, each cost is
     the least of (e - V u)^T P (e - V u) with u from 0, the variant that was chosen, to 1, another.
     """
-    laws, shared = _other_load_laws(objective, before), _columns_of_discrepancy(objective)
-    if not laws.shape[1] and not shared.shape[1]:
+    wrong = _form_error_of(objective, before)
+    laws = wrong.laws
+    if not wrong.columns.shape[1]:
         parts = [(before.terms, k) for k in range(len(before.parts))]
         here, there = _costs_beside(objective, parts, [before, after])
         return here - there
-    form_error = form_error_columns(objective, before)
-    if shared.shape[1]:
-        form_error = np.hstack([form_error, shared])
-    here, there = _costs(form_error, [before.residuals, after.residuals])
+    here, there = _costs(wrong.columns, wrong.normal, [before.residuals, after.residuals])
     if not laws.shape[1]:
         return here - there
-    best = [_bounded_fit(form_error, laws, one.residuals, np.zeros(laws.shape[1]))[1] for one in (before, after)]
+    low = np.zeros(laws.shape[1])
+    best = [_bounded_fit(wrong.columns, wrong.normal, laws, one.residuals, low)[1] for one in (before, after)]
     return (here - best[0]) - (there - best[1])
 
 
@@ -137,7 +172,8 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit, *, recorded
     scale = np.where(effect > 0.0, effect, np.inf)  # what has no effect does not move
     low = np.repeat([-np.inf, 0.0], [slopes.shape[1], laws.shape[1]])
     columns = np.hstack([-slopes / scale, laws])
-    found, _ = _bounded_fit(form_error_columns(objective, fit), columns, fit.residuals, low)
+    form_error = form_error_columns(objective, fit)
+    found, _ = _bounded_fit(form_error, _normal(form_error), columns, fit.residuals, low)
     moved, first = found[: len(scale)] / scale, 0
     for part in fit.parts:
         own = slice(first, first + len(part.values))
@@ -193,7 +229,7 @@ def divided_out(moved: np.ndarray, away: np.ndarray, slopes: np.ndarray) -> np.n
 
 
 def _bounded_fit(
-    form_error: np.ndarray, columns: np.ndarray, residuals: np.ndarray, low: np.ndarray
+    form_error: np.ndarray, normal: np.ndarray, columns: np.ndarray, residuals: np.ndarray, low: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return weights of columns beside model-form error, those from 0 no more than 1, and what they save.
 
@@ -204,7 +240,7 @@ def _bounded_fit(
     has no root where a column has no effect, as brakes that were never used.
     """
     count, both = columns.shape[1], np.column_stack([columns, residuals])
-    weights = _likeliest_weights(form_error, both)
+    weights = np.linalg.solve(normal, form_error.T @ both)
     beside = np.linalg.qr(np.vstack([both - form_error @ weights, weights]), mode="r")[:count]
     small = np.sqrt(1e-9) * np.diag(np.linalg.norm(beside[:, :count], axis=0))
     root, target = np.vstack([beside[:, :count], small]), np.concatenate([beside[:, count], np.zeros(count)])
@@ -227,8 +263,12 @@ def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit) -> np.n
 
 def _likeliest_weights(form_error: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Return (I + M^T M)^-1 M^T of what is left, (R,) or (R, K): the weights of M that are likeliest."""
-    normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
-    return np.linalg.solve(normal, form_error.T @ left)
+    return np.linalg.solve(_normal(form_error), form_error.T @ left)
+
+
+def _normal(form_error: np.ndarray) -> np.ndarray:
+    """Return I + M^T M, shape (Q, Q)."""
+    return np.eye(form_error.shape[1]) + form_error.T @ form_error
 
 
 def form_error_columns(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
@@ -239,7 +279,7 @@ def form_error_columns(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
 def free_to_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     """Return N, shape (R, 18 a part), with N N^T = I - (I + M M^T)^-1, see `costs_beside_form_error`."""
     form_error = form_error_columns(objective, fit)
-    lower = np.linalg.cholesky(np.eye(form_error.shape[1]) + form_error.T @ form_error)
+    lower = np.linalg.cholesky(_normal(form_error))
     return solve_triangular(lower, form_error.T, lower=True, overwrite_b=True).T
 
 
@@ -261,8 +301,10 @@ def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ..
     """Return M, shape (R, 18 a part), of parts given as terms and the number of one of them."""
     share = objective.policy.selection.form_error_share
     out = np.empty((len(objective.weight), 18 * len(parts)))
+    left = [_left_by_all(one, parts) for one in objective.evidence]
     for own, (terms, k) in zip(np.split(out, max(len(parts), 1), axis=1), parts, strict=False):
-        np.multiply(share, objective.whiten(_varied(objective, terms, k)), out=own)
+        varied = _varied(objective, terms, k, [several[id(terms)] for several in left])
+        np.multiply(share, objective.whiten(varied), out=own)
     return out
 
 
@@ -279,32 +321,39 @@ def _columns_of_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
     return objective.policy.selection.form_error_share * objective.whiten(objective.memo[_DISCREPANCY])
 
 
-def _costs(form_error: np.ndarray, residuals: Sequence[np.ndarray]) -> list[float]:
-    if not form_error.shape[1]:
-        return [float(one @ one) for one in residuals]
-    normal = np.eye(form_error.shape[1]) + form_error.T @ form_error
+def _costs(form_error: np.ndarray, normal: np.ndarray, residuals: Sequence[np.ndarray]) -> list[float]:
     scores = form_error.T @ np.stack(residuals, axis=1)
     explained = np.sum(scores * np.linalg.solve(normal, scores), axis=0)
     return [float(one @ one - part) for one, part in zip(residuals, explained, strict=True)]
 
 
-def _varied(objective: MarginalLikelihood, terms: tuple[Term, ...], k: int) -> np.ndarray:
-    """Return what one term adds, piece by piece and times each function, as residuals, shape (R, 18)."""
-    effects = [_effect(one, terms, k) for one in objective.evidence]
+def _varied(
+    objective: MarginalLikelihood, terms: tuple[Term, ...], k: int, left: Sequence[np.ndarray] = ()
+) -> np.ndarray:
+    """Return what one term adds, piece by piece and times each function, as residuals, shape (R, 18).
+
+    `left` are the defects that all terms leave of each recording, where they are known.
+    """
+    left = left or [one.defects(terms) for one in objective.evidence]
     return objective.stack(
         [
-            one.whitener(_varied_by(one, *effect, _functions(one)))
-            for one, effect in zip(objective.evidence, effects, strict=True)
+            one.whitener(_varied_by(one, *_effect(one, terms, k, own), _functions(one)))
+            for one, own in zip(objective.evidence, left, strict=True)
         ]
     )
 
 
-def _effect(one: Evidence, terms: tuple[Term, ...], k: int) -> tuple[np.ndarray, bool]:
+def _left_by_all(one: Evidence, parts: Sequence[tuple[tuple[Term, ...], int]]) -> dict[int, np.ndarray]:
+    """Return the defects that terms leave, (N - 1, 3), by the id of each choice of them."""
+    return {number: one.defects(terms) for number, terms in {id(terms): terms for terms, _ in parts}.items()}
+
+
+def _effect(one: Evidence, terms: tuple[Term, ...], k: int, left: np.ndarray) -> tuple[np.ndarray, bool]:
     """Return the defects that term k takes off beyond the others, (N - 1, 3), and whether it errs by axle."""
     others = terms[:k] + terms[k + 1 :]
     # A heavier car goes up the curves of its tyres: what asks them for other forces errs with them.
     by_axle = (terms[k].through_tires or alters_body(terms[k])) and not alters_inputs(terms[k])
-    return one.defects(others) - one.defects(terms), by_axle
+    return one.defects(others) - left, by_axle
 
 
 def _varied_by(one: Evidence, effect: np.ndarray, by_axle: bool, functions: np.ndarray) -> np.ndarray:

@@ -83,7 +83,8 @@ class InitResult:
         still = [c for c in missing if c in opened and all(s.never_changes for s in self.draft.all_of(c))]
         if "vx" in still:
             steps.insert(
-                0, f"Here {', '.join(still)} never change{'s' * (len(still) == 1)}: if the car stands, take a log in which it drives."
+                0,
+                f"Here {', '.join(still)} never change{'s' * (len(still) == 1)}: if the car stands, take a log in which it drives.",
             )
         if check:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
