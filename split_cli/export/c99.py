@@ -17,7 +17,7 @@ from split_cli.export.projection import ProjectionData
 from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import number, straight_line
 from split_cli.export.symbolic import NominalGraph
-from split_cli.export.tables import BcmTables, Constants, TableData
+from split_cli.export.tables import BcmTables, Constants, TableData, lines_of
 from split_cli.learning.running_trust import MEMORY, SPAN
 from split_cli.learning.trust import kept_share, supported_variance
 
@@ -215,8 +215,7 @@ def _predictor_values(tables: Constants) -> dict[str, str]:
         n0, n1, n2, _ = tables.coefficients.shape
         return {
             "KIND": f"a tricubic B-spline of {n0} x {n1} x {n2} nodes",
-            "OUTSIDE": "Every query takes the same time. Outside the\n"
-            " * box of the nodes it is the prior, and on the way there it is smooth.",
+            "OUTSIDE": "Every query takes the same time. Far from\n * the points it is the prior.",
             "SIZES": f", WIDTH = 6, N0 = {n0}, N1 = {n1}, N2 = {n2}",
         }
     if isinstance(tables, ProjectionData):
@@ -348,6 +347,18 @@ def _tables(tables: Constants) -> tuple[str, int]:
                 _array(f"static const unsigned long {label}[CELLS + 1]", [f"{v}UL" for v in values.tolist()])
             )
             size += 8 * len(values)
+    if isinstance(tables, TableData):
+        lines = lines_of(tables.coefficients)
+        integers = {
+            "long line_begin[N0 * N1]": lines.begin,
+            "short line_first[N0 * N1]": lines.lowest,
+            "short line_nodes[N0 * N1]": lines.length,
+            f"short coefficients[{lines.nodes.size}]": lines.nodes,
+        }
+        for label, values in integers.items():
+            text = [str(value) for value in np.ravel(values).tolist()]
+            parts.append(_array(f"static const {label}", text, 18))
+            size += (8 if label.startswith("long") else 2) * len(text)
     for label, values in _reals(tables).items():
         flat = np.ravel(values)
         parts.append(_array(f"static const real {label}", [number(v, real) for v in flat.tolist()]))
@@ -372,7 +383,7 @@ def _reals(tables: Constants) -> dict[str, np.ndarray]:
             "origin[DIMENSION]": tables.origin,
             "inverse_spacing[DIMENSION]": 1.0 / tables.spacing,
             "least[OUTPUTS]": tables.least,
-            "coefficients[N0 * N1 * N2 * WIDTH]": tables.coefficients,
+            "node_unit[WIDTH]": tables.unit,
         }
     shared["inverse_length[DIMENSION]"] = 1.0 / tables.length_scales
     shared["points[POINTS * DIMENSION]"] = tables.points
@@ -404,8 +415,8 @@ def _macros(real: str) -> str:
     return "\n".join(macros) + "\n"
 
 
-def _array(declaration: str, literals: list[str]) -> str:
-    rows = [", ".join(literals[k : k + 6]) for k in range(0, len(literals), 6)]
+def _array(declaration: str, literals: list[str], width: int = 6) -> str:
+    rows = [", ".join(literals[k : k + width]) for k in range(0, len(literals), width)]
     return declaration + " = {\n    " + ",\n    ".join(rows) + "\n};\n"
 
 

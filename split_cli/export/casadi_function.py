@@ -109,8 +109,9 @@ def spline_table(tables: TableData, name: str) -> casadi.Function:
         knots.append((np.arange(size + 4) - 2.0).tolist())
         at = (z[axis] - float(tables.origin[axis])) / float(tables.spacing[axis])
         place.append(casadi.fmin(casadi.fmax(at, 1.0), float(size - 2)))
-    flat = casadi.DM(np.ascontiguousarray(tables.coefficients.transpose(2, 1, 0, 3)).ravel())
+    flat = casadi.DM(np.ascontiguousarray(tables.coefficients.transpose(2, 1, 0, 3), dtype=float).ravel())
     value = casadi.bspline(casadi.vertcat(*place), flat, knots, [3, 3, 3], 6, {"lookup_mode": ["exact"] * 3})
+    value = value * casadi.DM(tables.unit)
     # What is clamped forgets that it was not a number, which alone is neither above 0 nor below.
     known = casadi.sum1(casadi.logic_or(z >= 0.0, z <= 0.0)) > 2.5
     unknown = casadi.if_else(known, 0.0, np.nan)

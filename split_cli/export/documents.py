@@ -30,12 +30,12 @@ ARRAYS = (
     "doubt",
 )  # fmt: skip
 #: What a table adds.
-TABLE_ARRAYS = ("origin", "spacing", "least", "coefficients")
+TABLE_ARRAYS = ("origin", "spacing", "least", "unit", "coefficients")
 #: Stands before the names of `PROJECTION_ARRAYS`, which a projected process adds.
 _PREFIX = "projected_"
 #: In which order a projected process learned the points; exports of before have none.
 _ORDER = f"{_PREFIX}order"
-_INTEGERS = ("cell_numbers", "offsets", _ORDER)
+_INTEGERS = {"cell_numbers": np.int64, "offsets": np.int64, _ORDER: np.int64, "coefficients": np.int16}
 
 
 _AT_ONCE = 1024  # queries
@@ -155,7 +155,7 @@ def read_json(path: Path) -> Document:
     try:
         content = parse_json(path.read_text(encoding="utf-8"))
         arrays = {
-            name: np.array(content.pop(name), dtype=np.int64 if name in _INTEGERS else np.float64)
+            name: np.array(content.pop(name), dtype=_INTEGERS.get(name, np.float64))
             for name in _names(content, content)
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -295,7 +295,7 @@ def _table_answer(a: dict[str, np.ndarray], z: np.ndarray) -> tuple[np.ndarray, 
     value = np.zeros((len(z), 6))
     for i, j, k in np.ndindex(4, 4, 4):
         node = a["coefficients"][first[:, 0] - 1 + i, first[:, 1] - 1 + j, first[:, 2] - 1 + k]
-        value += (weight[:, 0, i] * weight[:, 1, j] * weight[:, 2, k])[:, None] * node
+        value += (weight[:, 0, i] * weight[:, 1, j] * weight[:, 2, k])[:, None] * node * a["unit"]
     value[unknown] = np.nan
     share = np.minimum(np.maximum(1.0 - value[:, 3:], a["least"]), 1.0)
     return _trusted(a, value[:, :3], a["signal_variance"] * share**2)

@@ -176,7 +176,7 @@ class SplineReference(Reference):
             first = [min(int(v), n - 3) - 1 for v, n in zip(query, sizes, strict=True)]
             block = spline.coefficients[tuple(slice(k, k + 4) for k in first)]
             weights = [[_cubic(v - (k + j)) for j in range(4)] for v, k in zip(query, first, strict=True)]
-            value[i] = np.einsum("abcw,a,b,c->w", block, *weights)
+            value[i] = spline.unit * np.einsum("abcw,a,b,c->w", block.astype(float), *weights)
         left = np.minimum(np.maximum(1.0 - value[:, 3:], self.table.least), 1.0)
         return value[:, :3], self.training_set.kernel.signal_variance * left**2
 

@@ -90,8 +90,10 @@ class TableData:
     # origin, spacing: (3,): place of the first coefficient and distance of the nodes, in feature units.
     origin: np.ndarray
     spacing: np.ndarray
-    # (n0, n1, n2, 6): of the mean and of 1 - deviation/prior deviation; three layers of zeros on every side.
+    # int16 (n0, n1, n2, 6): of the mean and of 1 - deviation/prior deviation, in units of `unit`; three layers of
+    # zeros on every side.
     coefficients: np.ndarray
+    unit: np.ndarray  # (6,)
     # signal_variance, least: (3,): S0, and the smallest deviation as a share of the prior's.
     signal_variance: np.ndarray
     least: np.ndarray
@@ -106,7 +108,7 @@ class TableData:
 
     def digest(self) -> str:
         """Return the SHA-256 of every number in the table."""
-        names = ("origin", "spacing", "coefficients", "signal_variance", "least", "trust", "doubt")
+        names = ("origin", "spacing", "coefficients", "unit", "signal_variance", "least", "trust", "doubt")
         return digest_of(self.real, (getattr(self, name) for name in names))
 
 
@@ -121,14 +123,41 @@ def table_data(table: TablePredictor, real: str = "double") -> TableData:
     reals = {
         "origin": spline.origin,
         "spacing": spline.spacing,
-        "coefficients": spline.coefficients,
+        "unit": spline.unit,
         "signal_variance": kernel.signal_variance,
         "least": table.least,
         "trust": table.training_set.trust.array,
         "doubt": table.training_set.trust.doubts(kernel.signal_variance),
     }
     rounded = {name: np.asarray(values).astype(precision).astype(float) for name, values in reals.items()}
-    return TableData(real=real, error=asdict(table.error), **rounded)
+    return TableData(real=real, error=asdict(table.error), coefficients=spline.coefficients, **rounded)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A table's coefficients without what is 0 along the last axis, four nodes of zeros around every stretch."""
+
+    nodes: np.ndarray  # int16 (K, 6): of the lines that hold anything, one after the other
+    # int64 (n0 n1,), for each line of n2 nodes: where in `nodes` the stretch begins, its first node's number in
+    # the line, and how many nodes it has. A line of zeros has -4, which keeps a query in the zeros before it.
+    begin: np.ndarray
+    lowest: np.ndarray
+    length: np.ndarray
+
+
+def lines_of(coefficients: np.ndarray) -> Lines:
+    """Return what a table needs to store, shape (n0, n1, n2, 6) given."""
+    whole = coefficients.reshape(-1, *coefficients.shape[2:])
+    filled: np.ndarray = np.any(whole, axis=2)
+    some: np.ndarray = np.any(filled, axis=1)
+    lowest = np.where(some, filled.argmax(axis=1), 0)
+    length = np.where(some, filled.shape[1] - filled[:, ::-1].argmax(axis=1) - lowest, -4)
+    begin = np.where(some, 4 + np.cumsum(length + 4) - (length + 4), 4)
+    zeros = np.zeros((4, coefficients.shape[3]), dtype=coefficients.dtype)
+    parts = [zeros]
+    for line in np.flatnonzero(some):
+        parts += [whole[line, lowest[line] : lowest[line] + length[line]], zeros]
+    return Lines(np.concatenate(parts), begin, lowest, length)
 
 
 def require_usable(training_set: TrainingSet) -> None:

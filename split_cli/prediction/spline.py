@@ -49,16 +49,31 @@ class Spline:
 
     origin: np.ndarray  # (3,): place of the first coefficient
     spacing: np.ndarray  # (3,)
-    # (n0, n1, n2, W): float64 or float32; the outer `PADDING` of each axis are 0, so that s is 0 outside the box.
+    # (n0, n1, n2, W), in units of `unit`: the outer `PADDING` of each axis are 0, so that s is 0 outside the box.
     coefficients: np.ndarray
+    unit: np.ndarray  # (W,)
 
     def value(self, z: np.ndarray) -> np.ndarray:
         """Return the values at `z` (N, 3), shape (N, W); NaN where a query is not a number."""
-        return _compiled.spline(z, self.origin, 1.0 / self.spacing, self.coefficients, False)[0]
+        values = _compiled.spline(z, self.origin, 1.0 / self.spacing, self.coefficients, False)[0]
+        scaled: np.ndarray = values * self.unit
+        return scaled
 
     def value_and_slope(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (N, W) and their derivatives (N, W, 3)."""
-        return _compiled.spline(z, self.origin, 1.0 / self.spacing, self.coefficients, True)
+        values, slopes = _compiled.spline(z, self.origin, 1.0 / self.spacing, self.coefficients, True)
+        return values * self.unit, slopes * self.unit[:, None]
+
+    def in_integers(self) -> "Spline":
+        """Return the spline with coefficients of 16 bits; no value moves by more than half a unit.
+
+        The unit of an output is its largest coefficient over 32767. B-splines are positive and add up to 1, so the
+        rounding of a value is a mean of the coefficients' roundings.
+        """
+        largest = np.abs(self.coefficients * self.unit).max(axis=(0, 1, 2))
+        unit = np.where(largest > 0.0, largest, 1.0) / np.iinfo(np.int16).max
+        whole = np.rint(self.coefficients * (self.unit / unit)).astype(np.int16)
+        return Spline(self.origin, self.spacing, whole, unit)
 
 
 def fit_spline(lattice: Lattice, values: np.ndarray) -> Spline:
@@ -78,7 +93,7 @@ def fit_spline(lattice: Lattice, values: np.ndarray) -> Spline:
         table = np.moveaxis(solved.reshape(lines.shape), 0, axis)
     padded: np.ndarray = np.pad(table, [(PADDING, PADDING)] * 3 + [(0, 0)])
     origin = (lattice.first - PADDING) * lattice.spacing
-    return Spline(origin, lattice.spacing, np.ascontiguousarray(padded))
+    return Spline(origin, lattice.spacing, np.ascontiguousarray(padded), np.ones(padded.shape[3]))
 
 
 def smooth_step(position: np.ndarray) -> np.ndarray:

@@ -16,11 +16,14 @@ from split_cli.prediction.spline import Lattice, fit_spline, lattice_over, smoot
 #: error E raises the root mean square by e^2/(2 E^2): 2 % at e = 0.2 E. Label noise of a tenth of the signal makes
 #: E at least 0.1; this is a quarter of 0.02.
 DEFAULT_BOUND = 5e-3
-_FIRST_NODES = 3.0  # nodes a length scale to begin with
+#: Largest error e of the deviation, as a share of the prior's. Beside label noise of n signal deviations the
+#: interval of a label is wrong by a share of at most e/(2 n): 4 % at a quarter, which moves 95 % by 0.9 points.
+DEVIATION_BOUND = 0.02
+_FIRST_NODES = 2.0  # nodes a length scale to begin with
 _MOST_NODES = 3_000_000
-#: Distances in length scales. The box reaches `_MARGIN` beyond the points and fades over its outer `_FADE`; a node
-#: fades between `_NEAR` and `_FAR` of the nearest point, where the process is nearly the prior by itself.
-_MARGIN, _FADE, _NEAR, _FAR = 1.5, 1.0, 2.0, 3.0
+#: Length scales from the nearest point between which a node fades to the prior, which the process nearly is then.
+#: No query of `_measure` meets the fade: it changes faster than the process and would ask for a finer spacing.
+_NEAR, _FAR = 2.0, 3.0
 _TRIED = 1000
 
 
@@ -35,8 +38,8 @@ class TableError:
 
     @property
     def met(self) -> bool:
-        """Whether the bound holds on what was tried."""
-        return self.mean <= self.bound
+        """Whether the bounds hold on what was tried."""
+        return self.mean <= self.bound and self.deviation <= DEVIATION_BOUND
 
 
 class TablePredictor(Predictor):
@@ -45,7 +48,8 @@ class TablePredictor(Predictor):
     Parameters
     ----------
     bound : float
-        Error of the mean, in signal deviations, from which the spacing of the nodes is found.
+        Error of the mean, in signal deviations, from which the spacing of the nodes is found; at least 1e-3, since
+        coefficients are rounded to 16 bits.
     most : int
         Points the dense process is projected on, see `batch_process.BatchProcess`.
 
@@ -60,8 +64,8 @@ class TablePredictor(Predictor):
     -----
     Nodes lie `nodes a length scale` apart. The mean is a sum of squared exponentials, for which the interpolation
     error falls with the fourth power of the spacing: the spacing is refined by that law until the error measured
-    at random places between the nodes stays below the bound. Beyond the points' box, and far from any point
-    inside it, mean and deviation return to the prior smoothly; outside the box they are the prior exactly.
+    at random places between the nodes stays below the bound. Far from any point mean and deviation return to the
+    prior smoothly; the coefficients are 0 there, and need not be stored.
     """
 
     name: str = "table"
@@ -72,8 +76,8 @@ class TablePredictor(Predictor):
         if width != 3:
             advice = "Use projected, or train with z2."
             raise SetError(f"a table needs three features, the set has {width}", advice=advice)
-        if not 0.0 < bound < 1.0:
-            raise ValueError(f"bound is {bound!r}, it must lie between 0 and 1")
+        if not 1e-3 <= bound < 1.0:
+            raise ValueError(f"bound is {bound!r}, it must lie between 0.001 and 1")
         self.bound, self.most = bound, most
         ratio = training_set.kernel.noise_variance / training_set.kernel.signal_variance
         self.least = np.sqrt(ratio / (training_set.size + ratio))
@@ -100,19 +104,20 @@ class TablePredictor(Predictor):
             self._lattice = Lattice(scales / _FIRST_NODES, np.zeros(3, dtype=np.int64), (1, 1, 1))
             self._values = np.zeros((1, 6))
             self.error = TableError(self.bound, 0.0, 0.0, 0)
-            self.spline = fit_spline(self._lattice, self._values)
+            self.spline = fit_spline(self._lattice, self._values).in_integers()
             return
         process = BatchProcess(s.z, s.y, s.kernel, self.most)
-        lower, upper = s.z.min(axis=0) - _MARGIN * scales, s.z.max(axis=0) + _MARGIN * scales
+        lower, upper = s.z.min(axis=0) - _FAR * scales, s.z.max(axis=0) + _FAR * scales
         nodes = _FIRST_NODES
         while True:
             self._lattice = lattice_over(lower, upper, scales / nodes)
             self._values = np.zeros((self._lattice.size, 6))
             self._fill(process, self._lattice.nodes())
-            self.spline = fit_spline(self._lattice, self._values)
+            self.spline = fit_spline(self._lattice, self._values).in_integers()
             self.error = error = self._measure(process)
             # The fourth-order law, a twentieth on top since it is the largest of many errors that must fall.
-            finer = nodes * min(1.6, 1.05 * (max(error.mean, 1e-12) / self.bound) ** 0.25)
+            over = max(error.mean / self.bound, error.deviation / DEVIATION_BOUND)
+            finer = nodes * min(1.6, 1.05 * over**0.25)
             if error.met or self._lattice.size * (finer / nodes) ** 3 > _MOST_NODES:
                 return
             nodes = finer
@@ -120,11 +125,8 @@ class TablePredictor(Predictor):
     def _fill(self, process: BatchProcess, places: np.ndarray) -> None:
         """Compute values at the nodes, faded to the prior far from points."""
         s, scales = self.training_set, self.training_set.kernel.length_scales
-        lower, upper = s.z.min(axis=0) / scales - _MARGIN, s.z.max(axis=0) / scales + _MARGIN
-        scaled = places / scales
-        inside = np.minimum(scaled - lower, upper - scaled).min(axis=1)
-        nearest, _ = cKDTree(s.z / scales).query(scaled, distance_upper_bound=_FAR)
-        fade = smooth_step(inside / _FADE) * smooth_step((_FAR - nearest) / (_FAR - _NEAR))
+        nearest, _ = cKDTree(s.z / scales).query(places / scales, distance_upper_bound=_FAR)
+        fade = smooth_step((_FAR - nearest) / (_FAR - _NEAR))
         used = np.flatnonzero(fade > 0.0)
         mean, known = process.mean_and_known(places[used])
         self._values[used] = fade[used, None] * np.column_stack([mean, 1.0 - np.sqrt(1.0 - known)])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from split_cli.export.tables import lines_of
 from split_cli.prediction.batch_process import BatchProcess
 from split_cli.prediction.full import FullPredictor
 from split_cli.prediction.spline import fit_spline, lattice_over
@@ -78,6 +79,32 @@ def test_slopes_are_derivatives_and_continuous_across_nodes():
         np.testing.assert_allclose(slope[:, :, d], expected, atol=2e-4)
 
 
+def test_coefficients_of_16_bits_move_no_value_by_more_than_half_a_unit():
+    rng = np.random.default_rng(7)
+    lattice = lattice_over(np.zeros(3), np.full(3, 5.0), np.array([1.0, 0.5, 0.7]))
+    exact = fit_spline(lattice, rng.normal(size=(lattice.size, 2)) * [1.0, 1e-3])
+    rounded, z = exact.in_integers(), rng.uniform(-0.5, 5.5, (500, 3))
+    assert rounded.coefficients.dtype == np.int16 and np.abs(rounded.coefficients).max() == 32767
+    error = np.abs(rounded.value(z) - exact.value(z)).max(axis=0)
+    assert (error <= 0.5 * rounded.unit).all() and (error >= 0.05 * rounded.unit).all()
+    nothing = fit_spline(lattice, np.zeros((lattice.size, 2))).in_integers()
+    assert not nothing.coefficients.any() and np.isfinite(nothing.unit).all()
+
+
+def test_lines_without_their_zeros_are_the_whole_table(table):
+    """Every run of four nodes that a query can read, found as the C finds it."""
+    whole = table.spline.coefficients
+    lines, (planes, rows, count) = lines_of(whole), whole.shape[:3]
+    assert len(lines.nodes) < 0.7 * planes * rows * count
+    for line in range(planes * rows):
+        for first in range(count - 3):
+            inside = max(-4, min(lines.length[line], first - lines.lowest[line]))
+            start = lines.begin[line] + inside
+            assert np.array_equal(
+                lines.nodes[start : start + 4], whole[line // rows, line % rows][first : first + 4]
+            )
+
+
 def test_the_table_equals_the_dense_process_within_its_stated_bound(trained, table):
     assert table.error.met and table.error.queries == 1000
     z = near(trained, 600, 5)
@@ -85,8 +112,8 @@ def test_the_table_equals_the_dense_process_within_its_stated_bound(trained, tab
     deviation = np.sqrt(trained.kernel.signal_variance)
     error = np.abs(got.mean - full.mean) / deviation
     # Other places than the thousand tried: the largest may be a little larger.
-    assert error.max() <= 2.0 * table.bound and np.sqrt(np.mean(error**2)) <= 0.2 * table.bound
-    assert np.abs(np.sqrt(got.variance) - np.sqrt(full.variance)).max() <= 0.02 * deviation.max()
+    assert error.max() <= 2.0 * table.bound and np.sqrt(np.mean(error**2)) <= 0.3 * table.bound
+    assert np.abs(np.sqrt(got.variance) - np.sqrt(full.variance)).max() <= 0.03 * deviation.max()
 
 
 def test_a_tighter_bound_comes_nearer_to_the_dense_process(trained, table):
