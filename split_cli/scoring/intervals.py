@@ -98,6 +98,9 @@ def too_narrow(error: np.ndarray, deviation: np.ndarray, block: np.ndarray) -> t
     return share, float(np.quantile(ratio, _LEVEL))
 
 
+_REMEDY = ". This driving differs from that of the training; add drives like this one to it"
+
+
 def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] = ()) -> list[str]:
     """Return a warning for every state whose intervals are too narrow on these drives, by predictor.
 
@@ -119,10 +122,10 @@ def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] 
             continue
         held = " and ".join(f"{100.0 * share:.0f} % ({name})" for name, (share, _) in found.items())
         factor = max(factor for _, factor in found.values())
+        advice = "" if warnings else _REMEDY  # one for all states
         warnings.append(
             f"WARNING: intervals of {state} are too narrow here: the 95 % intervals hold only {held} of the "
-            f"labels. They would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide. This "
-            "driving differs from that of the training; add drives like this one to it"
+            f"labels. They would have to be {'up to ' if len(found) > 1 else ''}{factor:.1f} times as wide{advice}"
             f"{_by_distance([s for s in shares if s.name == list(found)[0]], number)}"
         )
     return warnings

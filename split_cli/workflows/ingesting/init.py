@@ -84,7 +84,8 @@ class InitResult:
         if "vx" in still:
             steps.insert(
                 0,
-                f"Here {', '.join(still)} never change{'s' * (len(still) == 1)}: if the car stands, take a log in which it drives.",
+                f"Here {', '.join(still)} never change{'s' * (len(still) == 1)}: if the car stands, take a log in "
+                "which it drives.",
             )
         if check:
             steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")

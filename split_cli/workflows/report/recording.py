@@ -5,6 +5,7 @@ from typing import Any
 
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart
+from split_cli.signals import CHANNELS
 from split_cli.workflows.report.markup import facts_list, items, plain_table, section, verdict
 from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
@@ -31,7 +32,7 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
         ("Length", f"{number(seconds)} s", f"{len(drive):,} rows at {drive.rate:g} Hz"),
         ("Segments", f"{len(drive.segments())}", "without a gap"),
         ("Checks", f"{held} of {held + open_}", "relations between channels were judged"),
-        ("Channels", f"{len(drive.columns) - 1}", ", ".join(name for name in drive.columns if name != "t")),
+        ("Channels", f"{len(drive.columns) - 1}", _named(drive)),
     ]
     body = (
         f"{verdict(kind, _short(headline), f'{_rest(headline)}{more}{facts_list(facts)}')}"
@@ -39,6 +40,13 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
     )
     source = ", ".join(one.name for one in drive.metadata.sources) or drive.name
     return page("ingest", source, f"{_short(headline)} {source}", body, charts)
+
+
+def _named(drive: Drive) -> str:
+    """Return the channels that commands know, and how many columns are kept as recorded beside them."""
+    known = [name for name in drive.columns if name in CHANNELS and name != "t"]
+    others = len(drive.columns) - 1 - len(known)
+    return ", ".join([*known, f"and {others} kept as recorded"] if others else known)
 
 
 def _findings(found: Mapping[str, Any]) -> list[str]:

@@ -115,7 +115,8 @@ def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
     yield "Compared", percent(diagnosis.compared_share), f"of the real drive, {where}"
     if diagnosis.findings:
         largest = max(diagnosis.findings, key=lambda finding: finding.effect_to_noise)
-        note = f"sensor noise over 0.05 s ({term_title(largest.term)})"
+        of_one = f" ({finding_headline(largest)})" if len(diagnosis.findings) > 1 else ""
+        note = f"sensor noise over 0.05 s{of_one}"
         yield "Effect size", f"{number(largest.effect_to_noise, 2)} ×", note
     if diagnosis.improvement is not None and diagnosis.improvement.tells and diagnosis.findings:
         yield from _facts_of_help(diagnosis.improvement)
