@@ -8,6 +8,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from types import FrameType
 from typing import Any, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -21,6 +22,17 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
 
     decorator: Callable[[Function], Function] = njit(**options)
     return decorator
+
+
+def called_by_compiled_code(frame: FrameType | None) -> bool:
+    """Tell whether compiled code that returns arrays has called what runs in a frame.
+
+    Numba then restores the arrays' type and does not look whether that failed: an exception raised there, as by a
+    signal that came while the code ran, would end the process in a segmentation fault.
+    """
+    while frame is not None and frame.f_code.co_name != "_numba_unpickle":
+        frame = frame.f_back
+    return frame is not None
 
 
 def provide_cache(package: str, environment: Mapping[str, str] | None = None) -> str | None:

@@ -416,6 +416,10 @@ def _refuse_what_is_no_file(target: Path, shown: str) -> None:
         raise SplitError("is a folder, a file was to be written", where=shown, advice="Name a file in it.")
     if target.exists() and not target.is_file():
         raise SplitError("is not a regular file, it would be replaced by one", where=shown)
+    if target.exists() and not target.stat().st_mode & 0o222:
+        # A rename asks nobody: only this keeps what its owner protected.
+        advice = "Name another file, or allow writing with `chmod u+w`."
+        raise SplitError("is write-protected", where=shown, advice=advice)
 
 
 def _refuse_what_is_no_folder(target: Path, shown: str) -> None:

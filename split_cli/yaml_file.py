@@ -140,7 +140,7 @@ def read_yaml_mapping(
     except OSError as problem:
         raise error(f"cannot be read ({problem.strerror or problem})", where=where) from problem
     except UnicodeDecodeError as problem:
-        raise error("cannot be read (it is no text, YAML was expected)", where=where) from problem
+        raise error("is no text in UTF-8, YAML was expected", where=where, advice="Save it as UTF-8.") from problem
     except RecursionError as problem:
         raise error("is nested too deeply", where=where, advice="See docs/formats.md.") from problem
     except (yaml.YAMLError, ValueError, OverflowError) as problem:

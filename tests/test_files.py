@@ -182,6 +182,16 @@ def test_a_device_is_never_replaced(tmp_path):
     assert stat.S_ISFIFO(fifo.stat().st_mode)
 
 
+def test_a_write_protected_file_is_kept(tmp_path):
+    """A rename asks for the folder's permission only; root and the file's owner protect a file by its mode."""
+    kept = tmp_path / "kept.split"
+    kept.write_text("old")
+    kept.chmod(0o444)
+    with pytest.raises(SplitError, match="write-protected"):
+        atomic_write_text(kept, "new")
+    assert kept.read_text() == "old"
+
+
 def test_a_symbolic_link_stays_one_and_its_target_gets_the_content(tmp_path):
     (tmp_path / "real").mkdir()
     real = tmp_path / "real" / "a.yaml"

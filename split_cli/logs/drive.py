@@ -235,6 +235,8 @@ def _read_table(path: Path) -> pa.Table:
         if "magic bytes not found" in reason:
             reason = "it is no Parquet file"
         advice = "A drive is the Parquet that `split ingest` writes. Give a recording to `split ingest` first."
+        if "CRC" in reason:
+            reason, advice = "its content does not match its checksums", "Copy it or ingest its log again."
         raise DriveError(f"cannot be read as a drive ({reason})", where=str(path), advice=advice) from error
     if table.num_rows < 2:
         raise DriveError(f"holds {table.num_rows} samples", where=str(path), advice="A drive needs two or more.")

@@ -13,8 +13,10 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
+from types import FrameType
 from typing import Any, TypeVar
 
+from split_cli.compiled_code import called_by_compiled_code
 from split_cli.diagnosis.parallel import cores, use_threads
 from split_cli.errors import SplitError, reason_of
 
@@ -153,8 +155,11 @@ def _start_worker(lifeline: Connection) -> None:
     The other end of `lifeline` closes when the parent stops its workers, or ends.
     """
 
-    def stop(number: int, frame: object) -> None:
+    def stop(number: int, frame: FrameType | None) -> None:
         _stopped.set()
+        if called_by_compiled_code(frame):
+            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+            return
         sys.exit(128 + number)
 
     def listen() -> None:

@@ -386,7 +386,8 @@ def _rollouts(
     settings: EvaluationSettings,
     engine: Engine,
 ) -> tuple[dict[tuple[str, str], RolloutSums], list[RolloutScore], list[Rolled]]:
-    if not settings.rollout or settings.protocol == "paper":
+    longest = max(len(held.drive) * held.drive.period for held in drives)
+    if not settings.rollout or settings.protocol == "paper" or max(settings.rollout) > longest:
         return {}, [], []
     steps = max(1, round(max(settings.rollout) / drives[0].labels.horizon))
     pooled: dict[tuple[str, str], RolloutSums] = {}

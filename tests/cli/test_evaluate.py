@@ -169,6 +169,13 @@ def test_drives_of_another_label_interval_have_no_common_rollouts(garage, tmp_pa
     assert json.loads(outcome.stdout)["rollouts"] == alone["rollouts"]
 
 
+def test_rollouts_longer_than_every_drive_are_said_to_be_missing(garage):
+    """The time of 1e308 s was an error of the program, and 1e9 s took all memory."""
+    outcome = run("evaluate", garage / "d1.parquet", "--set", garage / "a.split", "--rollout", "1e308", "--json")
+    assert "no stretch of test data lasts 1e+308 s" in outcome.stderr
+    assert json.loads(outcome.stdout)["rollouts"] == []
+
+
 def test_figures_are_written_and_named(garage, tmp_path):
     outcome = run(
         "evaluate", garage / "d1.parquet", "--set", garage / "a.split", "-o", tmp_path / "figures", "--json"

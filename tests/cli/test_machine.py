@@ -49,13 +49,34 @@ def test_a_stdout_that_is_full_or_closed_is_no_error_of_this_program(here):
     assert run.returncode == 0
 
 
+COMPILED = """
+import math, numba, numpy, threading
+@numba.njit("Tuple((f8[:], i8))(i8)")
+def work(steps):
+    found = numpy.zeros(2)
+    for k in range(steps):
+        found[0] = math.sin(found[0] + k)
+    return found, steps
+threading.Timer(0.05, end).start()
+try:
+ work(30_000_000)
+"""
+
+
 @pytest.mark.parametrize(
     "swallow",
-    ["class Held:\n def __del__(self): end()\nheld = Held()\ntry:\n del held", "try:\n try: end()\n except: pass"],
-    ids=["as an object is taken down", "by a library that catches everything"],
+    [
+        "class Held:\n def __del__(self): end()\nheld = Held()\ntry:\n del held",
+        "try:\n try: end()\n except: pass",
+        COMPILED,
+    ],
+    ids=["as an object is taken down", "by a library that catches everything", "in compiled code"],
 )
 def test_a_stop_that_is_swallowed_comes_once_more(swallow):
-    """Python swallows what is raised in a destructor, and prints it; the run would go on."""
+    """Python swallows what is raised in a destructor, and prints it; the run would go on.
+
+    Compiled code that returns several arrays makes a segmentation fault of it.
+    """
     program = f"""
 import os, signal, time
 from split_cli.cli.main import _stop_cleanly

@@ -256,8 +256,7 @@ def _unverified(path: Path, before: DriveMetadata | None) -> str:
     """Return what to say of a source without checksums; MCAP and drives of ours have them."""
     if before is not None or not path.exists() or path.suffix.lower() in _WITH_CHECKSUMS or path.is_dir():
         return ""
-    kind = path.suffix.lower().lstrip(".") or "this"
-    return f"a {kind} file has no checksums: a damaged number is seen only where it contradicts other channels"
+    return "the file has no checksums: a damaged number is seen only where it contradicts other channels"
 
 
 def _assumed_before(before: DriveMetadata | None) -> tuple[str, ...]:
