@@ -44,6 +44,7 @@ from split_cli.diagnosis.search.term_tests import (
     term_size,
     witnessed_p,
 )
+from split_cli.diagnosis.search.valleys import in_lowest_valleys
 from split_cli.vehicle.effects import Term
 
 
@@ -158,6 +159,10 @@ def select_terms(
             break
         history += grown.history
         selection = _examined(explore, base, _inverted_stretch(explore, grown.chosen, history))
+    deeper = in_lowest_valleys(objective, selection.chosen, rules.tie * variance_inflation)
+    if deeper is not selection.chosen:
+        history.append(f"another valley of a delay saves {selection.chosen.cost - deeper.cost:.0f}")
+        selection = _examined(explore, base, deeper)
     selection = _settled_nuisances(explore, selection, history)
     # Last: whatever were added to it again, or took its place, would be part of the explanation that it replaced.
     single = alone(explore, base, selection.chosen, selection.named)
@@ -404,11 +409,8 @@ def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[
 
 def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[Fit, ...]:
     """Return an explanation refitted without each of its parts; `base` is the one without any."""
-    return (
-        tuple(fits_without(objective, fit, range(len(fit.parts))))
-        if len(fit.parts) > 1
-        else (base,) * len(fit.parts)
-    )
+    several = len(fit.parts) > 1
+    return tuple(fits_without(objective, fit, range(len(fit.parts)))) if several else (base,) * len(fit.parts)
 
 
 def explaining_as_well(

@@ -87,7 +87,7 @@ _LATE = (
 _SLOW = "judgement: a turbo-charged engine builds up torque in up to a second, nothing in a car is slower"
 DELAY_SEARCH = Search(
     {"delay": Range(0.0, 0.6, 0.001, _LATE)},
-    tuple({"delay": value} for value in (0.001, 0.004, 0.015, 0.045, 0.13, 0.38)),
+    tuple({"delay": value} for value in (0.001, 0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38)),
 )
 LAG_SEARCH = Search(
     {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
