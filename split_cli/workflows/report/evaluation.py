@@ -149,9 +149,12 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
         ("Trust", trust, "share of the correction of v_x, v_y, r that is applied"),
     ]
     warned = [note.split(_WARNING, 1)[1] for note in report.notes if note.startswith(_WARNING)]
-    but = "".join(f'<p class="lead">Note: {escape(text)}.</p>' for text in warned)
+    # Notes on a correction that does harm come first; others, such as on its intervals, behind the figures.
+    style = ' class="lead"' if harm else ""
+    but = "".join(f"<p{style}>Note: {escape(text)}.</p>" for text in warned)
     more = f"<details><summary>Every predictor, state by state</summary>{lines}</details>"
-    return verdict(kind, _headline(comparisons), f"{but}{facts_list(facts)}{more}")
+    said = f"{but}{facts_list(facts)}" if harm else f"{facts_list(facts)}{but}"
+    return verdict(kind, _headline(comparisons), f"{said}{more}")
 
 
 def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) -> list[Chart]:
