@@ -138,3 +138,17 @@ def test_two_clocks_by_turns_are_no_clock():
     time[::2] += 0.5
     with pytest.raises(LogError, match=r"goes back by more than 0\.1 s 500 times in 1000 rows"):
         join_clock_resets({"vx": (series(time, time),)}, 0.1)
+
+
+def test_joined_runs_are_further_apart_than_any_source_is_bridged():
+    """A gap of 3 s, or a receiver of 0.5 Hz that is held for five samples, reached over a pause of 1 s."""
+    clock = np.concatenate([np.arange(0.0, 30.0, 0.1), np.arange(0.0, 30.0, 0.1)])
+    fix = np.concatenate([np.arange(0.0, 30.0, 2.0), np.arange(0.0, 30.0, 2.0)])
+    for sources, gap, bridged in (
+        ({"vx": (series(clock, clock),)}, 3.0, 3.0),
+        ({"vx": (series(clock, clock),), "X": (series(fix, fix, "X"),)}, 0.2, 5 * 2.0),
+        # The same receiver in a table of 10 Hz: each of its values stands in 20 rows.
+        ({"vx": (series(clock, clock),), "X": (series(clock, clock // 2.0, "X"),)}, 0.2, 5 * 2.0),
+    ):
+        joined, _ = join_clock_resets(sources, gap)
+        assert all(np.max(np.diff(part.time)) > bridged for parts in joined.values() for part in parts)
