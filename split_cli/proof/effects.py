@@ -12,6 +12,7 @@ from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.effects.body import inertia_range, least_mass
 
 _PLACES = 512
+_FASTEST = 6e-4  # time constant of an actuator of the plant that follows at once [s]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,10 @@ def _car(world: ProofWorld, **changes: float) -> ProofWorld:
     return replace(world, car=replace(world.car, **changes))
 
 
+def _sensor(world: ProofWorld, **changes: float) -> ProofWorld:
+    return replace(world, sensor=replace(world.sensor, **changes))
+
+
 def _tires(world: ProofWorld, change: Callable[[TireParameters], TireParameters]) -> ProofWorld:
     return _car(world, front_tire=change(world.car.front_tire), rear_tire=change(world.car.rear_tire))
 
@@ -47,6 +52,47 @@ def _pace(car: CarParameters) -> float:
 
 def _along(world: ProofWorld) -> np.ndarray:
     return np.arange(_PLACES) * world.track.length / _PLACES
+
+
+def _of_one_number(
+    term: str,
+    number: str,
+    parameter: str,
+    start: float,
+    most: float,
+    *,
+    base: float = 0.0,
+    least: float = 0.0,
+    both_sides: bool = False,
+    put: Callable[..., ProofWorld] = _car,
+    **absent: float,
+) -> Callable[[np.random.Generator, ProofWorld], Concealed]:
+    """Return what draws an effect that is one number of the car, or of its sensor.
+
+    Parameters
+    ----------
+    number, parameter : str
+        Its name in the plant, and that of the term's parameter.
+    base : float
+        The parameter without the effect, to which the size is added; to a side that is drawn if it has two.
+    least : float
+        What the plant's number is more than the parameter [its unit]: the shortest time constant that it follows.
+    absent : float
+        Numbers of the world in which the effect's own quantity is absent.
+    """
+
+    def drawn(rng: np.random.Generator, world: ProofWorld) -> Concealed:
+        sign = rng.choice((-1.0, 1.0)) if both_sides else 1.0
+        return Concealed(
+            term,
+            lambda w, size: put(w, **{number: least + (base + sign * size)}),
+            start,
+            most,
+            known=lambda w, size: {parameter: base + sign * size},
+            neutral=lambda w: put(w, **absent) if absent else w,
+        )
+
+    return drawn
 
 
 def _combined_slip(rng, world):
@@ -190,42 +236,28 @@ def _profile(rng, world: ProofWorld) -> tuple[str, np.ndarray, dict[str, float]]
     return "stretch", _inside(world, start, end), {"s_start": start, "s_end": end}
 
 
-def _road_grade(rng, world):
-    variant, profile, given = _profile(rng, world)
-    sign = rng.choice((-1.0, 1.0))
+def _inclined(term: str, road: str, sign: float, variant: str, profile: np.ndarray, given: dict[str, float]):
     name = "amplitude" if variant == "wave" else "angle"
     return Concealed(
-        "road_grade",
-        lambda w, size: replace(w, road=road_of(w.track, w.road, grade=sign * size * profile)),
+        term,
+        lambda w, size: replace(w, road=road_of(w.track, w.road, **{road: sign * size * profile})),
         0.02,
         0.2,
         known=lambda w, size: {name: sign * size},
         shape=given,
         variant=variant,
     )
+
+
+def _road_grade(rng, world):
+    profile = _profile(rng, world)
+    return _inclined("road_grade", "grade", rng.choice((-1.0, 1.0)), *profile)
 
 
 def _road_bank(rng, world):
     sign = rng.choice((-1.0, 1.0))
-    if rng.random() < 0.4:
-        return Concealed(
-            "road_bank",
-            lambda w, size: replace(w, road=road_of(w.track, w.road, bank=np.full(_PLACES, sign * size))),
-            0.02,
-            0.2,
-            known=lambda w, size: {"angle": sign * size},
-        )
-    variant, profile, given = _profile(rng, world)
-    name = "amplitude" if variant == "wave" else "angle"
-    return Concealed(
-        "road_bank",
-        lambda w, size: replace(w, road=road_of(w.track, w.road, bank=sign * size * profile)),
-        0.02,
-        0.2,
-        known=lambda w, size: {name: sign * size},
-        shape=given,
-        variant=variant,
-    )
+    everywhere = ("", np.ones(_PLACES), {})
+    return _inclined("road_bank", "bank", sign, *(everywhere if rng.random() < 0.4 else _profile(rng, world)))
 
 
 def _wind(rng, world):
@@ -258,23 +290,6 @@ def _drive_gain(rng, world):
     )
 
 
-def _drive_lag(rng, world):
-    return Concealed(
-        "drive_lag",
-        lambda w, size: _car(w, drive_lag=6e-4 + size),
-        0.08,
-        0.8,
-        known=lambda w, size: {"tau": size},
-        neutral=lambda w: _car(w, drive_lag=6e-4),
-    )
-
-
-def _drive_delay(rng, world):
-    return Concealed(
-        "drive_delay", lambda w, size: _car(w, drive_delay=size), 0.05, 0.5, known=lambda w, size: {"delay": size}
-    )
-
-
 def _rolling_resistance(rng, world):
     def roll(w, size):
         return _tires(w, lambda tire: replace(tire, rolling_resistance=tire.rolling_resistance + size))
@@ -292,55 +307,6 @@ def _yaw_moment_differential(rng, world):
         unit,
         300.0 * unit,
         neutral=lambda w: _car(w, differential_locking_rear=0.0),
-    )
-
-
-def _steer_offset(rng, world):
-    sign = rng.choice((-1.0, 1.0))
-    return Concealed(
-        "steer_offset",
-        lambda w, size: _car(w, steer_offset=sign * size),
-        0.005,
-        0.08,
-        known=lambda w, size: {"offset": sign * size},
-    )
-
-
-def _steer_gain(rng, world):
-    sign = rng.choice((-1.0, 1.0))
-    return Concealed(
-        "steer_gain",
-        lambda w, size: _car(w, steer_gain=1.0 + sign * size),
-        0.06,
-        0.4,
-        known=lambda w, size: {"gain": 1.0 + sign * size},
-    )
-
-
-def _steer_delay(rng, world):
-    return Concealed(
-        "steer_delay", lambda w, size: _car(w, steer_delay=size), 0.03, 0.3, known=lambda w, size: {"delay": size}
-    )
-
-
-def _steer_lag(rng, world):
-    return Concealed(
-        "steer_lag",
-        lambda w, size: _car(w, steer_lag=6e-4 + size),
-        0.04,
-        0.3,
-        known=lambda w, size: {"tau": size},
-        neutral=lambda w: _car(w, steer_lag=6e-4, steer_rate=30.0),
-    )
-
-
-def _steer_backlash(rng, world):
-    return Concealed(
-        "steer_backlash",
-        lambda w, size: _car(w, steer_backlash=size),
-        0.01,
-        0.08,
-        known=lambda w, size: {"width": size},
     )
 
 
@@ -379,10 +345,6 @@ def _cg_shift(rng, world):
     return Concealed("cg_shift", shift, 0.03 * length, 0.15 * length, known=lambda w, size: {"dx": sign * size})
 
 
-def _sensor(world: ProofWorld, **changes: float) -> ProofWorld:
-    return replace(world, sensor=replace(world.sensor, **changes))
-
-
 def _sensor_lever_arm(rng, world):
     sign = rng.choice((-1.0, 1.0))
     return Concealed(
@@ -391,23 +353,6 @@ def _sensor_lever_arm(rng, world):
         0.1 * world.car.wheelbase,
         1.5 * world.car.wheelbase,
         known=lambda w, size: {"dx": sign * size},
-    )
-
-
-def _sensor_misalignment(rng, world):
-    sign = rng.choice((-1.0, 1.0))
-    return Concealed(
-        "sensor_misalignment",
-        lambda w, size: _sensor(w, angle=sign * size),
-        0.01,
-        0.15,
-        known=lambda w, size: {"angle": sign * size},
-    )
-
-
-def _sensor_delay(rng, world):
-    return Concealed(
-        "sensor_delay", lambda w, size: _sensor(w, delay=size), 0.03, 0.19, known=lambda w, size: {"delay": size}
     )
 
 
@@ -425,21 +370,25 @@ EFFECTS: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
     "road_bank": _road_bank,
     "wind": _wind,
     "drive_gain": _drive_gain,
-    "drive_lag": _drive_lag,
-    "drive_delay": _drive_delay,
+    "drive_lag": _of_one_number("drive_lag", "drive_lag", "tau", 0.08, 0.8, least=_FASTEST, drive_lag=_FASTEST),
+    "drive_delay": _of_one_number("drive_delay", "drive_delay", "delay", 0.05, 0.5),
     "rolling_resistance": _rolling_resistance,
     "yaw_moment_differential": _yaw_moment_differential,
-    "steer_offset": _steer_offset,
-    "steer_gain": _steer_gain,
-    "steer_delay": _steer_delay,
-    "steer_lag": _steer_lag,
-    "steer_backlash": _steer_backlash,
+    "steer_offset": _of_one_number("steer_offset", "steer_offset", "offset", 0.005, 0.08, both_sides=True),
+    "steer_gain": _of_one_number("steer_gain", "steer_gain", "gain", 0.06, 0.4, base=1.0, both_sides=True),
+    "steer_delay": _of_one_number("steer_delay", "steer_delay", "delay", 0.03, 0.3),
+    "steer_lag": _of_one_number(
+        "steer_lag", "steer_lag", "tau", 0.04, 0.3, least=_FASTEST, steer_lag=_FASTEST, steer_rate=30.0
+    ),
+    "steer_backlash": _of_one_number("steer_backlash", "steer_backlash", "width", 0.01, 0.08),
     "mass": _mass,
     "yaw_inertia": _yaw_inertia,
     "cg_shift": _cg_shift,
     "sensor_lever_arm": _sensor_lever_arm,
-    "sensor_misalignment": _sensor_misalignment,
-    "sensor_delay": _sensor_delay,
+    "sensor_misalignment": _of_one_number(
+        "sensor_misalignment", "angle", "angle", 0.01, 0.15, both_sides=True, put=_sensor
+    ),
+    "sensor_delay": _of_one_number("sensor_delay", "delay", "delay", 0.03, 0.19, put=_sensor),
 }
 """By id of the catalogue."""
 
