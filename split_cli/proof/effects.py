@@ -38,7 +38,8 @@ def _car(world: ProofWorld, **changes: float) -> ProofWorld:
     return replace(world, car=replace(world.car, **changes))
 
 
-def _sensor(world: ProofWorld, **changes: float) -> ProofWorld:
+def sensor_with(world: ProofWorld, **changes: float) -> ProofWorld:
+    """Return a world whose sensor has other numbers."""
     return replace(world, sensor=replace(world.sensor, **changes))
 
 
@@ -54,7 +55,7 @@ def _along(world: ProofWorld) -> np.ndarray:
     return np.arange(_PLACES) * world.track.length / _PLACES
 
 
-def _of_one_number(
+def of_one_number(
     term: str,
     number: str,
     parameter: str,
@@ -72,7 +73,7 @@ def _of_one_number(
     Parameters
     ----------
     number, parameter : str
-        Its name in the plant, and that of the term's parameter.
+        Its name in the plant, and that of the term's parameter; empty for an effect outside the catalogue.
     base : float
         The parameter without the effect, to which the size is added; to a side that is drawn if it has two.
     least : float
@@ -88,7 +89,7 @@ def _of_one_number(
             lambda w, size: put(w, **{number: least + (base + sign * size)}),
             start,
             most,
-            known=lambda w, size: {parameter: base + sign * size},
+            known=lambda w, size: {parameter: base + sign * size} if parameter else {},
             neutral=lambda w: put(w, **absent) if absent else w,
         )
 
@@ -349,7 +350,7 @@ def _sensor_lever_arm(rng, world):
     sign = rng.choice((-1.0, 1.0))
     return Concealed(
         "sensor_lever_arm",
-        lambda w, size: _sensor(w, dx=sign * size),
+        lambda w, size: sensor_with(w, dx=sign * size),
         0.1 * world.car.wheelbase,
         1.5 * world.car.wheelbase,
         known=lambda w, size: {"dx": sign * size},
@@ -370,25 +371,25 @@ EFFECTS: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
     "road_bank": _road_bank,
     "wind": _wind,
     "drive_gain": _drive_gain,
-    "drive_lag": _of_one_number("drive_lag", "drive_lag", "tau", 0.08, 0.8, least=_FASTEST, drive_lag=_FASTEST),
-    "drive_delay": _of_one_number("drive_delay", "drive_delay", "delay", 0.05, 0.5),
+    "drive_lag": of_one_number("drive_lag", "drive_lag", "tau", 0.08, 0.8, least=_FASTEST, drive_lag=_FASTEST),
+    "drive_delay": of_one_number("drive_delay", "drive_delay", "delay", 0.05, 0.5),
     "rolling_resistance": _rolling_resistance,
     "yaw_moment_differential": _yaw_moment_differential,
-    "steer_offset": _of_one_number("steer_offset", "steer_offset", "offset", 0.005, 0.08, both_sides=True),
-    "steer_gain": _of_one_number("steer_gain", "steer_gain", "gain", 0.06, 0.4, base=1.0, both_sides=True),
-    "steer_delay": _of_one_number("steer_delay", "steer_delay", "delay", 0.03, 0.3),
-    "steer_lag": _of_one_number(
+    "steer_offset": of_one_number("steer_offset", "steer_offset", "offset", 0.005, 0.08, both_sides=True),
+    "steer_gain": of_one_number("steer_gain", "steer_gain", "gain", 0.06, 0.4, base=1.0, both_sides=True),
+    "steer_delay": of_one_number("steer_delay", "steer_delay", "delay", 0.03, 0.3),
+    "steer_lag": of_one_number(
         "steer_lag", "steer_lag", "tau", 0.04, 0.3, least=_FASTEST, steer_lag=_FASTEST, steer_rate=30.0
     ),
-    "steer_backlash": _of_one_number("steer_backlash", "steer_backlash", "width", 0.01, 0.08),
+    "steer_backlash": of_one_number("steer_backlash", "steer_backlash", "width", 0.01, 0.08),
     "mass": _mass,
     "yaw_inertia": _yaw_inertia,
     "cg_shift": _cg_shift,
     "sensor_lever_arm": _sensor_lever_arm,
-    "sensor_misalignment": _of_one_number(
-        "sensor_misalignment", "angle", "angle", 0.01, 0.15, both_sides=True, put=_sensor
+    "sensor_misalignment": of_one_number(
+        "sensor_misalignment", "angle", "angle", 0.01, 0.15, both_sides=True, put=sensor_with
     ),
-    "sensor_delay": _of_one_number("sensor_delay", "delay", "delay", 0.03, 0.19, put=_sensor),
+    "sensor_delay": of_one_number("sensor_delay", "delay", "delay", 0.03, 0.19, put=sensor_with),
 }
 """By id of the catalogue."""
 

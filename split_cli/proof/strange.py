@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.proof.effects import Concealed
+from split_cli.proof.effects import Concealed, of_one_number, sensor_with
 from split_cli.proof.world import ProofWorld
 
 
@@ -17,11 +17,6 @@ def _damaged_tire(rng, world):
     """One wheel's tyre gives less force: turns to one side differ, and braking pulls."""
     corner = rng.choice(("fl", "fr", "rl", "rr"))
     return Concealed("damaged_tire", lambda w, size: _fault(w, **{f"grip_loss_{corner}": size}), 0.3, 0.9)
-
-
-def _torque_bend(rng, world):
-    """An engine map that bends: full pedal gives less than twice half pedal."""
-    return Concealed("torque_bend", lambda w, size: _fault(w, torque_bend=size), 0.3, 0.9)
 
 
 def _ripple(rng, world):
@@ -43,12 +38,6 @@ def _brake_fade(rng, world):
     )
 
 
-def _torque_steer(rng, world):
-    """Drive shafts of unequal length: the pedal turns the wheel."""
-    sign = rng.choice((-1.0, 1.0))
-    return Concealed("torque_steer", lambda w, size: _fault(w, torque_steer=sign * size), 0.02, 0.15)
-
-
 def _rear_steer(rng, world):
     """A four-wheel steering left in the wrong map."""
     speed = 15.0 * (world.car.wheelbase / 2.7) ** 0.5
@@ -67,11 +56,6 @@ def _hot_tires(rng, world):
         0.3,
         0.8,
     )
-
-
-def _stuck_brake(rng, world):
-    """The front left brake lets go late."""
-    return Concealed("stuck_brake", lambda w, size: _fault(w, stuck_brake=size), 0.05, 0.5)
 
 
 def _slosh(rng, world):
@@ -126,45 +110,30 @@ def _steer_rate(rng, world):
     )
 
 
-def _gyro_curve(rng, world):
-    """A yaw-rate sensor that reads high in fast turns."""
-    sign = rng.choice((-1.0, 1.0))
-    return Concealed(
-        "gyro_curve", lambda w, size: replace(w, sensor=replace(w.sensor, gyro_curve=sign * size)), 0.1, 2.0
-    )
-
-
-def _gyro_late(rng, world):
-    """A yaw-rate sensor that alone is late."""
-    return Concealed(
-        "gyro_late", lambda w, size: replace(w, sensor=replace(w.sensor, gyro_delay=size)), 0.03, 0.15
-    )
-
-
-def _speed_gain(rng, world):
-    """A speed sensor with the wrong scale."""
-    sign = rng.choice((-1.0, 1.0))
-    return Concealed(
-        "speed_gain", lambda w, size: replace(w, sensor=replace(w.sensor, speed_gain=1.0 + sign * size)), 0.03, 0.3
-    )
-
-
 STRANGE: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
     "damaged_tire": _damaged_tire,
-    "torque_bend": _torque_bend,
+    # An engine map that bends: full pedal gives less than twice half pedal.
+    "torque_bend": of_one_number("torque_bend", "torque_bend", "", 0.3, 0.9, put=_fault),
     "ripple": _ripple,
     "brake_fade": _brake_fade,
-    "torque_steer": _torque_steer,
+    # Drive shafts of unequal length: the pedal turns the wheel.
+    "torque_steer": of_one_number("torque_steer", "torque_steer", "", 0.02, 0.15, both_sides=True, put=_fault),
     "rear_steer": _rear_steer,
     "hot_tires": _hot_tires,
-    "stuck_brake": _stuck_brake,
+    # The front left brake lets go late.
+    "stuck_brake": of_one_number("stuck_brake", "stuck_brake", "", 0.05, 0.5, put=_fault),
     "slosh": _slosh,
     "pulses": _pulses,
     "gusts": _gusts,
     "steer_rate": _steer_rate,
-    "gyro_curve": _gyro_curve,
-    "gyro_late": _gyro_late,
-    "speed_gain": _speed_gain,
+    # A yaw-rate sensor that reads high in fast turns.
+    "gyro_curve": of_one_number("gyro_curve", "gyro_curve", "", 0.1, 2.0, both_sides=True, put=sensor_with),
+    # A yaw-rate sensor that alone is late.
+    "gyro_late": of_one_number("gyro_late", "gyro_delay", "", 0.03, 0.15, put=sensor_with),
+    # A speed sensor with the wrong scale.
+    "speed_gain": of_one_number(
+        "speed_gain", "speed_gain", "", 0.03, 0.3, base=1.0, both_sides=True, put=sensor_with
+    ),
 }
 
 
