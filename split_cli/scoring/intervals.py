@@ -115,7 +115,7 @@ def interval_warnings(traces: Sequence[Trace], shares: Sequence[IntervalShares] 
         name: _narrow_states([trace for trace in traces if trace.name == name])
         for name in dict.fromkeys(trace.name for trace in traces)
     }
-    warnings = []
+    warnings: list[str] = []
     for number, state in enumerate(STATES):
         found = {name: states[state] for name, states in narrow.items() if state in states}
         if not found:
