@@ -195,15 +195,16 @@ class Study:
         if row.fault == "none":
             return []
         found = []
-        for name in row.fault.split(" + "):
+        for one in row.fault.split(" + "):
+            name, _, size = one.partition("=")
+            value = float(size) if size else row.value
             kinds = faults_for(drive, vehicle, [name])[1:2]
-            if row.value is not None:
+            if value is not None:
                 kinds = [
-                    replace(one, parameters=tuple((each, row.value) for each, _ in one.parameters))
-                    for one in kinds
+                    replace(one, parameters=tuple((each, value) for each, _ in one.parameters)) for one in kinds
                 ]
             else:
-                promised = {tuple(key.split(":")): value for key, value in self.clean(row.pair).promised.items()}
+                promised = {tuple(key.split(":")): least for key, least in self.clean(row.pair).promised.items()}
                 kinds = faults_of_sizes(kinds, promised, [row.multiple])
             if not kinds:
                 return None

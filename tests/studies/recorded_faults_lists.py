@@ -13,7 +13,7 @@ class Row:
         Recording and split, joined by a comma.
     fault : str
         Of `proof.injection.FAULTS`, or ``none``. Several are joined by a plus sign, and are put in in that order:
-        what changes the car, then commands, then sensors.
+        what changes the car, then commands, then sensors. ``name=size`` is one of that size.
     multiple : float or None
         Size over the one that the pair without a fault promises to name.
     value : float or None
@@ -90,7 +90,36 @@ LISTS: dict[str, list[Row]] = {
             "autorally 5, halves", ("torque scaled + yaw rate late", 2.0), ("steering late + speed scaled", 3.0)
         ),
     ],
+    "several again": [
+        Row("rubber, swapped blocks", "none"),
+        Row("rubber, swapped blocks", "steering late=0.08 + speed scaled=0.95"),
+        Row("rubber, swapped blocks", "torque scaled=0.6 + steering scaled=0.85 + yaw rate biased=0.03"),
+        Row("tape, swapped blocks", "none"),
+        Row("tape, swapped blocks", "steering scaled=0.85 + yaw rate scaled=0.93"),
+        Row("tape, swapped blocks", "steering late=0.1 + velocity biased=0.06"),
+        Row("free, swapped blocks", "none"),
+        Row("free, swapped blocks", "torque scaled=0.6 + steering late=0.1 + velocity rotated=0.05"),
+        Row("free, swapped blocks", "heavier=1.4 + yaw rate late=0.08"),
+        Row("slippery, blocks 6", "none"),
+        Row("slippery, blocks 6", "steering scaled=0.85 + yaw rate scaled=0.95 + velocity moved=0.04"),
+        Row("kth, swapped halves", "none"),
+        Row("kth, swapped halves", "steering scaled=0.85 + yaw rate late=0.1"),
+        Row("kth, swapped halves", "steering offset=0.02 + speed scaled=0.95"),
+        Row("tum second file, blocks", "none"),
+        Row("tum second file, blocks", "steering scaled=0.8 + torque scaled=0.6"),
+        Row("tum second file, blocks", "steering late=0.1 + velocity rotated=0.03"),
+        Row("av21, halves", "none"),
+        Row("av21, halves", "velocity rotated=0.03 + yaw rate late=0.1"),
+        Row("av21, halves", "steering scaled=0.8 + yaw rate biased=0.02"),
+        Row("genesis, swapped halves", "none"),
+        Row("genesis, swapped halves", "steering scaled=0.8 + yaw rate scaled=0.95"),
+        Row("genesis, swapped halves", "steering offset=0.03 + velocity rotated=0.03 + speed scaled=0.95"),
+        Row("autorally 6, halves", "none"),
+        Row("autorally 6, halves", "torque scaled=0.6 + yaw rate late=0.1"),
+        Row("autorally 6, halves", "steering late=0.1 + speed scaled=0.93"),
+    ],
 }
 """By name. ``first`` are the 42 faults of docs/records/recorded_faults.md at today's sizes.
 ``second`` has parts and faults that no search had seen when the list was fixed, on 25 November 2026.
-``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed."""
+``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed,
+and ``several again`` other parts with round sizes, fixed the same day after ``several`` had been run once."""
