@@ -237,8 +237,10 @@ def _stop_cleanly() -> list[int]:
     sys.unraisablehook = silent
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, stop)
-        if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as of what a shell runs in the background
-            signal.signal(signal.SIGINT, stop)
+        for name in ("SIGINT", "SIGHUP"):  # the second, as a terminal is closed, is not known to Windows
+            number = getattr(signal, name, None)
+            if number and signal.getsignal(number) != signal.SIG_IGN:  # in the background of a shell, after nohup
+                signal.signal(number, stop)
     return came
 
 
@@ -268,7 +270,8 @@ def _leave_stopped(came: list[int]) -> None:
     """
     if not came:
         _fail(_STOPPED, 130)
-    click.echo(f"split: {_STOPPED}", err=True)
+    with contextlib.suppress(OSError):  # of a terminal that was closed
+        click.echo(f"split: {_STOPPED}", err=True)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()

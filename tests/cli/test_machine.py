@@ -139,7 +139,7 @@ def handles(process: int, number: int) -> bool:
     return bool(caught >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_run_that_is_stopped_leaves_the_old_set_or_the_new_one(here, number):
     old = state("a.split")
     shutil.copy("a.split", "whole.split")
