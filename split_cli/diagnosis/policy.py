@@ -215,8 +215,9 @@ class Abstention:
         "1",
         "share from which on it is the greater part: of what the best explanation saves, for one that no real "
         "car has to be a lead, and of what a term saves, for a rival to be fitted; of the track, for the interval "
-        "of a stretch's end to leave its place open; of what a car can have, for an effect of which a match tells "
-        "where it would hide; of all effects, that no drive would show, for a match to be none",
+        "of a stretch's end to leave its place open; of how far noise makes an integral wander, for a yaw to be "
+        "that integral; of what a car can have, for an effect of which a match tells where it would hide; of all "
+        "effects, that no drive would show, for a match to be none",
         JUDGEMENT + "a half",
     )
     most_leads: int = number(2, "leads", "leads that are reported", JUDGEMENT + "a list of more helps nobody")

@@ -81,7 +81,7 @@ BESIDE_THEIR_ALGORITHM = {
     "recording/witnesses.py": {"_WINDOW_SECONDS", "_EDGE_SECONDS", "_LEAST_WINDOWS", "_LEAST_SPREAD"},
     "recording/scales.py": {"_BLOCKS"},
     "recording/screening.py": {"SMOOTHED_SECONDS", "_STEP_SECONDS", "_OUTER_SHARE"},
-    "recording/series.py": {"_SLACK", "_WORTHLESS", "REMEMBERED"},
+    "recording/series.py": {"_SLACK", "_WORTHLESS", "REMEMBERED", "VISIBLE"},
     "recording/straights.py": {"_BLOCK_SECONDS", "_FEWEST_BLOCKS"},
     "remainder/flexible.py": {"_BESIDE_SECONDS", "_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},
@@ -96,6 +96,7 @@ BESIDE_THEIR_ALGORITHM = {
     "search/valleys.py": {"_POINTS"},
     "search/joint.py": {"_NEAR_NONE", "_NO_EFFECT", "_TRIED"},
     "search/parts_of_drive.py": {"_MOST_BLOCKS"},
+    "search/valleys.py": {"_POINTS"},
     "search/variant_choice.py": {"_TINY"},
     # Memory: what is not held is worked out anew, see test_exploration.py.
     "search/exploration.py": {"Explorer.held"},

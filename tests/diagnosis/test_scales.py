@@ -93,6 +93,19 @@ def test_yaw_denies_a_bias_of_the_yaw_rate_that_is_not_there(bias):
     assert not denied("sensor_misalignment", {"angle": 0.05})
 
 
+def test_a_yaw_that_was_integrated_from_the_yaw_rate_denies_nothing():
+    drive = noisy(recording(28), 528)
+    integrated = drive["yaw"].copy()
+    for rows in drive.segments():
+        integrated[rows] = np.concatenate([[0.0], np.cumsum(drive["r"][rows][:-1])]) * drive.period
+    for yaw, of_its_own in ((drive["yaw"], True), (integrated, False), (np.round(integrated, 5), False)):
+        series = prepared(replace(drive, columns={**drive.columns, "yaw": yaw}))
+        objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series))
+        (one,) = (one for one in candidates_of(objective, "yaw_rate_bias") if not one.variant)
+        fit = Fit((Part(one, {"r": 0.02}),), 0.0, np.empty(0), np.empty((0, 0)))
+        assert is_denied(objective, fit, 0) is of_its_own
+
+
 def test_an_offset_of_the_steering_stays_beside_a_yaw_rate_out_of_scale_and_what_looks_like_one_does_not():
     drive = recording(29, CATALOGUE["steer_offset"]({"offset": 0.01}), r=0.95)
     series = prepared(drive)

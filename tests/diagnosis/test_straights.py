@@ -1,5 +1,6 @@
 """Straights tell steering off centre: planted offsets are recovered, and no symmetric physics looks like one."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,20 +30,18 @@ def series() -> Series:
 
 def test_an_offset_is_the_angle_of_straights_whatever_else_the_car_lacks(series):
     """Transients and the curvature of tyres leave a tenth of it."""
-    angle, error = angle_of_straights([series], road_car())
-    assert error < 1e-3 and angle == pytest.approx(-OFFSET, abs=3.0 * error + 0.1 * OFFSET)
+    told = angle_of_straights([series], road_car())
+    assert told.error < 1e-3 and told.angle == pytest.approx(-OFFSET, abs=3.0 * told.error + 0.1 * OFFSET)
 
 
 def test_a_mirrored_drive_has_the_mirrored_angle(series):
-    mirrored = SimpleNamespace(
-        smooth=series.smooth * [1.0, -1.0, -1.0], t=series.t, steer_angle=-series.steer_angle
-    )
-    angle, error = angle_of_straights([series], road_car())
-    assert angle_of_straights([mirrored], road_car()) == pytest.approx((-angle, error), rel=1e-6)
+    mirrored = replace(series, smooth=series.smooth * [1.0, -1.0, -1.0], steer_angle=-series.steer_angle)
+    one, other = (angle_of_straights([each], road_car()) for each in (series, mirrored))
+    assert (other.angle, other.error) == pytest.approx((-one.angle, one.error), rel=1e-6)
 
 
 def test_a_held_angle_tells_of_no_straight(series):
-    held = SimpleNamespace(smooth=series.smooth, t=series.t, steer_angle=np.full(len(series), 0.1))
+    held = replace(series, steer_angle=np.full(len(series), 0.1))
     assert angle_of_straights([held], road_car()) is None
 
 
@@ -56,3 +55,27 @@ def test_straights_confirm_the_offset_that_they_have_and_no_other(series):
 
     assert confirmed(1.1 * OFFSET) == {"steer_offset"}
     assert not confirmed(-OFFSET) and not confirmed(3.0 * OFFSET)
+
+
+LEAN = 0.1
+"""Bank of a road [rad], left side higher: the gravity of a tenth of g."""
+
+
+def test_an_angle_that_a_leaning_road_takes_confirms_no_offset():
+    """By an accelerometer the road is felt; without one, a crossfall is all that is allowed for."""
+    softer = CATALOGUE["tire_stiffness"]({"front_scale": 0.6, "rear_scale": 1.0})
+    leaning = CATALOGUE["road_bank"]({"angle": LEAN})
+    drive = driven(43, [softer, leaning], runs=8, seconds=8.0, spaced=9.0)
+    level = drive["vx"] * drive["r"]
+    along = np.gradient(drive["vy"], drive.period)
+    felt = {**drive.columns, "ay": level + along + 9.80665 * np.sin(LEAN)}
+    series = prepared(noisy(replace(drive, columns=felt), 543))
+    told = angle_of_straights([series], road_car())
+    assert told.lean == pytest.approx(9.80665 * np.sin(LEAN), rel=0.1)
+    # What straights seem to tell is what the road takes; transients leave the gradient too small.
+    assert 0.5 * abs(told.angle) < told.by_road < 1.1 * abs(told.angle)
+    objective = bare_objective(light_evidence(series))
+    (one,) = candidates_of(objective, "steer_offset")
+    chosen = SimpleNamespace(parts=(Part(one, {"offset": -told.angle}),))
+    assert not _confirmed_by_straights(objective, SimpleNamespace(chosen=chosen))
+    assert angle_of_straights([prepared(noisy(drive, 543))], road_car()).lean == pytest.approx(0.245, abs=0.001)

@@ -22,7 +22,8 @@ from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
-from split_cli.diagnosis.recording.series import values_of
+from split_cli.diagnosis.recording.series import Series, values_of
+from split_cli.diagnosis.recording.witnesses import is_integral
 from split_cli.vehicle.effects import Term
 
 _LEAST_INFORMED = 2e-3
@@ -195,14 +196,24 @@ class MarginalLikelihood:
         return max((float(np.sqrt(np.mean(rows**2))) for rows in moved if len(rows)), default=0.0)
 
     def turns(self, terms: Sequence[Term]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return what yaw witnesses of each recording, means kept, terms corrected, (W,), and its blocks."""
+        """Return what yaw witnesses of each recording, means kept, terms corrected, (W,), and its blocks.
+
+        A yaw that was integrated from the yaw rate is none.
+        """
         out, first = [], len(self.block) - sum(len(one.begin) for one in self.kinematics)
         for one in self.kinematics:
             own = slice(first, first + len(one.begin))
             first = own.stop
-            if one.kind == "turn" and len(one.begin):
+            if one.kind == "turn" and len(one.begin) and not self._is_integral(one.series):
                 out.append((self._kinematic_rows(one, terms), self.block[own]))
         return out
+
+    def _is_integral(self, series: Series) -> bool:
+        """Return whether a yaw was integrated from the yaw rate, so that it denies nothing of it."""
+        key = ("yaw is an integral", id(series))
+        if key not in self.memo:
+            self.memo[key] = is_integral(series, self.policy.abstention.greater_part)
+        return self.memo[key]
 
     def of_witnesses(self, rows: np.ndarray) -> np.ndarray:
         """Return rows (R, ...) of what a recording knows twice, less the mean of each witness.

@@ -19,6 +19,8 @@ from split_cli.vehicle.single_track import SingleTrack
 #: Corrected velocities of a recording that are kept, with the flow at them [1]. A search moves other parameters
 #: far more often than those of sensors; more than those of four threads and their steps are never asked again.
 REMEMBERED = 8
+#: Noise of a channel over its spread below which it is no noise that can be seen [1].
+VISIBLE = 1e-4
 _WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
 # A window counts as too long when what it takes away exceeds the noise by more than this.
 _SLACK = 1.04
@@ -269,7 +271,7 @@ def build_series(
     measured = np.stack([drive["vx"], drive["vy"], drive["r"]], axis=1)
     noise = np.array([difference_noise(column, list(segments)) for column in measured.T])
     # A channel without visible noise would make certainty of rounding.
-    floor = 1e-4 * np.maximum(measured.std(axis=0), 1e-6)
+    floor = VISIBLE * np.maximum(measured.std(axis=0), 1e-6)
     noise = np.where(np.isfinite(noise), np.maximum(noise, floor), floor)
     smooth = np.stack(
         [_smoothed(column, sigma, recording) for column, sigma in zip(measured.T, noise, strict=True)], axis=1

@@ -2,42 +2,65 @@
 
 A car is as strong to the left as to the right. Whatever its axles, tyres and inertias are, a mirrored turn takes
 the mirrored steer angle, and going straight takes none. So model-form error of a symmetric car moves no straight.
+A road that leans does: its tyres hold the car as in a turn of that lateral acceleration.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from split_cli.diagnosis.policy import STANDARD, Screening
+from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.recording.series import Series
+from split_cli.vehicle.effects.instruments import CROSSFALL
 from split_cli.vehicle.parameters import Vehicle
 
 _BLOCK_SECONDS = 2.0  # over which rows count as one; longer than transients
 _FEWEST_BLOCKS = 6  # twice the parameters: fewer tell no error
 
 
+@dataclass(frozen=True)
+class Straight:
+    """What recordings tell of going straight."""
+
+    angle: float  # recorded steer angle [rad]
+    error: float  # its standard error [rad]
+    gradient: float  # understeer gradient: steer angle by lateral acceleration beyond that of the turn [rad s^2/m]
+    lean: float  # lateral acceleration that a road may have under the car on straights, either sign [m/s^2]
+
+    @property
+    def by_road(self) -> float:
+        """Steer angle that a leaning road may take [rad]."""
+        return abs(self.gradient) * self.lean
+
+
 def angle_of_straights(
     several: Sequence[Series], vehicle: Vehicle, rules: Screening = STANDARD.screening
-) -> tuple[float, float] | None:
-    """Return the recorded steer angle at which a car goes straight, and its standard error [rad].
+) -> Straight | None:
+    """Return the recorded steer angle at which a car goes straight.
 
     Returns
     -------
-    tuple of float or None
+    Straight or None
         None where too little was driven gently, or where the angle does not follow the turns, as a held one.
 
     Notes
     -----
     In gentle turns delta = a + b r/v_x + c v_x r, with b the wheelbase and c the understeer gradient of a
     steady-state single track, all three by least squares: a is what no symmetric car has. Its error is the
-    sandwich's, from scores block by block (Liang and Zeger, 1986).
+    sandwich's, from scores block by block (Liang and Zeger, 1986). A road that leans by phi asks for c g sin(phi)
+    more (Rajamani, 2012, equation 2.31 with the steady-state single track). An accelerometer feels it as the mean
+    of a_y - v_x r; without one, any road may have a crossfall.
     """
     grip = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
-    columns, angles, blocks = [], [], []
+    columns, angles, blocks, felt = [], [], [], []
     for number, one in enumerate(several):
         v_x, _, r = one.smooth.T
         gentle = (v_x > vehicle.minimum_speed) & (np.abs(v_x * r) < rules.gentle_to * grip)
         v_x, r = v_x[gentle], r[gentle]
+        if measures(one.drive, "ay"):
+            felt.append(one.accelerations(())["ay"][gentle] - v_x * r)
         columns.append(np.stack([np.ones_like(r), r / v_x, v_x * r], axis=1))
         angles.append(one.steer_angle[gentle])
         blocks.append(np.stack([np.full(len(r), number), one.t[gentle] // _BLOCK_SECONDS], axis=1))
@@ -58,4 +81,6 @@ def angle_of_straights(
     followed = float(weights[1] / scale[1]) / vehicle.wheelbase
     if not 1.0 / rules.another_steering < followed < rules.another_steering:
         return None
-    return float(weights[0] / scale[0]), float(error / scale[0])
+    angle, _, gradient = (weights / scale).tolist()
+    lean = abs(float(np.mean(np.concatenate(felt)))) if len(felt) == len(several) else CROSSFALL
+    return Straight(angle, float(error / scale[0]), gradient, lean)

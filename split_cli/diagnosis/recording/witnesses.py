@@ -22,7 +22,7 @@ from split_cli.diagnosis.recording.kinematics import (
     usual_part,
 )
 from split_cli.diagnosis.recording.screening import measures
-from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.recording.series import VISIBLE, Series
 from split_cli.vehicle.effects import Term
 
 _CHANNELS = {"a_x": "ax", "a_y": "ay"}
@@ -130,6 +130,32 @@ def late_against_position(series: Series, policy: Policy = STANDARD) -> bool:
     witnesses = build_witnesses(series, rules=policy.believing)
     delays = [abs(usual_part([one])[2]) for one in witnesses if one.kind in ("turn", "way")]
     return max(delays, default=0.0) > policy.screening.late_samples * series.period
+
+
+def is_integral(series: Series, share: float) -> bool:
+    """Return whether the yaw is the integral of the yaw rate of the same recording, its noise included.
+
+    Parameters
+    ----------
+    series : Series
+    share : float
+        Of how far noise makes an integral wander, within which a yaw is that integral.
+
+    Notes
+    -----
+    White noise sigma of the yaw rate makes its integral over N samples wander by h sigma sqrt(N) from the yaw of
+    any other instrument. One that was integrated stays with it to rounding. Where r has no noise nobody can tell.
+    """
+    noise, r = series.noise[2], series.measured[:, 2]
+    if noise <= VISIBLE * r.std() or series.drive.metadata.is_derived("r"):
+        return False
+    for begin, end in series.recording.segments:
+        before, after, yaw = r[begin : end - 1], r[begin + 1 : end], series.yaw[begin + 1 : end]
+        ways = (before, after, 0.5 * (before + after))
+        apart = [np.ptp(yaw - series.period * np.cumsum(rate)) for rate in ways if len(rate)]
+        if min(apart, default=0.0) > share * series.period * noise * np.sqrt(end - begin):
+            return False
+    return True
 
 
 def is_witness_of_position(one: KinematicResiduals | Witness) -> bool:

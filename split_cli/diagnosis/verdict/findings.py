@@ -141,11 +141,12 @@ def _confirmed_by_straights(objective: MarginalLikelihood, selection: Selection)
     if objective.posterior is not None or not parts:
         return set()
     known = angle_of_straights([one.series for one in evidence], evidence[0].vehicle, policy.screening)
-    agree, share = policy.self_test.term_margin, 0.0
-    if known is not None and abs(known[0]) > policy.comparison.deviations * known[1]:
-        # The wheels stand straight where the recorded angle and the offset add up to none.
-        share = -known[0] / parts[0].values["offset"]
-    return {"steer_offset"} if 1.0 / agree < share < agree else set()
+    if known is None or abs(known.angle) <= policy.comparison.deviations * known.error:
+        return set()
+    # The wheels stand straight where the recorded angle and the offset add up to none, however the road leans.
+    agree, offset = policy.self_test.term_margin, parts[0].values["offset"]
+    shares = [-(known.angle + sign * known.by_road) / offset for sign in (-1.0, 1.0)]
+    return {"steer_offset"} if all(1.0 / agree < one < agree for one in shares) else set()
 
 
 def _stays_beside(

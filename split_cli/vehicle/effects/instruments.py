@@ -19,7 +19,7 @@ __all__ = ["AccelerationBias", "ChannelDelay", "SpeedScale", "VelocityBias", "Ya
 _TURNED = "judgement: a mounting that is off by more than nine degrees is seen"
 _WANDER = "judgement: what turns by half a degree in a second is no sensor of a direction"
 _TILTED = "judgement: an accelerometer tilted by eleven degrees measures a fifth of gravity"
-_CROSSFALL = 0.025 * 9.81  # [m/s^2] gravity across a road that sheds water (AASHTO, 1.5 to 2.5 %): any road does
+CROSSFALL = 0.025 * 9.81  # [m/s^2] gravity across a road that sheds water (AASHTO, 1.5 to 2.5 %): any road does
 # [1] judgement: a body that leans by some 4.6 degrees at 1 g, more than most cars do; g sin(roll) is felt across.
 _ROLLS = 0.08
 _GYRO = "judgement: three degrees a second, beyond any gyroscope that was switched on at rest"
@@ -158,7 +158,7 @@ class AccelerationBias(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        limits = Range(-2.0, 2.0, 0.01, _TILTED, everyday=_CROSSFALL)
+        limits = Range(-2.0, 2.0, 0.01, _TILTED, everyday=CROSSFALL)
         names = cls.parameter_units(variant)
         return Search(dict.fromkeys(names, limits), (dict.fromkeys(names, 0.05),))
 
@@ -312,7 +312,7 @@ class ChannelDelay(_Instrument):
         """Return ranges and starts [s]: clocks do not run faster in smaller cars."""
         names = cls.parameter_units(variant)
         limits = Range(0.0, 0.6, 0.001, _UNALIGNED)
-        starts = tuple(dict.fromkeys(names, value) for value in (0.004, 0.015, 0.045, 0.13, 0.38))
+        starts = tuple(dict.fromkeys(names, value) for value in (0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38))
         return Search(dict.fromkeys(names, limits), starts)
 
     @classmethod
