@@ -21,7 +21,7 @@ from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelati
 from split_cli.diagnosis.remainder.formula import sparse_formula
 from split_cli.diagnosis.remainder.location import gap_forces, gap_series, locate
 from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
-from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, search
+from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, search, with_witnessed_names
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, what_was_not_excited
@@ -57,6 +57,11 @@ _FAR_AND_UNNAMED = (
     "The simulation has hardly any of the real drive's operating points, and no effect of the catalogue explains "
     "the gap. It may come from operating points that the simulation lacks. Drive both over the same speeds, "
     "torques and turns."
+)
+_DRIVEN_DIFFERENTLY = (
+    "Reality and simulation were driven too differently: {ours:.0f} % of the real drive's operating points are "
+    "among the simulation's, and {theirs:.0f} % the other way round. What the vehicle file gets wrong looks like "
+    "an effect then. Drive both over the same speeds, torques and turns."
 )
 _MUCH_FORM_ERROR = (
     "small effects: halves of the simulation differ by far more than noise, and smaller effects are not "
@@ -148,10 +153,15 @@ def diagnose(
         judged = _with_known_torque(candidates, real) if simulated else []
         return _match(case, found, judged, share, not_judged, {**record, "detectable": detectable})
     progress("judging")
+    theirs = case.visited(reach, policy)
+    apart = bool(case.simulated) and not _is_common(share, theirs, policy)
+    if apart:
+        found = replace(found, outcome=with_witnessed_names(outcome))
     stated = _mismatch(case, found, policy, improved)
-    hardly = is_far or share < settings.least_share
+    hardly = apart or is_far or share < settings.least_share
     if hardly and not stated.findings and not contradictions:
-        return _undecided([_FAR_AND_UNNAMED], share, record)
+        differently = _DRIVEN_DIFFERENTLY.format(ours=100.0 * share, theirs=100.0 * float(np.mean(theirs)))
+        return _undecided([differently if apart else _FAR_AND_UNNAMED], share, record)
     return replace(stated, compared_share=share, not_judged=not_judged, detectable=detectable, **record)
 
 
@@ -185,6 +195,23 @@ def _compared(case: DiagnosisCase, policy: Policy) -> tuple[DiagnosisCase, int, 
     is_far = bool(kept < settings.least_rows and case.simulated)
     case = case.compared(settings.far_reach, policy) if is_far else case
     return case, _rows(case), is_far
+
+
+def _is_common(share: float, theirs: np.ndarray, policy: Policy) -> bool:
+    """Return whether both drives tell what the car does where both have been.
+
+    A fair share of the real drive has to be there, and of the simulation a fair share or as many rows as a
+    decision takes: what else the simulation holds does no harm.
+
+    Parameters
+    ----------
+    share : float
+        Of the real rows, those that are compared.
+    theirs : ndarray, bool, shape (M,)
+        Which of the simulation's rows lie where the real drive has been.
+    """
+    fair = policy.selection.fair_share
+    return share >= fair and bool(theirs.mean() >= fair or theirs.sum() >= policy.comparison.least_rows)
 
 
 def _match(

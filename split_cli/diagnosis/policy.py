@@ -140,7 +140,8 @@ class SelectionRules:
         "share that matters: of what witnesses contradict, to be a sensor's; of the variance left in a channel, "
         "below which a term has taken nearly all; of the forces on the drives, averaged over 2 s, from which on "
         "an effect that could hide leaves no match; of what a term saves, that another may lack and be as good; "
-        "of the gap without a name, from which on it is unexplained",
+        "of the gap without a name, from which on it is unexplained; of either drive, to lie where the other has "
+        "been, for a name",
         CHOSEN + "; a force wrong by a fifth spoils any prediction",
     )
     sure_level: float = number(

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy, features
+from split_cli.diagnosis.engine import _is_common
 from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence
+from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.logs.drive import Drive
 from tests.factories import make_drive, road_car
@@ -123,3 +125,15 @@ def test_sliding_without_the_forces_of_sliding_proves_nothing_either(simulated):
     unlike = peak & (share_of_grip(other) < 0.4) & ~asked_alike(other, one, discrepancy)
     assert unlike.sum() > 20
     assert not comparable(other, [one], discrepancy, REACH)[unlike].any()
+
+
+@pytest.mark.parametrize(
+    ("share", "theirs", "common"),
+    [(0.9, 0.3, True), (0.1, 0.9, False), (0.9, 0.1, False), (0.19, 1.0, False), (0.21, 0.21, True)],
+)
+def test_names_ask_for_a_fair_share_of_either_drive(share, theirs, common):
+    rows = np.arange(1000) < 1000 * theirs
+    assert _is_common(share, rows, STANDARD) is common
+    # A simulation of many drives has been elsewhere, too: rows of a decision are enough of it.
+    many = np.concatenate([rows, np.zeros(5000, dtype=bool)])
+    assert _is_common(share, many, STANDARD) is (share >= 0.2 and 1000 * theirs >= 250)

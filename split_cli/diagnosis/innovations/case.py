@@ -48,6 +48,11 @@ class DiagnosisCase:
         )
         return replace(self, keep=keep, keep_holdout=kept_out)
 
+    def visited(self, reach: float, policy: Policy = STANDARD) -> np.ndarray:
+        """Return which rows of all simulations lie where the real drives have been, bool, shape (M,)."""
+        near = [comparable(one, self.real, self.discrepancy, reach, policy) for one in self.simulated]
+        return np.concatenate([*near, np.zeros(0, dtype=bool)])
+
     def recorded_as(self, series: Sequence[Series], reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
         """Return the case with other real recordings, filtered and compared as these; witnesses stay."""
         real = map_in_threads(

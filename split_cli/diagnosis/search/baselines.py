@@ -30,7 +30,7 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms
-from split_cli.diagnosis.search.term_tests import term_p, witnessed_p
+from split_cli.diagnosis.search.term_tests import is_witnessed, term_p, witnessed_p
 from split_cli.diagnosis.search.variant_choice import with_variants_by_rollout
 from split_cli.diagnosis.statement.separation import exact_mimics
 
@@ -201,6 +201,16 @@ def _only_named(selection: Selection, kept: Sequence[bool]) -> Selection:
         for those in (selection.rivals, selection.siblings)
     )
     return replace(selection, named=named, rivals=rivals, siblings=siblings)
+
+
+def with_witnessed_names(outcome: SearchOutcome) -> SearchOutcome:
+    """Return an outcome in which only faults that a recording's own instruments see have a name.
+
+    No model of the car enters there, so it does not matter where the simulation has been.
+    """
+    objective, chosen = outcome.structure.objective, outcome.selection.chosen
+    seen = [is_witnessed(objective, chosen, k) for k in range(len(chosen.parts))]
+    return replace(outcome, selection=_only_named(outcome.selection, seen))
 
 
 def _known(
