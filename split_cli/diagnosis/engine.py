@@ -32,7 +32,13 @@ from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import detection_limits
 from split_cli.diagnosis.verdict.findings import describe, is_autocorrelated, with_shares
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, hold_out
+from split_cli.diagnosis.verdict.heldout import (
+    HeldOut,
+    explained_shares,
+    explained_together,
+    fitted_alone,
+    hold_out,
+)
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.planted import planted_saving
@@ -376,13 +382,17 @@ def _improve(
     )  # fmt: skip
     chosen = selection.chosen
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
-    named = tuple(term for term, is_named in zip(trained.terms, selection.named, strict=True) if is_named)
+    named = tuple(part.term for part in fitted_alone(split.training, trained, selection.named, findings))
     recordings = _held_out(case, split)
+    corrected = judge_corrected(recordings, named)
+    if corrected is not None and not all(selection.named):
+        parts = fitted_alone(found.outcome.structure.objective, chosen, selection.named, findings)
+        corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
     return (
         with_shares(findings, chosen, explained_shares(split, trained)),
         replace(remainder, explained=explained_together(split, trained, selection.named)),
         measure_improvement(recordings, named, case.discrepancy, case.posterior, case.simulated),
-        judge_corrected(recordings, named),
+        corrected,
     )
 
 

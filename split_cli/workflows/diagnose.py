@@ -122,9 +122,11 @@ def _long(drives: Sequence[Drive]) -> tuple[str, ...]:
 
 
 def corrected_vehicle(diagnosis: Diagnosis, vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle with the findings that belong to the car as effects."""
+    """Return the vehicle with the findings of the car as effects, see `CorrectedVehicle.values`."""
+    judged = diagnosis.corrected_vehicle
+    alone = {} if judged is None else judged.values
     effects = [
-        EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant)
+        EffectSpec(f.term, alone.get(f.term, {name: p.value for name, p in f.parameters.items()}), f.variant)
         for f in diagnosis.findings
         if f.exported
     ]

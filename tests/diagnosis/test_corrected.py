@@ -23,6 +23,7 @@ from split_cli.diagnosis.verdict.label_errors import in_standard_errors
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.diagnose import write_diagnosis
+from split_cli.workflows.verifying.verify_folders import verify_diagnosis
 from tests.diagnosis.recordings import recorded
 from tests.factories import road_car
 
@@ -78,6 +79,16 @@ def test_a_vehicle_that_is_worse_is_marked_in_name_head_json_and_report(tmp_path
     Draft202012Validator(read_schema()).validate(json.loads(diagnosis_to_text(rejected)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "vehicle_rejected.yaml" in page and "vehicle_corrected.yaml" not in page
+
+
+def test_the_file_holds_what_was_judged_and_that_is_verified(tmp_path, judged):
+    alone = replace(judged[450.0], values={"rolling_resistance": {"force": 440.0}})
+    write_diagnosis(found(alone), road_car(), tmp_path)
+    (effect,) = read_vehicle(tmp_path / "vehicle_corrected.yaml").effects
+    assert dict(effect.parameters) == {"force": 440.0}
+    told = [one for one in verify_diagnosis(tmp_path) if "vehicle_corrected.yaml" in one.check]
+    assert told and all(one.passed for one in told), told
+    Draft202012Validator(read_schema()).validate(json.loads(diagnosis_to_text(found(alone))))
 
 
 def improvement_of(last: HorizonErrors, removed=(0.5, 0.4, 0.6)) -> Improvement:

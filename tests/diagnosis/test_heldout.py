@@ -7,7 +7,14 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, hold_out
+from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
+from split_cli.diagnosis.verdict.heldout import (
+    HeldOut,
+    explained_shares,
+    explained_together,
+    fitted_alone,
+    hold_out,
+)
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 
@@ -58,6 +65,29 @@ def test_shares_of_a_pair_are_those_of_each_effect_alone(paired):
     assert explained_together(split, fit, (True, True)) == pytest.approx(1.0, abs=0.04)
     assert explained_together(split, fit, (True, False)) == pytest.approx(shares[0])
     assert explained_together(split, fit, (False, False)) is None
+
+
+def drag_of(value: float, low: float, high: float) -> Finding:
+    told = {"drag": ParameterEstimate(value, 0.1, "N/(m/s)^2", (low, high))}
+    return Finding("aero_drag", "", told, 0.5, (), "Said.", 1.0)
+
+
+def test_a_name_alone_takes_what_it_explains_most_with_within_its_interval(paired):
+    """Beside a rolling resistance that has no name, drag has another value than by itself, as a parabola has."""
+    training = split_of(paired).training
+    fit = fitted(training, "aero_drag", "rolling_resistance")
+    best = fitted(training, "aero_drag").parts[0].values["drag"]
+    joint = fit.parts[0].values["drag"]
+    assert abs(joint - best) > 1e-3
+
+    def alone(finding: Finding, named=(True, False)) -> float:
+        return fitted_alone(training, fit, named, [finding])[0].values["drag"]
+
+    assert alone(drag_of(joint, 0.0, 2.0)) == pytest.approx(best, rel=1e-3)
+    assert alone(drag_of(joint, 0.0, 0.8 * best)) == pytest.approx(0.8 * best)
+    assert alone(drag_of(0.0, -1.0, 1.0)) == 0.0  # which the drive does not show
+    assert alone(drag_of(joint, 0.0, 2.0), (True, True)) == joint
+    assert fitted_alone(training, fit, (False, False), []) == ()
 
 
 def test_shares_are_of_what_is_above_the_noise():

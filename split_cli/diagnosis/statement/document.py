@@ -62,7 +62,12 @@ def _corrected(diagnosis: Diagnosis) -> dict[str, Any] | None:
     if corrected is None:
         return None
     states = [{**asdict(one), "worse": one.is_worse} for one in corrected.states]
-    return {"file": vehicle_name(diagnosis), "accepted": corrected.accepted, "states": json_ready(states)}
+    return {
+        "file": vehicle_name(diagnosis),
+        "accepted": corrected.accepted,
+        "values": json_ready(corrected.values),
+        "states": json_ready(states),
+    }
 
 
 def _location(location: Location | None) -> dict[str, Any] | None:

@@ -38,6 +38,8 @@ class CorrectedVehicle:
 
     # Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most.
     states: tuple[StateChange, ...]
+    # Values by term that the file holds: of the names without what has none, see `heldout.fitted_alone`.
+    values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def farthest(self) -> tuple[StateChange, ...]:

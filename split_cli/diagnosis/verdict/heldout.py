@@ -1,7 +1,7 @@
 """Held-out time: whether terms fitted on the rest explain it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, Marg
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.statement.result import Finding
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,46 @@ def hold_out(
         return HeldOut(training, None, masks)
     testing = objective_of([one for one, _ in pairs], [mask for _, mask in pairs])
     return HeldOut(training, testing, masks)
+
+
+def fitted_alone(
+    objective: MarginalLikelihood, fit: Fit, named: Sequence[bool], findings: Sequence[Finding]
+) -> tuple[Part, ...]:
+    """Return the named parts of a fit as they explain most without the others, within what is known of them.
+
+    Parameters
+    ----------
+    objective : MarginalLikelihood
+    fit : Fit
+        Of which the parts that are not named leave.
+    named : sequence of bool
+        Of every part.
+    findings : sequence of Finding
+        With the 95 % intervals that no value leaves.
+
+    Notes
+    -----
+    A value of a joint fit is right beside all of that fit: grip that is low beside stiff tyres is too low without
+    them. A vehicle with the names alone has none of what has no name. Of the values that the data allow, it takes
+    those that are best then. What a drive does not show keeps the value of its finding.
+    """
+    parts = tuple(part for part, one in zip(fit.parts, named, strict=True) if one)
+    if len(parts) in (0, len(fit.parts)):
+        return parts
+    told = {one.term: one for one in findings}
+    bounded = [_within(part, told[part.candidate.term]) for part in parts]
+    alone = fit_parts(objective, bounded)
+    return tuple(Part(part.candidate, one.values) for part, one in zip(parts, alone.parts, strict=True))
+
+
+def _within(part: Part, finding: Finding) -> Part:
+    """Return a part whose ranges are the intervals of its finding."""
+    ranges = dict(part.candidate.ranges)
+    for name, one in finding.parameters.items():
+        is_shown = one.value != part.term.neutral.get(name)
+        lower, upper = one.interval_95 if is_shown else (one.value, one.value)
+        ranges[name] = replace(ranges[name], lower=lower, upper=upper)
+    return Part(replace(part.candidate, ranges=ranges), part.values)
 
 
 def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:

@@ -98,9 +98,10 @@ def _effects(path: Path, document: dict[str, Any]) -> str:
     if written is not None and written != car.digest():
         raise SplitError("its values were changed since it was written")
     build_terms(car)  # refuses what no term is, or lacks
-    named = 0
+    named, alone = 0, (document.get("corrected_vehicle") or {}).get("values", {})
     for finding in document["findings"]:
-        values = {name: p["value"] for name, p in finding["parameters"].items()}
+        found = {name: p["value"] for name, p in finding["parameters"].items()}
+        values = alone.get(finding["term"], found)
         same_term = [dict(effect.parameters) for effect in car.effects if effect.term == finding["term"]]
         if same_term and values not in same_term:
             raise SplitError(f"its {finding['term']} has other values than the document")
