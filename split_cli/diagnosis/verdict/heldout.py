@@ -93,8 +93,8 @@ def fitted_alone(
     parts = tuple(part for part, one in zip(fit.parts, named, strict=True) if one)
     if len(parts) in (0, len(fit.parts)):
         return parts
-    told = {one.term: one for one in findings}
-    bounded = [_within(part, told[part.candidate.term]) for part in parts]
+    by_term = {one.term: one for one in findings}
+    bounded = [_within(part, by_term[part.candidate.term]) for part in parts]
     alone = fit_parts(objective, bounded)
     return tuple(Part(part.candidate, one.values) for part, one in zip(parts, alone.parts, strict=True))
 
