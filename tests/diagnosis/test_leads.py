@@ -6,10 +6,14 @@ import pytest
 
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
+from split_cli.diagnosis.statement.result import ParameterEstimate
+from split_cli.diagnosis.verdict import leads
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Course, Range
-from tests.diagnosis.recordings import driven, noisy
+from tests.diagnosis.recordings import candidates_of, driven, noisy, noisy_objective
 from tests.factories import road_car
 
 
@@ -66,3 +70,15 @@ def test_a_bank_that_no_road_has_is_a_lead(nominal_series):
     mapping = diagnosis_to_mapping(said)
     jsonschema.validate(mapping, read_schema())
     assert mapping["leads"][0]["term"] == "road_bank"
+
+
+def test_what_may_as_well_be_of_the_other_sign_is_no_lead(monkeypatch):
+    objective = noisy_objective(driven(73, (CATALOGUE["road_bank"]({"angle": 0.3}),), runs=4), 7)
+    (bank,) = (one for one in candidates_of(objective, "road_bank") if not one.variant)
+    base, ended = nothing(objective), fit_parts(objective, [Part(bank, dict(bank.starts[0]))])
+    selection = Selection(base, base, (), (), (), (), first=(ended,))
+    (lead,) = leads.find_leads(objective, selection)
+    assert lead.parameters["angle"].interval_95[0] > 0.0
+    known = lead.parameters["angle"].covering(ParameterEstimate(-0.1, 0.1, "rad", (-0.3, 0.1)))
+    monkeypatch.setattr(leads, "parameter_estimates", lambda *_: ({"angle": known},))
+    assert leads.find_leads(objective, selection) == ()

@@ -236,10 +236,10 @@ def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequen
 
 def excludes_no_effect(finding: Finding) -> bool:
     """Return whether a parameter's 95 % interval leaves out its neutral value, or all of them together do."""
-    return finding.combination is not None or _one_excludes_no_effect(finding.term, finding.parameters)
+    return finding.combination is not None or one_excludes_no_effect(finding.term, finding.parameters)
 
 
-def _one_excludes_no_effect(term: str, parameters: Mapping[str, ParameterEstimate]) -> bool:
+def one_excludes_no_effect(term: str, parameters: Mapping[str, ParameterEstimate]) -> bool:
     """Return whether some parameter's interval leaves out its neutral value; so it is where none has one."""
     neutral = CATALOGUE[term].neutral
     apart = [
@@ -260,7 +260,7 @@ def known_together(
     regions : sequence of JointRegion
         Of the same parameters together, by every explanation that may be the true one.
     """
-    if not regions or len(regions[0].names) < 2 or _one_excludes_no_effect(term, parameters):
+    if not regions or len(regions[0].names) < 2 or one_excludes_no_effect(term, parameters):
         return None
     weights = apart_along(regions)
     if weights is None:

@@ -8,6 +8,7 @@ from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Lead, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import lead_sentence
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
+from split_cli.diagnosis.verdict.findings import one_excludes_no_effect
 
 
 def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lead, ...]:
@@ -21,7 +22,8 @@ def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lea
     Notes
     -----
     A term whose fit ended at a bound of what a car can have is followed beyond it. It is reported if it then
-    explains a fair share of what is there, alone.
+    explains a fair share of what is there, alone, and if its interval leaves out no effect: what may as well be of
+    the other sign leads nowhere.
     """
     rules = objective.policy.abstention
     known = {term.id for term in selection.terms}
@@ -38,15 +40,22 @@ def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lea
         part = fit.parts[-1]
         free = fit_parts(objective, (Part(part.candidate.unlimited(), dict(part.values)),))
         saved = selection.base.cost - free.cost
-        if saved >= rules.greater_part * whole:
-            leads.append(_lead(objective, selection, fit, free, saved / max(saved, whole)))
+        estimates = parameter_estimates(objective, free)[-1] if saved >= rules.greater_part * whole else {}
+        if estimates and one_excludes_no_effect(part.candidate.term, estimates):
+            leads.append(_lead(objective, selection, fit, free, estimates, saved / max(saved, whole)))
     return tuple(sorted(leads, key=lambda one: -one.share)[: rules.most_leads])
 
 
-def _lead(objective: MarginalLikelihood, selection: Selection, bounded: Fit, free: Fit, share: float) -> Lead:
+def _lead(
+    objective: MarginalLikelihood,
+    selection: Selection,
+    bounded: Fit,
+    free: Fit,
+    estimates: Mapping[str, ParameterEstimate],
+    share: float,
+) -> Lead:
     """Return the lead that an explanation beyond the bounds of another is."""
     part, candidate = free.parts[-1], bounded.parts[-1].candidate
-    estimates = parameter_estimates(objective, free)[-1]
     limits = {
         name: (limit.lower, limit.upper)
         for name, limit in candidate.ranges.items()
