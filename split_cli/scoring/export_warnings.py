@@ -10,10 +10,12 @@ def reservations(training_set: TrainingSet) -> tuple[str, ...]:
     notes, trust = [], training_set.trust
     if trust.origin in ("full", "given"):
         notes.append("the correction was not judged on held-out driving, and may do harm")
-    elif trust.array.any() and len(training_set.sources) < WHOLE_DRIVES:
+    elif trust.array.any():
+        few = len(training_set.sources) < WHOLE_DRIVES
+        driving = "other stretches of the same driving" if few else "drives like those of training"
         notes.append(
-            "trust and intervals hold for other stretches of the same driving only. On another surface, at other "
-            "speeds or with other tyres the correction may do harm, which a running trust takes back"
+            f"trust and intervals hold for {driving} only. On another surface, at other speeds or with other "
+            "tyres the correction may do harm. A running trust avoids most of it"
         )
     if found_lag(training_set) is not None:
         notes.append(lag_note(training_set))

@@ -132,7 +132,7 @@ def test_training_puts_the_lag_into_the_set_and_says_so(trained):
     for trust, words in ((Trust((1.0, 0.5, 0.0), "held-out", 9), "same driving"), (Trust.full(), "not judged")):
         assert words in reservations(replace(made, trust=trust))[0]
     often = replace(made, trust=Trust((1.0, 0.5, 0.0), "held-out", 9), sources=3 * made.sources)
-    assert reservations(often) == (lag_note(made),)
+    assert "drives like those of training only" in reservations(often)[0]
     plain = train_set(
         [folder / "late.parquet"], folder / "car.yaml", folder / "plain.split", TrainSettings(lag="none")
     )
