@@ -70,6 +70,13 @@ def test_a_recording_is_drawn_as_it_was_measured(drive, car):
     (torque,) = charts["strip-T"].series  # of the recording alone, at its times and places
     for axis in ("x", "along"):
         np.testing.assert_array_equal(getattr(torque, axis), getattr(measured, axis))
+    # What ingest computed is not called so, and columns that no command knows are counted.
+    kinds = {**drive.metadata.kinds, "vy": "derived: from X, Y, yaw"}
+    columns = {**drive.columns, "Oil Temp": np.zeros(len(drive))}
+    other = replace(drive, columns=columns, metadata=replace(drive.metadata, kinds=kinds))
+    named = {c.name: c.series[0].name for c in recording_charts(other, car) if c.name.startswith("strip-v")}
+    assert named == {"strip-vx": "measured", "strip-vy": "derived"}
+    assert "and 1 kept as recorded" in recording_page(other, FOUND, ())
 
 
 def test_the_command_writes_it_whole(drive, car, tmp_path):

@@ -77,12 +77,16 @@ def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) ->
 
 
 def _over_time(one: Subject, motion: Drive, channel: str) -> ChartLine:
-    """Return a channel with a NaN between segments, so that no line spans a gap."""
+    """Return a channel with a NaN between segments, so that no line spans a gap.
+
+    What was computed from other channels is not called measured.
+    """
     part = thinned(len(motion))
     at = np.flatnonzero(np.diff(motion.segment[part])) + 1
     columns = [motion["t"][part], motion[channel][part], motion["s"][part] if "s" in motion else motion["t"][part]]
     t, y, s = (np.insert(column.astype(float), at, np.nan) for column in columns)
-    return ChartLine(one.name, t, y, one.role, along=s, shown=one.shown)
+    derived = one.vehicle is None and one.role == "measured" and one.drive.metadata.is_derived(channel)
+    return ChartLine("derived" if derived else one.name, t, y, one.role, along=s, shown=one.shown)
 
 
 def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | None) -> Chart:
