@@ -112,7 +112,11 @@ def run(folder: Path, arguments: Sequence[str]) -> int:
 
 
 def prepare(
-    folder: Path, names: Collection[str], made: Callable[[Path, Sequence[str]], int] = run, segments: int = 10
+    folder: Path,
+    names: Collection[str],
+    made: Callable[[Path, Sequence[str]], int] = run,
+    segments: int = 10,
+    logs: bool = True,
 ) -> None:
     """Write inputs, and an old output of every case of `names`; `made` runs a command, drives have `segments`."""
     from split_cli.workflows.simulate import SimulateSettings, simulate_log
@@ -124,17 +128,19 @@ def prepare(
         terms = [MissingForce({"front_lateral": 150.0})]
         drive = make_drive(seed, segments, seconds=3.0, vehicle=car, terms=terms, name=f"d{seed}.parquet")
         write_drive(drive, folder / drive.name)
-    (folder / "archive").mkdir()
-    for seed in range(3):
-        simulate_log(SimulateSettings(track="small", duration=6.0, seed=seed), folder / "archive" / f"{seed}.csv")
-    shutil.copy(folder / "archive" / "0.csv", folder / "lap.csv")
+    if logs:
+        (folder / "archive").mkdir()
+        for seed in range(3):
+            settings = SimulateSettings(track="small", duration=6.0, seed=seed)
+            simulate_log(settings, folder / "archive" / f"{seed}.csv")
+        shutil.copy(folder / "archive" / "0.csv", folder / "lap.csv")
     train = ("train", "d0.parquet", "--vehicle", "car.yaml", "-o")
     old: dict[str, tuple[tuple[str, ...], ...]] = {
         "ingest": (("ingest", "lap.csv", "-o", "lap.parquet"),),
         "ingest folder": (("ingest", "archive", "-o", "drives"),),
         "train": ((*train, "a.split"),),
         "append": ((*train, "b.split"),),
-        "export": ((*train, "c.split"), (*train, "new.split", "--capacity", "6"), (*EXPORT, "c.split")),
+        "export": ((*train, "b.split"), (*train, "new.split", "--capacity", "6"), (*EXPORT, "b.split")),
         "diagnose": (("diagnose", "--real", "d0.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),),
         "evaluate": (
             ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--features", "z1,z2", "-o", "evaluation"),
@@ -142,10 +148,9 @@ def prepare(
         "race": ((*RACE, "--seed", "2"),),
         "maneuver": ((*MANEUVER, "--seed", "2"),),
     }
-    for name in names:
-        for arguments in old[name]:
-            if made(folder, arguments) != 0:
-                raise RuntimeError(f"could not prepare: split {' '.join(arguments)}")
+    for arguments in dict.fromkeys(arguments for name in names for arguments in old[name]):
+        if made(folder, arguments) != 0:
+            raise RuntimeError(f"could not prepare: split {' '.join(arguments)}")
 
 
 def state(path: Path) -> str:

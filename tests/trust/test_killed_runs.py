@@ -22,7 +22,7 @@ def ready(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("kill") / "ready"
     folder.mkdir()
     # An export is checked after each step; what that takes grows with the cube of its points.
-    prepare(folder, (EXPORT.name, APPEND.name), in_this_process, segments=6)
+    prepare(folder, (EXPORT.name, APPEND.name), in_this_process, segments=6, logs=False)
     return folder
 
 
