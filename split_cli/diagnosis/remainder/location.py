@@ -1,6 +1,6 @@
 """Where the gap is: in which force, depending on what, in which region, place and time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -77,20 +77,21 @@ def locate(
         Rows that are compared.
     """
     rows = [one.at[mask] for one, mask in zip(evidence, keep, strict=True)]
-    gap = np.concatenate([force[at] for force, at in zip(before, rows, strict=True)])
+
+    def compared(columns: Iterable[np.ndarray]) -> np.ndarray:
+        return np.concatenate([column[at] for column, at in zip(columns, rows, strict=True)])
+
+    gap = compared(before)
     block = np.concatenate([_blocks(one, at, k) for k, (one, at) in enumerate(zip(evidence, rows, strict=True))])
     variance = [force_noise(one, at) for one, at in zip(evidence, rows, strict=True)]
     noise = np.average(variance, axis=0, weights=[len(at) for at in rows])
     # A gap without a pattern in the shared discrepancy passes for a disturbance; what the findings leave bounds
     # it.
-    left = np.concatenate([force[at] for force, at in zip(after, rows, strict=True)])
+    left = compared(after)
     mean_square = np.mean(gap**2, axis=0)
     noise = np.maximum(np.minimum(noise, np.mean(left**2, axis=0)), 1e-9 * mean_square + 1e-18)
     table = [variables(one) for one in evidence]
-    values = {
-        name: np.concatenate([columns[name][at] for columns, at in zip(table, rows, strict=True)])
-        for name in table[0]
-    }
+    values = {name: compared(columns[name] for columns in table) for name in table[0]}
     excess = np.maximum(mean_square - noise, 1e-6 * mean_square + 1e-12)
     shares = excess / excess.sum()
     scores = {name: dependence(x, gap, noise, block) for name, x in values.items()}
@@ -105,11 +106,15 @@ def locate(
                 region[name] = (low, high)
     # What follows from how the car is driven is wherever it is driven so: a place or a time has to tell more.
     driven = max(score for name, score in ranked if name not in ("t", "s"))
+
+    def is_believed(name: str, share: tuple[float, float] | None) -> bool:
+        return share is not None and (scores[name] > driven + rules.clearly_more or _concentrated(share, rules))
+
     place, s_share = _place(evidence, values["s"], size, rules)
-    if s_share and not (scores["s"] > driven + rules.clearly_more or _concentrated(s_share, rules)):
+    if not is_believed("s", s_share):
         place = s_share = None
     when, t_share = _local(_interval(values["t"], size), rules)
-    if t_share and not (scores["t"] > driven + rules.clearly_more or _concentrated(t_share, rules)):
+    if not is_believed("t", t_share):
         when = t_share = None
     if s_share and t_share and s_share[0] - s_share[1] > t_share[0] - t_share[1] + rules.clearly_more:
         when = None  # one of several passes of the place
