@@ -1,4 +1,4 @@
-"""`split experiments`."""
+"""`split experiments`: its options, and how its result is printed."""
 
 import click
 

@@ -1,4 +1,4 @@
-"""`split maneuver`."""
+"""`split maneuver`: its options, and how its result is printed."""
 
 import click
 
