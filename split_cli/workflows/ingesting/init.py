@@ -1,7 +1,7 @@
 """The first two files of a newcomer: a drafted map and a vehicle file to fill in."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,70 +61,72 @@ class InitResult:
         """What to do, in order."""
         mapped = {s.channel for s in self.draft.suggestions if s.status != "open"}
         missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
-        check = [s.channel for s in self.draft.suggestions if s.status == "assumed"]
         opened = {s.channel for s in self.draft.suggestions if s.status == "open"}
         kinds = ", ".join(self.draft.undefined[:6])
-        unread = (
-            f"The log does not define {kinds}. To read them, begin anew with --msg-path FOLDER, "
-            "where their .msg files are."
-            if kinds
-            else ""
-        )
+        where = "begin anew with --msg-path FOLDER, where their .msg files are."
+        unread = [f"The log does not define {kinds}. To read them, {where}"] if kinds else []
         if not mapped:
             kept = f" Comments in {self.map_path} say what was found of {', '.join(sorted(opened))}."
             return (
-                *([unread] if unread else []),
+                *unread,
                 *lines_on_presets(self.draft.presets),
                 f"No channel was recognised. See what the log holds: split ingest {self.log} --list",
                 f"Write the channels into {self.map_path}; docs/formats.md, Signal map, shows how."
                 + (kept if opened else ""),
             )
-        steps = [f"Fill in the empty values of {self.vehicle_path}.", *lines_on_presets(self.draft.presets)]
-        still = [c for c in missing if c in opened and all(s.never_changes for s in self.draft.all_of(c))]
-        if "vx" in still:
-            steps.insert(
-                0,
-                f"Here {', '.join(still)} never change{'s' * (len(still) == 1)}: if the car stands, take a log in "
-                "which it drives.",
-            )
-        if check:
-            steps.append(f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}.")
-        if self.draft.time.startswith("# time: {period"):
-            steps.append(
-                f"State the time in {self.map_path}, or add --row-rate HZ below: no column of the log counts it."
-            )
-        if not self.draft.left:
-            steps.append(
-                "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
-                + (f" {self.draft.by_gravity}" if self.draft.by_gravity else "")
-            )
         chosen = derivations_for(missing, mapped | _to_record(missing, mapped))
         derived = {channel for name in chosen for channel in DERIVATIONS[name].makes}
-        derive = "".join(f" --derive {name}" for name in chosen)
         left = [channel for channel in missing if channel not in derived]
+        lost = [channel for channel in left if channel not in opened]
+        steps = [*self._to_fill_and_check(missing, opened)]
         if found := [channel for channel in left if channel in opened]:
             steps.append(f"Map {', '.join(found)} in {self.map_path}: its comments say what was found.")
-        if lost := [channel for channel in left if channel not in opened]:
-            nameless = in_ranges([name for name in self.draft.unused if has_no_name(name)])
-            unnamed = f" One of {', '.join(nameless[:8])} may be it: they have no names." if nameless else ""
-            it, has = ("them", "they have") if len(lost) > 1 else ("it", "it has")
-            stop = (
-                f"Nothing that can be read gives {', '.join(lost)}."
-                if unread
-                else f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without {it}: "
-                f"another file may hold {it} (--together), or {has} to be recorded. "
-                f"Comments in {self.map_path} say what will do.{unnamed}"
-            )
+        if lost:
             # What no step of the user's mends stands first, before values are looked up for nothing.
-            steps = [stop, *steps]
-        steps = [*([unread] if unread and missing else []), *steps, *self.differences]
+            steps = [self._what_is_missing(lost, bool(unread)), *steps]
+        steps = [*(unread if missing else []), *steps, *self.differences]
         if any(" does not hold " in text for text in self.differences):
             steps.append("If the logs are parts of one drive, begin anew with --together.")
         run = f"With {', '.join(lost)}, run" if lost else "Run"
         result = "drives" if self.several else "drive.parquet"
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
+        derive = "".join(f" --derive {name}" for name in chosen)
         steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o {result}")
         return tuple(steps)
+
+    def _to_fill_and_check(self, missing: Sequence[str], opened: Collection[str]) -> Iterator[str]:
+        """Yield what a user who knows the car and the logger has to write or to confirm."""
+        still = [c for c in missing if c in opened and all(s.never_changes for s in self.draft.all_of(c))]
+        if "vx" in still:
+            yield (
+                f"Here {', '.join(still)} never change{'s' * (len(still) == 1)}: if the car stands, take a log in "
+                "which it drives."
+            )
+        yield f"Fill in the empty values of {self.vehicle_path}."
+        yield from lines_on_presets(self.draft.presets)
+        if check := [s.channel for s in self.draft.suggestions if s.status == "assumed"]:
+            yield f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}."
+        if self.draft.time.startswith("# time: {period"):
+            yield f"State the time in {self.map_path}, or add --row-rate HZ below: no column of the log counts it."
+        if not self.draft.left:
+            by_gravity = f" {self.draft.by_gravity}" if self.draft.by_gravity else ""
+            yield (
+                "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
+                + by_gravity
+            )
+
+    def _what_is_missing(self, lost: Sequence[str], some_unread: bool) -> str:
+        """Say which required channels nothing in the log gives, and where they may come from."""
+        if some_unread:
+            return f"Nothing that can be read gives {', '.join(lost)}."
+        nameless = in_ranges([name for name in self.draft.unused if has_no_name(name)])
+        unnamed = f" One of {', '.join(nameless[:8])} may be it: they have no names." if nameless else ""
+        it, has = ("them", "they have") if len(lost) > 1 else ("it", "it has")
+        return (
+            f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without {it}: "
+            f"another file may hold {it} (--together), or {has} to be recorded. "
+            f"Comments in {self.map_path} say what will do.{unnamed}"
+        )
 
     def to_text(self) -> str:
         """Return the result for a terminal."""
