@@ -52,51 +52,71 @@ def clock_of_rows(
     if not bare:
         return None, needed, False
     count = len(bare[0].values)
+    if row_rate is not None:
+        return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
     pair = seconds_and_nanoseconds(infos)
-    if pair is not None and row_rate is None:
+    if pair is not None:
         whole, part = (recording.read([name])[name].values for name in pair)
         # A whole second of nanoseconds is none: the stamp of another clock, or one that was read wrongly.
         if not np.any(part >= 1e9):
             line = f"time: {{source: {quoted(pair[0])}, nanoseconds: {quoted(pair[1])}}}"
             return (whole - np.nanmin(whole)) + 1e-9 * part, line, True
     found = time_column(infos)
+    rising = _rising(infos, signals, found)
+    if rising:
+        others = [info.name for info in rising[1:]]
+        return _time_of_column(rising[0], signals, candidates, others)
+    steps = _from_steps(infos, recording)
+    if steps is not None:
+        return steps
+    rate, why = _rate_from_motion(candidates, signals)
+    if rate is None:
+        return np.arange(count) * 0.01, _why_no_clock(found, signals) or needed, False
+    line = f"time: {{period: {1.0 / rate:.4g}}}   # CHECK: no column of time; {why}"
+    return np.arange(count) / rate, line, True
+
+
+def _rising(
+    infos: Sequence[RawChannelInfo], signals: Mapping[str, RawSignal], found: RawChannelInfo | None
+) -> list[RawChannelInfo]:
+    """Return the columns that may count time, the likeliest first: by name and unit, then by what they hold."""
     timed = [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE) and not counts_rows(i.name)]
     clocks = [found] if found is not None else timed
     clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
-    rising = [i for i in clocks if i.name in signals and _counts(signals[i.name].values)]
-    rising = rising or [i for i in timed if i.name in signals and _counts(signals[i.name].values)]
-    # Whatever it is called: what counts evenly since 1970 is a clock.
-    rising = rising or [i for i in infos if i.name in signals and _counts_since_1970(signals[i.name].values)]
-    # A clock of fewer digits than the rows come in stands still between them; ingest drops what shares a stamp.
-    rising = rising or [i for i in clocks if i.name in signals and _never_falls(signals[i.name].values)]
-    rising = rising or _first_that_counts(infos, signals)
-    if rising and row_rate is None:
-        info = rising[0]
-        values = signals[info.name].values
-        unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
-        unit = unit if unit in ("s", "ms", "us", "ns", "min") else unit_of_time(values)
-        fits = unit_of_time(values)
-        if fits != unit and not _SHORTEST < _usual_step(values) * find_unit(unit).factor < _LONGEST:
-            remark = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
-            line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {remark}"
-            return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
-        if unit == "s" and stated_unit(info) is None and bool(np.all(np.diff(values) == 1.0)):
-            return _rows_or_seconds(info.name, values, _rate_from_motion(candidates, signals)[0])
-        others = [i.name for i in rising[1:]]
-        also = f"   # also rises: {', '.join(others)}" if others else ""
-        line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
-        return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
-    if row_rate is None:
-        needed = _why_no_clock(found, signals) or needed
-        steps = _from_steps(infos, recording)
-        if steps is not None:
-            return steps
-        row_rate, why = _rate_from_motion(candidates, signals)
-        if row_rate is None:
-            return np.arange(count) * 0.01, needed, False
-        line = f"time: {{period: {1.0 / row_rate:.4g}}}   # CHECK: no column of time; {why}"
-        return np.arange(count) / row_rate, line, True
-    return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
+    # Whatever it is called, what counts evenly since 1970 is a clock. One of fewer digits than the rows come in
+    # stands still between them; ingest drops what shares a stamp.
+    for among, counts in (
+        (clocks, _counts),
+        (timed, _counts),
+        (infos, _counts_since_1970),
+        (clocks, _never_falls),
+    ):
+        rising = [info for info in among if info.name in signals and counts(signals[info.name].values)]
+        if rising:
+            return rising
+    return _first_that_counts(infos, signals)
+
+
+def _time_of_column(
+    info: RawChannelInfo,
+    signals: Mapping[str, RawSignal],
+    candidates: Sequence[TrialCandidate],
+    others: Sequence[str],
+) -> tuple[np.ndarray, str, bool]:
+    """Return time and line of a column that counts it, in the unit of the file or of its steps."""
+    values = signals[info.name].values
+    unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
+    fits = unit_of_time(values)
+    unit = unit if unit in ("s", "ms", "us", "ns", "min") else fits
+    if fits != unit and not _SHORTEST < _usual_step(values) * find_unit(unit).factor < _LONGEST:
+        remark = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
+        line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {remark}"
+        return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
+    if unit == "s" and stated_unit(info) is None and bool(np.all(np.diff(values) == 1.0)):
+        return _rows_or_seconds(info.name, values, _rate_from_motion(candidates, signals)[0])
+    also = f"   # also rises: {', '.join(others)}" if others else ""
+    line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
+    return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
 
 
 def _rows_or_seconds(name: str, values: np.ndarray, rate: float | None) -> tuple[np.ndarray, str, bool]:
