@@ -78,9 +78,10 @@ def test_a_row_of_groups_above_the_titles_says_what_short_titles_mean(tmp_path):
         name: (meanings(info)[0].channel, stated_unit(info)) for name, info in infos.items() if meanings(info)
     }
     assert found == {"1 Long g": ("ax", "g"), "2 Lat g": ("ay", "g")}
-    # A name of the table with one of its driver is no row of groups.
-    path.write_text("\n".join(["Driver,Long Accelerations,,,,,,", *rows[1:]]) + "\n")
-    assert {info.group for info in open_recording(path).channels()} == {""}
+    # A name of the table with one of its driver is no row of groups, nor is a note behind the last column.
+    for above in ("Driver,Long Accelerations,,,,,,", ",,,,,,,,note"):
+        path.write_text("\n".join([above, *rows[1:]]) + "\n")
+        assert {info.group for info in open_recording(path).channels()} == {""}
 
 
 @pytest.mark.parametrize("large", [False, True])

@@ -3,6 +3,7 @@
 import codecs
 import csv
 import io
+import itertools
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -270,7 +271,24 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     if not titles:
         most = max((len(row) for row in rows[:first] if _looks_like_titles(row)), default=0)
         return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, most)
-    # The names stand next to the values and their units; a row of devices below the units repeats itself more.
+    chosen = _row_of_names(above, titles, width)
+    below = [_filled_up(row, width) for row in above[:chosen]]
+    units = next((row for row in below if _is_unit_row(row, width)), None)
+    devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
+    units = units or _units_of_labview(rows[:first], width)
+    groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
+    return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups)
+
+
+def _filled_up(row: list[str], width: int) -> list[str]:
+    return (row + [""] * width)[:width]
+
+
+def _row_of_names(above: list[list[str]], titles: list[int], width: int) -> int:
+    """Return which of the rows of titles above the values, the nearest first, names the columns.
+
+    The names stand next to the values and their units; a row of devices below the units repeats itself more.
+    """
     differ = [len({cell.strip() for cell in row} - {""}) for row in above]
     # A row that says the same of every column names none of them, where another row does.
     titles = [n for n in titles if differ[n] > 1] or titles
@@ -279,13 +297,7 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     for n in named[1:]:
         if differ[n] > differ[chosen] and any(_is_unit_row(row, width) for row in above[chosen:n]):
             chosen = n
-    below = [(row + [""] * width)[:width] for row in above[:chosen]]
-    units = next((row for row in below if _is_unit_row(row, width)), None) or _units_of_labview(
-        rows[:first], width
-    )
-    devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
-    groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
-    return Sniffed(dialect, (above[chosen] + [""] * width)[:width], units, values, False, 0, devices, groups)
+    return chosen
 
 
 def _groups(row: list[str], width: int) -> list[str] | None:
@@ -294,7 +306,7 @@ def _groups(row: list[str], width: int) -> list[str] | None:
     Spreadsheets write a name, and empty cells up to the next. Two groups of several columns make such a row.
     """
     named = [n for n, cell in enumerate(row[:width]) if cell.strip()]
-    sizes = [end - begin for begin, end in zip(named, [*named[1:], width], strict=True)]
+    sizes = [end - begin for begin, end in itertools.pairwise([*named, width])]
     if abs(len(row) - width) > 1 or sum(size > 1 for size in sizes) < _FEWEST_GROUPS:
         return None
     if not all(_WORD.search(row[n]) for n in named):
@@ -308,7 +320,7 @@ def _groups(row: list[str], width: int) -> list[str] | None:
 def _units_of_labview(rows: list[list[str]], width: int) -> list[str] | None:
     """Return the units that LabVIEW writes above the titles, behind a word of its own; the time is in seconds."""
     row = next((row for row in rows if row and row[0].strip() == "Y_Unit_Label"), None)
-    return None if row is None else ["s", *row[1:], *[""] * width][:width]
+    return None if row is None else _filled_up(["s", *row[1:]], width)
 
 
 def _looks_like_titles(row: list[str]) -> bool:
