@@ -1,5 +1,6 @@
 """Checks before a race: settings, tracks and sets that are refused."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path as FilePath
 
@@ -106,42 +107,45 @@ def check_predictor(name: str, features: FeatureSet | None) -> None:
 
 
 def _check_numbers(settings: RaceSettings) -> None:
-    """Refuse numbers out of their range, naming the option."""
     limits = settings.settings.limits
-    positive = [
-        ("--max-speed", settings.max_speed),
-        ("--grip", settings.grip),
-        ("--assumed-friction", settings.assumed_friction),
-    ]
-    positive += [(name, v) for name, v in (("--max-torque", settings.max_torque), ("--width", settings.width))
-                 if v is not None]  # fmt: skip
-    positive.append(("--p-long", limits.p_long))
-    for name, value in positive:
-        if not 0.0 < value < 1e6:
-            raise SplitError(f"is {value:g}, a positive number below 1e6 was expected", where=name)
+    positive = {"--max-speed": settings.max_speed, "--grip": settings.grip,
+                "--assumed-friction": settings.assumed_friction, "--max-torque": settings.max_torque,
+                "--width": settings.width, "--p-long": limits.p_long}  # fmt: skip
+    check_numbers(positive.items(), {}, {}, 0)
     if settings.max_speed <= SLOWEST:
-        raise SplitError(
+        what = (
             f"is {settings.max_speed:g} m/s, where the controller's model is not valid; more than {SLOWEST:g} m/s "
-            "was expected",
-            where="--max-speed",
         )
-    shares = [
-        ("--p-ellipse", limits.p_ellipse),
-        ("--p-ellipse-lap0", settings.first_share),
-        ("--p-unknown", limits.p_unknown),
-    ]
-    for name, value in shares:
+        raise SplitError(f"{what}was expected", where="--max-speed")
+    shares = {"--p-ellipse": limits.p_ellipse, "--p-ellipse-lap0": settings.first_share,
+              "--p-unknown": limits.p_unknown}  # fmt: skip
+    from_zero = {"--tightening": settings.tightening, "deviation": settings.deviation, "--margin": settings.margin}
+    check_numbers((), shares, from_zero, settings.seed)
+
+
+def check_numbers(
+    positive: Iterable[tuple[str, float | None]],
+    shares: Mapping[str, float | None],
+    from_zero: Mapping[str, float | None],
+    seed: int,
+) -> None:
+    """Refuse numbers out of their range, naming the option; what is None was not asked for.
+
+    Raises
+    ------
+    SplitError
+    """
+    for name, value in positive:
+        if value is not None and not 0.0 < value < 1e6:
+            raise SplitError(f"is {value:g}, a positive number below 1e6 was expected", where=name)
+    for name, value in shares.items():
         if value is not None and not 0.0 < value < 1.0:
             raise SplitError(f"is {value:g}, a share of the peak force between 0 and 1 was expected", where=name)
-    for name, value in [
-        ("--tightening", settings.tightening),
-        ("deviation", settings.deviation),
-        ("--margin", settings.margin),
-    ]:
+    for name, value in from_zero.items():
         if value is not None and not 0.0 <= value < 1e3:
             raise SplitError(f"is {value:g}, 0 or more was expected", where=name)
-    if settings.seed < 0:
-        raise SplitError(f"is {settings.seed}, a whole number from 0 was expected", where="--seed")
+    if seed < 0:
+        raise SplitError(f"is {seed}, a whole number from 0 was expected", where="--seed")
 
 
 def check_car(vehicle: Vehicle, car: CarParameters) -> None:

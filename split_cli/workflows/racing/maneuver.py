@@ -32,7 +32,7 @@ from split_cli.plant.cars import CarParameters, find_car
 from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
-from split_cli.workflows.racing.entry import check_car, check_predictor, check_torque, check_trusted
+from split_cli.workflows.racing.entry import check_car, check_numbers, check_predictor, check_torque, check_trusted
 from split_cli.workflows.racing.first_lap import remembering
 from split_cli.workflows.racing.settings import AUTO, predictor_for
 
@@ -195,20 +195,10 @@ def scaled_controller(settings: MpcSettings, scale: float) -> MpcSettings:
 
 
 def _check(settings: ManeuverSettings) -> None:
-    """Refuse numbers that no manoeuvre can be driven with, naming the option."""
     positive = [("--grip", settings.grip), ("--p-long", settings.p_long)]
     positive += [("--speed", speed) for speed in settings.speeds]
-    optional = ("--max-torque", settings.max_torque), ("--width", settings.width), ("--scale", settings.scale)
-    positive += [(name, value) for name, value in optional if value is not None]
-    for name, value in positive:
-        if not 0.0 < value < 1e6:
-            raise SplitError(f"is {value:g}, a positive number below 1e6 was expected", where=name)
-    share = settings.p_ellipse
-    if share is not None and not 0.0 < share < 1.0:
-        what = f"is {share:g}, a share of the peak force between 0 and 1 was expected"
-        raise SplitError(what, where="--p-ellipse")
-    if settings.seed < 0:
-        raise SplitError(f"is {settings.seed}, a whole number from 0 was expected", where="--seed")
+    positive += [("--max-torque", settings.max_torque), ("--width", settings.width), ("--scale", settings.scale)]
+    check_numbers(positive, {"--p-ellipse": settings.p_ellipse}, {}, settings.seed)
 
 
 def _highest(runs: Sequence[ManeuverRun]) -> float | None:
