@@ -100,13 +100,7 @@ class Mpc(RecedingController):
         """Return the stage costs about the plan."""
         w, p, N = self.weights, self.settings, self.horizon
         at, x = _stages(point, slice(1, N + 1)), self.plan.x[1:]
-        contour, lag, of_contour, of_lag = self.contour_rows(s[1:], at)
-        along = 0.0 if p.steering_alone else w.lag
-        Q = 2.0 * (
-            w.contour * of_contour[:, :, None] * of_contour[:, None, :]
-            + along * of_lag[:, :, None] * of_lag[:, None, :]
-        )
-        q = 2.0 * (w.contour * contour[:, None] * of_contour + along * lag[:, None] * of_lag)
+        Q, q = self.contour_cost(s[1:], at, 0.0 if p.steering_alone else w.lag)
         wanted = self.wanted[1:]
         states = (
             (2, p.direction, x[:, 2] - at.direction),

@@ -90,13 +90,7 @@ class Mpcc(RecedingController):
     def cost(self, s: np.ndarray, point: PathPoint) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the stage costs about the plan."""
         w, p, N = self.weights, self.settings, self.horizon
-        at = _stages(point, slice(1, N + 1))
-        contour, lag, of_contour, of_lag = self.contour_rows(s[1:], at)
-        Q = 2.0 * (
-            w.contour * of_contour[:, :, None] * of_contour[:, None, :]
-            + w.lag * of_lag[:, :, None] * of_lag[:, None, :]
-        )
-        q = 2.0 * (w.contour * contour[:, None] * of_contour + w.lag * lag[:, None] * of_lag)
+        Q, q = self.contour_cost(s[1:], _stages(point, slice(1, N + 1)), w.lag)
         q[:, -1] -= p.progress
         R = np.empty((N, self.m))
         R[:] = 2.0 * np.array([w.torque_rate / self.u_scale[0] ** 2, w.steer_rate, p.progress_rate])

@@ -308,6 +308,16 @@ class RecedingController(ABC):
         of_lag[:, 0], of_lag[:, 1] = -cosine, -sine
         return contour, lag, of_contour, of_lag
 
+    def contour_cost(self, s: np.ndarray, point: PathPoint, along: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return Q (N, n, n) and q (N, n) of both errors, that along the line weighed by `along`."""
+        across = self.weights.contour
+        contour, lag, of_contour, of_lag = self.contour_rows(s, point)
+        Q = 2.0 * (
+            across * of_contour[:, :, None] * of_contour[:, None, :]
+            + along * of_lag[:, :, None] * of_lag[:, None, :]
+        )
+        return Q, 2.0 * (across * contour[:, None] * of_contour + along * lag[:, None] * of_lag)
+
     def _rows(self, found: Linearization, s: np.ndarray, point: PathPoint) -> tuple[np.ndarray, ...]:
         """Return the softened rows of stages 1 to N - 1: border, slip angles, their difference."""
         N = self.horizon

@@ -50,6 +50,12 @@ def _collect(
     return Columns(values, stamps, readable)
 
 
+def _time_fields(name: str, is_known: Callable[[str], bool]) -> tuple[str, str] | None:
+    """Return the fields of a time stamp that hold seconds and nanoseconds; None where it has no such two."""
+    pairs = ((f"{name}.{s}", f"{name}.{n}") for s in _SECOND_NAMES for n in _NANOSECOND_NAMES)
+    return next((pair for pair in pairs if all(map(is_known, pair))), None)
+
+
 class ProtobufDecoder:
     """Decodes one protobuf message type from the descriptors inside the recording.
 
@@ -79,7 +85,7 @@ class ProtobufDecoder:
         self._parse = parse
         self._failures = (DecodeError, OverflowError, ValueError)
         self._paths = _listed(_protobuf_paths(self._descriptor, "", frozenset()))
-        self.stamp = next((name for name in STAMP_FIELDS if self._time_fields(name) is not None), None)
+        self.stamp = next((name for name in STAMP_FIELDS if _time_fields(name, self.has) is not None), None)
 
     def paths(self) -> list[str]:
         """Return the addresses of the numeric fields; see `PayloadDecoder.paths`."""
@@ -132,15 +138,8 @@ class ProtobufDecoder:
 
         return get
 
-    def _time_fields(self, name: str) -> tuple[str, str] | None:
-        for seconds in _SECOND_NAMES:
-            for nanoseconds in _NANOSECOND_NAMES:
-                if self.has(f"{name}.{seconds}") and self.has(f"{name}.{nanoseconds}"):
-                    return f"{name}.{seconds}", f"{name}.{nanoseconds}"
-        return None
-
     def _stamp_getter(self) -> Callable[[Any], int]:
-        names = self._time_fields(self.stamp or "")
+        names = _time_fields(self.stamp or "", self.has)
         seconds, nanoseconds = (self._getter(name) for name in names or ())
 
         def stamp(message: Any) -> int:
@@ -237,11 +236,10 @@ class JsonDecoder:
         return _collect(payloads, len(paths), _json_message, getters, stamp, failures)
 
     def _stamp_getter(self, name: str, example: Any) -> Callable[[Any], int] | None:
-        for seconds in _SECOND_NAMES:
-            for nanoseconds in _NANOSECOND_NAMES:
-                if {f"{name}.{seconds}", f"{name}.{nanoseconds}"} <= self._known:
-                    whole, rest = _json_getter(f"{name}.{seconds}"), _json_getter(f"{name}.{nanoseconds}")
-                    return lambda message: int(whole(message)) * 1_000_000_000 + int(rest(message))
+        pair = _time_fields(name, self._known.__contains__)
+        if pair is not None:
+            whole, rest = map(_json_getter, pair)
+            return lambda message: int(whole(message)) * 1_000_000_000 + int(rest(message))
         if name not in self._known:
             return None
         number = _json_number(name)

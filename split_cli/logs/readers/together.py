@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, time_column, unit_of_time
+from split_cli.logs.raw import (
+    Clock,
+    RawChannelInfo,
+    RawRecording,
+    RawSignal,
+    ReadNote,
+    nearest_column,
+    time_column,
+    unit_of_time,
+)
 from split_cli.signals import convert_to_si, find_unit
 
 
@@ -60,15 +69,10 @@ class JointRecording:
 
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
         """Return the named signals, each on the clock of its file; see `Recording.read`."""
-        from split_cli.logs.raw import nearest_column
-
         read: dict[str, RawSignal] = {}
+        places = {name: nearest_column(self._places, name, self.name) for name in names}
         for part in self.parts:
-            own = {
-                name: nearest_column(self._places, name, self.name)[1].name
-                for name in names
-                if nearest_column(self._places, name, self.name)[0] is part
-            }
+            own = {name: info.name for name, (of, info) in places.items() if of is part}
             if not own:
                 continue
             time = self._time.get(id(part))
