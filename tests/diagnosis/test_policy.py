@@ -93,7 +93,6 @@ BESIDE_THEIR_ALGORITHM = {
     "search/candidates.py": {"_NEAR"},
     "search/form_error.py": {"_ROWS_AT_ONCE"},
     "search/fitting.py": {"_ITERATIONS", "_JOINT_ITERATIONS", "_REFRESHES", "_LEAST_GAIN", "_PLACES", "_BENT"},
-    "search/valleys.py": {"_POINTS"},
     "search/joint.py": {"_NEAR_NONE", "_NO_EFFECT", "_TRIED"},
     "search/parts_of_drive.py": {"_MOST_BLOCKS"},
     "search/valleys.py": {"_POINTS"},
