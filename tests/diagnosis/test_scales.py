@@ -11,7 +11,9 @@ from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals, build_kinematics
 from split_cli.diagnosis.recording.scales import out_of_scale, scale_of, scales_as_terms
 from split_cli.diagnosis.recording.witnesses import build_witnesses
+from split_cli.diagnosis.search.baselines import SearchOutcome, with_witnessed_names
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.search.term_tests import is_denied
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
 from split_cli.diagnosis.statement.result import ParameterEstimate
@@ -104,6 +106,21 @@ def test_a_yaw_that_was_integrated_from_the_yaw_rate_denies_nothing():
         (one,) = (one for one in candidates_of(objective, "yaw_rate_bias") if not one.variant)
         fit = Fit((Part(one, {"r": 0.02}),), 0.0, np.empty(0), np.empty((0, 0)))
         assert is_denied(objective, fit, 0) is of_its_own
+
+
+def test_where_drives_have_little_in_common_only_witnessed_faults_keep_their_names():
+    series = prepared(recording(28))
+    objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series))
+    acting = {"yaw_rate_scale": {"scale": 0.9}, "steer_gain": {"gain": 0.75}, "mass": {"scale": 1.2}}
+    parts = tuple(Part(one, acting[one.term]) for one in candidates_of(objective, *acting) if not one.variant)
+    fit = Fit(parts, 0.0, np.zeros(0), np.zeros((0, 0)))
+    none = ((),) * len(parts)
+    outcome = SearchOutcome(
+        SimpleNamespace(objective=objective), None, Selection(fit, fit, (fit,), none, none, (True,) * len(parts)),
+        None, 1.5,
+    )  # fmt: skip
+    assert len(parts) == 3
+    assert [one.id for one in with_witnessed_names(outcome).selection.terms] == ["yaw_rate_scale"]
 
 
 def test_an_offset_of_the_steering_stays_beside_a_yaw_rate_out_of_scale_and_what_looks_like_one_does_not():
