@@ -101,35 +101,34 @@ class TablePredictor(Predictor):
     def _build(self) -> None:
         s, scales = self.training_set, self.training_set.kernel.length_scales
         if not s.size:
-            self._lattice = Lattice(scales / _FIRST_NODES, np.zeros(3, dtype=np.int64), (1, 1, 1))
-            self._values = np.zeros((1, 6))
+            lattice = Lattice(scales / _FIRST_NODES, np.zeros(3, dtype=np.int64), (1, 1, 1))
             self.error = TableError(self.bound, 0.0, 0.0, 0)
-            self.spline = fit_spline(self._lattice, self._values).in_integers()
+            self.spline = fit_spline(lattice, np.zeros((1, 6))).in_integers()
             return
         process = BatchProcess(s.z, s.y, s.kernel, self.most)
         lower, upper = s.z.min(axis=0) - _FAR * scales, s.z.max(axis=0) + _FAR * scales
         nodes = _FIRST_NODES
         while True:
-            self._lattice = lattice_over(lower, upper, scales / nodes)
-            self._values = np.zeros((self._lattice.size, 6))
-            self._fill(process, self._lattice.nodes())
-            self.spline = fit_spline(self._lattice, self._values).in_integers()
+            lattice = lattice_over(lower, upper, scales / nodes)
+            self.spline = fit_spline(lattice, self._values(process, lattice.nodes())).in_integers()
             self.error = error = self._measure(process)
             # The fourth-order law, a twentieth on top since it is the largest of many errors that must fall.
             over = max(error.mean / self.bound, error.deviation / DEVIATION_BOUND)
             finer = nodes * min(1.6, 1.05 * over**0.25)
-            if error.met or self._lattice.size * (finer / nodes) ** 3 > _MOST_NODES:
+            if error.met or lattice.size * (finer / nodes) ** 3 > _MOST_NODES:
                 return
             nodes = finer
 
-    def _fill(self, process: BatchProcess, places: np.ndarray) -> None:
-        """Compute values at the nodes, faded to the prior far from points."""
+    def _values(self, process: BatchProcess, places: np.ndarray) -> np.ndarray:
+        """Return mean and known share at the nodes, shape (N, 6), faded to the prior far from points."""
         s, scales = self.training_set, self.training_set.kernel.length_scales
         nearest, _ = cKDTree(s.z / scales).query(places / scales, distance_upper_bound=_FAR)
         fade = smooth_step((_FAR - nearest) / (_FAR - _NEAR))
         used = np.flatnonzero(fade > 0.0)
         mean, known = process.mean_and_known(places[used])
-        self._values[used] = fade[used, None] * np.column_stack([mean, 1.0 - np.sqrt(1.0 - known)])
+        values = np.zeros((len(places), 6))
+        values[used] = fade[used, None] * np.column_stack([mean, 1.0 - np.sqrt(1.0 - known)])
+        return values
 
     def _measure(self, process: BatchProcess) -> TableError:
         """Compare the spline with the process at random places near points."""
