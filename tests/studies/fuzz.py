@@ -29,8 +29,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from split_cli.errors import SplitError
-from tests.studies.fuzz_seeds import QUICK, SLOW, seeds
-from tests.studies.fuzz_seeds_newer import NEWER
+from tests.studies.fuzz_seeds import NEWER, QUICK, SLOW, seeds
 
 LONGEST_SECONDS = 10.0
 """Of one input, of processor time [s]: the bound the project promises. A starved process is not slow."""
