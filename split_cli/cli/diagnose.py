@@ -82,7 +82,8 @@ def command(
 
 def _tell(result) -> None:
     """Print a diagnosis: verdict, summary, findings, and whether they help."""
-    p_value = "" if result.p_value is None else f", p {_chance(result.p_value)}"
+    chance = result.p_value
+    p_value = "" if chance is None else ", p < 1e-6" if chance < 1e-6 else f", p = {chance:.2g}"
     click.echo(f"{result.verdict}{p_value}; compared {100.0 * result.compared_share:.0f} % of the real drive")
     click.echo(result.summary)
     # Beside the summary: a match says nothing of what these drives cannot show.
@@ -115,10 +116,6 @@ def _tell(result) -> None:
         )
         stages = [stage for stage in _STAGES if result.findings or stage not in ("physics", "after")]
         shared.print_table(["", *_CHANNELS], [[_STAGES[stage], *_with_intervals(last, stage)] for stage in stages])
-
-
-def _chance(p_value: float) -> str:
-    return "< 1e-6" if p_value < 1e-6 else f"= {p_value:.2g}"
 
 
 def _with_intervals(errors, stage: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from split_cli.export.casadi_function import casadi_answer, observer_answer
 from split_cli.export.check import TOLERANCE, ExportAnswer, reference_of
 from split_cli.export.compiler import find_compiler
 from split_cli.export.documents import (
-    Document,
     document_answer,
     other_than_set,
     read_json,
@@ -30,6 +30,8 @@ from split_cli.prediction import make_predictor
 RELEARNED = 1e-6
 """Of means in signal deviations and variances in signal variances [1]: sums of thousands of labels are rounded
 otherwise by other libraries."""
+
+_READERS = {"npz": read_npz, "json": read_json}
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -88,8 +90,8 @@ def verify_folder(folder: str | Path) -> tuple[VerifiedItem, ...]:
     if any(finding.passed is False for finding in findings):
         # Answers of files that are not those written would prove nothing.
         return tuple(findings)
-    checks = {"c": _verify_c, "casadi": _verify_casadi, "npz": _verify_npz, "json": _verify_json}
-    checks["ggv"] = _verify_ggv
+    documents = {target: partial(_verify_document, target) for target in _READERS}
+    checks = {"c": _verify_c, "casadi": _verify_casadi, "ggv": _verify_ggv, **documents}
     for target in manifest["targets"]:
         try:
             findings.append(checks[target](folder, manifest["name"]))
@@ -166,16 +168,9 @@ def _observe(observe: Any, stored: dict[str, Any]) -> float:
     return float((np.abs(found - expected) / (1.0 + np.abs(expected))).max())
 
 
-def _verify_npz(folder: Path, name: str) -> VerifiedItem:
-    return _verify_document(read_npz(folder / f"{name}.npz"), folder, name, "npz")
-
-
-def _verify_json(folder: Path, name: str) -> VerifiedItem:
-    return _verify_document(read_json(folder / f"{name}.json"), folder, name, "json")
-
-
-def _verify_document(document: Document, folder: Path, name: str, target: str) -> VerifiedItem:
+def _verify_document(target: str, folder: Path, name: str) -> VerifiedItem:
     """Ask the stored check points; a projected process must be what its points teach, too."""
+    document = _READERS[target](folder / f"{name}.{target}")
     asked = _ask(document_answer(document), folder, name, target)
     error = relearned_error(document, _check_points(folder, name)["z"]) if asked.passed else None
     if error is None:
@@ -188,9 +183,8 @@ def verify_against_set(folder: Path, training_set: TrainingSet) -> tuple[Verifie
     """Compare an export with the set that it was made of: its points number by number, and its stored answers."""
     manifest = read_manifest(folder)
     name, items = manifest["name"], []
-    readers = {"npz": read_npz, "json": read_json}
-    for target in (one for one in readers if one in manifest["targets"]):
-        others = other_than_set(readers[target](folder / f"{name}.{target}"), training_set)
+    for target in (one for one in _READERS if one in manifest["targets"]):
+        others = other_than_set(_READERS[target](folder / f"{name}.{target}"), training_set)
         text = f"{', '.join(others)} differ from those of the set" if others else "those of the set, bit for bit"
         items.append(VerifiedItem(f"{target}: points", not others, text))
 

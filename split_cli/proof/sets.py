@@ -53,16 +53,12 @@ def build_nominal_set(plan: CasePlan) -> Case:
     for attempt in range(_DRAWS):
         rng = plan.rng(11, attempt) if attempt else plan.rng(11)
         try:
-            return _with_draws(_drawn(plan, rng), attempt + 1)
+            case = _drawn(plan, rng)
+            return replace(case, answer=replace(case.answer, draws=attempt + 1))
         except SplitError as error:
             # Together the effects made the car spin, which none of them does alone.
             reason = error
     raise SplitError(f"case {plan.number} of seed {plan.seed} cannot be built: {reason}")
-
-
-def _with_draws(case: Case, draws: int) -> Case:
-    """Return a case that tells how often it was drawn."""
-    return replace(case, answer=replace(case.answer, draws=draws))
 
 
 def _drawn(plan: CasePlan, rng: np.random.Generator) -> Case:

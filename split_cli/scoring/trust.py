@@ -118,7 +118,7 @@ def best_trust(
         base, unnoticed = _sizes(part, everything)
         if base + unnoticed > 0.0:
             worse, error = _increase(part, everything, shares)
-            quantile = _quantile(times * len(np.unique(part.block)))
+            quantile = float(stdtrit(max(times * len(np.unique(part.block)) - 1, 1), _LEVEL))
             gain -= (worse + quantile * error / np.sqrt(times)) / (base + unnoticed)
             gain[worse > NEGLIGIBLE * base + unnoticed] = -np.inf
     # The file as it is gains nothing and is always allowed; what gains less need not be looked at.
@@ -216,10 +216,6 @@ def _increase(part: TrustEvidence, inside: np.ndarray, shares: np.ndarray) -> tu
     total, count = by_block.sum(axis=1), len(numbers)
     spread = by_block - by_block.mean(axis=1, keepdims=True)
     return total, np.sqrt(count / max(count - 1, 1) * np.square(spread).sum(axis=1))
-
-
-def _quantile(blocks: int) -> float:
-    return float(stdtrit(max(blocks - 1, 1), _LEVEL))
 
 
 def _thirds(conditions: np.ndarray) -> list[np.ndarray]:

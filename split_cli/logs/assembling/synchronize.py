@@ -224,7 +224,11 @@ def resample_channels(channels: Channels, grid: SampleClock) -> dict[tuple[str, 
                 held = resample_held(part.time, part.values, grid, longest=gap)
                 results[channel, index] = Resampled(held, 1.0, (1.0,), False)
                 continue
-            alike = (m for p, g, m in together if g == gap and _one_clock(p.time, part.time))
+            alike = (
+                m
+                for p, g, m in together
+                if g == gap and (p.time is part.time or np.array_equal(p.time, part.time))
+            )
             members = next(alike, None)
             if members is None:
                 together.append((part, gap, [(channel, index)]))
@@ -234,10 +238,6 @@ def resample_channels(channels: Channels, grid: SampleClock) -> dict[tuple[str, 
         signals = [channels.clean[channel][index].values for channel, index in members]
         results |= zip(members, resample_together(part.time, signals, grid, gap=gap), strict=True)
     return results
-
-
-def _one_clock(time: np.ndarray, other: np.ndarray) -> bool:
-    return time is other or np.array_equal(time, other)
 
 
 def sum_sources(channels: Channels, resampled: Mapping[tuple[str, int], Resampled]) -> dict[str, np.ndarray]:

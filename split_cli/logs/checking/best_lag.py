@@ -141,7 +141,10 @@ def _prepare(signal, regressors, mask, period, segments, longest):
     length = len(rows) // _BLOCKS
     rows = rows[: length * _BLOCKS]
     columns = [regressor[rows] - np.mean(regressor[rows]) for regressor in regressors]
-    design = np.stack([_winsorised(column) for column in columns] + [np.ones(len(rows))], axis=1)
+    design = np.stack(
+        [np.clip(column, *np.quantile(column, [0.002, 0.998])) for column in columns] + [np.ones(len(rows))],
+        axis=1,
+    )
     limits = np.quantile(signal[rows], [0.002, 0.998])
 
     def shifted(lag: float) -> np.ndarray:
@@ -151,10 +154,6 @@ def _prepare(signal, regressors, mask, period, segments, longest):
         return np.clip(values[: length * _BLOCKS], *limits).reshape(_BLOCKS, length)
 
     return len(rows) * stride, design.reshape(_BLOCKS, length, -1), shifted
-
-
-def _winsorised(values: np.ndarray) -> np.ndarray:
-    return np.clip(values, *np.quantile(values, [0.002, 0.998]))
 
 
 def _costs(design: np.ndarray, shifted: Callable, lags: np.ndarray) -> np.ndarray:

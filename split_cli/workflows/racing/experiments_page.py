@@ -207,14 +207,12 @@ def _sweep_table(sweeps: list[dict]) -> str:
     for (scenario, grip, model), results in sorted(alike.items(), key=lambda pair: (pair[0][0], -pair[0][1])):
         highest = (result["highest_passed"] for result in results)
         best = " / ".join("none" if speed is None else f"{speed:g}" for speed in highest)
-        hits = ", ".join(f"{run['speed']:g}: {_ended(run)}" for run in results[0]["runs"])
+        hits = ", ".join(
+            f"{run['speed']:g}: {run['hit']}{'*' if run['ended'] else ''}" for run in results[0]["runs"]
+        )
         rows.append([scenario, f"{grip:g}", model, best, hits])
     header = ["manoeuvre", "grip", "model", "highest speed passed m/s", "cones hit at each entry speed, seed 0"]
     return _markdown(header, rows)
-
-
-def _ended(run: dict) -> str:
-    return f"{run['hit']}{'*' if run['ended'] else ''}"
 
 
 def _timing_table(races: list[dict]) -> str:

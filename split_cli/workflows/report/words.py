@@ -58,7 +58,8 @@ def number(value: float, digits: int = 3) -> str:
     size = math.floor(math.log10(abs(value)))
     if size < -4 or size >= 7:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return _minus(f"{mantissa} × 10{_superscript(int(exponent))}")
+        raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        return _minus(f"{mantissa} × 10{raised}")
     return _minus(f"{value:,.{max(0, digits - 1 - size)}f}")
 
 
@@ -108,10 +109,6 @@ def typeset(text: str) -> str:
 def quantity(value: float, unit: str) -> str:
     """Return a value with its unit, none for ``1``."""
     return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
-
-
-def _superscript(exponent: int) -> str:
-    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def _minus(text: str) -> str:
