@@ -420,9 +420,12 @@ def _header_from(described: Mapping[str, Any]) -> TrainingSet:
 
 
 def points_elsewhere(training_set: TrainingSet) -> int:
-    """Return how many points lie outside the region, or in another cell than the one that holds them."""
+    """Return how many points lie outside the slip angles of the region, or in another cell than theirs."""
     s = training_set
     index, has_cell = s.grid.index(s.z)
+    if s.features.is_z2:
+        slips = s.z[:, 0], s.z[:, 1]
+        has_cell = has_cell & s.region.inside_slip(*slips) & s.region.inside_slip_difference(*slips)
     return int((~has_cell | (s.grid.pack(index) != np.repeat(s.cell_numbers, np.diff(s.offsets)))).sum())
 
 

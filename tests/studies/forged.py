@@ -93,7 +93,7 @@ COMMANDS = {
     "export ggv": ("export", "a.split", "--target", "ggv", "-o", "out"),
     "evaluate": ("evaluate", "d1.parquet", "--vehicle", "car.yaml", "--set", "a.split"),
     "compare": ("compare", "car.yaml", "a.split", "--on", "d1.parquet"),
-    "race": ("race", *_TRACK, "--laps", "0", "--max-speed", "11"),
+    "race": ("race", *_TRACK, "--laps", "1", "--max-speed", "11"),
     "maneuver": ("maneuver", "brake-avoid", *_TRACK),
     "verify": ("verify", "a.split"),
     "info": ("info", "a.split"),

@@ -81,7 +81,7 @@ def test_points_that_are_no_numbers_are_refused(sound, tmp_path, name):
         ("gamma 0.5", "gains of"), ("gamma 1e+300", "gains of"), ("length_scales 10", "gains of"),
         ("length_scales 1e+20", "gains of"), ("length_scales 1e-299", "gains of"),
         ("length_scales 1e+299", "none is possible"), ("doubt 1e+299", "none is possible"),
-        ("noise_variance 1e+299", "none is possible"),
+        ("noise_variance 1e+299", "none is possible"), ("region 1e-09", "outside their cells"),
         ("y 1e+300", "none is possible"), ("t 1e+300", "none is possible"), ("rows below zero", "rows below zero"),
         ("start time 1e299", "there is no time"), ("duration 1e299", "duration of source 0"),
     ],
