@@ -31,7 +31,12 @@ from split_cli.diagnosis.statement.result import Diagnosis, Finding, InputFile, 
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import detection_limits
-from split_cli.diagnosis.verdict.findings import describe, is_autocorrelated, with_shares
+from split_cli.diagnosis.verdict.findings import (
+    confirmed_by_witnesses,
+    describe,
+    is_autocorrelated,
+    with_shares,
+)
 from split_cli.diagnosis.verdict.heldout import (
     HeldOut,
     explained_shares,
@@ -325,7 +330,8 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
     if improved:
         reported = findings, remainder
         findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
-        gone = withdrawn(findings, improvement) if structured else ()
+        confirmed = confirmed_by_witnesses(found.outcome.structure.objective, selection)
+        gone = withdrawn(findings, improvement, confirmed) if structured else ()
         if gone:
             leads = as_leads(gone, improvement, case.vehicle)
             selection, *reported = without_names(selection, *reported, gone)

@@ -71,7 +71,7 @@ def describe(
     kept = {one.term for one in findings}
     if unexplained or scales:
         imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection))
-        kept -= imitating - _confirmed_by_witnesses(objective, selection)
+        kept -= imitating - confirmed_by_witnesses(objective, selection)
     if scales:
         sensors = {one.term for one in findings if not one.exported}
         unexplained, kept = True, sensors | kept & _stays_beside(objective, selection, findings, scales)
@@ -90,7 +90,7 @@ def describe(
         reported = _findings(objective, selection, remainder.share, beside)
         findings = _only_findings(reported)
         imitating = _imitating(findings, remainder, bent, rules, _nameless_shares(selection, vague))
-        imitating -= _confirmed_by_witnesses(objective, selection)
+        imitating -= confirmed_by_witnesses(objective, selection)
         doubted = _vague(objective, selection, reported) - imitating
         kept = {one.term for one in findings} - doubted - imitating
         if scales:
@@ -117,7 +117,7 @@ def _errs_too_much(objective: MarginalLikelihood, selection: Selection, variance
     return any(p_value * len(found) < objective.policy.selection.level for p_value in found.values())
 
 
-def _confirmed_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
+def confirmed_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
     """Return what other evidence than the equations of motion confirms: nothing nameless moves that.
 
     Those are sensors' faults that take a fair share of what witnesses contradict, and a steer offset on straights.
@@ -205,7 +205,7 @@ def _declared(objective: MarginalLikelihood, selection: Selection, own: Candidat
     Witnesses of a sensor's fault are data enough: they need no other channel.
     """
     little = objective.form_error_inflation <= objective.policy.selection.much_over_noise
-    if little or own.term in _confirmed_by_witnesses(objective, selection):
+    if little or own.term in confirmed_by_witnesses(objective, selection):
         return exact_mimics(own.term, own.variant)
     drives = [one.series.drive for one in objective.evidence]
     measured = {name for name in drives[0].columns if all(measures(drive, name) for drive in drives)}

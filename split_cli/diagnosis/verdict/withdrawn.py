@@ -1,6 +1,6 @@
-"""Names that held-out time takes back: of a car that predicts worse with them, beside what has no name."""
+"""Names that held-out time takes back: what predicts worse with them, beside what has no name."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 
 from split_cli.diagnosis.search.selection import Selection
@@ -10,15 +10,19 @@ from split_cli.diagnosis.statement.sentences import withdrawn_sentence
 from split_cli.vehicle.parameters import Vehicle
 
 
-def withdrawn(findings: Sequence[Finding], improvement: Improvement | None) -> tuple[Finding, ...]:
-    """Return findings of the car that held-out time speaks against, where a part of the gap has no name.
+def withdrawn(
+    findings: Sequence[Finding], improvement: Improvement | None, confirmed: Set[str] = frozenset()
+) -> tuple[Finding, ...]:
+    """Return findings that held-out time speaks against, where a part of the gap has no name.
 
     Each of both alone says little. Model-form error beside a name has no name, either, and a right name of a small
     effect may predict worse by what else the car lacks. Both together say that the name stands for what has none.
-    What an instrument does is not withdrawn: its witnesses judge it.
+    What an instrument does is not withdrawn where its witnesses have `confirmed` it.
     """
     removed = None if improvement is None else improvement.removed.get("physics")
-    return tuple(one for one in findings if one.exported) if removed is not None and removed[2] < 0.0 else ()
+    if removed is None or removed[2] >= 0.0:
+        return ()
+    return tuple(one for one in findings if one.exported or one.term not in confirmed)
 
 
 def without_names(
