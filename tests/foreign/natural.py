@@ -18,7 +18,7 @@ from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.assembling.assemble import IngestSettings
 from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.proof.injection import split_in_blocks
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 from split_cli.workflows.ingesting.ingest import ingest_logs
 
@@ -85,6 +85,32 @@ def _pushed_at_slips(drive: Drive, vehicle: Vehicle, axle: str) -> tuple[np.ndar
     return (np.abs(slip[moving]) / 0.01).astype(int), np.abs(vx * r)[moving]
 
 
+def slips_at_a_crawl(drive: Drive, vehicle: Vehicle, slowest: float = 0.3, fastest: float = 0.45) -> np.ndarray:
+    """Return mean front and rear slip [rad] between two speeds [m/s] that need hardly any force, shape (2,)."""
+    width = max(1, round(0.3 / drive.period))
+    vx, vy, r, delta = (uniform_filter1d(drive[name], width) for name in ("vx", "vy", "r", "delta"))
+    slow = (vx >= slowest) & (vx < fastest)
+    front = delta - np.arctan2(vy + vehicle.cg_to_front_axle * r, vx)
+    rear = -np.arctan2(vy - vehicle.cg_to_rear_axle * r, vx)
+    return np.array([front[slow].mean(), rear[slow].mean()])
+
+
+def tape_with_angles_of_rubber(datasets: Path, folder: Path) -> Drive:
+    """Return the drive on tape with the tracked axis and the steer angle by which it creeps as on rubber."""
+    tape, rubber = (dart_drive(datasets, name, folder) for name in (TAPE, RUBBER))
+    car = read_vehicle(DART_CAR)
+    front, rear = slips_at_a_crawl(rubber, car) - slips_at_a_crawl(tape, car)
+    sine, cosine = np.sin(rear), np.cos(rear)
+    columns = {
+        **tape.columns,
+        "vx": cosine * tape["vx"] + sine * tape["vy"],
+        "vy": cosine * tape["vy"] - sine * tape["vx"],
+        "yaw": tape["yaw"] + rear,
+        "delta": tape["delta"] + front - rear,
+    }
+    return replace(tape, columns=columns)
+
+
 def kth_drive(datasets: Path, run: str, folder: Path, *, yaw_rate: str = "can") -> Drive:
     """Return a run of the Volvo S90 as a drive, with the yaw rate of the CAN bus or of the IMU."""
     path = folder / f"kth_{run}_{yaw_rate}.parquet"
@@ -142,6 +168,11 @@ EXPERIMENTS = {
     "tape-nominal": Experiment(
         "grip of tape over that of rubber, to which the nominal model is fitted: 0.43",
         lambda datasets, folder: (dart_drive(datasets, TAPE, folder), None),
+        DART_CAR,
+    ),
+    "tape-angles": Experiment(
+        "the same with the tracked axis and the steer angle corrected by what rubber and tape have at a crawl",
+        lambda datasets, folder: (tape_with_angles_of_rubber(datasets, folder), None),
         DART_CAR,
     ),
     "tape-rubber": Experiment(
