@@ -8,11 +8,13 @@ import sys
 import threading
 import warnings
 import weakref
+from types import FrameType
 
 import click
 
 from split_cli import CACHE_NOTE, __version__
 from split_cli.cli.verbosity import show_only
+from split_cli.compiled_code import called_by_compiled_code
 from split_cli.errors import NumericalRepairWarning, SplitError, nearest_names
 
 COMMANDS = {
@@ -209,20 +211,24 @@ def _stop_cleanly() -> list[int]:
 
     An interrupt may come where it is swallowed: in a library that catches everything while it loads or compiles,
     or where an object is taken down. Nobody holds the exception then any longer, and the signal comes once more.
+    Where compiled code would take no notice of it, it comes later, too.
     """
     came: list[int] = []
     held: list[weakref.ref[_Interrupt]] = []
     here = os.getpid()
 
-    def again(_: object) -> None:
-        threading.Timer(0.01, os.kill, (here, came[-1])).start()
+    def again(number: int) -> None:
+        threading.Timer(0.01, os.kill, (here, number)).start()
 
-    def stop(number: int, frame: object) -> None:
+    def stop(number: int, frame: FrameType | None) -> None:
         if os.getpid() != here:  # a worker process has nothing to tidy: its parent does
             os._exit(128 + number)
         came.append(number)
+        if called_by_compiled_code(frame):
+            again(number)
+            return
         interrupt = _Interrupt()
-        held[:] = [weakref.ref(interrupt, again)]
+        held[:] = [weakref.ref(interrupt, lambda _: again(number))]
         try:
             raise interrupt
         finally:
