@@ -269,7 +269,7 @@ def _write_casadi(
     compiler: Compiler | None,
     folder: Path,
 ) -> TargetResult:
-    check, step_error = check_casadi(functions, oracle, steps)
+    # Saved before anything asks for derivatives: CasADi would save those of a spline too, twelve times its size.
     written = [f"{plan.name}.casadi"]
     functions.predict.save(str(folder / written[0]))
     if functions.valid is not None:
@@ -279,6 +279,7 @@ def _write_casadi(
         for function in (functions.step, *functions.memory, *functions.trust):
             written.append(f"{function.name()}.casadi")
             function.save(str(folder / written[-1]))
+    check, step_error = check_casadi(functions, oracle, steps)
     written += [path.name for path in generate_c(functions, plan.name, folder)]
     if functions.step is not None:
         written.append(f"{plan.name}_acados.c")
