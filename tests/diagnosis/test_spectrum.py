@@ -78,6 +78,26 @@ def test_a_line_that_the_simulation_shows_too_is_common(drive):
     assert line_of(real, shaken(drive, "vx", turned, 0.9, seed=5)) is None
 
 
+def test_what_shakes_at_one_speed_alone_is_common_where_the_simulation_does_so_too(drive):
+    """In most blocks of ten seconds neither shakes; compared are those of the same speed."""
+
+    def shaken_in(block: float, order: list[int], amplitude: float, seed: int) -> Series:
+        first = drive.select(slice(0, 4000))
+        rows = np.concatenate([np.arange(1000) + 1000 * k for k in order])
+        columns = {name: each[rows] for name, each in first.columns.items()}
+        dealt = replace(first, columns={**columns, "t": first["t"]})
+        shakes = np.floor(dealt["t"] / 10.0) == block
+        return shaken(dealt, "vx", 2.0 * np.pi * 13.0 * dealt["t"], np.where(shakes, amplitude, 0.0), seed)
+
+    real = shaken_in(1.0, [0, 1, 2, 3], 3.0, seed=1)
+    # At the end of a drive such a stretch makes no line of its own.
+    assert line_of(shaken_in(3.0, [0, 2, 3, 1], 2.5, seed=5)) is None
+    assert line_of(real, shaken_in(3.0, [0, 2, 3, 1], 2.5, seed=5)) is None
+    assert line_of(real, shaken_in(3.0, [0, 2, 3, 1], 1.0, seed=5)) is not None
+    # What shakes in the simulation at another speed says nothing of it.
+    assert line_of(real, shaken_in(3.0, [0, 1, 2, 3], 2.5, seed=5)) is not None
+
+
 def test_the_second_line_is_told_where_the_first_is_common(drive):
     both = 2.0 * np.pi * 13.0 * drive["t"]
     real = shaken(drive, "vx", both, 1.5)

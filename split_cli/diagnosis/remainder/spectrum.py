@@ -71,7 +71,7 @@ def strongest_line(
         _Remainder(one, _left(objective, one, terms), _compared(one, rows, fastest), policy)
         for one, rows in zip(objective.evidence, objective.keep, strict=True)
     ]
-    lines = sorted((line for one in real for line in _lines(one)), key=lambda line: line.p_value)
+    lines = sorted(((line, one) for one in real for line in _lines(one)), key=lambda found: found[0].p_value)
     # A simulation that has lines of its own is a recording: another line of their size is no difference.
     others = [
         _Remainder(one, _left(objective, one, ()), np.ones(len(one.series) - 1, dtype=bool), policy)
@@ -79,9 +79,9 @@ def strongest_line(
     ]
     own = [line for other in others for line in _lines(other)]
     margin = policy.self_test.unnamed_margin
-    for line in lines:
-        shown = [*map(line.like, own), *(_by_blocks(line, other) for other in others)]
-        if line.amplitude > margin * max(shown, default=0.0):
+    for line, one in lines:
+        here, there = _block_by_block(line, one, others) if others else (np.inf, 0.0)
+        if line.amplitude > margin * max(map(line.like, own), default=0.0) and here > margin * there:
             return line
     return None
 
@@ -176,24 +176,38 @@ def _swing(
     return columns, whiten(columns)[asked.used], whiten(asked.left)[asked.used]
 
 
-def _by_blocks(line: Line, asked: _Remainder) -> float:
-    """Return the amplitude that a line's rate has in most blocks of time, with a phase of its own in each.
+def _block_by_block(line: Line, asked: _Remainder, others: Sequence[_Remainder]) -> tuple[float, float]:
+    """Return the amplitude of a line's rate, with a phase of its own in each block of time, and that of others.
+
+    What shakes grows with speed, and may do so in a few blocks alone. So each block of the recording is compared
+    with the block of the others whose speed is nearest.
+    """
+    speed, square = _blocks(line, asked)
+    found = [_blocks(line, other) for other in others]
+    speeds, squares = (np.concatenate([one[k] for one in found]) for k in (0, 1))
+    nearest = np.argmin(np.abs(speed[:, None] - speeds), axis=1)
+    return float(np.sqrt(max(np.mean(square), 0.0))), float(np.sqrt(max(np.mean(squares[nearest]), 0.0)))
+
+
+def _blocks(line: Line, asked: _Remainder) -> tuple[np.ndarray, np.ndarray]:
+    """Return the speed of each block of time [m/s] and the square of a line's amplitude there, both (B,).
 
     Notes
     -----
-    The median square of amplitudes near the frequency, less what frequencies around it have by noise.
+    At the share of the frequency where the mean square is largest, less what frequencies around it have by noise.
     """
     seconds = asked.policy.comparison.least_rows * ROW_SECONDS
-    block = np.unique((asked.one.series.t[:-1][asked.used] / seconds).astype(int), return_inverse=True)[1]
-    count = int(block.max()) + 1
+    series = asked.one.series
+    block = np.unique((series.t[:-1][asked.used] / seconds).astype(int), return_inverse=True)[1]
+    count = int(block.max(initial=-1)) + 1
+    speed = np.bincount(block, series.smooth[:-1, 0][asked.used]) / np.maximum(np.bincount(block), 1)
 
-    def square(share: float) -> float:
+    def squares(share: float) -> np.ndarray:
         _, offered, left = _swing(asked, line.over, share * line.frequency, _CHANNELS.index(line.channel))
         normal, right = np.zeros((count, 2, 2)), np.zeros((count, 2))
         np.add.at(normal, block, np.einsum("nci,ncj->nij", offered, offered))
         np.add.at(right, block, np.einsum("nci,nc->ni", offered, left))
-        weights = np.einsum("bij,bj->bi", np.linalg.pinv(normal), right)
-        return float(np.median(np.sum(weights**2, axis=1)))
+        return np.sum(np.einsum("bij,bj->bi", np.linalg.pinv(normal), right) ** 2, axis=1)
 
-    around = np.median([square(share) for share in _AROUND])
-    return float(np.sqrt(max(max(map(square, _SAME)) - around, 0.0)))
+    around = np.median([squares(share) for share in _AROUND], axis=0)
+    return speed, max(map(squares, _SAME), key=np.mean) - around
