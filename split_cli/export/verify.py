@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -90,8 +91,12 @@ def verify_folder(folder: str | Path) -> tuple[VerifiedItem, ...]:
     if any(finding.passed is False for finding in findings):
         # Answers of files that are not those written would prove nothing.
         return tuple(findings)
-    documents = {target: partial(_verify_document, target) for target in _READERS}
-    checks = {"c": _verify_c, "casadi": _verify_casadi, "ggv": _verify_ggv, **documents}
+    checks: dict[str, Callable[[Path, str], VerifiedItem]] = {
+        "c": _verify_c,
+        "casadi": _verify_casadi,
+        "ggv": _verify_ggv,
+        **{target: partial(_verify_document, target) for target in _READERS},
+    }
     for target in manifest["targets"]:
         try:
             findings.append(checks[target](folder, manifest["name"]))
