@@ -182,7 +182,7 @@ def test_unreadable_files_are_told(tmp_path):
     with pytest.raises(VehicleError, match="cannot be read"):
         read_vehicle(tmp_path)
     (tmp_path / "latin.yaml").write_bytes(b"name: caf\xe9\n")
-    with pytest.raises(VehicleError, match="cannot be read"):
+    with pytest.raises(VehicleError, match="no text in UTF-8"):
         read_vehicle(tmp_path / "latin.yaml")
 
 
