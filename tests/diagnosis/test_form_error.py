@@ -163,6 +163,14 @@ def test_what_a_named_term_may_get_wrong_is_no_evidence_for_another(behind, dela
     assert saved_beside_form_error(behind, apart, delay) == pytest.approx(apart.cost - delay.cost, rel=0.1)
 
 
+def test_beside_instruments_alone_all_that_a_term_of_the_car_saves_is_evidence(behind, delay):
+    """What the shared discrepancy may get wrong is no more doubt there than for a first term."""
+    scale = fitted(behind, "yaw_rate_scale")
+    both = fit_parts(behind, [*scale.parts, *delay.parts])
+    assert saved_beside_form_error(behind, scale, both) == scale.cost - both.cost
+    assert saved_beside_form_error(behind, delay, both) != delay.cost - both.cost
+
+
 def test_a_promise_beside_form_error_is_that_of_a_weighted_least_squares_fit(behind, delay):
     """min over x of (y - C x)^T (I + M M^T)^-1 (y - C x), as rows that the weights of M pull on."""
     (drag,) = candidates_of(behind, "aero_drag")

@@ -128,11 +128,16 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
     discrepancy is one of these terms: no dictionary is exact. And how tyres carry another load is known within the
     variants alone. Evidence for a further term is what it saves beyond.
 
+    Beside instruments alone a term of the car is the first one, and all that it saves is evidence: once readings
+    are put right, the model errs as it does on any drive.
+
     Notes
     -----
     With P = (I + M M^T)^-1 as in `costs_beside_form_error` and the columns V of `_other_load_laws`, each cost is
     the least of (e - V u)^T P (e - V u) with u from 0, the variant that was chosen, to 1, another.
     """
+    if before.parts and not any(term.exported for term in before.terms):
+        return before.cost - after.cost
     wrong = _form_error_of(objective, before)
     laws = wrong.laws
     if not wrong.columns.shape[1]:
