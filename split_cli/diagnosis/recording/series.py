@@ -19,7 +19,8 @@ from split_cli.vehicle.single_track import SingleTrack
 #: Corrected velocities of a recording that are kept, with the flow at them [1]. A search moves other parameters
 #: far more often than those of sensors; more than those of four threads and their steps are never asked again.
 REMEMBERED = 8
-#: Noise of a channel over its spread below which it is no noise that can be seen [1].
+#: Noise of a channel over its spread below which it is no noise that can be seen [1]. Judgement: the rounding of
+#: a channel of four digits.
 VISIBLE = 1e-4
 _WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
 # A window counts as too long when what it takes away exceeds the noise by more than this.

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from split_cli.vehicle.effects.recording import Recording, shifted
-from split_cli.vehicle.effects.search import Course, Range, Search
+from split_cli.vehicle.effects.search import DELAYS, Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, late, number, scaled
 from split_cli.vehicle.parameters import Vehicle
@@ -312,7 +312,7 @@ class ChannelDelay(_Instrument):
         """Return ranges and starts [s]: clocks do not run faster in smaller cars."""
         names = cls.parameter_units(variant)
         limits = Range(0.0, 0.6, 0.001, _UNALIGNED)
-        starts = tuple(dict.fromkeys(names, value) for value in (0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38))
+        starts = tuple(dict.fromkeys(names, value) for value in DELAYS)
         return Search(dict.fromkeys(names, limits), starts)
 
     @classmethod

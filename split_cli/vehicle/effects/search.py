@@ -85,9 +85,10 @@ _LATE = (
     "by up to twice that"
 )
 _SLOW = "judgement: a turbo-charged engine builds up torque in up to a second, nothing in a car is slower"
+#: Sizes at which fits of a delay begin [s]: about evenly in ratio; see `valleys` for what lies between.
+DELAYS = (0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38)
 DELAY_SEARCH = Search(
-    {"delay": Range(0.0, 0.6, 0.001, _LATE)},
-    tuple({"delay": value} for value in (0.001, 0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38)),
+    {"delay": Range(0.0, 0.6, 0.001, _LATE)}, tuple({"delay": value} for value in (0.001, *DELAYS))
 )
 LAG_SEARCH = Search(
     {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
