@@ -330,8 +330,10 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
     if improved:
         reported = findings, remainder
         findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
-        confirmed = confirmed_by_witnesses(found.outcome.structure.objective, selection)
-        gone = withdrawn(findings, improvement, confirmed) if structured else ()
+        gone = ()
+        if structured:
+            confirmed = confirmed_by_witnesses(found.outcome.structure.objective, selection)
+            gone = withdrawn(findings, improvement, confirmed)
         if gone:
             leads = as_leads(gone, improvement, case.vehicle)
             selection, *reported = without_names(selection, *reported, gone)

@@ -333,12 +333,11 @@ def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside:
     beside : tuple of Term
         Others that act.
     """
-    names = [(0, name) for name in part.values]
-    steps = np.array([part.candidate.ranges[name].step for _, name in names])
+    steps, terms_at = np.array([part.candidate.ranges[name].step for name in part.values]), _terms_of((part,))
     x = np.array(list(part.values.values())) / steps
 
     def at(values: np.ndarray) -> np.ndarray:
-        return objective.left_by([*beside, *(one.term for one in _with((part,), names, values * steps))])
+        return objective.left_by([*beside, *terms_at(values * steps)])
 
     here = at(x)
     columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]

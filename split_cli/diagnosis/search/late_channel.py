@@ -29,8 +29,10 @@ def with_late_channel(
     equations of motion lose by it, whose model-form error widens what they say. Its size is that which the
     witnesses tell.
     """
-    rules, is_named = objective.policy.selection, any(selection.named)
-    base = selection.chosen if is_named else selection.base
+    rules, before = objective.policy.selection, selection
+    if not any(selection.named):
+        before = replace(selection, chosen=selection.base, without=(), rivals=(), siblings=(), named=())
+    base = before.chosen
     part = late_by_witnesses(objective, candidates, base.parts)
     if part is None:
         return None
@@ -43,16 +45,15 @@ def with_late_channel(
     own = objective.witness_floors.get(part.candidate.effect, 0.0) / objective.policy.self_test.term_margin
     if p_value >= rules.level or evidence < rules.price or seen < rules.deviations**2 * own:
         return None
-    others = selection.without if is_named else ()
     return replace(
-        selection,
+        before,
         chosen=fit,
-        without=(*(_as_it_is(objective, line, one) for one in others), base),
-        rivals=(*(selection.rivals if is_named else ()), ()),
-        siblings=(*(selection.siblings if is_named else ()), ()),
-        named=(*(selection.named if is_named else ()), True),
-        history=(*selection.history, f"added {part.candidate.label}, witnesses save {seen:.0f}"),
-        first_p=selection.first_p if is_named else p_value,
+        without=(*(_as_it_is(objective, line, one) for one in before.without), base),
+        rivals=(*before.rivals, ()),
+        siblings=(*before.siblings, ()),
+        named=(*before.named, True),
+        history=(*before.history, f"added {part.candidate.label}, witnesses save {seen:.0f}"),
+        first_p=before.first_p if before.named else p_value,
     )
 
 
