@@ -7,6 +7,7 @@ import os
 import stat
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Mapping
 from types import FrameType
 from typing import Any, TypeVar
@@ -24,14 +25,21 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
     return decorator
 
 
-def called_by_compiled_code(frame: FrameType | None) -> bool:
-    """Tell whether compiled code that returns arrays has called what runs in a frame.
+def send_again(number: int) -> None:
+    """Send this process a signal once more, a moment later."""
+    threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+
+
+def postponed_by_compiled_code(number: int, frame: FrameType | None) -> bool:
+    """Send a signal once more where compiled code that returns arrays has called what runs in a frame.
 
     Numba then restores the arrays' type and does not look whether that failed: an exception raised there, as by a
     signal that came while the code ran, would end the process in a segmentation fault.
     """
     while frame is not None and frame.f_code.co_name != "_numba_unpickle":
         frame = frame.f_back
+    if frame is not None:
+        send_again(number)
     return frame is not None
 
 

@@ -14,7 +14,7 @@ import click
 
 from split_cli import CACHE_NOTE, __version__
 from split_cli.cli.verbosity import show_only
-from split_cli.compiled_code import called_by_compiled_code
+from split_cli.compiled_code import postponed_by_compiled_code, send_again
 from split_cli.errors import NumericalRepairWarning, SplitError, nearest_names
 
 COMMANDS = {
@@ -217,18 +217,14 @@ def _stop_cleanly() -> list[int]:
     held: list[weakref.ref[_Interrupt]] = []
     here = os.getpid()
 
-    def again(number: int) -> None:
-        threading.Timer(0.01, os.kill, (here, number)).start()
-
     def stop(number: int, frame: FrameType | None) -> None:
         if os.getpid() != here:  # a worker process has nothing to tidy: its parent does
             os._exit(128 + number)
         came.append(number)
-        if called_by_compiled_code(frame):
-            again(number)
+        if postponed_by_compiled_code(number, frame):
             return
         interrupt = _Interrupt()
-        held[:] = [weakref.ref(interrupt, lambda _: again(number))]
+        held[:] = [weakref.ref(interrupt, lambda _: send_again(number))]
         try:
             raise interrupt
         finally:

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any, TypeVar
 
-from split_cli.compiled_code import called_by_compiled_code
+from split_cli.compiled_code import postponed_by_compiled_code
 from split_cli.diagnosis.parallel import cores, use_threads
 from split_cli.errors import SplitError, reason_of
 
@@ -157,10 +157,8 @@ def _start_worker(lifeline: Connection) -> None:
 
     def stop(number: int, frame: FrameType | None) -> None:
         _stopped.set()
-        if called_by_compiled_code(frame):
-            threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
-            return
-        sys.exit(128 + number)
+        if not postponed_by_compiled_code(number, frame):
+            sys.exit(128 + number)
 
     def listen() -> None:
         lifeline.poll(None)
