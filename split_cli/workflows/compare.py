@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import DriveError, SplitError
+from split_cli.learning.pieces import features_along
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.logs.drive import Drive, read_drive, unstated_inputs
 from split_cli.prediction import DEFAULT_PREDICTOR, make_predictor
@@ -16,6 +17,7 @@ from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, roll
 from split_cli.scoring.verdict import number_blocks
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.evaluation_notes import in_sample, not_unseen
 from split_cli.workflows.recordings import RecordingCorrection
 
 STEP = 0.05
@@ -202,12 +204,13 @@ def _pooled(parts: Sequence[RunErrors]) -> RunErrors:
 def _notes(models: Sequence[ComparedModel], drives: Sequence[Drive], parts: Sequence) -> tuple[str, ...]:
     notes = list(unstated_inputs(list(drives)))
     for model in models:
-        known = {source.sha256 for source in model.trained.sources} if model.trained else set()
-        notes += [
-            f"IN SAMPLE: {model.name} was trained on {drive.name}; its scores say nothing of other drives"
-            for drive in drives
-            if drive.sha256 and drive.sha256 in known
-        ]
+        if model.trained is None:
+            continue
+        known = {source.sha256 for source in model.trained.sources}
+        notes += [in_sample(model.name, drive.name) for drive in drives if drive.sha256 and drive.sha256 in known]
+        for drive in drives:
+            z = features_along(SingleTrack(model.vehicle), drive, model.trained.features)
+            notes += not_unseen(model.name, model.trained, drive, z)
     scored = {name for name, *_ in parts}
     missing = [drive.name for drive in drives if drive.name not in scored]
     notes += [f"{name} has no stretch that is long and fast enough" for name in missing]

@@ -51,7 +51,14 @@ from split_cli.scoring.verdict import (
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.engine import HERE, Engine
-from split_cli.workflows.evaluation_notes import drive_facts, left_out, notes_of, own_sets, same_interval
+from split_cli.workflows.evaluation_notes import (
+    drive_facts,
+    left_out,
+    not_unseen,
+    notes_of,
+    own_sets,
+    same_interval,
+)
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 
 #: Marks a predictor whose whole correction is applied, beside one that is trusted in part.
@@ -159,6 +166,7 @@ def evaluate(
         notes=(
             *doubts,
             *notes_of(facts, contestants[0][1], settings, rollout_scores),
+            *_not_unseen(contestants[0], settings, trained is None),
             *_notes_of_sets(contestants, settings, trained is None),
             *correct.notes,
             *(lag_note(own) for *_, own in contestants if found_lag(own) is not None),
@@ -195,6 +203,16 @@ def _contestants(
         advice = "`split label` counts why; look at units and signs with `split info`."
         raise DriveError(what, where=", ".join(h.drive.name for h in nominal), advice=advice)
     return contestants, nominal
+
+
+def _not_unseen(
+    contestant: tuple[str, list[HeldOutSamples], TrainingSet], settings: EvaluationSettings, is_own: bool
+) -> Iterator[str]:
+    """Yield which drives share rows with one that the set was trained on."""
+    _, held, trained = contestant
+    if settings.protocol != "paper":
+        for number, h in enumerate(held):
+            yield from not_unseen("the set", trained, h.drive, h.z, number if is_own else None)
 
 
 def _notes_of_sets(contestants: Sequence[tuple], settings: EvaluationSettings, are_own: bool) -> Iterator[str]:

@@ -2,8 +2,11 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from split_cli.learning.shared_rows import shared_sources
 from split_cli.learning.training_set import TrainingSet
-from split_cli.logs.drive import unstated_inputs
+from split_cli.logs.drive import Drive, unstated_inputs
 from split_cli.prediction import PREDICTORS
 from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
 from split_cli.scoring.evidence import MOST_ROWS
@@ -68,7 +71,7 @@ def notes_of(
                 "in which alone the nominal model is corrected"
             )
         if fact.in_sample:
-            notes.append(f"IN SAMPLE: the set was trained on {fact.name}; its scores say nothing of other drives")
+            notes.append(in_sample("the set", fact.name))
     if settings.protocol == "paper":
         notes.append("IN SAMPLE: the paper's protocol trains on the very lap it scores")
     if settings.protocol == "held-out" and any(PREDICTORS[n][1] == "FitcPredictor" for n in settings.predictors):
@@ -80,6 +83,36 @@ def notes_of(
     if settings.protocol == "held-out" and settings.rollout and not rollouts:
         notes.append(f"no rollouts: no stretch of test data lasts {max(settings.rollout):g} s without a gap")
     return notes
+
+
+def in_sample(model: str, drive: str) -> str:
+    """Return that a drive is one that a model was trained on."""
+    return f"IN SAMPLE: {model} was trained on {drive}; its scores say nothing of other drives"
+
+
+def not_unseen(
+    model: str, trained: TrainingSet, drive: Drive, z: np.ndarray, its_own: int | None = None
+) -> list[str]:
+    """Return which other drives of a set share rows with the one that is scored.
+
+    Parameters
+    ----------
+    model : str
+        What the set is called.
+    z : ndarray, shape (N, D)
+        Features of all rows of the drive.
+    its_own : int, optional
+        Index of the drive among those that the set was trained on: held-out blocks part it from itself.
+    """
+    if any(source.sha256 == drive.sha256 for source in trained.sources) and its_own is None:
+        return []  # said already
+    return [
+        f"NOT UNSEEN: {model} was trained on {trained.sources[n].name}, and {100.0 * share:.0f} % of the points "
+        f"that it keeps of that drive are rows of {drive.name} too. One is a copy of the other, or a part of the "
+        "same recording; scores of these rows say nothing of other drives"
+        for n, share in shared_sources(trained, z).items()
+        if n != its_own
+    ]
 
 
 def own_sets(sets: Sequence[tuple[str, TrainingSet]]) -> list[str]:

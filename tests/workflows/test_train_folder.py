@@ -1,13 +1,16 @@
 """A folder of drives is learned as its drives are, and a grown one costs only what is new."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from split_cli.errors import SetError
 from split_cli.logs.drive import read_drive, write_drive
+from split_cli.scoring.report import EvaluationSettings
 from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.evaluate import evaluate_files
 from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -85,3 +88,32 @@ def test_a_drive_that_changed_after_it_was_learned_is_noticed(folder, tmp_path):
     assert [row.drive for row in result.rows] == ["b.parquet"]  # the copy is of the same content
     told = [note for note in result.notes if "has changed since the set learned it" in note]
     assert len(told) == 1 and told[0].startswith("b.parquet")
+
+
+def test_a_copy_is_left_out_and_a_stretch_is_told_wherever_it_is_met(folder, tmp_path):
+    known, other = folder / "in" / "a.parquet", folder / "in" / "b.parquet"
+    drive = read_drive(known)
+    copied = replace(drive, metadata=replace(drive.metadata, vehicle="told anew"))  # other bytes
+    write_drive(copied, tmp_path / "copy.parquet")
+    write_drive(drive.stretch(137, 700), tmp_path / "cut.parquet")
+    car, once, twice = folder / "car.yaml", tmp_path / "once.split", tmp_path / "twice.split"
+    train_set([known, other], car, once, DEFAULT)
+    result = train_set([known, tmp_path / "copy.parquet", other], car, twice, DEFAULT)
+    assert once.read_bytes() == twice.read_bytes()
+    assert "copy.parquet is a copy of a.parquet and is left out: it would count twice" in result.notes
+
+    settings = EvaluationSettings(rollout=(), blocks=4, guard=0.2)
+
+    def notes(*drives: Path, trained: Path | None = once) -> list[str]:
+        said = evaluate_files(drives, car, settings, trained).report.notes
+        return [note for note in said if note.startswith("NOT UNSEEN")]
+
+    assert not notes(folder / "in" / "later" / "c.parquet")
+    assert (
+        "100 % of the points that it keeps of that drive are rows of copy" in notes(tmp_path / "copy.parquet")[0]
+    )
+    (cut,) = notes(tmp_path / "cut.parquet")  # labels begin at rows of another phase: rows are compared
+    assert "trained on a.parquet" in cut and 20 < int(cut.partition(", and ")[2].split()[0]) < 60
+    assert len(notes(known, tmp_path / "cut.parquet", trained=None)) == 2  # each is learned and scored
+    added = train_set([tmp_path / "copy.parquet"], car, once, append=True)
+    assert any("copy.parquet holds driving that was learned before, from a.parquet" in n for n in added.notes)

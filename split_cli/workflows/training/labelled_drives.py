@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.label_file import drive_of_labels, read_labels, write_labels
 from split_cli.learning.labels import Labels, compute_labels, window_samples
 from split_cli.learning.region import Region
+from split_cli.learning.shared_rows import shared_sources
+from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive, open_drive, unstated_inputs
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
@@ -64,8 +67,6 @@ class LabelledDrives:
         Drives, and files that `split label` wrote. Labels of a drive that is given too spare its labelling.
     rows : sequence of ndarray of bool, optional
         For each drive, which rows may be learned; a label whose window touches another row is left out.
-    seen : mapping of str to str
-        Name of each drive that was learned before, by SHA-256.
     say : callable
         Told what is being done.
     engine : Engine
@@ -82,12 +83,11 @@ class LabelledDrives:
         paths: Sequence[Path],
         labelling: Labelling,
         rows: Sequence[np.ndarray] | None,
-        seen: Mapping[str, str],
         say: Callable[[str], None],
         engine: Engine = HERE,
     ) -> None:
         self.labelling, self.say, self._engine = labelling, say, engine
-        self._rows, self._seen = rows, dict(seen)
+        self._rows = rows
         self._sources = _paired(paths)
         self._correct = RecordingCorrection(labelling.vehicle)
         self._checked: set[int] = set()
@@ -172,17 +172,44 @@ class LabelledDrives:
         """Return how long labelling took [s]."""
         return self._seconds[number]
 
-    def remark(self, labels: Labels, drive: Drive | None) -> None:
-        """Note what a reader should know of a drive that is learned now."""
+    def leave_out_copies(self) -> None:
+        """Leave out drives with the labels of an earlier one: they would count twice, in trust above all.
+
+        On held-out blocks a copy is no test: what is held out of one drive is learned from the other.
+        """
+        names: dict[bytes, str] = {}
+        kept: list[int] = []
+        for number in range(len(self._sources) if len(self._sources) > 1 else 0):
+            labels = self.labels(number)
+            digest = hashlib.sha256(labels.z.tobytes() + labels.y.tobytes()).digest()
+            earlier = names.setdefault(digest, labels.drive)
+            if earlier is labels.drive:
+                kept.append(number)
+            else:
+                self._notes.append(f"{labels.drive} is a copy of {earlier} and is left out: it would count twice")
+        if 0 < len(kept) < len(self._sources):
+            self._sources = [self._sources[old] for old in kept]
+            self._kept = {new: self._kept[old] for new, old in enumerate(kept)}
+            self._seconds = {new: self._seconds[old] for new, old in enumerate(kept)}
+            self._checked = {new for new, old in enumerate(kept) if old in self._checked}
+
+    def remark(self, labels: Labels, drive: Drive | None, trained: TrainingSet) -> None:
+        """Note what a reader should know of a drive that `trained` learns now."""
         if drive is None:
             self._notes.append(f"{labels.drive} is learned from its labels; the recording was not looked at")
         else:
             self.note(*unstated_inputs([drive]))
             self._notes += drive_notes(drive)
             self._notes += late_inputs(drive, labels, self.labelling.vehicle)
-        if labels.sha256 in self._seen:
-            self._notes.append(f"{labels.drive} was learned before, as {self._seen[labels.sha256]}")
-        self._seen[labels.sha256] = labels.drive
+        same = [source.name for source in trained.sources if source.sha256 == labels.sha256]
+        if same:
+            self._notes.append(f"{labels.drive} was learned before, as {same[0]}, and counts twice now")
+            return
+        self._notes += [
+            f"{labels.drive} holds driving that was learned before, from {trained.sources[n].name}: "
+            f"{100.0 * share:.0f} % of the points kept of that drive are samples of both, and count twice now"
+            for n, share in shared_sources(trained, labels.z, labels.row).items()
+        ]
 
     def _keep(self, number: int, labels: Labels) -> None:
         self._bytes += labels.nbytes

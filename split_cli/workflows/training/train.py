@@ -164,7 +164,6 @@ def _train_set(
         [Path(path) for path in drive_paths],
         _labelling(vehicle, settings, known),
         rows,
-        {source.sha256: source.name for source in known.sources} if known else {},
         say,
         engine,
     )
@@ -173,6 +172,7 @@ def _train_set(
         raise SetError(f"{drives.without_recording()[0]} holds labels only: laps need the drive", advice=advice)
     warm_up()
     drives.label_together()
+    drives.leave_out_copies()
     trained, fit = known, None
     if trained is None:
         trained, fit, drives = create_set(drives, settings)
@@ -180,7 +180,7 @@ def _train_set(
     for number in range(len(drives)):
         drive = drives.drive(number)
         labels = drives.labels(number, drive)
-        drives.remark(labels, drive)
+        drives.remark(labels, drive, trained)
         say(f"[{number + 1}/{len(drives)}] learning {labels.drive}")
         if per_lap and drive is not None and trained.learner != LEARNER:
             laps += lap_rows(drive, labels, trained)
