@@ -5,10 +5,20 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from split_cli.diagnosis.recording.witnesses import build_witnesses
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.valleys import other_valleys
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
-from tests.diagnosis.recordings import candidates_of, driven, late, noisy_objective
+from tests.diagnosis.recordings import (
+    bare_objective,
+    candidates_of,
+    driven,
+    late,
+    light_evidence,
+    noisy,
+    noisy_objective,
+    prepared,
+)
 
 SWING = 0.25
 """Period of the steering [s]."""
@@ -37,6 +47,27 @@ def test_a_swing_of_one_frequency_tells_a_delay_up_to_its_period():
     (told,) = parameter_estimates(objective, fit)
     low, high = told["delay"].interval_95
     assert low <= LATE and high >= LATE + SWING
+
+
+def one_swings(commands: np.ndarray, step: float) -> np.ndarray:
+    swinging(commands[:1], step)
+    return commands
+
+
+def test_a_valley_that_witnesses_refute_is_none():
+    """The equations of motion hold where the car swings; yaw tells when the yaw rate was, all along."""
+    drive = noisy(driven(61, runs=4, steer=one_swings), 7)
+    drive.columns["r"] = late(drive["r"].reshape(4, -1), LATE, 0.01).ravel()
+    series, found = prepared(drive), []
+    for witnesses in ([], [one for one in build_witnesses(series) if one.kind == "turn"]):
+        objective = bare_objective(light_evidence(series), kinematics=witnesses)
+        rows = 3 * len(objective.evidence[0].at)
+        # One block, which drowns what yaw says.
+        objective.weight[:rows] = np.where(objective.block[:rows] == 1, 30.0, 0.0)
+        one = next(one for one in candidates_of(objective, "channel_delay") if one.variant == "r")
+        found.append(other_valleys(objective, fit_parts(objective, [Part(one, {"r": LATE})]), 0, "r"))
+    assert found[0][0] == pytest.approx(LATE + SWING, abs=0.013)
+    assert found[1] == []
 
 
 def test_steering_of_many_frequencies_has_one_valley():

@@ -2,7 +2,8 @@
 
 A driver who steers to and fro is answered alike by a car that is late by less and one that is late by more. So is
 a command that is held for some time. Noise of a channel that is moved in time has a valley between any two
-samples, where it is averaged. So the whole range is looked at.
+samples, where it is averaged. So the whole range is looked at. Where witnesses tell when a channel was read, a
+valley of the equations of motion that they refute is none.
 """
 
 from collections.abc import Iterator
@@ -27,10 +28,10 @@ def in_lowest_valleys(objective: MarginalLikelihood, fit: Fit, least: float) -> 
         What another valley has to save [chi squared] to be taken.
     """
     for k, name in _delays(fit):
-        grid, blocks = _profile(objective, fit, k, name)
-        cost = blocks.sum(axis=1)
-        if cost.min() < fit.cost - least:
-            values = {**fit.parts[k].values, name: float(grid[np.argmin(cost)])}
+        grid, more, refuted = _profile(objective, fit, k, name)
+        beyond = np.where(refuted, np.inf, more.sum(axis=1))
+        if beyond.min() < -least:
+            values = {**fit.parts[k].values, name: float(grid[np.argmin(beyond)])}
             parts = (*fit.parts[:k], Part(fit.parts[k].candidate, values), *fit.parts[k + 1 :])
             deeper = fit_parts(objective, parts)
             fit = deeper if deeper.cost < fit.cost - least else fit
@@ -62,16 +63,16 @@ def other_valleys(objective: MarginalLikelihood, fit: Fit, k: int, name: str) ->
     if (k, name) not in _delays(fit):
         return []
     here = fit.parts[k].values[name]
-    grid, blocks = _profile(objective, fit, k, name)
-    cost, found = blocks.sum(axis=1), []
+    grid, more, refuted = _profile(objective, fit, k, name)
+    cost = more.sum(axis=1)
     before, after = np.append(np.inf, cost[:-1]), np.append(cost[1:], np.inf)
-    reference = objective.block_sums(fit.residuals**2)
-    for i in np.flatnonzero((cost < before) & (cost <= after)):
-        more = blocks[i] - reference
-        z = float(more.sum()) / error_of_sum(more)
-        if abs(grid[i] - here) > grid[1] - grid[0] and z < objective.policy.selection.deviations:
-            found.append(float(grid[i]))
-    return found
+    is_valley = (cost < before) & (cost <= after) & (np.abs(grid - here) > grid[1] - grid[0]) & ~refuted
+    return [float(grid[i]) for i in np.flatnonzero(is_valley) if not _is_worse(objective, more[i])]
+
+
+def _is_worse(objective: MarginalLikelihood, more: np.ndarray) -> bool:
+    """Return whether a delay costs more beyond chance, by what it costs more block by block, shape (B,)."""
+    return float(more.sum()) >= objective.policy.selection.deviations * error_of_sum(more)
 
 
 def _delays(fit: Fit) -> Iterator[tuple[int, str]]:
@@ -81,21 +82,31 @@ def _delays(fit: Fit) -> Iterator[tuple[int, str]]:
             yield from ((k, name) for name in part.values)
 
 
-def _profile(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return delays all over the range, shape (D,), and what each leaves block by block, shape (D, B).
+def _profile(
+    objective: MarginalLikelihood, fit: Fit, k: int, name: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return delays all over the range, (D,), what each costs more, (D, B), and whether witnesses refute it, (D,).
 
-    At each of them the other parameters take what is best to first order.
+    Costs are those block by block, less those of the fit. At each delay the other parameters take what is best to
+    first order. Witnesses alone refute what the equations of motion find as good: model-form error differs from
+    block to block, and would drown what two instruments say.
     """
     part = fit.parts[k]
     limit = part.candidate.ranges[name]
     own = sum(len(one.values) for one in fit.parts[:k]) + list(part.values).index(name)
     others = np.delete(sensitivity_of(objective, fit), own, axis=1)
     along = np.linalg.qr(others / (np.linalg.norm(others, axis=0) + 1e-300))[0]
+    reference, seen = fit.residuals**2, objective.of_witnesses(fit.residuals) ** 2
+    block = objective.block[len(objective.block) - len(seen) :]
 
-    def left(delay: float) -> np.ndarray:
+    def compared(delay: float) -> tuple[np.ndarray, bool]:
         moved = Part(part.candidate, {**part.values, name: delay})
         residuals = objective.whiten(objective.left_by([*fit.terms[:k], moved.term, *fit.terms[k + 1 :]]))
-        return objective.block_sums((residuals - along @ (along.T @ residuals)) ** 2)
+        residuals = residuals - along @ (along.T @ residuals)
+        by_witnesses = np.bincount(block, objective.of_witnesses(residuals) ** 2 - seen)
+        refuted = len(seen) > 0 and _is_worse(objective, by_witnesses[np.unique(block)])
+        return objective.block_sums(residuals**2 - reference), refuted
 
     grid = np.linspace(limit.lower, limit.upper, _POINTS)
-    return grid, np.stack([left(float(delay)) for delay in grid])
+    more, refuted = zip(*(compared(float(delay)) for delay in grid), strict=True)
+    return grid, np.stack(more), np.array(refuted)
