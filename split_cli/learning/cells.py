@@ -268,6 +268,8 @@ class _Cells:
             horizon=labels.horizon,
             start_time=labels.start_time,
             duration=labels.duration,
+            faults=labels.faults,
+            remarks=labels.remarks,
         )
 
     def _offer(

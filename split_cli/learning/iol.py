@@ -269,6 +269,8 @@ def _in_cells(
         horizon=labels.horizon,
         start_time=labels.start_time,
         duration=labels.duration,
+        faults=labels.faults,
+        remarks=labels.remarks,
     )
     sources = (*s.sources, source)
     columns: dict[str, Any] = dict(points)

@@ -16,7 +16,7 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Region
-from split_cli.learning.set_limits import LARGEST_LABEL, check_labels_header
+from split_cli.learning.set_limits import FOUND, LARGEST_LABEL, check_labels_header
 from split_cli.signals import CHANNELS
 
 LABELS_FORMAT = "split-labels/1"
@@ -41,6 +41,7 @@ def write_labels(labels: Labels, path: str | Path) -> None:
         "start_time": labels.start_time,
         "duration": labels.duration,
         "samples": len(labels),
+        **{name: list(found) for name in FOUND if (found := getattr(labels, name))},
     }
     metadata = {b"split": json.dumps(stored, sort_keys=True).encode()}
     with atomic_path(path) as temporary:
@@ -124,6 +125,8 @@ def _labels_from_table(table: pa.Table, stored: Mapping[str, Any]) -> Labels:
     described = ("drive", "sha256", "vehicle_digest", "horizon", "window", "plain", "start_time", "duration")
     return Labels(
         **{name: stored[name] for name in described},
+        faults=tuple(stored.get("faults", ())),
+        remarks=tuple(stored.get("remarks", ())),
         features=features,
         region=Region(**stored["region"]),
         t=table["t"].to_numpy(),

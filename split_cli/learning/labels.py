@@ -76,6 +76,8 @@ class Labels:
         speed).
     reason : ndarray of int8, shape (N,)
         `Reason` of each sample.
+    faults, remarks : tuple of str
+        What ingest found wrong with channels that labels are made of, and what else it found.
     """
 
     drive: str
@@ -94,6 +96,8 @@ class Labels:
     z: np.ndarray
     y: np.ndarray
     reason: np.ndarray
+    faults: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.row)
@@ -238,6 +242,8 @@ def compute_labels(
         z=z,
         y=y,
         reason=reason,
+        faults=drive.metadata.faults,
+        remarks=drive.metadata.remarks,
     )
 
 

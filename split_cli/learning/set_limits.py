@@ -20,6 +20,8 @@ LARGEST_OF_KERNEL = 1e3 * LARGEST_LABEL**2
 """Of a label variance or a length scale; theory: the fit takes at most a thousand times labels' mean square."""
 LONGEST_TEXT = 4096
 """A name or digest in a header [characters]; that of the longest path of Linux."""
+FOUND = ("faults", "remarks")
+"""What ingest found, in labels and in a drive of a set, a clause each; absent where it found nothing."""
 _COUNTS = ("samples", "accepted", "insertions", "replacements", "points", "cells")
 
 
@@ -82,7 +84,17 @@ def check_labels_header(described: Mapping[str, Any]) -> None:
         raise ValueError("features is no list of names")
     for name in described["features"]:
         _text("a feature", name)
+    _check_found(described)
     _boolean("plain", described["plain"])
+
+
+def _check_found(described: Mapping[str, Any]) -> None:
+    for name in FOUND:
+        clauses = described.get(name, [])
+        if not isinstance(clauses, list):
+            raise ValueError(f"{name} is no list of clauses")
+        for clause in clauses:
+            _text(f"a clause of {name}", clause)
 
 
 def _check_trust(trust: Mapping[str, Any]) -> None:
@@ -95,6 +107,7 @@ def _check_trust(trust: Mapping[str, Any]) -> None:
 def _check_source(of: str, source: Mapping[str, Any]) -> None:
     for name in ("name", "sha256"):
         _text(f"{name} {of}", source[name])
+    _check_found(source)
     for name in _COUNTS:
         _whole(f"{name} {of}", source[name], 0, np.inf)
     for reason, count in source["rejected"].items():

@@ -18,7 +18,7 @@ from split_cli.files import atomic_path, parse_json
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.region import Grid, Region, valid_cells
-from split_cli.learning.set_limits import check_header, check_points
+from split_cli.learning.set_limits import FOUND, check_header, check_points
 from split_cli.learning.trust import Trust
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
@@ -51,8 +51,8 @@ class SetSource:
         Label interval of this drive [s]: the set's, rounded to whole samples.
     start_time, duration : float
         First time stamp and length of the drive [s]; with forgetting, ages run over the drives one after another.
-    faults : tuple of str
-        What ingest found wrong with channels that the labels are made of.
+    faults, remarks : tuple of str
+        What ingest found wrong with channels that the labels are made of, and what else it found.
     """
 
     name: str
@@ -68,6 +68,7 @@ class SetSource:
     start_time: float = 0.0
     duration: float = 0.0
     faults: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -376,12 +377,13 @@ def _describe(training_set: TrainingSet) -> dict[str, Any]:
 
 
 def _described_source(source: SetSource) -> dict[str, Any]:
-    content = {**asdict(source), "rejected": dict(source.rejected), "faults": list(source.faults)}
-    return content if source.faults else {name: value for name, value in content.items() if name != "faults"}
+    content = {**asdict(source), "rejected": dict(source.rejected)}
+    found = {name: list(clauses) for name in FOUND if (clauses := content.pop(name))}
+    return {**content, **found}
 
 
 def _source_from(content: Mapping[str, Any]) -> SetSource:
-    return SetSource(**{**content, "faults": tuple(map(str, content.get("faults", ())))})
+    return SetSource(**{**content, **{name: tuple(content.get(name, ())) for name in FOUND}})
 
 
 def _finite(value: float) -> float | None:

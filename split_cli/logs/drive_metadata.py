@@ -1,7 +1,7 @@
 """What a drive's file says beside its samples: sources, noise, kinds of channels, how it was made."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,9 @@ from split_cli.errors import DriveError
 from split_cli.files import parse_json
 
 _FORMAT = "split-drive/1"
+#: Checks whose findings make what is learned from a drive wrong, where they are about a channel of the model.
+_FAULTS = ("scale", "sign", "hand", "swapped", "range", "constant", "copied", "clock")
+_MODEL_CHANNELS = ("vx", "vy", "r", "T", "delta")
 #: Words of a v_y that a measured side-slip angle gives.
 MEASURED_SIDESLIP = "the measured sideslip angle"
 #: Words of motion that position and yaw give.
@@ -67,6 +70,22 @@ class DriveMetadata:
     between: Mapping[str, str] = field(default_factory=dict)
 
     @property
+    def faults(self) -> tuple[str, ...]:
+        """What ingest found that makes what is learned wrong: a unit, a sign, a swap, a dead channel."""
+        return tuple(_clause(f) for f in self._findings if _is_fault(f))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What else the checks at ingest found, one clause each."""
+        return tuple(_clause(f) for f in self._findings if not _is_fault(f))
+
+    @property
+    def _findings(self) -> list[Mapping[str, Any]]:
+        consistency = self.quality.get("consistency")
+        findings = consistency.get("findings") if isinstance(consistency, Mapping) else None
+        return [f for f in findings or () if isinstance(f, Mapping) and f.get("text")]
+
+    @property
     def reported_kinds(self) -> tuple[str, ...]:
         """The channels with their kinds, those of one kind together: ``vx, vy, r measured``."""
         alike: dict[str, list[str]] = {}
@@ -97,6 +116,23 @@ class DriveMetadata:
     def noise_of(self, channel: str) -> NoiseEstimate | None:
         """Return the noise estimate of a channel, None when ingest made none."""
         return next((estimate for estimate in self.noise if estimate.channel == channel), None)
+
+
+def ingest_found(name: str, clauses: Sequence[str]) -> tuple[str, ...]:
+    """Return what ingest found in the drive of that name as a note; nothing where it found nothing."""
+    return (f"{name}: ingest found that {'; '.join(clauses)}",) if clauses else ()
+
+
+def _is_fault(finding: Mapping[str, Any]) -> bool:
+    return finding.get("check") in _FAULTS and finding.get("channel") in _MODEL_CHANNELS
+
+
+def _clause(finding: Mapping[str, Any]) -> str:
+    """Return the first clause of a finding: what is wrong, without its figures and advice."""
+    text = str(finding["text"])
+    for end in (" (", ". ", ": "):
+        text = text.split(end)[0]
+    return text.rstrip(".")
 
 
 def schema_of(metadata: DriveMetadata, period: float) -> dict[bytes, bytes]:

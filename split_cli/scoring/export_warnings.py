@@ -1,13 +1,17 @@
 """Warnings that every export of a trained set carries: where its correction may do harm."""
 
 from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.drive_metadata import ingest_found
 from split_cli.scoring.evidence import WHOLE_DRIVES
 from split_cli.scoring.torque_lag import found_lag, lag_note
 
 
 def reservations(training_set: TrainingSet) -> tuple[str, ...]:
     """Return where nothing that training saw speaks for a set's correction, a sentence or two each."""
-    notes, trust = [], training_set.trust
+    notes: list[str] = []
+    trust = training_set.trust
+    for source in training_set.sources:
+        notes += ingest_found(source.name, source.remarks)
     if trust.origin in ("full", "given"):
         notes.append("the correction was not judged on held-out driving, and may do harm")
     elif trust.array.any():

@@ -13,9 +13,10 @@ from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.pieces import features_along
 from split_cli.learning.region import Region
-from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.learning.training_set import SetSource, TrainingSet, read_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, open_drive
+from split_cli.logs.drive_metadata import ingest_found
 from split_cli.logs.laps import first_lap
 from split_cli.prediction import PREDICTORS, Prediction, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
@@ -169,6 +170,11 @@ def evaluate(
             *_not_unseen(contestants[0], settings, trained is None),
             *_notes_of_sets(contestants, settings, trained is None),
             *correct.notes,
+            *(
+                text
+                for s in _not_judged(trained, drives)
+                for text in ingest_found(s.name, (*s.faults, *s.remarks))
+            ),
             *(lag_note(own) for *_, own in contestants if found_lag(own) is not None),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
             *(interval_warnings(shown, intervals) if trained else ()),
@@ -177,6 +183,12 @@ def evaluate(
     sets = tuple(own for *_, own in contestants)
     drawn_from = tuple(tuple(held) for _, held, _ in contestants)
     return EvaluationRun(report, sets, drawn_from, tuple(traces), tallies, rollouts)
+
+
+def _not_judged(trained: TrainingSet | None, drives: Sequence[Drive]) -> list[SetSource]:
+    """Return the drives of a set whose own notes are not said with those that are judged."""
+    judged = {drive.sha256 for drive in drives}
+    return [source for source in trained.sources if source.sha256 not in judged] if trained else []
 
 
 def _contestants(

@@ -10,6 +10,7 @@ from split_cli.export.targets import TargetResult, plan_export, write_export
 from split_cli.files import atomic_directory, sha256_of_file
 from split_cli.learning.hyperparameters import FEWEST_TO_FIT
 from split_cli.learning.training_set import TrainingSet, read_set
+from split_cli.logs.drive_metadata import ingest_found
 from split_cli.prediction import DEFAULT_PREDICTOR
 
 
@@ -29,7 +30,7 @@ class ExportResult:
 
 def export_doubts(training_set: TrainingSet) -> tuple[str, ...]:
     """Return why a set should not drive a car yet; empty when nothing known speaks against it."""
-    doubts = [f"{s.name}: ingest found that {'; '.join(s.faults)}" for s in training_set.sources if s.faults]
+    doubts = [text for s in training_set.sources for text in ingest_found(s.name, s.faults)]
     accepted = sum(source.accepted for source in training_set.sources)
     if training_set.sources and accepted < FEWEST_TO_FIT:
         doubts.append(

@@ -88,6 +88,7 @@ def _trained_set(path: Path) -> FileDescription:
                 f"{source.replacements} replaced (sha256 {source.sha256[:12]})",
             )
         )
+        facts += [("ingest found", "; ".join(found))] if (found := (*source.faults, *source.remarks)) else []
     return FileDescription(str(path), "trained set", tuple(facts))
 
 

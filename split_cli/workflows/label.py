@@ -13,8 +13,8 @@ from split_cli.learning.features import parse_features
 from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import DEFAULT_HORIZON, compute_labels
 from split_cli.learning.region import Region, build_grid
-from split_cli.logs.assembling.quality import stored_findings
 from split_cli.logs.drive import Drive, open_drive, unstated_inputs
+from split_cli.logs.drive_metadata import ingest_found
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.engine import Engine
 from split_cli.workflows.recordings import RecordingCorrection
@@ -137,8 +137,7 @@ def _label_one(job: tuple[str, str | Path, Path, Mapping[str, Any]]) -> LabelRes
 
 def drive_notes(drive: Drive) -> tuple[str, ...]:
     """Return what a reader of labels should know of a drive's channels, in words."""
-    found = stored_findings(drive.metadata.quality)
-    notes = (f"{drive.name}: ingest found that {'; '.join(found)}",) if found else ()
+    notes = ingest_found(drive.name, (*drive.metadata.faults, *drive.metadata.remarks))
     if drive.metadata.lateral_velocity_is_integrated:
         notes = (
             *notes,

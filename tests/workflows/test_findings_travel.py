@@ -2,17 +2,20 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from split_cli.errors import SetError
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import read_drive, write_drive
+from split_cli.logs.drive_metadata import DriveMetadata
+from split_cli.scoring.export_warnings import reservations
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.evaluate import evaluate_files
 from split_cli.workflows.export import export_doubts, export_set
+from split_cli.workflows.info import describe_file
+from split_cli.workflows.label import label_drive
 from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import make_drive, make_training_set, road_car
 
@@ -40,16 +43,35 @@ def test_train_repeats_keeps_and_export_stops(told):
         both = "ingest found that r is in deg/s; v_y reads"
         assert any(both in note for note in result.notes) == (name == "faulty")
         assert any("v_y reads +0.100" in note for note in result.notes) == (name != "good")
-    assert read_set(told / "faulty.split").sources[0].faults == ("r is in deg/s",)
-    # Without faults the file is as it was before there were any: the key is not written.
-    assert b"faults" in (told / "faulty.split").read_bytes()
-    assert b"faults" not in (told / "good.split").read_bytes()
+    source = read_set(told / "faulty.split").sources[0]
+    assert source.faults == ("r is in deg/s",) and source.remarks[0].startswith("v_y reads")
+    # Without findings the file is as it was before there were any: the keys are not written.
+    for key in (b"faults", b"remarks"):
+        assert key in (told / "faulty.split").read_bytes() and key not in (told / "good.split").read_bytes()
     with pytest.raises(SetError, match="r is in deg/s.*--insist"):
         export_set(told / "faulty.split", told / "out", ["npz"], queries=100)
     assert not (told / "out").exists()
     done = export_set(told / "faulty.split", told / "out", ["npz"], queries=100, insist=True)
     assert "r is in deg/s" in done.doubts[0]
-    assert export_doubts(read_set(told / "minor.split")) == ()
+    minor = read_set(told / "minor.split")
+    assert export_doubts(minor) == ()
+    assert any("minor.parquet: ingest found that v_y reads" in text for text in reservations(minor))
+    assert not any("ingest found" in text for text in reservations(read_set(told / "good.split")))
+    judged = evaluate_files(
+        [told / "good.parquet"], None, EvaluationSettings(predictors=("bcm",), rollout=()), told / "faulty.split"
+    )
+    assert any("faulty.parquet: ingest found that r is in deg/s; v_y" in note for note in judged.report.notes)
+    assert ("ingest found", "; ".join((*source.faults, *source.remarks))) in describe_file(
+        told / "faulty.split"
+    ).facts
+
+
+def test_labels_carry_what_ingest_found(told):
+    label_drive(told / "faulty.parquet", told / "car.yaml", told / "labels.parquet")
+    settings = TrainSettings(hyperparameters="default", trust="full")
+    result = train_set([told / "labels.parquet"], told / "car.yaml", told / "l.split", settings)
+    assert read_set(told / "l.split").sources[0].faults == ("r is in deg/s",)
+    assert any("ingest found that r is in deg/s; v_y reads" in note for note in result.notes)
 
 
 def test_faults_stay_when_the_set_goes_on(told):
@@ -81,11 +103,11 @@ def test_a_set_that_corrects_nothing_or_has_seen_nothing_is_not_exported_unasked
 
 
 def test_clauses_leave_figures_and_advice_away():
-    from split_cli.logs.assembling.quality import stored_faults, stored_findings
+    def of(findings: object) -> DriveMetadata:
+        return DriveMetadata(quality={"consistency": {"findings": findings}})
 
-    quality = {"consistency": {"findings": [FINDING, MINOR]}}
+    found = of([FINDING, MINOR])
     bias = "v_y reads +0.100 +- 0.010 m/s on straights at a median 14 m/s"
-    assert stored_findings(quality) == ("r is in deg/s", bias)
-    assert stored_faults(quality) == ("r is in deg/s",)
-    assert stored_findings({}) == stored_findings({"consistency": None}) == ()
-    assert np.all([stored_faults({"consistency": {"findings": f}}) == () for f in (None, [], [{}])])
+    assert (found.faults, found.remarks) == (("r is in deg/s",), (bias,))
+    assert DriveMetadata().remarks == DriveMetadata(quality={"consistency": None}).remarks == ()
+    assert all(of(f).faults == of(f).remarks == () for f in (None, [], [{}]))

@@ -1,6 +1,6 @@
 """The quality report of a drive: what was recorded, what was dropped and why, what does not fit together."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -17,8 +17,6 @@ _KNOWN = {*CHANNELS, *EXTRA_UNITS}
 _MOST_ROWS = 12
 """Of the table, for columns that no command knows: CarSim writes 700, and what follows would be out of sight."""
 _SHOWN = 6
-_FAULTS = ("scale", "sign", "hand", "swapped", "range", "constant", "copied", "clock")
-_MODEL_CHANNELS = ("vx", "vy", "r", "T", "delta")
 
 
 @dataclass(frozen=True)
@@ -66,32 +64,6 @@ class QualityReport:
             # A function of the search for explanations, no result.
             del relation["corrected"]
         return json_ready(plain)
-
-
-def stored_findings(quality: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return, one clause each, what the checks at ingest found and the drive's metadata kept."""
-    return tuple(_clause(f) for f in _stored(quality))
-
-
-def stored_faults(quality: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return those findings that make what is learned from the drive wrong: unit, sign, swap, a dead channel."""
-    return tuple(
-        _clause(f) for f in _stored(quality) if f.get("check") in _FAULTS and f.get("channel") in _MODEL_CHANNELS
-    )
-
-
-def _stored(quality: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    consistency = quality.get("consistency")
-    findings = consistency.get("findings") if isinstance(consistency, Mapping) else None
-    return [f for f in findings or () if isinstance(f, Mapping) and f.get("text")]
-
-
-def _clause(finding: Mapping[str, Any]) -> str:
-    """Return the first clause of a finding: what is wrong, without its figures and advice."""
-    text = str(finding["text"])
-    for end in (" (", ". ", ": "):
-        text = text.split(end)[0]
-    return text.rstrip(".")
 
 
 def source_quality(clean: CleanSeries, gap: float, resampling: str) -> ChannelQuality:

@@ -357,8 +357,8 @@ class Checks:
             return []
         reached = float(np.nanmedian(lateral[rows]))
         text = (
-            f"the car corners at {reached:.2f} m/s^2 (v_x r + dv_y/dt) for {seconds:.1f} s, the tyres of the "
-            f"vehicle file carry {carried:.2f}: the recording shows a friction of at least "
+            f"the tyres of the vehicle file carry {carried:.2f} m/s^2, and the car corners at {reached:.2f} "
+            f"(v_x r + dv_y/dt, for {seconds:.1f} s): the recording shows a friction of at least "
             f"{reached / STANDARD_GRAVITY:.2f}, the file has {carried / STANDARD_GRAVITY:.2f}. "
             f"Scale D of both tyres by {reached / carried:.2f} or more, or check the mass."
         )

@@ -10,7 +10,7 @@ from split_cli.errors import LogError, MapError, SplitError, nearest_names
 from split_cli.files import atomic_directory, refuse_overwriting_inputs
 from split_cli.logs.assembling.assemble import Assembled, IngestSettings, assemble_drive
 from split_cli.logs.assembling.gather import fitting_presets, topic_of
-from split_cli.logs.assembling.quality import QualityReport, render_quality, stored_faults
+from split_cli.logs.assembling.quality import QualityReport, render_quality
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.presets import preset_abouts
@@ -51,7 +51,7 @@ class IngestResult:
     @property
     def faults(self) -> tuple[str, ...]:
         """What the checks found that makes whatever is learned from the drive wrong."""
-        return stored_faults(self.quality.to_mapping())
+        return self.metadata.faults
 
     def to_text(self) -> str:
         """Return the report for a terminal."""

@@ -20,6 +20,7 @@ from split_cli.learning.region import Region
 from split_cli.learning.shared_rows import shared_sources
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive, open_drive, unstated_inputs
+from split_cli.logs.drive_metadata import ingest_found
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.engine import HERE, Engine
@@ -197,6 +198,7 @@ class LabelledDrives:
         """Note what a reader should know of a drive that `trained` learns now."""
         if drive is None:
             self._notes.append(f"{labels.drive} is learned from its labels; the recording was not looked at")
+            self._notes += ingest_found(labels.drive, (*labels.faults, *labels.remarks))
         else:
             self.note(*unstated_inputs([drive]))
             self._notes += drive_notes(drive)

@@ -19,7 +19,6 @@ from split_cli.learning.labels import DEFAULT_HORIZON
 from split_cli.learning.region import Region
 from split_cli.learning.training_set import SetSource, TrainingSet, read_set, write_set
 from split_cli.learning.trust import Trust
-from split_cli.logs.assembling.quality import stored_faults
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
@@ -189,10 +188,6 @@ def _train_set(
             trained = extend_dictionary(trained, [labels])
         else:
             trained = extend(trained, [labels], batch=batch)
-        faults = stored_faults(drive.metadata.quality) if drive is not None else ()
-        if faults:
-            last = replace(trained.sources[-1], faults=faults)
-            trained = replace(trained, sources=(*trained.sources[:-1], last))
         spent = drives.seconds(number) + time.perf_counter() - start
         seconds += spent
         table.append(_row(trained, [trained.sources[-1]], labels.drive, spent))
