@@ -10,18 +10,11 @@ import pytest
 COMPLETE = "SPLIT_TESTS_COMPLETE"
 
 
-def needed(name: str, *, in_tests: bool = True) -> ModuleType:
-    """Return a module; where it is missing, skip the test, or fail if the installation should be complete.
-
-    Parameters
-    ----------
-    name : str
-    in_tests : bool
-        Whether the extra ``test`` brings it.
-    """
+def needed(name: str) -> ModuleType:
+    """Return a module; where it is missing, skip the test, or fail if the installation should be complete."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        if in_tests and os.environ.get(COMPLETE):
+        if os.environ.get(COMPLETE):
             pytest.fail(f"{name} should be installed where {COMPLETE} is set: {error}", pytrace=False)
         pytest.skip(f"{name} is not installed: pip install 'split-cli[test]'", allow_module_level=True)

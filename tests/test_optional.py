@@ -15,14 +15,11 @@ def test_a_module_that_is_there_is_returned():
     assert needed("json") is json
 
 
-@pytest.mark.parametrize(
-    ("complete", "in_tests", "outcome"),
-    [("", True, pytest.skip.Exception), ("1", True, pytest.fail.Exception), ("1", False, pytest.skip.Exception)],
-)
-def test_a_module_that_is_missing_fails_only_where_all_should_be_there(monkeypatch, complete, in_tests, outcome):
+@pytest.mark.parametrize(("complete", "outcome"), [("", pytest.skip.Exception), ("1", pytest.fail.Exception)])
+def test_a_module_that_is_missing_fails_only_where_all_should_be_there(monkeypatch, complete, outcome):
     monkeypatch.setenv(COMPLETE, complete)
     with pytest.raises(outcome, match=ABSENT):
-        needed(ABSENT, in_tests=in_tests)
+        needed(ABSENT)
 
 
 def test_no_test_skips_in_another_way():

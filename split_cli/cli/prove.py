@@ -74,15 +74,14 @@ def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
 
 @command.command("score")
 @click.argument("folder", type=_folder)
-@click.option("--baselines/--no-baselines", default=True, help="Score STLSQ and BIC too.")
 @click.option("--markdown", type=shared.OutputPath("file"), help="Write all tables to this file as well.")
 @shared.json_option
-def score(folder, baselines, markdown, as_json) -> None:
+def score(folder, markdown, as_json) -> None:
     """Read the answers, check their seal, and score the diagnoses."""
     from split_cli.proof.tables import markdown_of, target_rows
     from split_cli.workflows.proving.prove import score_cases
 
-    result = score_cases(folder, with_baselines=baselines, report=_progress("scored"))
+    result = score_cases(folder, report=_progress("scored"))
     if markdown:
         from split_cli.files import atomic_write_text
 

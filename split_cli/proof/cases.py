@@ -10,7 +10,7 @@ from split_cli.logs.drive import Drive
 from split_cli.plant.cars import CARS
 from split_cli.plant.drivers import DRIVER_STYLES
 from split_cli.plant.simulation import Trajectory
-from split_cli.proof.baseline_regressors import beyond_catalogue
+from split_cli.proof.beyond_catalogue import beyond_catalogue
 from split_cli.proof.cars import CarOfProof, bare, build_car, rich, varied_car
 from split_cli.proof.effects import Concealed, draw_effect
 from split_cli.proof.plan import CasePlan

@@ -33,13 +33,7 @@ def markdown_of(result) -> str:
         f"and {score.memory_most:.0f} MB at most.",
         "",
     ]
-    rivals = dict(result.baselines)
-    header = ["what", "goal", "diagnosis", "met", *rivals]
-    rows = [
-        [*row, *(_value(rival.targets[i][2]) for rival in rivals.values())]
-        for i, row in enumerate(target_rows(score))
-    ]
-    lines += _table(header, rows)
+    lines += _table(["what", "goal", "diagnosis", "met"], target_rows(score))
     lines += ["Outcomes, with 95 % Wilson intervals:", ""]
     lines += _table(
         ["cases", *OUTCOMES], [[name, *(str(rates[o]) for o in OUTCOMES)] for name, rates in score.groups]

@@ -118,7 +118,7 @@ def test_identification_is_handed_the_shown_files_only_and_takes_up_where_it_sto
     assert prove.identify_cases(root) == seal
     assert prove.read_statement(root, "0001").verdict == "match"
     assert prove.read_statement(root, "0002").verdict == "undecided"
-    score = prove.score_cases(root, with_baselines=False)
+    score = prove.score_cases(root)
     assert score.identified == 2 and score.failed == (("0002", "too short"),)
     outcomes = {s.answer.kind: s.outcome for s in score.scores}
     assert outcomes == {"null": "exact", "single": "missed"}

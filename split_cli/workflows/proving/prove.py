@@ -16,8 +16,6 @@ import numpy as np
 from split_cli.diagnosis.parallel import use_threads
 from split_cli.errors import SplitError
 from split_cli.files import atomic_write_text
-from split_cli.logs.drive import read_drive
-from split_cli.proof.baselines import build_regression, greedy_bic, stlsq
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.outcome import Statement
 from split_cli.proof.scoring import CaseScore, CaseSetScore, score_case, statement_of, summarise
@@ -35,13 +33,12 @@ Report = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class ProofScore:
-    """The score of a diagnosis, and of the baselines on the same cases."""
+    """The score of a diagnosis."""
 
     seal: Seal
     identified: int
     cases: int
     diagnosis: CaseSetScore
-    baselines: tuple[tuple[str, CaseSetScore], ...]
     scores: tuple[CaseScore, ...]
     failed: tuple[tuple[str, str], ...]  # cases the diagnosis gave an error for; they count as undecided
 
@@ -129,7 +126,7 @@ def read_statement(root: Path, name: str) -> Statement:
     return statement_of(json.loads(path.read_text()))
 
 
-def score_cases(root: Path, *, with_baselines: bool = True, report: Report | None = None) -> ProofScore:
+def score_cases(root: Path, *, report: Report | None = None) -> ProofScore:
     """Unseal the answers of the identified cases and score them.
 
     Raises
@@ -144,17 +141,11 @@ def score_cases(root: Path, *, with_baselines: bool = True, report: Report | Non
         raise SplitError("nothing was identified yet", where=str(root), advice="Run `split prove identify`.")
     notes = [json.loads((root / "results" / f"{case.name}.json").read_text()) for case in cases]
     scores: list[CaseScore] = []
-    rivals: dict[str, list[CaseScore]] = {"STLSQ": [], "greedy BIC": []}
     for number, case in enumerate(cases):
         answer = read_answer(root, case.name)
         heldout, noise = read_heldout(root, case.name)
         vehicle = read_vehicle(case.vehicle)
         scores.append(score_case(case.name, answer, read_statement(root, case.name), heldout, noise, vehicle))
-        if with_baselines:
-            sim = read_drive(case.sim) if case.sim else None
-            regression = build_regression(read_drive(case.real), sim, vehicle)
-            for label, method in (("STLSQ", stlsq), ("greedy BIC", greedy_bic)):
-                rivals[label].append(score_case(case.name, answer, method(regression), None, noise, vehicle))
         if report:
             report(number + 1, len(cases))
     seconds = [note["seconds"] for note in notes]
@@ -169,7 +160,6 @@ def score_cases(root: Path, *, with_baselines: bool = True, report: Report | Non
         identified=len(cases),
         cases=len(shown),
         diagnosis=summary,
-        baselines=tuple((label, summarise(found)) for label, found in rivals.items() if found),
         scores=tuple(scores),
         failed=tuple((c.name, n["error"]) for c, n in zip(cases, notes, strict=True) if n["error"]),
     )

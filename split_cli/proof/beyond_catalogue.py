@@ -1,7 +1,4 @@
-"""Regressors of the baseline methods: a small size of every term, as its 0.05 s prediction error.
-
-It is what baselines select from, and by what it is told how much of a strange effect the catalogue can absorb.
-"""
+"""How much of a strange effect no two terms of the catalogue can absorb: linear regression on what terms do."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -103,21 +100,12 @@ def _large_terms(vehicle: Vehicle) -> list[Term]:
 
 
 def build_library(
-    columns: Mapping[str, np.ndarray],
-    vehicle: Vehicle,
-    lap_length: float,
-    noise: np.ndarray,
-    *,
-    large: bool = False,
+    columns: Mapping[str, np.ndarray], vehicle: Vehicle, lap_length: float, noise: np.ndarray
 ) -> Library:
-    """Return the regressors of a recording: `window_errors` of the plain model less that with each term.
-
-    With `large` also those of effects that are no longer proportional to their size, and of variants.
-    """
+    """Return the regressors of a recording: `window_errors` of the plain model less that with each term."""
     nominal = window_errors(columns, vehicle, ())
     found, names = [], []
-    terms = _small_terms(vehicle, lap_length)
-    for term in [*terms, *_large_terms(vehicle)] if large else terms:
+    for term in (*_small_terms(vehicle, lap_length), *_large_terms(vehicle)):
         column = ((nominal - window_errors(columns, vehicle, [term])) / noise).ravel()
         if np.isfinite(column).all() and np.any(column):
             found.append(column)
@@ -158,7 +146,7 @@ def beyond_catalogue(
     error: np.ndarray, columns: Mapping[str, np.ndarray], vehicle: Vehicle, lap_length: float, noise: np.ndarray
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return what the two best terms together leave of an effect's error, shape (K, 3), and their names."""
-    library = build_library(columns, vehicle, lap_length, noise, large=True)
+    library = build_library(columns, vehicle, lap_length, noise)
     rows = error.size
     library = Library(library.matrix[:rows], library.terms)
     target = (error / noise).ravel()
