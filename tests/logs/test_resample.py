@@ -188,6 +188,30 @@ def test_a_steer_angle_that_is_written_only_on_change_is_held_over_straights():
         assert np.max(np.abs(made.drive["delta"] - planted.at("delta", made.drive["t"]))) < 0.0101
 
 
+@pytest.mark.parametrize("joined", [False, True])
+def test_no_value_written_on_change_is_held_over_a_pause_or_into_the_next_run(joined):
+    """What the steer angle was at the end of one run had been its value at the beginning of the next one."""
+    planted = PlantedDrive(seconds=60.0)
+    channels = ("vx", "vy", "r", "T", "delta")
+    log = planted.recording(channels)
+    for name, signal in log.signals.items():
+        kept, values = (signal.time < 25.0) | (signal.time > 33.0), signal.values
+        if name == "delta":
+            values = np.round(values / 0.01) * 0.01
+            kept &= np.concatenate([[True], np.diff(values) != 0.0])
+            again = signal.time[kept & (signal.time > 33.0)][0]
+        # Behind the pause, the clock goes on or begins again.
+        time = np.where(signal.time > 33.0, signal.time - (33.0 if joined else 0.0), signal.time)
+        log.signals[name] = replace(signal, time=time[kept], values=values[kept])
+    made = assemble_drive(log, planted_map(channels, delta={"kind": "command"}), planted.vehicle)
+    time, delta = made.drive["t"], made.drive["delta"]
+    first, second = made.drive.segments()
+    assert len(made.drive) * made.drive.period > 50.0
+    back = time[second.start] - again
+    truth = np.concatenate([planted.at("delta", time[first]), planted.at("delta", time[second] - back)])
+    assert np.max(np.abs(delta - truth)) < 0.0101
+
+
 def test_what_a_signal_written_on_change_becomes_in_a_cut_holds_behind_it():
     """What it was before the cut had been held until its next change, seconds later."""
     t = np.arange(0.0, 60.0, 0.02)

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.errors import ClockError, DriveError, MapError, SplitError, nearest_names
 from split_cli.files import sha256_of_file
-from split_cli.logs.assembling.clean import USUAL_GAP, join_clock_resets
+from split_cli.logs.assembling.clean import USUAL_GAP, join_clock_resets, resumptions
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.derivation import DerivationInputs, Derived
 from split_cli.logs.assembling.derive import DERIVATIONS, can_derive, derivation_named, reachable
@@ -143,10 +143,12 @@ def _assemble(
     )
     _check_required(gathered, derivations, signal_map, recording.name)
     series, joined = join_clock_resets(_with_delays(gathered, settings), gap)
+    resumed = resumptions(series, gap)
     series, trimmed = trim(series, settings.start, settings.end, settings.cuts, gap)
     gathered = replace(gathered, series={})  # each stage lets go of what the one before held
+    widened = settings.gap is None
     channels, unusable = clean_channels(
-        series, gathered.maps, needed, gap=gap, despike=signal_map.despike, widened=settings.gap is None
+        series, gathered.maps, needed, gap=gap, despike=signal_map.despike, widened=widened, resumed=resumed
     )
     del series
     estimates: tuple[DelayEstimate, ...] = ()

@@ -57,6 +57,8 @@ class CleanSeries:
     repeats: int = 1
     spikes: int = 0  # isolated spikes that were found
     drops: tuple[Drop, ...] = ()
+    # When the recording went on behind a pause [s], which a value that is written on change does not outlast.
+    resumed: tuple[float, ...] = ()
 
     @cached_property
     def on_change(self) -> bool:
@@ -128,6 +130,39 @@ def join_clock_resets(
         for channel, parts in series.items()
     }
     return joined, tuple(said)
+
+
+def may_hold(channel: str) -> bool:
+    """Whether a channel may be an input, whose steps are its nature: steer angle, torque, or one not known."""
+    return channel not in CHANNELS or CHANNELS[channel].kind == "held"
+
+
+def resumptions(series: Mapping[str, Sequence[RawSeries]], gap: float) -> tuple[float, ...]:
+    """Return when a recording went on behind a pause [s], if it has a signal that is written on change.
+
+    What such a signal became in the pause, or is in the next of several runs, nobody has written. A pause is where
+    the fastest of the other signals has none of five samples, for longer than `gap`, and no signal has any.
+    """
+    parts = [(channel, part) for channel, sources in series.items() for part in sources]
+    on_change = [_is_written_on_change(part) if may_hold(channel) else False for channel, part in parts]
+    if all(on_change) or not any(on_change):
+        return ()
+    times = [np.sort(part.time[np.isfinite(part.time) & np.isfinite(part.values)]) for _, part in parts]
+    regular = [time for time, irregular in zip(times, on_change, strict=True) if not irregular and len(time) > 1]
+    fastest = max(regular, key=len, default=np.empty(0))
+    step = np.diff(fastest)
+    paused = np.flatnonzero(step > max(gap, _BRIDGED * float(np.median(step)))) if len(step) else []
+    ends = [(fastest[at], fastest[at + 1]) for at in paused]
+    return tuple(
+        float(end)
+        for begin, end in ends
+        if all(np.searchsorted(time, begin, "right") == np.searchsorted(time, end) for time in times)
+    )
+
+
+def _is_written_on_change(part: RawSeries) -> bool:
+    known = np.isfinite(part.time) & np.isfinite(part.values)
+    return written_on_change(part.time[known], part.values[known])
 
 
 def pause_between_runs(sources: Iterable[tuple[np.ndarray, np.ndarray]], gap: float) -> float:

@@ -163,17 +163,25 @@ def resample_together(
     return [Resampled(output, gain, autocorrelation, low_passed) for output in outputs]
 
 
-def resample_held(time: np.ndarray, values: np.ndarray, grid: SampleClock, *, longest: float) -> np.ndarray:
-    """Return the last value at or before each row, shape (N,); NaN before the first and after `longest` [s]."""
+def resample_held(
+    time: np.ndarray, values: np.ndarray, grid: SampleClock, *, longest: float, resumed: Sequence[float] = ()
+) -> np.ndarray:
+    """Return the last value at or before each row, shape (N,); NaN before the first and after `longest` [s].
+
+    No value is held beyond one of the times `resumed` [s].
+    """
     # Rows and samples of equal clocks differ by rounding: without the slack half of the rows would read the
     # sample before theirs.
     result = room(len(grid.index))
     for first in range(0, len(result), _CHUNKS_HELD * _CHUNK):
         piece = slice(first, first + _CHUNKS_HELD * _CHUNK)
         at = grid.time_of(piece)
-        row = np.searchsorted(time, at + 1e-6 * grid.period, side="right") - 1
+        until = at + 1e-6 * grid.period
+        row = np.searchsorted(time, until, side="right") - 1
         known = row >= 0
         row = np.maximum(row, 0)
+        if len(resumed):
+            known &= np.searchsorted(resumed, time[row], "right") == np.searchsorted(resumed, until, "right")
         result[piece] = np.where(known & (at - time[row] <= longest), values[row], np.nan)
         let_go()
     return result

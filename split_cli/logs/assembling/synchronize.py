@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.errors import ClockError, LogError
-from split_cli.logs.assembling.clean import CleanSeries, clean_series
+from split_cli.logs.assembling.clean import CleanSeries, clean_series, may_hold
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.noise import estimate_noise, sum_of_noise
 from split_cli.logs.assembling.quality import ChannelQuality, source_quality
@@ -78,8 +78,11 @@ def clean_channels(
     gap: float,
     despike: bool,
     widened: bool = False,
+    resumed: Sequence[float] = (),
 ) -> tuple[Channels, list[str]]:
     """Clean every source; an optional channel that holds nothing usable is left out, and said.
+
+    What is written on change is not held beyond one of the times `resumed` [s], see `resumptions`.
 
     Raises
     ------
@@ -91,14 +94,20 @@ def clean_channels(
     modes: dict[str, list[str]] = {}
     for channel, parts in series.items():
         entry = maps[channel]
-        held = entry.resample == "held" or entry.kind == "command" or _may_hold(channel)
+        held = entry.resample == "held" or entry.kind == "command" or may_hold(channel)
         if channel == "yaw" or entry.resample == "angle":
             # Before spikes are looked for: a car that drives along the cut of the angle is no faulty sensor.
             parts = [replace(part, values=set_aside(_unwrapped(part.values))) for part in parts]
         try:
             # No car steers out and back within two samples: a measured steer angle has spikes like any sensor.
             steps = held and (channel != "delta" or entry.kind == "command")
-            cleaned = [clean_series(part, despike=despike, held=held, steps=steps) for part in parts]
+            cleaned = [
+                replace(
+                    clean_series(part, despike=despike, held=held, steps=steps),
+                    resumed=tuple(at - part.delay for at in resumed),
+                )
+                for part in parts
+            ]
         except LogError as error:
             if channel in needed:
                 raise
@@ -116,17 +125,12 @@ def _unwrapped(angle: np.ndarray) -> np.ndarray:
     return result
 
 
-def _may_hold(channel: str) -> bool:
-    """Whether a channel may be an input, whose steps are its nature: steer angle, torque, or one not known."""
-    return channel not in CHANNELS or CHANNELS[channel].kind == "held"
-
-
 def _mode(channel: str, entry: ChannelMap, part: CleanSeries) -> str:
     if entry.resample:
         return entry.resample
     if entry.kind == "command":
         return "held"
-    if _may_hold(channel):
+    if may_hold(channel):
         return "held" if part.on_change or is_sampled_and_held(part.values) else "continuous"
     return CHANNELS[channel].kind
 
@@ -221,7 +225,8 @@ def resample_channels(channels: Channels, grid: SampleClock) -> dict[tuple[str, 
         for index, (part, mode) in enumerate(zip(parts, channels.modes[channel], strict=True)):
             gap = channels.gap_of(channel, index)
             if mode == "held":
-                held = resample_held(part.time, part.values, grid, longest=gap)
+                resumed = part.resumed if part.on_change else ()
+                held = resample_held(part.time, part.values, grid, longest=gap, resumed=resumed)
                 results[channel, index] = Resampled(held, 1.0, (1.0,), False)
                 continue
             alike = (
@@ -329,8 +334,12 @@ def slices_of(segment: np.ndarray) -> list[slice]:
 
 def moved_earlier(channels: Channels, delays: Mapping[str, float]) -> Channels:
     """Return the channels with their times moved earlier by `delays` [s]."""
+
+    def moved(part: CleanSeries, by: float) -> CleanSeries:
+        return replace(part, time=part.time - by, resumed=tuple(at - by for at in part.resumed))
+
     clean = {
-        channel: [replace(part, time=part.time - delays.get(channel, 0.0)) for part in parts]
+        channel: [moved(part, delays.get(channel, 0.0)) for part in parts]
         for channel, parts in channels.clean.items()
     }
     return replace(channels, clean=clean)

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.errors import MapError
-from split_cli.logs.assembling.clean import written_on_change
+from split_cli.logs.assembling.clean import may_hold, written_on_change
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.scratch import set_aside
-from split_cli.signals import CHANNELS
 
 
 def trim(
@@ -62,7 +61,7 @@ def trim(
         kept = []
         for part in parts:
             time = part.time - part.delay - zero
-            if channel not in CHANNELS or CHANNELS[channel].kind == "held":
+            if may_hold(channel):
                 part, time = _with_last_values(part, time, spans)
             keep = np.ones(len(time), dtype=bool)
             for first, last in spans:
