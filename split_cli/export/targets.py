@@ -19,7 +19,8 @@ from split_cli.export.casadi_function import (
     model_step,
     predictor_function,
 )
-from split_cli.export.casadi_step import casadi_substeps, memory_functions, trust_functions
+from split_cli.export.casadi_step import casadi_substeps, memory_functions
+from split_cli.export.casadi_trust import trust_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
 from split_cli.export.compiler import Compiler, find_compiler
 from split_cli.export.documents import (

@@ -15,7 +15,7 @@ from split_cli.export.casadi_function import (
     generate_c,
     model_step,
 )
-from split_cli.export.casadi_step import trust_functions
+from split_cli.export.casadi_trust import trust_functions
 from split_cli.export.generated_check import check_generated
 from split_cli.export.step_check import make_step_oracle
 from split_cli.export.symbolic import build_nominal

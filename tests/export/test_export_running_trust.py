@@ -8,7 +8,8 @@ import pytest
 
 from split_cli.export.c99 import c_source
 from split_cli.export.casadi_function import committee, model_step
-from split_cli.export.casadi_step import TRUST_SIZE, casadi_substeps, trust_functions
+from split_cli.export.casadi_step import casadi_substeps
+from split_cli.export.casadi_trust import TRUST_SIZE, trust_functions
 from split_cli.export.compiler import STRICT_FLAGS
 from split_cli.export.provenance import provenance_of
 from split_cli.export.symbolic import build_nominal
