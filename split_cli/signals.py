@@ -101,6 +101,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("km/h", "m/s", 1.0 / 3.6), "kmh kph kmph km/hr"),
     (Unit("mph", "m/s", 0.44704), "mi/h miles/h"),
     (Unit("kn", "m/s", 1852.0 / 3600.0), "knot knots kt"),
+    (Unit("ft/s", "m/s", 0.3048), "fps ftps ft/sec"),
     (Unit("rad", "rad", 1.0), "radian radians"),
     (Unit("mrad", "rad", 1e-3), ""),
     (Unit("deg", "rad", _DEGREE), "° degree degrees"),
@@ -264,8 +265,8 @@ _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$"
 _SUFFIXES = {
     suffix: suffix
     for suffix in (
-        "mps2", "mpss", "mps", "kmph", "kph", "kmh", "mph", "radps", "rad", "degps", "dps", "deg", "rpm", "Nm",
-        "bar", "kPa", "psi", "pct", "ns", "us", "sec", "mm",
+        "mps2", "mpss", "mps", "kmph", "kph", "kmh", "mph", "fps", "radps", "rad", "degps", "dps", "deg", "rpm",
+        "Nm", "bar", "kPa", "psi", "pct", "ns", "us", "sec", "mm",
     )
 } | {"m_s": "m/s", "m_s2": "m/s2", "km_h": "km/h", "rad_s": "rad/s", "deg_s": "deg/s"}  # fmt: skip
 _SUFFIX_UNITS = {suffix.lower(): unit for suffix, symbol in _SUFFIXES.items() if (unit := find_unit(symbol))}
@@ -274,7 +275,7 @@ _SUFFIX_ORDER = sorted(_SUFFIX_UNITS, key=len, reverse=True)
 # An element of an array, q[0]; a unit of 1 stands apart, throttle [1].
 _INDEXED = re.compile(r"\S\[\d+\]$")
 # _ms is milliseconds on a time and metres a second on a speed, so the name must say which.
-_TIME_IN_MS = re.compile(r"(^|.*_)(t|time|timestamp|stamp|dt|delay|duration|latency|period)_ms$")
+_TIME_IN_MS = re.compile(r"(^|.*_)(t|time|utc|epoch|timestamp|stamp|dt|delay|duration|latency|period)_ms$")
 
 
 def split_name_and_unit(header: str) -> tuple[str, str | None]:

@@ -12,15 +12,12 @@ from split_cli.errors import LogError, nearest_names, printable
 from split_cli.signals import split_name_and_unit
 
 TIME_COLUMNS = (
-    "t", "time", "timestamp", "timestamps", "time_s", "time_sec", "t_s", "time_ms", "t_ms", "time_ns", "time_us",
-    "timestamp_ns", "timestamp_us", "timestamp_ms", "elapsed_time", "sec", "seconds", "__time", "%time",
-    "ts", "ts_ms", "ts_us", "ts_ns", "gps_tow", "tow", "itow", "gps_itow", "gps_time", "time_of_week", "sow",
-    "logmonotime", "tempo", "timeus",
-    "zeit", "zeit_s", "zeit_ms", "zeitstempel", "时间", "时间戳", "temps", "tiempo",
-    "unix_time", "epoch", "utc", "utc_time",
-    "time_utc", "elapsed", "elapsed_s", "elapsed_ms", "datetime", "date_time", "date/time", "stamp",
+    "t", "time", "timestamp", "timestamps", "elapsed_time", "sec", "seconds", "__time", "%time",
+    "ts", "gps_tow", "tow", "itow", "gps_itow", "gps_time", "time_of_week", "sow", "logmonotime", "tempo",
+    "timeus", "zeit", "zeitstempel", "时间", "时间戳", "temps", "tiempo", "unix_time", "unix", "epoch", "utc", "utc_time",
+    "time_utc", "elapsed", "datetime", "date_time", "date/time", "stamp",
 )  # fmt: skip
-"""Names of columns that hold the time, in lower case, blanks as underscores."""
+"""Names of columns that hold the time, in lower case, blanks as underscores, without ``_ms`` and the like."""
 
 Clock = Literal["header", "publish", "log"]
 
@@ -159,9 +156,11 @@ def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
     # T is a torque.
     named = [info for info in reversed(infos) if info.name.strip() != "T"]
     names = {re.sub(r"[\s.]+", "_", info.name.strip().lower()): info for info in named}
+    bare = {re.sub(r"_(s|sec|ms|us|ns)$", "", name): info for name, info in names.items()}
     for name in TIME_COLUMNS:
-        if name in names and names[name].type_name != "text":
-            return names[name]
+        info = names.get(name, bare.get(name))
+        if info is not None and info.type_name != "text":
+            return info
     stamped = [info for info in infos if info.type_name.startswith("timestamp[")]
     if stamped:
         return stamped[0]

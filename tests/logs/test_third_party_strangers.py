@@ -7,6 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from split_cli.errors import LogError
+from split_cli.logs.assembling.gather import gather
 from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drafting.naming import meanings, stated_unit
 from split_cli.logs.drive import Drive
@@ -14,6 +15,7 @@ from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers import json_channels
 from split_cli.logs.readers.clock_of_day import packed_clock
 from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import map_from_mapping
 from split_cli.signals import STANDARD_GRAVITY, convert_to_si
 from tests.logs.planted import PlantedDrive
 from tests.logs.test_third_party_public import drafted_table
@@ -140,3 +142,48 @@ def test_a_speed_that_jumps_beyond_all_grip_is_counted_with_its_times():
     columns["vx"] = np.where(t < 30.0, 20.0, np.maximum(20.0 - 9.81 * (t - 30.0), 1.0) + 30.0 * (t > 45.0))
     drive = Drive("braking", columns, (t > 45.0).astype(np.int32), 0.01)
     assert not [f for f in check_consistency(drive, planted.vehicle, {}).findings if f.check == "jump"]
+
+
+def test_a_clock_of_the_day_goes_on_over_midnight(tmp_path):
+    """Night of a race: HH:MM:SS falls by a day, and nothing of the drive is lost or moved."""
+    t = 0.02 * np.arange(1000)
+    clock = [f"{int(s // 3600) % 24:02}:{int(s // 60) % 60:02}:{s % 60:06.3f}" for s in 86390.0 + t]
+    path = tmp_path / "night.csv"
+    path.write_text("Time,v [m/s]\n" + "".join(f"{c},{20.0 + s}\n" for c, s in zip(clock, t, strict=True)))
+    entries = {"name": "night", "time": {"source": "Time", "unit": "s"}, "channels": {"vx": {"source": "v"}}}
+    gathered = gather(open_recording(path), map_from_mapping(entries))
+    assert gathered.series["vx"][0].time == pytest.approx(t, abs=1e-6)
+
+
+def wheeled_table(sides: float) -> dict[str, np.ndarray]:
+    """Return a log with r and a_y times `sides`, wheel speeds of a car 1.5 m wide, and no position."""
+    planted = PlantedDrive(seconds=60.0)
+    t = np.arange(0.0, 60.0, 0.02)
+    r, vx = planted.at("r", t), planted.at("vx", t)
+    table = {"utc_ms": 1.7e12 + 1000.0 * t, "VehSpd_fps": vx / 0.3048, "YawRate [rad/s]": sides * r}
+    table |= {"LatAcc [m/s^2]": sides * planted.at("ay", t), "LongAcc [m/s^2]": planted.at("ax", t)}
+    corners = {"FL": -0.75, "FR": 0.75, "RL": -0.75, "RR": 0.75}
+    return table | {f"WheelSpeed_{c} [m/s]": vx + at * r for c, at in corners.items()}
+
+
+@pytest.mark.parametrize("sides", [1.0, -1.0])
+def test_wheels_outside_a_turn_tell_left_from_right(sides, tmp_path):
+    draft = drafted_table(wheeled_table(sides), tmp_path)
+    assert draft.left == "the wheels outside a turn, which are faster"
+    assert draft.of("r").scale == draft.of("ay").scale == sides
+    assert draft.time == "time: {source: utc_ms, unit: ms}" and draft.of("vx").unit == "ft/s"
+    assert {s.channel for s in draft.suggestions if s.status == "open"} == set()
+
+
+def test_wheels_exchanged_on_one_axle_are_told_and_turn_nothing(tmp_path):
+    table = wheeled_table(1.0)
+    left, right = "WheelSpeed_FL [m/s]", "WheelSpeed_FR [m/s]"
+    table[left], table[right] = table[right], table[left]
+    draft = drafted_table(table, tmp_path)
+    assert draft.of("r").scale == 1.0 and "exchanged" in draft.of("wheel_speed_fl").reason
+
+
+def test_what_turns_at_a_corner_in_rpm_is_a_wheel_and_an_engine_is_none():
+    info = RawChannelInfo("RPM_RL", "column", None)
+    assert meanings(info)[0].channel == "wheel_speed_rl" and stated_unit(info) == "rpm"
+    assert not meanings(RawChannelInfo("RPM", "column", None))

@@ -16,6 +16,7 @@ from split_cli.logs.checking.plausible import DAMAGED
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
 from split_cli.logs.presets import preset_names
 from split_cli.logs.raw import Clock, RawRecording, RawSignal, time_column, turned, unit_of_time
+from split_cli.logs.readers.clock_of_day import over_midnight
 from split_cli.logs.scratch import set_aside
 from split_cli.logs.signal_map import read_map
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, convert_to_si, find_unit
@@ -353,8 +354,9 @@ def _common_time(
         time = raw.values - first + 1e-9 * part
         return time, float(first), f"columns {column} and {signal_map.time.nanoseconds}"
     first = float(raw.values[finite][0])
+    values = over_midnight(raw.values) if unit in (None, "s") else raw.values
     # Subtract before the conversion: nanoseconds since 1970 lose nothing then.
-    time = convert_to_si(raw.values - first, unit or "s", where=recording.name)
+    time = convert_to_si(values - first, unit or "s", where=recording.name)
     step = float(np.median(np.abs(np.diff(time[finite])))) if finite.sum() > 1 else 0.0
     if step > _SLOWEST:
         fits = unit_of_time(raw.values[finite])

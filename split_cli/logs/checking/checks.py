@@ -17,7 +17,7 @@ from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
 from split_cli.logs.checking.relations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
-from split_cli.logs.checking.wheels import AXLES, without_turning
+from split_cli.logs.checking.wheels import AXLES, outer_wheels, without_turning
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived
 from split_cli.signals import REQUIRED_CHANNELS, STANDARD_GRAVITY
@@ -438,12 +438,10 @@ class Checks:
     def wheel_sides(self) -> list[ConsistencyFinding]:
         """Compare right less left wheel speed with r: in a left turn the right wheels are faster."""
         found = []
-        for left, right in AXLES:
-            if not self.usable(left, right, "r"):
+        for left, slope in outer_wheels(self.k, self.usable).items():
+            if slope.correlation > -LEAST_CORRELATION:
                 continue
-            slope = fit_slope(self.k.signal(right) - self.k.signal(left), self.k.signal("r"), self.k.moving)
-            if slope is None or slope.correlation > -LEAST_CORRELATION:
-                continue
+            right = dict(AXLES)[left]
             text = (
                 f"{right} less {left} against r: slope {slope.slope:.3g} m, correlation {slope.correlation:.3f}, "
                 "while the wheels outside a turn are faster: left and right wheels are exchanged, or r and all "

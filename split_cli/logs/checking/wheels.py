@@ -4,12 +4,26 @@ from collections.abc import Callable
 
 import numpy as np
 
-from split_cli.logs.checking.kinematics import Kinematics, fit_slope
+from split_cli.logs.checking.kinematics import Kinematics, Slope, fit_slope
 
 AXLES = (("wheel_speed_fl", "wheel_speed_fr"), ("wheel_speed_rl", "wheel_speed_rr"))
 """Left and right wheel of each axle."""
 _SIDES_APART = 0.25
 """Of the logarithm of one wheel's speed over the other's: a track over the radius of the tightest turn [1]."""
+
+
+def outer_wheels(k: Kinematics, usable: Callable[..., bool]) -> dict[str, Slope]:
+    """Return for each axle, by its left wheel, the slope of right less left wheel speed against r.
+
+    In a left turn the right wheels are faster: the slope is the track where left is left [m], and negative where
+    wheels are exchanged or r is right-positive.
+    """
+    axles = {pair[0]: pair for pair in AXLES if usable(*pair, "r")}
+    found = {
+        left: fit_slope(k.signal(right) - k.signal(left), k.signal("r"), k.moving)
+        for left, right in axles.values()
+    }
+    return {left: slope for left, slope in found.items() if slope is not None}
 
 
 def without_turning(k: Kinematics, channel: str, usable: Callable[..., bool]) -> np.ndarray:

@@ -19,6 +19,7 @@ from split_cli.logs.raw import (
     time_column,
     unit_of_time,
 )
+from split_cli.logs.readers.clock_of_day import over_midnight
 from split_cli.signals import find_unit
 
 _EVEN = 0.02
@@ -116,6 +117,7 @@ def _time_of_column(
         return _rows_or_seconds(info.name, values, _rate_from_motion(candidates, signals)[0])
     also = f"   # also rises: {', '.join(others)}" if others else ""
     line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
+    values = over_midnight(values) if unit == "s" else values
     return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.checking.consistency import Consistency
+from split_cli.logs.checking.wheels import AXLES
 from split_cli.logs.drafting.draft import UNITS_OF, Suggestion
 from split_cli.logs.drafting.handedness import HANDED, is_heading, path_is_certain
 from split_cli.logs.drafting.trial import Trial
@@ -47,7 +48,11 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
                 chosen = {**chosen, channel: better}
                 if channel == "X" and better.unit:
                     chosen["Y"] = replace(chosen["Y"], unit=better.unit)
-        if {"ax", "ay"} <= {f.channel for f in verdict.findings if f.check == "swapped"}:
+        swapped = {f.channel for f in verdict.findings if f.check == "swapped"}
+        if {left for left, _ in AXLES} <= swapped and not {"X", "yaw"} & set(chosen):
+            chosen = {**chosen, **_right_positive(chosen, "right-positive, as the wheels outside a turn show")}
+            changed = True
+        if {"ax", "ay"} <= swapped:
             remark = "along this axis by the data, not by its name"
             pair = (("ax", chosen["ay"]), ("ay", chosen["ax"]))
             chosen = {**chosen, **{c: replace(s, channel=c, scale=abs(s.scale), reason=remark) for c, s in pair}}
@@ -104,8 +109,7 @@ def _other_hand(chosen: dict[str, Suggestion], trial: Trial) -> dict[str, Sugges
     North and east of a satellite fix, or so called, are what they are. An angle of 0 to 360 degrees that is called
     a heading counts clockwise from north. With either the car's channels are right-positive.
     """
-    turned = {c: replace(s, scale=-s.scale, reason="right-positive, as the path shows") for c, s in chosen.items()
-              if c in ("r", "vy", "ay")}  # fmt: skip
+    turned = _right_positive(chosen, "right-positive, as the path shows")
     yaw = chosen.get("yaw")
     if not path_is_certain(chosen) and not (yaw is not None and is_heading(yaw, trial.signals)):
         remark = "exchanged with the other, or the car's channels are right-positive: nothing recorded decides"
@@ -114,6 +118,11 @@ def _other_hand(chosen: dict[str, Suggestion], trial: Trial) -> dict[str, Sugges
     if yaw is not None and yaw.world != "ned":
         turned["yaw"] = _as_compass(yaw)
     return {**chosen, **turned}
+
+
+def _right_positive(chosen: Mapping[str, Suggestion], why: str) -> dict[str, Suggestion]:
+    """Return the car's channels that a right-positive logger turns, turned."""
+    return {c: replace(s, scale=-s.scale, reason=why) for c, s in chosen.items() if c in ("r", "vy", "ay")}
 
 
 def _corrected(s: Suggestion, factor: float) -> Suggestion:

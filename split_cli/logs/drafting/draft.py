@@ -69,6 +69,10 @@ class Draft:
         return [s for s in self.suggestions if s.channel == channel]
 
 
+NO_SIDE = "no channel has a side"
+"""Of `Draft.left`, where nothing of the recording has one."""
+
+
 def render_draft(draft: Draft, name: str) -> str:
     """Return a drafted map as YAML text."""
     lines = [
@@ -88,6 +92,8 @@ def render_draft(draft: Draft, name: str) -> str:
     lines += [f"  # open: {text}" for text in _texts_of_open([s for s in draft.suggestions if s.status == "open"])]
     if not draft.left:
         lines += [f"# {line}" for line in (*_NO_LEFT, draft.by_gravity) if line]
+    elif draft.left != NO_SIDE:
+        lines.append(f"# Left and right are told by {draft.left}.")
     mapped = {s.channel for s in draft.suggestions if s.status != "open"}
     missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
     if missing:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.logs.drafting.draft import Suggestion
+from split_cli.logs.drafting.draft import NO_SIDE, Suggestion
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.raw import RawChannelInfo, RawSignal
 
@@ -46,7 +46,9 @@ def certain_of(chosen: Mapping[str, Suggestion]) -> frozenset[str]:
     return frozenset(certain)
 
 
-def what_tells_left(chosen: Mapping[str, Suggestion], infos: Sequence[RawChannelInfo]) -> str:
+def what_tells_left(
+    chosen: Mapping[str, Suggestion], infos: Sequence[RawChannelInfo], outer_wheels_are_faster: bool = False
+) -> str:
     """Return what decides which side is left, empty where nothing does or no channel has a side.
 
     Messages of ROS are left-positive by its conventions (REP 103), which their types show. An address with slashes
@@ -54,7 +56,7 @@ def what_tells_left(chosen: Mapping[str, Suggestion], infos: Sequence[RawChannel
     """
     of_ros = {info.name.rpartition("/")[0] for info in infos if "/" in info.type_name}
     if not set(HANDED) & set(chosen):
-        return "no channel has a side"
+        return NO_SIDE
     if path_is_certain(chosen):
         return "east and north"
     if "yaw" in chosen and chosen["yaw"].world == "ned":
@@ -63,7 +65,7 @@ def what_tells_left(chosen: Mapping[str, Suggestion], infos: Sequence[RawChannel
         return "the conventions of ROS"
     if any("right by its name" in s.reason for s in chosen.values()):
         return "names"
-    return ""
+    return "the wheels outside a turn, which are faster" if outer_wheels_are_faster else ""
 
 
 def without_a_side(s: Suggestion) -> Suggestion:

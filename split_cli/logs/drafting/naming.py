@@ -14,6 +14,7 @@ _UNIT_WORDS = {
     "deg": "deg", "degps": "deg/s", "dps": "deg/s", "degs": "deg/s", "degree": "deg", "degrees": "deg",
     "rpm": "rpm", "s": "s", "sec": "s", "us": "us", "ns": "ns", "nm": "N m", "bar": "bar", "kpa": "kPa",
     "pct": "%", "percent": "%", "percentage": "%", "mm": "mm", "m": "m", "ft": "ft", "g": "g", "n": "N",
+    "fps": "ft/s", "ftps": "ft/s",
     "lbft": "lbf ft", "ftlb": "lbf ft", "ftlbf": "lbf ft",
 }  # fmt: skip
 _LAST_TWO = {
@@ -230,7 +231,7 @@ def stated_unit(info: RawChannelInfo) -> str | None:
         return _UNIT_WORDS[words[-1]]
     if words[:1] == ["g"] and concepts_of(words[1:])[0] <= {"acceleration", "long", "lat", "up"} and words[1:]:
         return "g"  # g_lat, g_force_lon
-    return None
+    return "rpm" if "rpm" in words else None
 
 
 def _own_part(info: RawChannelInfo) -> str:

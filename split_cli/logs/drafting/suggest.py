@@ -103,7 +103,8 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     unused = tuple(info.name for info in infos if info.name not in taken and f": {quoted(info.name)}," not in line)
     bare = {note.where for note in recording.notes if note.what.startswith("not readable")}
     undefined = dict.fromkeys(i.type_name for i in infos if i.name in bare and "/" in i.type_name)
-    left_by = what_tells_left({s.channel: s for s in suggestions if s.status != "open"}, infos)
+    mapped = {s.channel: s for s in suggestions if s.status != "open"}
+    left_by = what_tells_left(mapped, infos, trial.outer_wheels_are_faster(trial.columns(mapped)))
     if not left_by:
         suggestions = [without_a_side(s) for s in suggestions]
     by_gravity = "" if left_by else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)

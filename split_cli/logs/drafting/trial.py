@@ -7,10 +7,11 @@ import numpy as np
 
 from split_cli.logs.assembling.clean import clock_resets, isolated_spikes
 from split_cli.logs.assembling.transform import local_tangent_plane, signed, yaw_from_quaternion
-from split_cli.logs.checking.checks import NOT_RECORDED
+from split_cli.logs.checking.checks import LEAST_CORRELATION, NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
+from split_cli.logs.checking.wheels import outer_wheels
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.handedness import certain_of
 from split_cli.logs.drive import Drive
@@ -199,6 +200,14 @@ class Trial:
         elif "r" in wanted and {"X", "Y"} <= set(columns):
             made["r"] = k.course_rate()
         return made
+
+    def outer_wheels_are_faster(self, columns: Mapping[str, np.ndarray]) -> bool:
+        """Tell whether the wheels of every axle that is recorded say that r is left-positive."""
+        if "vx" not in columns or not self.time_is_known:
+            return False
+        k = Kinematics(columns, 1.0 / self.rate, self.slices)
+        found = outer_wheels(k, lambda *channels: set(channels) <= set(columns)).values()
+        return bool(found) and all(slope.correlation > LEAST_CORRELATION for slope in found)
 
     def _change(self, values: np.ndarray) -> np.ndarray:
         """Return the derivative of a column, shape (N,); across a border of two segments there is none."""

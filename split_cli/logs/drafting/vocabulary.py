@@ -185,6 +185,8 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
             if {end, hand} <= concepts:
                 concepts -= {end, hand}
                 concepts.add(end[0] + hand[0])
+    if "rpm" in words and concepts & {*_CORNERS}:
+        concepts, known_words = concepts | {"wheel"}, known_words + 1  # what turns at a corner is a wheel
     if {"steer", "wheel"} <= concepts and not concepts & {"road", "front", *_CORNERS}:
         concepts = (concepts - {"steer", "wheel"}) | {"handwheel"}
     if "rotation" in concepts:

@@ -5,6 +5,8 @@ import numpy as np
 _DIGITS_BEHIND = (1.0, 100.0, 1000.0)
 """By which a number is divided to get HHMMSS: none, hundredths or thousandths of a second without a point [1]."""
 _LAST = 235959.9995
+_DAY = 86400.0
+"""[s]."""
 _HALF_A_DAY = 43200.0
 """A clock that falls by more has passed midnight [s]."""
 _FULL = 50.0
@@ -15,9 +17,21 @@ def seconds_of_day(clock: np.ndarray) -> np.ndarray:
     """Return seconds since midnight of HHMMSS.sss, a day added after each midnight, shape (N,)."""
     hours, rest = np.divmod(clock, 10000.0)
     minutes, seconds = np.divmod(rest, 100.0)
-    time = hours * 3600.0 + minutes * 60.0 + seconds
-    midnight = np.concatenate([[0.0], np.cumsum(np.diff(time) < -_HALF_A_DAY)])
-    return np.round(time + 86400.0 * midnight, 6)
+    return np.round(over_midnight(hours * 3600.0 + minutes * 60.0 + seconds), 6)
+
+
+def over_midnight(time: np.ndarray) -> np.ndarray:
+    """Return a clock of the day with a day added after each midnight; any other as it is, shape (N,) [s].
+
+    A clock of the day lies between 0 and a day, and no run that starts again falls by half of one.
+    """
+    kept = np.flatnonzero(np.isfinite(time))
+    passed = np.cumsum(np.diff(time[kept], prepend=time[kept[:1]]) < -_HALF_A_DAY)
+    if not len(kept) or not passed[-1] or time[kept].min() < 0.0 or time[kept].max() > _DAY:
+        return time
+    moved = np.array(time, dtype=np.float64)
+    moved[kept] += _DAY * passed
+    return moved
 
 
 def packed_clock(values: np.ndarray) -> np.ndarray | None:

@@ -34,7 +34,11 @@ NAMES = ("signal", "signal_name", "channel", "name", "variable", "parameter", "t
           "metric", "sensor")  # fmt: skip
 VALUES = ("value", "_value", "val", "data", "reading", "measurement", "signal_value", "physical_value")
 _GROUPS = ("message", "_measurement", "measurement", "message_name", "ecu", "device", "topic")
-_TIMES = ("_time", "receive_time", "log_time", *TIME_COLUMNS)
+_TIMES = tuple(
+    name + unit
+    for name in ("_time", "receive_time", "log_time", *TIME_COLUMNS)
+    for unit in ("", "_s", "_ms", "_us", "_ns")
+)
 _SEPARATORS = (",", ";", "\t")
 _ROWS_LOOKED_AT, _LINES_BEFORE = 40, 20
 
