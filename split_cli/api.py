@@ -134,12 +134,12 @@ class EvaluationResult:
 
     @cached_property
     def figures(self) -> Mapping[str, Any]:
-        """The figures that `split evaluate -o` writes, as matplotlib objects by file name."""
+        """What `split evaluate -o` draws beside the charts of its report, as matplotlib objects by file name."""
         return draw_figures(self.run)[0]
 
     def page(self) -> str:
         """Return the report as HTML."""
-        return evaluation_page(self.run)
+        return evaluation_page(self.run, tuple(self.charts.values()))
 
 
 def evaluate(

@@ -152,7 +152,7 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
 
         drawn = write_evaluation(run, output)
         click.echo(f"split: report in {output / 'report.html'}", err=True)
-        click.echo(f"split: figures in {output}: {', '.join(drawn.written)}", err=True)
+        click.echo(f"split: {len(drawn.written)} figures in {output}: its charts and others", err=True)
         for reason in drawn.left_out:
             click.echo(f"split: not drawn: {reason}", err=True)
     print_notes(run.report.notes)

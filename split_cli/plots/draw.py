@@ -1,5 +1,8 @@
 """A chart of a report as a matplotlib figure: the same numbers, names and colours."""
 
+from collections.abc import Iterable
+from pathlib import Path
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -7,7 +10,22 @@ from matplotlib.figure import Figure
 
 from split_cli.plots.chart import Chart, ChartLine
 from split_cli.plots.palette import DASHED, LIGHT
-from split_cli.plots.style import quiet
+from split_cli.plots.style import quiet, save
+
+#: Names of charts that a report may have. A report takes away those of an earlier one that it has not itself.
+CHARTS = (
+    *(f"{kind}-{state}" for kind in ("strip", "white", "coverage", "ratio") for state in ("vx", "vy", "r")),
+    *(f"strip-{channel}" for channel in ("ay", "delta", "T")),
+    "gg", "path", "tire-front", "tire-rear", "force-x", "understeer", "response-gain", "response-phase",
+)  # fmt: skip
+
+
+def write_charts(charts: Iterable[Chart], folder: Path) -> tuple[str, ...]:
+    """Write each chart into a folder as a PNG of its name; return the names of the files."""
+    written = {f"{chart.name}.png": chart for chart in charts}
+    for name, chart in written.items():
+        save(draw_chart(chart), folder / name)
+    return tuple(written)
 
 
 def draw_chart(chart: Chart, *, other_x: bool = False, axes: Axes | None = None) -> Figure:

@@ -1,6 +1,6 @@
 """All figures of an evaluation, written into one folder."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,11 +8,10 @@ from matplotlib.figure import Figure
 
 from split_cli.files import atomic_directory, write_digests
 from split_cli.learning.kernel import OUTPUTS
-from split_cli.plots.accelerations import draw_accelerations
+from split_cli.plots.chart import Chart
+from split_cli.plots.draw import CHARTS, write_charts
 from split_cli.plots.feature_space import draw_coverage, draw_labels
 from split_cli.plots.growth import draw_growth
-from split_cli.plots.reliability import draw_reliability
-from split_cli.plots.rollouts import draw_rollouts
 from split_cli.plots.sizes import draw_sizes
 from split_cli.plots.style import save
 from split_cli.plots.time_series import draw_error_over_time
@@ -29,34 +28,37 @@ class FigureFiles:
     left_out: tuple[str, ...]  # ``name: reason`` of those that this evaluation has no content for
 
 
-def write_figures(run: EvaluationRun, folder: str | Path, also: Mapping[str, str] | None = None) -> FigureFiles:
+def write_figures(
+    run: EvaluationRun, folder: str | Path, charts: Sequence[Chart] = (), also: Mapping[str, str] | None = None
+) -> FigureFiles:
     """Draw an evaluation into a folder: all files appear together, or none; figures of an earlier one go.
 
     Parameters
     ----------
     folder : path
         Files of other names that are in it stay.
+    charts : sequence of Chart
+        Of its report.
     also : mapping of str to str, optional
         Text files that belong to the figures, by name.
     """
     figures, left_out = draw_figures(run)
-    with atomic_directory(folder, without=[entry.split(":")[0] for entry in left_out]) as temporary:
+    earlier = [*(f"{name}.png" for name in CHARTS), *(entry.split(":")[0] for entry in left_out)]
+    with atomic_directory(folder, without=earlier) as temporary:
         for name, text in (also or {}).items():
             (temporary / name).write_text(text, encoding="utf-8")
         for name, figure in figures.items():
             save(figure, temporary / name)
+        drawn = write_charts(charts, temporary)
         write_digests(temporary)
-    return FigureFiles(tuple(figures), left_out)
+    return FigureFiles((*drawn, *figures), left_out)
 
 
 def draw_figures(run: EvaluationRun) -> tuple[dict[str, Figure], tuple[str, ...]]:
-    """Return the figures by file name, and ``name: reason`` of those there is nothing to draw for."""
+    """Return figures beside the report's charts by file name, and ``name: reason`` of those without content."""
     drawing: dict[str, tuple[bool, str, Callable[[], Figure]]] = {
         "error_over_time.png": (bool(run.traces), _NO_PREDICTIONS, lambda: draw_error_over_time(run)),
-        "calibration.png": (bool(run.traces), _NO_PREDICTIONS, lambda: draw_reliability(run)),
-        "rollouts.png": (bool(run.rollouts), "no rollouts were made", lambda: draw_rollouts(run)),
         "sizes.png": (bool(run.report.sizes), "one feature set, no --sizes", lambda: draw_sizes(run)),
-        "gg.png": (True, "", lambda: draw_accelerations(run)),
         "growth.png": (True, "", lambda: draw_growth(run)),
     }
     at = next((i for i, own in enumerate(run.sets) if own.features.is_z2), None)

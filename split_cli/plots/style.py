@@ -1,13 +1,10 @@
-"""What all figures of an evaluation share: colours, names with units, size, and how a figure is made and saved."""
+"""What all matplotlib figures share: colours, names with units, size, and how a figure is made and saved."""
 
-from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-
-from split_cli.scoring.evaluation import LABEL_PERSISTENCE, NOMINAL, VELOCITY_PERSISTENCE
 
 #: Okabe and Ito (2008), which the common forms of colour blindness can tell apart.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -21,11 +18,6 @@ _DPI = 120
 _WIDTH = 10.0
 _LEGEND = 125  # characters that fit side by side at the default size
 _KEY = 8  # characters that a key and the space beside it take
-_BASELINES = {
-    NOMINAL: {"color": "black", "linestyle": "-"},
-    VELOCITY_PERSISTENCE: {"color": "0.55", "linestyle": "--"},
-    LABEL_PERSISTENCE: {"color": "0.55", "linestyle": ":"},
-}
 
 
 def new_figure(height: float) -> Figure:
@@ -55,26 +47,6 @@ def model_name(key: tuple[str, str]) -> str:
     """Return how a legend calls a contestant, a pair of name and features."""
     name, features = key
     return f"{name} on {features}" if features else name
-
-
-def headed(keys: Iterable[tuple[str, str]], asked: Collection[str]) -> tuple[str, str] | None:
-    """Return which predictor the title of a figure tells of: one that was asked for, as it is applied."""
-    named = [key for key in keys if key[1]]
-    return next((key for key in named if key[0] in asked), named[0] if named else None)
-
-
-def line_styles(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, str], dict]:
-    """Return line properties for each contestant: baselines black and grey, predictors in colour."""
-    styles, found = {}, 0
-    for key in keys:
-        if key[0] in _BASELINES:
-            styles[key] = {**_BASELINES[key[0]], "label": model_name(key)}
-            continue
-        # Seven predictors or more: the colours again, with another dash.
-        dash = ("-", "--", "-.", ":")[found // len(PALETTE) % 4]
-        styles[key] = {"color": PALETTE[found % len(PALETTE)], "linestyle": dash, "label": model_name(key)}
-        found += 1
-    return styles
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -25,8 +25,6 @@ from split_cli.workflows.pictures import diagnosis_charts
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
 from split_cli.workflows.report.page import report_page
 
-#: What may lie in the folder ``figures``.
-FIGURES = frozenset({"where.png", "what.png", "help.png", "help.csv"})
 _UNJUDGED = "Not judged: no held-out time to compare it with the vehicle given."
 #: Models compared on held-out time, as `Improvement` and `HorizonErrors` name them.
 STAGES = ("before", "physics", "split_only", "after", "persistence")
@@ -141,11 +139,10 @@ def write_diagnosis(
     simulated: Sequence[Drive] = (),
 ) -> None:
     """Write a diagnosis into a folder, all files or none; figures of an earlier one there are taken away."""
-    from split_cli.plots.diagnosis import diagnosis_figures
-    from split_cli.plots.style import save
+    from split_cli.plots.draw import CHARTS, write_charts
 
     charts = diagnosis_charts(diagnosis, vehicle, drives, simulated)
-    earlier = [*VEHICLES, *(f"figures/{name}" for name in FIGURES)]
+    earlier = [*VEHICLES, "figures/help.csv", *(f"figures/{name}.png" for name in CHARTS)]
     with atomic_directory(output, without=earlier) as folder:
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
         if (name := vehicle_name(diagnosis)) is not None:
@@ -154,8 +151,7 @@ def write_diagnosis(
         _write_gap(diagnosis, drives, vehicle, folder / "gap.parquet")
         (folder / "report.html").write_text(report_page(diagnosis, charts), encoding="utf-8")
         (folder / "figures").mkdir()
-        for name, figure in diagnosis_figures(diagnosis):
-            save(figure, folder / "figures" / f"{name}.png")
+        write_charts(charts, folder / "figures")
         if diagnosis.improvement is not None:
             _write_help(diagnosis.improvement, folder / "figures" / "help.csv")
         with contextlib.suppress(OSError):

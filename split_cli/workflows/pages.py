@@ -8,7 +8,7 @@ from split_cli.plots.evaluation import FigureFiles, write_figures
 from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.pictures import recording_charts
-from split_cli.workflows.report.evaluation import evaluation_page
+from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_page
 from split_cli.workflows.report.recording import recording_page
 
 
@@ -25,5 +25,6 @@ def write_recording_report(drive: Drive, vehicle_path: str | Path | None, path: 
 
 
 def write_evaluation(run: EvaluationRun, folder: str | Path) -> FigureFiles:
-    """Write the figures of an evaluation and its page ``report.html`` into a folder, all or none."""
-    return write_figures(run, folder, also={"report.html": evaluation_page(run)})
+    """Write ``report.html`` of an evaluation, its charts and further figures into a folder, all or none."""
+    charts = evaluation_charts(run)
+    return write_figures(run, folder, charts, {"report.html": evaluation_page(run, charts)})

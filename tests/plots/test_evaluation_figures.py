@@ -9,20 +9,14 @@ from matplotlib.image import imread
 
 from split_cli.errors import SplitError
 from split_cli.files import DIGESTS
-from split_cli.learning.labels import Reason
 from split_cli.learning.region import valid_cell_count
-from split_cli.plots.accelerations import draw_accelerations, specific_forces
 from split_cli.plots.evaluation import draw_figures, write_figures
 from split_cli.plots.feature_space import coverage_maps, draw_coverage, draw_labels, label_maps
 from split_cli.plots.growth import draw_growth, kept_over_time
-from split_cli.plots.reliability import draw_reliability
-from split_cli.plots.rollouts import draw_rollouts
 from split_cli.plots.sizes import draw_sizes
-from split_cli.plots.style import headed
 from split_cli.plots.time_series import draw_error_over_time
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.scoring.run import EvaluationRun
-from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.evaluate import evaluate
 from tests.factories import MissingForce, make_drive, make_training_set, road_car
 
@@ -136,33 +130,6 @@ def test_label_maps_are_means_of_cells_and_the_learned_mean(run):
     )
 
 
-def test_gg_shows_every_label_once_by_reason(run):
-    figure = draw_accelerations(run)
-    shown = {entry.get_label(): len(entry.get_xdata()) for entry in figure.axes[0].get_lines()}
-    reasons = np.concatenate([held.labels.reason for held in run.held[0]])
-    counted = {code: int((reasons == code).sum()) for code in Reason}
-    assert counted[Reason.ELLIPSE] > 0
-    assert shown[f"accepted ({counted[Reason.ACCEPTED]})"] == counted[Reason.ACCEPTED]
-    assert shown[f"rejected: ellipse ({counted[Reason.ELLIPSE]})"] == counted[Reason.ELLIPSE]
-    # Starts in a gap have no acceleration to show; everything else is there.
-    legends = [count for label, count in shown.items() if not label.startswith("_")]
-    assert sum(legends) == len(reasons) - counted[Reason.GAP] - counted[Reason.NON_FINITE]
-    assert "of the nominal model" in figure.get_suptitle()
-
-
-def test_nominal_accelerations_are_specific_forces_and_recorded_ones_go_first(run):
-    drive = run.held[0][0].drive
-    along, across, recorded = specific_forces(CAR, drive)
-    assert not recorded
-    model = SingleTrack(CAR)
-    dvx, dvy, _ = model.velocity_derivative(*(drive[name] for name in ("vx", "vy", "r", "T", "delta")))
-    np.testing.assert_allclose(along, dvx - drive["vy"] * drive["r"], atol=1e-12)
-    np.testing.assert_allclose(across, dvy + drive["vx"] * drive["r"], atol=1e-12)
-    measured = replace(drive, columns={**drive.columns, "ax": along + 1.0, "ay": across - 1.0})
-    assert specific_forces(CAR, measured)[2]
-    np.testing.assert_array_equal(specific_forces(CAR, measured)[0], along + 1.0)
-
-
 def test_growth_is_that_of_the_sources(run):
     figure = draw_growth(run)
     for trained, dots, squares in zip(
@@ -184,27 +151,7 @@ def test_growth_is_that_of_the_sources(run):
     assert (met < first.duration - 1e-9).sum() == (run.sets[0].source == 0).sum()
 
 
-def test_reliability_and_rollouts_and_sizes_are_the_reports(run):
-    reliability = draw_reliability(run)
-    for state in range(3):
-        x, y = line(reliability.axes[state], "bcm on z2")
-        levels, observed = run.tallies["bcm", "z2"].probability.reliability_curve
-        np.testing.assert_allclose(x, 100 * levels)
-        np.testing.assert_allclose(y, 100 * observed[:, state])
-        x, y = line(reliability.axes[state], "as promised")
-        np.testing.assert_array_equal(x, y)
-    rollouts = draw_rollouts(run)
-    at_end = {(r.name, r.features): r.rmse for r in run.report.rollouts}
-    for key, name in (
-        (("nominal", ""), "nominal"),
-        (("full", "z1"), "full on z1"),
-        (("velocity held", ""), "velocity held"),
-    ):
-        for state in range(3):
-            x, y = line(rollouts.axes[state], name)
-            assert y[-1] == pytest.approx(at_end[key][state])
-            assert x[-1] == pytest.approx(0.4)
-    assert not any(entry.get_label() == "nominal" for entry in rollouts.axes[3].get_lines())  # no position
+def test_sizes_are_the_reports(run):
     sizes = draw_sizes(run)
     for features in ("z2", "z1"):
         mine = [entry.score for entry in run.report.sizes if entry.score.features == features]
@@ -233,15 +180,8 @@ def test_what_cannot_be_drawn_is_left_out_with_a_reason(run):
     report = replace(run.report, sizes=(), settings=replace(run.report.settings, features=("z1",)))
     bare = EvaluationRun(report, run.sets[1:], run.held[1:], (), {}, {})
     figures, left_out = draw_figures(bare)
-    assert set(figures) == {"gg.png", "growth.png"}
+    assert set(figures) == {"growth.png"}
     told = dict(entry.split(": ", 1) for entry in left_out)
-    assert "no rollouts" in told["rollouts.png"]
     assert "z2 only" in told["coverage.png"]
     assert "z2 only" in told["labels_r.png"]
     assert "error_over_time.png" in told
-
-
-def test_a_title_tells_of_a_predictor_as_it_is_applied():
-    keys = [("nominal", ""), ("bcm, full trust", "z2"), ("bcm", "z2"), ("bcm, running trust", "z2")]
-    assert headed(keys, ("bcm",)) == ("bcm", "z2")
-    assert headed(keys[:2], ("bcm",)) == keys[1] and headed(keys[:1], ("bcm",)) is None

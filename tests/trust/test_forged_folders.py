@@ -247,8 +247,8 @@ def test_a_gap_and_a_figure_of_another_diagnosis(folder):
     assert "gap.parquet" in failed(diagnosis)
     write_digests(diagnosis)
     assert "gap.parquet" in failed(diagnosis)
-    (diagnosis / "figures" / "where.png").write_bytes((diagnosis / "figures" / "what.png").read_bytes())
-    assert "figures/where.png" in failed(diagnosis)
+    (diagnosis / "figures" / "strip-vx.png").write_bytes((diagnosis / "figures" / "strip-vy.png").read_bytes())
+    assert "figures/strip-vx.png" in failed(diagnosis)
 
 
 def test_a_number_of_a_comparison(folder):

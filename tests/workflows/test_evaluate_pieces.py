@@ -7,7 +7,6 @@ import pytest
 
 from split_cli.logs.columns_of_file import ColumnsOfFile
 from split_cli.logs.drive import open_drive, read_drive, write_drive
-from split_cli.plots.accelerations import draw_accelerations
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.scoring.rollouts import roll_out, rollout_starts
 from split_cli.scoring.run import EvaluationRun
@@ -48,10 +47,6 @@ def test_an_evaluation_is_the_same_to_the_bit_whatever_the_pieces(effects, setti
     for one, other in zip(pieces.traces, whole.traces, strict=True):
         assert one.prediction.mean.tobytes() == other.prediction.mean.tobytes()
         assert one.held.z.tobytes() == other.held.z.tobytes()
-    drawn = [axis.get_offsets() if hasattr(axis, "get_offsets") else axis.get_xydata()
-             for run in (pieces, whole) for axis in draw_accelerations(run).axes[0].lines]  # fmt: skip
-    for one, other in zip(drawn[: len(drawn) // 2], drawn[len(drawn) // 2 :], strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_a_long_drive_without_a_stretch_for_a_rollout_has_none(monkeypatch, tmp_path):

@@ -48,10 +48,10 @@ _PREDICTORS = (
 )
 
 
-def evaluation_page(run: EvaluationRun) -> str:
-    """Return the report of an evaluation as one HTML document that loads nothing."""
+def evaluation_page(run: EvaluationRun, charts: Sequence[Chart] | None = None) -> str:
+    """Return the report of an evaluation as one HTML document that loads nothing, by default with all charts."""
     report = run.report
-    charts = evaluation_charts(run)
+    charts = evaluation_charts(run) if charts is None else charts
     names = ", ".join(drive.name for drive in report.drives)
     believed = [c for c in report.comparisons if c.name in report.settings.predictors]
     body = (

@@ -375,7 +375,6 @@ def _provenance(diagnosis: Diagnosis) -> str:
         for name, value in diagnosis.settings.items()
     )
     names = [name for name in ("diagnosis.json", vehicle_name(diagnosis), "gap.parquet") if name]
-    names += [f"figures/{name}.png" for name in ("where", "what", "help")] if diagnosis.improvement else []
     names += ["figures/help.csv"] if diagnosis.improvement else []
     links = " · ".join(f'<a href="{name}">{name}</a>' for name in names)
     return section(
