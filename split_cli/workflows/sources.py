@@ -20,7 +20,6 @@ from split_cli.logs.readers.opening import is_prose
 LOG_SUFFIXES = (
     ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".mdf", ".blf",
     ".asc", ".trc", ".jsonl", ".ascii", ".lvm", ".tsv", ".arrow", ".mcap.zstd", ".db3.zstd", ".npz", ".ibt",
-    ".ulg",
 )  # fmt: skip
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
 _COPY_BYTES = 1 << 22

@@ -14,7 +14,7 @@ from split_cli.signals import find_unit
 
 KNOWN_FORMATS = (
     "Known are MCAP, rosbag2, ROS 1 bag, CSV, JSON lines, VBO, Pi Toolbox, Parquet, Feather, MAT, NumPy, iRacing, "
-    "ULog, MF4, and with --dbc also BLF, ASC, TRC and candump."
+    "MF4, and with --dbc also BLF, ASC, TRC and candump."
 )
 EMPTY_CELLS = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--")
 """What loggers write where they measured nothing."""

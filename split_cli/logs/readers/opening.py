@@ -8,7 +8,6 @@ from pathlib import Path
 from split_cli.errors import LogError, NoRecordingError, NoTableError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
-from split_cli.logs.readers import ulog
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
@@ -34,6 +33,7 @@ _FOREIGN_MAGIC = (
         "an ArduPilot log",
         "Convert it to a CSV for each message with mavlogdump, for --together.",
     ),
+    (b"ULog\x01\x12\x35", "a ULog of PX4", "Convert it with ulog2csv, and name its tables with --together."),
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
     (b"CM-ERG", "a result of CarMaker", "Export it as CSV or MAT."),
     (b"<?xml", "XML", "Export it as CSV."),
@@ -57,7 +57,7 @@ _OTHERS = {
     **dict.fromkeys((".xls", ".xlsx", ".ods"), ("a spreadsheet", "Export it as CSV.")),
 }
 """Files that other programs write and that are not read, by suffix: what they are and the way out."""
-_TABLE_SUFFIXES = (".csv", ".mat", ".vbo", ".mf4", ".parquet", ".bag", ".json", ".ulg", ".ibt")
+_TABLE_SUFFIXES = (".csv", ".mat", ".vbo", ".mf4", ".parquet", ".bag", ".json", ".ibt")
 _BINARY_SUFFIXES = {
     ".mcap": "an MCAP file", ".bag": "a ROS 1 bag", ".db3": "a rosbag2 database", ".parquet": "a Parquet file",
     ".feather": "a Feather file", ".arrow": "an Arrow file", ".mf4": "an MDF file", ".dat": "an MDF file",
@@ -72,7 +72,7 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
     ----------
     path : path-like
         MCAP, rosbag2 folder or ``.db3``, ROS 1 ``.bag``, CSV, Racelogic .vbo, Parquet, Feather, MAT (v4, v5,
-        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, PX4's ULog, MF4, and logs of CAN frames (BLF,
+        v7.3), NumPy (.npz, .npy, a folder of arrays), iRacing .ibt, MF4, and logs of CAN frames (BLF,
         ASC, candump, TRC, MF4 bus logging).
     message_paths : sequence of path-like
         Folders of ``.msg`` files, for message types that the recording does not define, and CAN databases.
@@ -190,8 +190,6 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_npz(path) if is_npz(path, head) else None
     if path.suffix.lower() == ".ibt" and is_ibt(path, head):
         return open_ibt(path)
-    if head.startswith(ulog.MAGIC):
-        return ulog.open_ulog(path)
     if is_pi_toolbox(head):
         return open_pi_toolbox(path)
     if is_json(head):
