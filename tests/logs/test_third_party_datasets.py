@@ -11,6 +11,7 @@ from split_cli.errors import LogError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawChannelInfo, RawSignal, TableRecording
+from split_cli.logs.readers import json_channels, json_document, json_rows
 from split_cli.logs.readers.opening import open_recording
 from tests.logs.planted import UNITS, PlantedDrive, planted_map, write_table
 
@@ -96,7 +97,9 @@ def test_yaw_is_taken_from_the_message_of_x_and_y_and_an_asking_message_is_a_com
     assert draft.of("delta").command
 
 
-def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_in_words(planted, tmp_path):
+def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_in_words(
+    planted, tmp_path, monkeypatch
+):
     """A2D2's bus signals: each number of each pair became a channel of one row."""
     epoch, t = 1_554_122_338_000_000, np.arange(0.0, 60.0, 0.02)
     angle = planted.at("delta", t) * 16.0 * DEG
@@ -121,6 +124,32 @@ def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_i
     wheel = draft.of("delta")
     assert wheel.sources == ("steering_angle_calculated", "steering_angle_calculated_sign")
     assert "unit: deg, scale: 1/RATIO" in wheel.reason
+    # A document that is too large for its objects to be held is read list by list.
+    names = [info.name for info in recording.channels()]
+    whole = recording.read(names)
+    for module in (json_channels, json_rows):
+        monkeypatch.setattr(module, "LARGEST_DOCUMENT", 100_000)
+    streamed = open_recording(tmp_path / "bus_signals.json")
+    assert [(info.name, info.unit) for info in streamed.channels()] == [(n, whole[n].unit) for n in names]
+    for name, signal in streamed.read(names).items():
+        np.testing.assert_array_equal(signal.values, whole[name].values)
+        np.testing.assert_array_equal(signal.time, whole[name].time)
+    assert not streamed.notes
+    text = (tmp_path / "bus_signals.json").read_text()
+    (tmp_path / "cut.json").write_text(text[: int(0.9 * len(text))])
+    cut = open_recording(tmp_path / "cut.json")
+    assert [info.name for info in cut.channels()] == names[:-1] and "cut off" in cut.notes[0].what
+    # In a list with their names inside too: object by object, or through one that is too long for that.
+    long = list(map(float, np.tile(whole[names[0]].values, 3)))
+    listed = [{"time": long, "name": name, "unit": "m", "data": long} for name in ("a", "b")]
+    short = [{"name": name, "data": list(map(float, whole[name].values[:900]))} for name in names]
+    for channels, expected in ((listed, long), (short, whole[names[0]].values[:900])):
+        assert (len(json.dumps(channels[0])) > json_document._LONG_OBJECT) is (channels is listed)
+        (tmp_path / "listed.json").write_text(json.dumps({"log": {"bus": channels, "car": "a"}}))
+        found = open_recording(tmp_path / "listed.json")
+        assert [info.name for info in found.channels()] == [one["name"] for one in channels]
+        first = channels[0]["name"]
+        np.testing.assert_array_equal(found.read([first])[first].values, expected)
 
 
 def test_the_torque_of_a_steering_column_is_no_t_and_an_angle_that_follows_the_path_is_of_the_steering(

@@ -66,7 +66,7 @@ def test_json_without_rows_of_numbers_is_told_so(tmp_path):
     row = json.dumps({"channels": {"vx": list(range(40)), "r": list(range(30))}})  # a document, no row of 70
     for text in (row, '{"name": "car"}', '[{"name": "car"}]', '{"a": {"b": "c"}}\n{"a": 1', "{" + '"a":[' * 5000):
         (tmp_path / "log.json").write_text(text)
-        with pytest.raises(LogError, match="JSON without rows of numbers|cut off or damaged"):
+        with pytest.raises(LogError, match="JSON without rows of numbers"):
             open_recording(tmp_path / "log.json")
 
 

@@ -12,6 +12,7 @@ from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drafting.naming import meanings, stated_unit
 from split_cli.logs.drive import Drive
 from split_cli.logs.raw import RawChannelInfo
+from split_cli.logs.readers import json_channels
 from split_cli.logs.readers.clock_of_day import packed_clock
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
@@ -85,7 +86,10 @@ def test_a_row_of_groups_above_the_titles_says_what_short_titles_mean(tmp_path):
         assert {info.group for info in open_recording(path).channels()} == {""}
 
 
-def test_channels_of_one_name_in_a_list_are_numbered_and_none_replaces_another(tmp_path):
+@pytest.mark.parametrize("large", [False, True])
+def test_channels_of_one_name_in_a_list_are_numbered_and_none_replaces_another(large, tmp_path, monkeypatch):
+    if large:
+        monkeypatch.setattr(json_channels, "LARGEST_DOCUMENT", 10)
     names = ("speed", "yaw rate", "speed")
     content = [
         {"name": n, "unit": "m/s", "data": [float(k + 100 * p) for k in range(30)]} for p, n in enumerate(names)

@@ -1,6 +1,7 @@
 """Rows, blocks and titles made to take all memory or to go on for ever: JSON, Pi Toolbox, names of columns."""
 
 import json
+import random
 import time
 
 import numpy as np
@@ -16,8 +17,33 @@ from split_cli.logs.readers import json_document
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.frames_csv import frames_of
 from split_cli.logs.readers.guard import GuardedRecording
+from split_cli.logs.readers.json_document import JsonDocument
 from split_cli.logs.readers.objects import JsonDecoder
 from split_cli.logs.readers.opening import open_recording
+
+
+def any_value(rng: random.Random, depth: int = 0):
+    kind = rng.randrange(8 if depth < 3 else 5)
+    if kind < 5:
+        return [rng.random() * 1e5, rng.randrange(-9999, 9999), 'a,"},[\\ü', None, True][kind]
+    count = rng.randrange(4)
+    if kind == 5:
+        return [any_value(rng, depth + 1) for _ in range(count)]
+    return {f"k{n}": any_value(rng, depth + 1) for n in range(count)}
+
+
+@pytest.mark.parametrize("piece", [1, 2, 7, 100, 10_000])
+def test_a_document_in_pieces_holds_what_it_holds_as_a_whole(tmp_path, monkeypatch, piece):
+    """The oracle is json.loads; cuts fall within numbers, texts and marks."""
+    monkeypatch.setattr(json_document, "PIECE", piece)
+    rng = random.Random(piece)
+    path = tmp_path / "a.json"
+    for _ in range(25):
+        lists = {f"k{n}": [any_value(rng) for _ in range(rng.randrange(30))] for n in range(3)}
+        written = rng.choice([lists, lists["k0"], {"name": "a", **lists, "end": {"x": [1]}}])
+        path.write_text(json.dumps(written, ensure_ascii=rng.random() < 0.5, indent=rng.choice([None, 1])))
+        found = {key: list(elements) for key, elements in JsonDocument(path).lists()}
+        assert found == ({"": written} if isinstance(written, list) else lists)
 
 
 def test_a_list_whose_rows_share_no_field_is_refused_while_it_is_listed(tmp_path):
@@ -29,20 +55,12 @@ def test_a_list_whose_rows_share_no_field_is_refused_while_it_is_listed(tmp_path
 
 
 @pytest.mark.parametrize("end", ["", ',{"t":', ',{"t":1]', "," + "[" * 100_000, ',{"t":' + "9" * 5000 + "}]"])
-def test_a_document_that_is_cut_off_or_damaged_is_told_so(tmp_path, end):
+def test_a_document_that_is_cut_off_is_read_up_to_there(tmp_path, end):
     path = tmp_path / "a.json"
     path.write_text('{"car":"A7","rows":[' + ",".join(f'{{"t":{n},"vx":2}}' for n in range(100)) + end)
-    with pytest.raises(LogError, match="cut off or damaged"):
-        open_recording(path)
-
-
-def test_a_document_is_held_up_to_a_size_and_told_what_may_be_longer(tmp_path, monkeypatch):
-    path = tmp_path / "a.json"
-    path.write_text("[" + ",".join(f'{{"t":{n},"vx":2}}' for n in range(100)) + "]")
-    assert list(open_recording(path).read(["t"])["t"].values) == list(range(100))
-    monkeypatch.setattr(json_document, "LARGEST_DOCUMENT", 100)
-    with pytest.raises(LogError, match="JSON lines"):
-        open_recording(path)
+    recording = open_recording(path)
+    assert list(recording.read(["t"])["t"].values) == list(range(100))
+    assert [note.what for note in recording.notes] == ["the document is cut off or damaged: read up to there"]
 
 
 def test_rows_that_lack_nearly_all_fields_are_refused_where_all_are_asked_for(tmp_path):

@@ -1,8 +1,9 @@
 """JSON with an object for each channel: numbers, or pairs of time and number, in a list; unit, times, rate."""
 
+import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.logs.readers.delimited import seconds_of
-from split_cli.logs.readers.json_document import plain_number
+from split_cli.logs.readers.json_document import JsonDocument, parsed, plain_number
+from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit
 
 _VALUES = ("data", "values", "samples", "value", "y")
@@ -30,18 +32,28 @@ _PERIODS = ("period", "dt", "interval", "sample_time")
 _DEEPEST = 3
 _SHORTEST_SERIES = 8
 """Pairs of time and value that make a series [1]: positions and sizes come in twos as well."""
+LARGEST_DOCUMENT = 32 << 20
+"""Of a document that is held as a whole [bytes]: objects take ten times as much memory."""
 _BEGINNING = 1 << 16
-_HAS_LISTS = re.compile(rb'"(data|values|samples|value|y|times?|timestamps?)"\s*:\s*\[|:\s*\[\s*\[', re.IGNORECASE)
 _Named = list[tuple[str, Mapping[str, Any]]]
 """Channels with their names, which may occur twice."""
 
 
-def open_json_channels(path: Path, document: Any) -> RawRecording | None:
-    """Open a document of this form, which was read from `path`; None if it has another."""
+def open_json_channels(path: Path) -> RawRecording | None:
+    """Open a document of this form; None if it has another.
+
+    One too large to be held as a whole is read list by list.
+    """
     with path.open("rb") as stream:
-        if not _HAS_LISTS.search(stream.read(_BEGINNING)):
+        begins = stream.read(_BEGINNING)
+        if not re.search(
+            rb'"(data|values|samples|value|y|times?|timestamps?)"\s*:\s*\[|:\s*\[\s*\[', begins, re.IGNORECASE
+        ):
             return None
-    channels = next(_groups(document, 0), None)
+        large = path.stat().st_size > LARGEST_DOCUMENT
+        document = None if large else parsed(begins + stream.read())
+    notes: list[ReadNote] = []
+    channels = _groups_of_lists(path, notes) if large else next(_groups(document, 0), None)
     if channels is None:
         return None
     refuse_many_columns(len(channels), path.name)
@@ -53,8 +65,68 @@ def open_json_channels(path: Path, document: Any) -> RawRecording | None:
         stated = next((str(channel[key]) for key in channel if key.lower() in ("unit", "units")), unit or "")
         known = find_unit(stated) if stated else None
         signals[name] = RawSignal(name, time, values, known.symbol if known else stated or None)
-    numbered = ReadNote("channel names that occur twice, numbered", path.name, unique.renamed)
-    return TableRecording(path.name, path, signals, notes=[numbered] if unique.renamed else [])
+    if unique.renamed:
+        notes.append(ReadNote("channel names that occur twice, numbered", path.name, unique.renamed))
+    return TableRecording(path.name, path, signals, notes=notes)
+
+
+def _groups_of_lists(path: Path, notes: list[ReadNote]) -> _Named | None:
+    """Return the channels of a long document with their names, and arrays for their lists; None of another form.
+
+    They stand in an object by their names, or in a list with their names inside.
+
+    Where it is damaged the channels before count, and a note says so.
+    """
+    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    try:
+        for place, item in JsonDocument(path).items(_DEEPEST + 1):
+            own = place[-1].lower() if place else ""
+            refuse_many_columns(len(found), path.name)
+            if not isinstance(item, Iterator):
+                if own:
+                    found.setdefault(place[:-1], {})[place[-1]] = item
+                continue
+            first = list(itertools.islice(item, _SHORTEST_SERIES))
+            rest = itertools.chain(first, item)
+            if is_series(first):
+                channel = found.setdefault(place[:-1] if own in _VALUES else place, {})
+                channel[_VALUES[0]], channel[_TIMES[0]] = _grown(rest, (1, 0))
+            elif own in (*_VALUES, *_TIMES) and not any(isinstance(one, dict) for one in first):
+                found.setdefault(place[:-1], {})[place[-1]] = _grown(rest, (None,))[0]
+            elif isinstance(first[0] if first else None, dict) and is_channel(first[0]):
+                found |= {(*place, f"[{k}]"): _with_arrays(one) for k, one in enumerate(rest) if _is_object(one)}
+    except (ValueError, RecursionError):
+        notes.append(ReadNote("the document is cut off or damaged: only channels before that are read", path.name))
+    held = {place: one for place, one in found.items() if place and _key(one, _VALUES) is not None}
+    # An object of a list is called by the name inside, others by their key.
+    channels = [(str(one.get(_key(one, _NAMES) or "", place[-1])) if place[-1].startswith("[") else place[-1], one)
+                for place, one in held.items()]  # fmt: skip
+    channels = [(name, one) for name, one in channels if np.size(one[_key(one, _VALUES)]) > 1]
+    return channels if len(channels) > 1 else None
+
+
+def _is_object(one: Any) -> bool:
+    return isinstance(one, dict) and _holds_numbers(one)
+
+
+def _with_arrays(channel: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a channel with arrays for its values and times, which take a tenth of the memory."""
+    if is_series(channel[_key(channel, _VALUES)]):
+        time, values = _samples(channel)
+        return {**channel, _key(channel, _VALUES): values, _TIMES[0]: time}
+    return {key: _numbers(one) if isinstance(one, list) and key.lower() in (*_VALUES, *_TIMES) else one
+            for key, one in channel.items()}  # fmt: skip
+
+
+def _grown(elements: Iterator[Any], places: Sequence[int | None]) -> list[np.ndarray]:
+    """Return the numbers of a list, or those at some places of its pairs, shape (N,) each."""
+    columns = [GrowingColumn() for _ in places]
+    while piece := list(itertools.islice(elements, 1 << 14)):
+        for column, place in zip(columns, places, strict=True):
+            if place is not None:
+                piece_of = [pair[place] if isinstance(pair, list) and len(pair) == 2 else None for pair in piece]
+            column.append(_numbers(piece if place is None else piece_of))
+    return [column.finished() for column in columns]
 
 
 def _groups(node: Any, depth: int) -> Iterator[_Named]:
@@ -112,6 +184,8 @@ def is_series(values: Any) -> bool:
 def _samples(channel: Mapping[str, Any]) -> tuple[np.ndarray | None, np.ndarray]:
     """Return times [s], None where the channel has none, and values of a channel, shapes (N,)."""
     values = channel[_key(channel, _VALUES)]
+    if isinstance(values, np.ndarray):
+        return _clock(channel, len(values)), values
     if not is_series(values):
         return _clock(channel, len(values)), _numbers(values)
     pairs = [pair if isinstance(pair, list) and len(pair) == 2 else (math.nan, math.nan) for pair in values]
@@ -131,8 +205,8 @@ def _numbers(values: list[Any]) -> np.ndarray:
 def _clock(channel: Mapping[str, Any], count: int) -> np.ndarray | None:
     """Return the times of a channel [s], by its own list, its rate or its period; None where it has neither."""
     key = _key(channel, _TIMES)
-    if key is not None and isinstance(channel[key], list) and len(channel[key]) == count:
-        time = _numbers(channel[key])
+    if key is not None and isinstance(channel[key], list | np.ndarray) and len(channel[key]) == count:
+        time = channel[key] if isinstance(channel[key], np.ndarray) else _numbers(channel[key])
         return time * find_unit(unit_of_time(time)).factor
     for names, power in ((_RATES, -1.0), (_PERIODS, 1.0)):
         stated = channel.get(_key(channel, names) or "")

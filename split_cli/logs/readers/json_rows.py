@@ -2,7 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,8 @@ from split_cli.logs.raw import (
     note_once,
 )
 from split_cli.logs.readers.delimited import seconds_of
-from split_cli.logs.readers.json_channels import is_channel, open_json_channels
-from split_cli.logs.readers.json_document import LONGEST_ELEMENT, parsed, read_document
+from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, is_channel, open_json_channels
+from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
 
@@ -62,8 +63,7 @@ def open_json(path: Path) -> RawRecording:
         more = any(not line.isspace() for line in iter(lambda: stream.readline(LONGEST_ELEMENT), b""))
     # A file with one object is a document: as a row it would have one time only.
     if not (isinstance(first, dict) and more):
-        document = read_document(path)
-        return open_json_channels(path, document) or _whole(path, document)
+        return open_json_channels(path) or _whole(path)
     notes: list[ReadNote] = []
     beginning = list(itertools.islice(_rows(path, []), _LISTED_ROWS))
     named = open_named_rows(path, beginning, _rows(path, notes))
@@ -143,30 +143,39 @@ def _names_of(rows: Iterable[dict[str, Any]], path: Path) -> list[str]:
     return list(known)
 
 
-def _lists(document: Any) -> dict[str, list[Any]]:
-    """Return the lists of a document by their keys, with no key where it is one; none that is empty."""
-    lists = document.items() if isinstance(document, dict) else (("", document),)
-    return {key: one for key, one in lists if isinstance(one, list) and one and one[0] is not None}
-
-
-def _whole(path: Path, document: Any) -> RawRecording:
+def _whole(path: Path) -> RawRecording:
     """Open a document in one piece: a list of objects, or an object with a list for each column or one of rows."""
-    lists = _lists(document)
-    rows_of = {key: len(one) for key, one in lists.items() if isinstance(one[0], dict)}
-    columns_of = {key: len(one) for key, one in lists.items() if not isinstance(one[0], dict | list)}
+    rows_of, columns_of = Counter[str](), Counter[str]()
+    notes: list[ReadNote] = []
+    try:
+        for key, elements in JsonDocument(path).lists():
+            first = next(elements, None)
+            counts = rows_of if isinstance(first, dict) else columns_of
+            if len(counts) < MOST_FIELDS and not isinstance(first, list) and first is not None:
+                passed = itertools.count(1)
+                try:
+                    deque(zip(elements, passed, strict=False), maxlen=0)
+                finally:  # of a document that is cut off, what stands before counts
+                    counts[key] = next(passed)
+    except (ValueError, RecursionError):
+        notes.append(ReadNote("the document is cut off or damaged: read up to there", path.name))
     lengths = [length for length in columns_of.values() if length > 1]
     if "" not in columns_of and _are_columns(lengths):
         longest = max(lengths)
-        return _columns(path, {key: lists[key] for key, length in columns_of.items() if length == longest})
+        return _columns(path, [key for key, length in columns_of.items() if length == longest], longest, notes)
     if not rows_of:
         raise _no_rows(path)
     chosen = max(rows_of, key=lambda key: rows_of[key])
 
     def rows() -> Iterator[dict[str, Any]]:
-        yield from (row for row in _lists(read_document(path))[chosen] if isinstance(row, dict))
+        for key, elements in JsonDocument(path).lists():
+            if key == chosen:
+                whole = itertools.islice(elements, rows_of[key])
+                yield from (row for row in whole if isinstance(row, dict))
+                return
 
-    _refuse_columns_in_rows(lists[chosen][0], chosen, rows_of[chosen], path)
-    return _table(path, _names_of(rows(), path), rows, [])
+    _refuse_columns_in_rows(next(rows(), {}), chosen, rows_of[chosen], path)
+    return _table(path, _names_of(rows(), path), rows, notes)
 
 
 def _refuse_columns_in_rows(row: dict[str, Any], key: str, count: int, path: Path) -> None:
@@ -187,15 +196,26 @@ def _refuse_columns_in_rows(row: dict[str, Any], key: str, count: int, path: Pat
     )
 
 
-def _columns(path: Path, lists: Mapping[str, list[Any]]) -> RawRecording:
+def _columns(path: Path, keys: Sequence[str], length: int, notes: list[ReadNote]) -> RawRecording:
     """Return a recording of the lists of an object, all of one length."""
     signals, unique = {}, UniqueNames()
-    for key, elements in lists.items():
+    wanted = set(keys)
+    for key, elements in JsonDocument(path).lists():
+        if not wanted:
+            break  # what comes after may be damaged
+        if key not in wanted:
+            continue
+        wanted.remove(key)
+        column = GrowingColumn()
+        numbers = map(_number, itertools.islice(elements, length))
+        while len(piece := np.fromiter(itertools.islice(numbers, _ROWS_AT_ONCE), dtype=float)):
+            column.append(piece)
         own, unit = column_name_and_unit(key)
         own = unique.of(own or key)
-        signals[own] = RawSignal(own, None, np.fromiter(map(_number, elements), dtype=float), unit)
-    numbered = ReadNote("column names that occur twice, numbered", path.name, unique.renamed)
-    return TableRecording(path.name, path, signals, notes=[numbered] if unique.renamed else [])
+        signals[own] = RawSignal(own, None, column.finished(), unit)
+    if unique.renamed:
+        notes.append(ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
+    return TableRecording(path.name, path, signals, notes=notes)
 
 
 def _rows(path: Path, notes: list[ReadNote]) -> Iterator[dict[str, Any]]:
@@ -262,6 +282,14 @@ def _are_columns(lengths: Sequence[int]) -> bool:
 
 
 def _no_rows(path: Path) -> LogError:
+    if path.stat().st_size > LARGEST_DOCUMENT:
+        what = f"is one JSON document of more than {LARGEST_DOCUMENT >> 20} MB without a list of rows of numbers"
+        advice = (
+            "Beyond that size rows are read from one list, and channels by their names, "
+            '{"speed": {"values": [...]}}: write it so, '
+            "or a shorter stretch, or CSV or Parquet."
+        )
+        return LogError(what, where=path.name, advice=advice)
     advice = (
         "Write one object a line, each with its time; or an object for each channel, with its name and the list "
         "`values`; or CSV or Parquet."
