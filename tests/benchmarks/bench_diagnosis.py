@@ -1,0 +1,65 @@
+"""One explanation of a diagnosis evaluated while a fit moves one of its parameters, against the same anew.
+
+Run ``python -m tests.benchmarks.bench_diagnosis``. Times are the least of many in one process on one core, and
+each row is a ratio of two of them, so that neighbours on the machine count little.
+"""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import pickle
+import time
+
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.parallel import use_threads
+from split_cli.vehicle.effects import CATALOGUE, Term
+from tests.diagnosis.recordings import driven, noisy_objective
+
+_TURNS = 40
+#: Term, parameter that moves, its step: a tyre beside sensors, an accelerometer, a sensor of velocity.
+_MOVED = (("tire_stiffness", "front_scale", 1e-4), ("acceleration_bias", "ax", 1e-4), ("yaw_rate_bias", "r", 1e-6))
+_BEGIN = {
+    "tire_stiffness": {"front_scale": 0.9, "rear_scale": 1.1},
+    "acceleration_bias": {"ax": 0.1, "ay": 0.1},
+    "yaw_rate_bias": {"r": 0.002},
+    "velocity_bias": {"angle": 0.004, "drift": 1e-4},
+}
+
+
+def explanation(term: str, parameter: str, by: float) -> list[Term]:
+    """Return all terms, one of them with one parameter moved."""
+    begin = {name: dict(values) for name, values in _BEGIN.items()}
+    begin[term][parameter] += by
+    return [CATALOGUE[name](values) for name, values in begin.items()]
+
+
+def least_seconds(objective: MarginalLikelihood, moved: tuple[str, str, float], *, anew: bool) -> float:
+    """Return the least time of an evaluation [s], each of other values; `anew` with nothing kept from before."""
+    term, parameter, step = moved
+    best = float("inf")
+    for turn in range(_TURNS):
+        terms = explanation(term, parameter, (turn + 1) * step)
+        # What travels forgets; the flow without any term, which every search has, is made again.
+        here = pickle.loads(pickle.dumps(objective)) if anew else objective
+        if anew:
+            here.left_by([])
+        begun = time.perf_counter()
+        here.left_by(terms)
+        best = min(best, time.perf_counter() - begun)
+    return best
+
+
+def main() -> None:
+    """Print a row a parameter that moves."""
+    use_threads(1)
+    objective = noisy_objective(driven(41, []), 3)
+    print("| moved | anew [ms] | beside what is kept [ms] | ratio |\n|---|---|---|---|")
+    for moved in _MOVED:
+        anew, kept = (1e3 * least_seconds(objective, moved, anew=one) for one in (True, False))
+        print(f"| `{moved[0]}` | {anew:.2f} | {kept:.2f} | {kept / anew:.2f} |")
+
+
+if __name__ == "__main__":
+    main()
