@@ -5,8 +5,8 @@ import pytest
 
 from split_cli.diagnosis.search.every_car import explanation_of_every_car, is_shown, physics_of_every_car
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.selection import nothing, without_parts
+from split_cli.diagnosis.search.fitting import Part, fit_parts, without_parts
+from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import Recording, first_order_response
 from tests.diagnosis.recordings import candidates_of, driven, noisy_objective

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Part, Prior, fit_parts, fit_with_prior
+from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior
 from split_cli.diagnosis.search.joint import (
     _blocks,
     _everything_from,
@@ -14,7 +14,9 @@ from split_cli.diagnosis.search.joint import (
     _PartColumns,
     _worth,
     all_at_once,
+    at_its_least,
     cheapest_first,
+    near_none,
     promised_by_all,
     promised_without_several,
     without_needless,
@@ -24,6 +26,14 @@ from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, late, noisy_objective
 
 VARIANCE_INFLATION = 1.5
+
+
+def evaluated(objective, parts) -> Fit:
+    """Return parts at the values they have, not fitted."""
+    residuals = objective.whiten(objective.left_by([part.term for part in parts]))
+    return Fit(tuple(parts), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
+
+
 TRUE = {
     "aero_drag": {"drag": 0.6},
     "yaw_inertia": {"scale": 1.15},
@@ -51,6 +61,19 @@ def test_terms_that_a_wrong_beginning_hides_are_found(explore):
     assert explore.price(found) < explore.price(begun)
     # What is whole promises no more than chance gives the columns that are tried.
     assert promised_by_all(explore, found) < 3.0 * explore.rules.price
+
+
+def test_no_part_hinders_an_explanation_that_is_at_its_least(explore):
+    """A fit that ended with a downforce far off costs more than without it; begun again it does not."""
+    base, (hinders,) = nothing(explore.objective), candidates_of(explore.objective, "aero_downforce")[:1]
+    true = [Part(one, TRUE[one.term]) for one in explore.candidates if one.term in TRUE and not one.variant]
+    stuck = evaluated(explore.objective, (*true, Part(hinders, dict(hinders.starts[0]))))
+    assert fit_parts(explore.objective, true).cost < stuck.cost
+    fit, without = at_its_least(explore, base, stuck)
+    assert fit.cost < stuck.cost and [part.candidate for part in fit.parts] == [p.candidate for p in stuck.parts]
+    assert min(one.cost for one in without) > fit.cost - explore.rules.tie * explore.variance_inflation
+    least = fit_parts(explore.objective, (*true, near_none(stuck.parts[-1])))
+    assert fit.cost == pytest.approx(least.cost, rel=1e-3)
 
 
 def test_a_valley_that_lies_far_from_no_effect_is_begun_in():

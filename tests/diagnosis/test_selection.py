@@ -14,7 +14,7 @@ from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit, Part, fit_parts
+from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit, Part, fit_parts, without_parts
 from split_cli.diagnosis.search.form_error import saved_beside_form_error
 from split_cli.diagnosis.search.forward import other_beginnings
 from split_cli.diagnosis.search.selection import (
@@ -23,7 +23,6 @@ from split_cli.diagnosis.search.selection import (
     nothing,
     rivals_of,
     select_terms,
-    without_parts,
 )
 from split_cli.diagnosis.search.term_tests import is_form_error, term_p, term_size
 from split_cli.vehicle.effects import CATALOGUE, Term

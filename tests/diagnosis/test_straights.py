@@ -8,8 +8,9 @@ import pytest
 
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.straights import angle_of_straights
-from split_cli.diagnosis.search.fitting import Part
-from split_cli.diagnosis.verdict.findings import _confirmed_by_straights
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.off_centre import confirmed_by_straights, with_offset_of_straights
+from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 from tests.factories import road_car
@@ -50,11 +51,37 @@ def test_straights_confirm_the_offset_that_they_have_and_no_other(series):
     (one,) = candidates_of(objective, "steer_offset")
 
     def confirmed(offset: float) -> set[str]:
-        chosen = SimpleNamespace(parts=(Part(one, {"offset": offset}),))
-        return _confirmed_by_straights(objective, SimpleNamespace(chosen=chosen))
+        return confirmed_by_straights(objective, SimpleNamespace(parts=(Part(one, {"offset": offset}),)))
 
     assert confirmed(1.1 * OFFSET) == {"steer_offset"}
     assert not confirmed(-OFFSET) and not confirmed(3.0 * OFFSET)
+
+
+def test_an_offset_that_a_search_passed_over_is_added_where_straights_show_it(series):
+    """A lean of the road had taken its place; a search that ends without either gets it, too."""
+    objective = bare_objective(light_evidence(series))
+    candidates = candidates_of(objective, "steer_offset", "road_bank")
+    for parts in ((), (Part(candidates[1], {"angle": 0.02}),)):
+        chosen = fit_parts(objective, parts)
+        passed_over = Selection(
+            nothing(objective), chosen, (nothing(objective),) * len(parts), ((),) * len(parts), ((),) * len(parts),
+            (True,) * len(parts),
+        )  # fmt: skip
+        found = with_offset_of_straights(objective, passed_over, candidates, 1.5)
+        assert found.terms[-1].id == "steer_offset" and len(found.without) == len(found.named) == len(parts) + 1
+        assert found.chosen.parts[-1].values["offset"] == pytest.approx(OFFSET, rel=0.3)
+        assert with_offset_of_straights(objective, found, candidates, 1.5) is found
+
+
+def test_no_offset_is_added_to_a_car_that_goes_straight():
+    """Its terms are symmetric, so that straights show chance alone."""
+    softer = CATALOGUE["tire_stiffness"]({"front_scale": 0.7, "rear_scale": 1.0})
+    objective = bare_objective(light_evidence(prepared(noisy(driven(45, [softer], seconds=16.0), 545))))
+    candidates = candidates_of(objective, "steer_offset")
+    empty = nothing(objective)
+    assert (
+        with_offset_of_straights(objective, Selection(empty, empty, (), (), (), ()), candidates, 1.5).named == ()
+    )
 
 
 LEAN = 0.1
@@ -77,5 +104,5 @@ def test_an_angle_that_a_leaning_road_takes_confirms_no_offset():
     objective = bare_objective(light_evidence(series))
     (one,) = candidates_of(objective, "steer_offset")
     chosen = SimpleNamespace(parts=(Part(one, {"offset": -told.angle}),))
-    assert not _confirmed_by_straights(objective, SimpleNamespace(chosen=chosen))
+    assert not confirmed_by_straights(objective, chosen)
     assert angle_of_straights([prepared(noisy(drive, 543))], road_car()).lean == pytest.approx(0.245, abs=0.001)

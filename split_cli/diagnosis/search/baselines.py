@@ -29,6 +29,7 @@ from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
+from split_cli.diagnosis.search.off_centre import with_offset_of_straights
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms
 from split_cli.diagnosis.search.term_tests import is_witnessed, term_p, witnessed_p
 from split_cli.diagnosis.search.variant_choice import with_variants_by_rollout
@@ -75,7 +76,8 @@ def search(
     progress("naming")
     first = _search(objective, candidates, known)
     if known.ratio <= policy.selection.much_over_noise:
-        return first
+        asked = first.structure.objective, first.selection, candidates, first.variance_inflation
+        return replace(first, selection=with_offset_of_straights(*asked))
     progress("naming with a fixed baseline")
     again = search_again(case, candidates, objective, reach=reach)
     found = settled(first, again, policy.selection)

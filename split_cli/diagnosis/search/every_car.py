@@ -14,7 +14,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fit_with_prior
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
 from split_cli.diagnosis.search.forward import goes_too_far, refusal, sizes_with_form_error
-from split_cli.diagnosis.search.joint import near_none, prior_of, without_needless
+from split_cli.diagnosis.search.joint import at_its_least, near_none, prior_of, without_needless
 from split_cli.diagnosis.search.term_tests import is_form_error, is_witnessed, sizes_in_velocity
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -56,7 +56,8 @@ def physics_of_every_car(explore: Explorer, nothing: Fit) -> Fit:
     parts = [near_none(one.part) for one in lines]
     priors = [prior_of(part.candidate, explore.rules.deviations) for part in parts]
     fit, _ = fit_with_prior(explore.objective, parts, priors)
-    return without_needless(explore, _in_best_variants(explore, fit_parts(explore.objective, fit.parts)))
+    whole = without_needless(explore, _in_best_variants(explore, fit_parts(explore.objective, fit.parts)))
+    return at_its_least(explore, nothing, whole)[0]
 
 
 def _in_best_variants(explore: Explorer, fit: Fit) -> Fit:

@@ -123,6 +123,12 @@ def fits_without(objective: MarginalLikelihood, fit: Fit, numbers: Iterable[int]
     return map_distributed_with(objective, refitted, [(parts, fit) for parts in fewer])
 
 
+def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[Fit, ...]:
+    """Return an explanation refitted without each of its parts; `base` is the one without any."""
+    several = len(fit.parts) > 1
+    return tuple(fits_without(objective, fit, range(len(fit.parts)))) if several else (base,) * len(fit.parts)
+
+
 def fit_with_prior(
     objective: MarginalLikelihood, parts: Sequence[Part], priors: Sequence[Mapping[str, Prior]]
 ) -> tuple[Fit, np.ndarray]:

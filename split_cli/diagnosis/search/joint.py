@@ -24,6 +24,7 @@ from split_cli.diagnosis.search.fitting import (
     fit_with_prior,
     fits_without,
     sensitivity_of,
+    without_parts,
 )
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -92,6 +93,25 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
             break
         fit = best
     return fit
+
+
+def at_its_least(explore: Explorer, nothing: Fit, fit: Fit) -> tuple[Fit, tuple[Fit, ...]]:
+    """Return an explanation and what is left without each of its parts, none of which costs less.
+
+    More parameters never cost more where a cost is least. Where they do, the fit ended in another valley. Then it
+    begins again from what is left without the part that hinders most, with that part near no effect.
+    """
+    tie = explore.rules.tie * explore.variance_inflation
+    while True:
+        without = without_parts(explore.objective, nothing, fit)
+        best = min(without, key=lambda one: one.cost, default=fit)
+        if best.cost > fit.cost - tie:
+            return fit, without
+        k = without.index(best)
+        again = fit_parts(explore.objective, (*best.parts[:k], near_none(fit.parts[k]), *best.parts[k:]))
+        if again.cost > fit.cost - tie:
+            return fit, without
+        fit = again
 
 
 def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:

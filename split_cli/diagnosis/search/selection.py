@@ -20,7 +20,7 @@ from split_cli.diagnosis.search.exchange import (
     with_fewer_parts,
 )
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, fit_parts, fits_without
+from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
 from split_cli.diagnosis.search.forward import (
     Found,
@@ -30,7 +30,7 @@ from split_cli.diagnosis.search.forward import (
     search_forward,
     sizes_with_form_error,
 )
-from split_cli.diagnosis.search.joint import all_at_once, cheapest_first, promised_by_all
+from split_cli.diagnosis.search.joint import all_at_once, at_its_least, cheapest_first, promised_by_all
 from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_part
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
@@ -325,7 +325,7 @@ def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
 def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
     """Compare an explanation with what is left without each part; its rivals are not asked for yet."""
     objective, rules = explore.objective, explore.rules
-    without = without_parts(objective, base, chosen)
+    chosen, without = at_its_least(explore, base, chosen)
     level = rules.level / len(explore.candidates)
     sure = [
         (
@@ -405,12 +405,6 @@ def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[
         if saved > most:
             best, most = fit, saved
     return best, most
-
-
-def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[Fit, ...]:
-    """Return an explanation refitted without each of its parts; `base` is the one without any."""
-    several = len(fit.parts) > 1
-    return tuple(fits_without(objective, fit, range(len(fit.parts)))) if several else (base,) * len(fit.parts)
 
 
 def explaining_as_well(

@@ -9,14 +9,14 @@ import numpy as np
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
 from split_cli.diagnosis.recording.screening import measures
-from split_cli.diagnosis.recording.straights import angle_of_straights
 from split_cli.diagnosis.remainder.autocorrelation import ResidualAutocorrelation, residual_autocorrelation
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, without_parts
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
-from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well, without_parts
+from split_cli.diagnosis.search.off_centre import confirmed_by_straights
+from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import (
     Combination,
@@ -122,31 +122,13 @@ def confirmed_by_witnesses(objective: MarginalLikelihood, selection: Selection) 
 
     Those are sensors' faults that take a fair share of what witnesses contradict, and a steer offset on straights.
     """
-    confirmed, rules = _confirmed_by_straights(objective, selection), objective.policy.selection
+    confirmed, rules = confirmed_by_straights(objective, selection.chosen), objective.policy.selection
     after = objective.witnesses_cost(selection.chosen.residuals)
     for part, without in zip(selection.chosen.parts, selection.without, strict=True):
         before = objective.witnesses_cost(without.residuals)
         if part.term.corrects and before - after > rules.fair_share * before:
             confirmed.add(part.candidate.term)
     return confirmed
-
-
-def _confirmed_by_straights(objective: MarginalLikelihood, selection: Selection) -> set[str]:
-    """Return a steer offset without which the car would not go straight, see `angle_of_straights`.
-
-    It agrees as far as witnesses of a sensor's fault have to. A simulation's straights are not asked.
-    """
-    policy, evidence = objective.policy, objective.evidence
-    parts = [part for part in selection.chosen.parts if part.candidate.term == "steer_offset"]
-    if objective.posterior is not None or not parts:
-        return set()
-    known = angle_of_straights([one.series for one in evidence], evidence[0].vehicle, policy.screening)
-    if known is None or abs(known.angle) <= policy.comparison.deviations * known.error:
-        return set()
-    # The wheels stand straight where the recorded angle and the offset add up to none, however the road leans.
-    agree, offset = policy.self_test.term_margin, parts[0].values["offset"]
-    shares = [-(known.angle + sign * known.by_road) / offset for sign in (-1.0, 1.0)]
-    return {"steer_offset"} if all(1.0 / agree < one < agree for one in shares) else set()
 
 
 def _stays_beside(
