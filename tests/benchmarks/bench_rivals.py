@@ -37,7 +37,6 @@ from split_cli.export.validity import valid_function  # noqa: E402
 from split_cli.learning.cells import without_points  # noqa: E402
 from split_cli.learning.iol import Dictionary  # noqa: E402
 from split_cli.learning.online import OnlineSet  # noqa: E402
-from split_cli.learning.reference import PrintedLearner  # noqa: E402
 from split_cli.prediction import make_predictor  # noqa: E402
 from split_cli.prediction.online import OnlineCommittee  # noqa: E402
 from split_cli.prediction.online_process import OnlineProcess  # noqa: E402
@@ -47,6 +46,7 @@ from tests.benchmarks.gpytorch_rival import gpytorch_rows  # noqa: E402
 from tests.benchmarks.rival_stream import SLOW_QUERIES, Row, Stream, accuracy, each, percentiles, spent, stream_of  # noqa: E402
 from tests.benchmarks.streaming_rivals import log_gp_rows, sky_gp_rows  # noqa: E402
 from tests.factories import make_labels  # noqa: E402
+from tests.printed_learner import PrintedLearner  # noqa: E402
 
 _TIMER = """
 #include "@NAME@.h"

@@ -13,10 +13,10 @@ from split_cli.learning.cells import empty_set, extend, learn, recompute_gains
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import Kernel, correlation
 from split_cli.learning.labels import Reason
-from split_cli.learning.reference import PrintedLearner
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.training_set import TrainingSet
 from tests.factories import make_labels, make_training_set, road_car, smooth_residual, valid_features
+from tests.printed_learner import PrintedLearner
 
 CAR = road_car()
 

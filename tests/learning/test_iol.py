@@ -11,12 +11,12 @@ from split_cli.errors import SetError
 from split_cli.learning.cells import empty_set, extend
 from split_cli.learning.iol import Dictionary, empty_dictionary, extend_dictionary
 from split_cli.learning.kernel import Kernel, correlation
-from split_cli.learning.reference import PrintedLearner
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.verifying.verify import verify
 from tests.factories import make_drive, make_labels, make_training_set, road_car, smooth_residual, valid_features
+from tests.printed_learner import PrintedLearner
 
 
 @pytest.mark.parametrize(("capacity", "forgetting"), [(25, None), (25, 30.0), (1, None), (150, None), (60, 8.0)])
