@@ -1,4 +1,4 @@
-"""The paper's update of a cell as printed (one inversion a point, M an update): the slow reference of the learners."""
+"""The paper's update of a cell as printed: one inversion a point, M an update. The slow reference of others."""
 
 from dataclasses import dataclass, field
 

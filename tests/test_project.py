@@ -18,9 +18,11 @@ ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 # Names of packages whose module is called otherwise.
 MODULES = {
-    "pyyaml": "yaml", "mcap-ros2-support": "mcap_ros2", "mcap-protobuf-support": "mcap_protobuf",
+    "pyyaml": "yaml",
+    "mcap-ros2-support": "mcap_ros2",
+    "mcap-protobuf-support": "mcap_protobuf",
     "commonroad-vehicle-models": "vehiclemodels",
-}  # fmt: skip
+}
 
 
 @cache

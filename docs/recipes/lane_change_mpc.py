@@ -168,9 +168,7 @@ def simulated_car(folder: Path, name: str, speed: float, seed: int = 0, grip: fl
     x, y, yaw = truth[:, 1], truth[:, 2], truth[:, 3]
     hit = cones_hit(scenario.cones, x, y, yaw, *body_ends(car), body_width(car))
     between = (x >= 0.0) & (x <= scenario.lanes[-1].end)
-    return LaneChange(
-        float(np.abs(y - line(x)[0])[between].max()), int(hit.sum()), 1e3 * float(np.median(spent))
-    )  # fmt: skip
+    return LaneChange(float(np.abs(y - line(x)[0])[between].max()), int(hit.sum()), 1e3 * float(np.median(spent)))
 
 
 def main() -> None:

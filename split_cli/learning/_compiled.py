@@ -30,8 +30,8 @@ def _correlation(a: ndarray, b: ndarray, inverse_scales: ndarray) -> float:
 
 @compiled(cache=True)
 def _refresh(
-    z: ndarray, n: int, first: int, inverse_scales: ndarray, low: ndarray, inverse: ndarray, gamma: ndarray,
-) -> int:  # fmt: skip
+    z: ndarray, n: int, first: int, inverse_scales: ndarray, low: ndarray, inverse: ndarray, gamma: ndarray
+) -> int:
     """Recompute a cell from its points: L^-1 of K = L L^T, and gamma_i = 1/[K^-1]_ii.
 
     Points before `first` are as they were when `low` and `inverse` were made without jitter: their rows stay, to
@@ -91,8 +91,8 @@ def _least(gamma: ndarray, clock: ndarray, n: int, now: float, forgetting: float
 
 @compiled(cache=True)
 def _exceeds(
-    z: ndarray, points: ndarray, n: int, inverse_scales: ndarray, inverse: ndarray, k: ndarray, bound: float,
-) -> bool:  # fmt: skip
+    z: ndarray, points: ndarray, n: int, inverse_scales: ndarray, inverse: ndarray, k: ndarray, bound: float
+) -> bool:
     """Return whether 1 - |L^-1 k|^2 exceeds `bound`.
 
     The sum of squares only grows, also in floating point, so a sample is turned away as soon as the partial sum

@@ -179,9 +179,8 @@ def jacobian(
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def weighted_sum(
-    z: ndarray, points: ndarray, weights: ndarray, offsets: ndarray, lower: ndarray, upper: ndarray,
-    reach: ndarray,
-) -> tuple[ndarray, ndarray]:  # fmt: skip
+    z: ndarray, points: ndarray, weights: ndarray, offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray
+) -> tuple[ndarray, ndarray]:
     """Return the sum of weights (P, 3) times correlations, (N, 3), and its slopes by scaled features."""
     features = z.shape[1]
     out, slope = np.zeros((z.shape[0], 3)), np.zeros((z.shape[0], 3, features))

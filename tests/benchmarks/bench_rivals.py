@@ -144,8 +144,10 @@ def projected(stream: Stream, full: np.ndarray | None) -> Row:
     make = partial(OnlineProcess, stream.trained.kernel)
     make().learn(stream.z[:1], stream.y[:1])
     process = make()
-    times = [spent(lambda at=k: process.learn(stream.z[at : at + 1], stream.y[at : at + 1]))
-             for k in range(len(stream.z))]  # fmt: skip
+    times = [
+        spent(lambda at=k: process.learn(stream.z[at : at + 1], stream.y[at : at + 1]))
+        for k in range(len(stream.z))
+    ]
     query = each(process.along, [z[None] for z in stream.queries])
     mean, variance, _ = process.along(stream.queries)
     return Row("projected, online (Python)", len(stream.z), process.count, None, *percentiles(times[10:]), *query,

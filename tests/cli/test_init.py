@@ -36,9 +36,11 @@ def test_nothing_is_overwritten(tmp_path, sample_logs):
     (tmp_path / "map.yaml").write_text("mine")
     with pytest.raises(SplitError, match="exists already"):
         CliRunner().invoke(
-            command, [str(sample_logs / "road_small_workshop.csv"), "-o", str(tmp_path)],
-            catch_exceptions=False, standalone_mode=False,
-        )  # fmt: skip
+            command,
+            [str(sample_logs / "road_small_workshop.csv"), "-o", str(tmp_path)],
+            catch_exceptions=False,
+            standalone_mode=False,
+        )
     assert (tmp_path / "map.yaml").read_text() == "mine" and not (tmp_path / "vehicle.yaml").exists()
 
 

@@ -142,8 +142,10 @@ def test_lap_0_chooses_what_is_learned():
 
 @pytest.mark.parametrize(("behind", "undecided"), [(0.9, True), (1.1, False)])
 def test_a_choice_is_undecided_within_one_standard_error(monkeypatch, behind, undecided):
-    found = [SimpleNamespace(features=name, error=0.5, behind=more, behind_error=1.0, chosen=name == "z2")
-             for name, more in (("z2,feature_lag", behind), ("z2", 0.0))]  # fmt: skip
+    found = [
+        SimpleNamespace(features=name, error=0.5, behind=more, behind_error=1.0, chosen=name == "z2")
+        for name, more in (("z2,feature_lag", behind), ("z2", 0.0))
+    ]
     monkeypatch.setattr(choice_of_features, "select", lambda *given: SimpleNamespace(candidates=found))
     choice = choose_features([None, None], read_vehicle(CAR), RaceSettings())
     assert (choice.features, choice.undecided) == ("z2", undecided)
@@ -183,8 +185,10 @@ def test_the_race_says_whether_learning_helped():
 
 def test_a_lap_0_off_the_track_asks_for_a_diagnosis_where_the_file_has_no_terms():
     car = read_vehicle(CAR)
-    off, lost, clean = (SimpleNamespace(number=0, time=time, outside=outside, clean=not outside, share=0.75)
-                        for time, outside in ((40.0, 0.2), (None, 2.0), (40.0, 0.0)))  # fmt: skip
+    off, lost, clean = (
+        SimpleNamespace(number=0, time=time, outside=outside, clean=not outside, share=0.75)
+        for time, outside in ((40.0, 0.2), (None, 2.0), (40.0, 0.0))
+    )
     assert "0.20 m outside" in what_lap_0_asks([off], car) and "split diagnose" in what_lap_0_asks([off], car)
     assert "not finished" in what_lap_0_asks([lost], car)
     assert "--p-ellipse-lap0 0.6)" in what_lap_0_asks([lost], car)

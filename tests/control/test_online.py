@@ -56,8 +56,10 @@ def test_a_lap_learned_online_is_the_lap_learned_from_its_drive(drive, empty):
     assert online.y == pytest.approx(offline.y, abs=1e-9)
     ours, theirs = online.sources[-1], offline.sources[-1]
     assert (ours.accepted, ours.insertions, ours.replacements) == (
-        theirs.accepted, theirs.insertions, theirs.replacements
-    )  # fmt: skip
+        theirs.accepted,
+        theirs.insertions,
+        theirs.replacements,
+    )
 
 
 def test_a_lap_that_was_watched_is_a_lap_that_was_driven(drive, empty):

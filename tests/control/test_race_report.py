@@ -74,8 +74,9 @@ def test_the_best_lap_is_compared_with_the_best_nominal_one():
 def test_the_best_clean_lap_of_each_learner_is_shown_at_first():
     """With one learner its first lap beside it; a lap off the track is not clean, however fast."""
     learned = race()
-    off = replace(learned, laps=(learned.laps[0], replace(learned.laps[1], outside=0.3, outside_at=87.4),
-                                 learned.laps[2]))  # fmt: skip
+    off = replace(
+        learned, laps=(learned.laps[0], replace(learned.laps[1], outside=0.3, outside_at=87.4), learned.laps[2])
+    )
     assert "0.30 at 87 m</td>" in race_page([off], off.path)
     races = [replace(learned, learner="none", laps=learned.laps[:1], traces=learned.traces[:1]), learned, off]
     for given, shown in (([learned], [0, 1]), (races, [0, 2, 6])):
@@ -132,8 +133,10 @@ def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):
     boxes = browser.find_elements("css selector", "#choice input")
     # The nominal lap and the best one are chosen at first.
     assert [box.is_selected() for box in boxes] == [True, True, False]
-    ink = "const c = document.getElementById(arguments[0]), d = c.getContext('2d').getImageData(0, 0, c.width, " \
-          "c.height).data; let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n"  # fmt: skip
+    ink = (
+        "const c = document.getElementById(arguments[0]), d = c.getContext('2d').getImageData(0, 0, c.width, "
+        "c.height).data; let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n"
+    )
     assert browser.execute_script(ink, "track") > 500
     drawn = browser.find_elements("css selector", "#chart-speed .canvas > svg path, #chart-gg .canvas > svg path")
     assert len(drawn) >= 4

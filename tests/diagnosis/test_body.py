@@ -62,8 +62,10 @@ def test_forces_are_those_of_the_slips_where_the_axles_really_are(variant):
     shift = term("cg_shift", variant, dx=AHEAD)
     there = moved_axles(car, [shift])
     found = discrepancy.rates(replace(series, smooth=ahead), weights, (shift,))
-    forces, moved = (rates @ np.linalg.inv(vehicle.force_matrix()).T for rates, vehicle in (
-        (discrepancy.rates(series, weights), car), (found, there)))  # fmt: skip
+    forces, moved = (
+        rates @ np.linalg.inv(vehicle.force_matrix()).T
+        for rates, vehicle in ((discrepancy.rates(series, weights), car), (found, there))
+    )
     np.testing.assert_allclose(moved, forces, rtol=1e-6, atol=1e-6 * np.abs(forces).max())
     stays = discrepancy.at_another_car(discrepancy.rates(replace(series, smooth=ahead), weights), series, (shift,))
     assert np.abs(stays - found).max() > 0.01 * np.abs(found).max()

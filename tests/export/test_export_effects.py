@@ -167,8 +167,10 @@ def test_a_delayed_ramp_arrives_shifted_and_linear_between_samples(exported, nam
 
 
 def test_a_delay_of_whole_steps_is_the_plain_car_with_shifted_commands(compiler, tmp_path):
-    cases = {"late": (EffectSpec("steer_delay", {"delay": 3 * STEP}), EffectSpec("drive_delay", {"delay": STEP})),
-             "plain": ()}  # fmt: skip
+    cases = {
+        "late": (EffectSpec("steer_delay", {"delay": 3 * STEP}), EffectSpec("drive_delay", {"delay": STEP})),
+        "plain": (),
+    }
     built = build_library(compiler, tmp_path, cases)
     x, commands, t, s = manoeuvre()
     shifted = np.column_stack([commands[np.maximum(np.arange(len(t)) - k, 0), c] for c, k in ((0, 1), (1, 3))])
@@ -301,8 +303,10 @@ def test_verification_covers_memory_residual_and_linearisation(compiler, tmp_pat
 
 
 MUTATIONS = {
-    "the line does not move": ("x_next[i] = k == 0 && LATE_T > 0 ? x[6] : (k == LATE_T ? x[7] : x[i - 1]);",
-                               "x_next[i] = k == 0 && LATE_T > 0 ? x[6] : (k == LATE_T ? x[7] : x[i]);"),
+    "the line does not move": (
+        "x_next[i] = k == 0 && LATE_T > 0 ? x[6] : (k == LATE_T ? x[7] : x[i - 1]);",
+        "x_next[i] = k == 0 && LATE_T > 0 ? x[6] : (k == LATE_T ? x[7] : x[i]);",
+    ),
     "shares the other way round": ("sum += share[1 + k] * line[k];", "sum += share[1 + k] * line[count - 1 - k];"),
     "a play that is let go": ("f[play[k]] = rates[k];", "f[play[k]] += ZERO * rates[k];"),
     "memory that starts at rest": ("nominal_start(in, out);\n", "nominal_start(in, out);\n    x[9] = ZERO;\n"),
@@ -310,7 +314,7 @@ MUTATIONS = {
     "slopes without the play": ("drive[play[k]] = h != ZERO ?", "drive[play[k]] = h == ZERO ?"),
     "a trust that mixes up the velocities": ("running->driven[4 * column + k % 4]", "running->driven[k]"),
     "a right-hand side without residual": ("rates[3 + o] += g[o];", "rates[3 + o] += ZERO * g[o];"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", MUTATIONS)
@@ -377,8 +381,10 @@ def test_numbers_tell_of_the_memory_and_fit_their_schema(tmp_path):
     content = json.loads((tmp_path / "car.json").read_text())
     jsonschema.validate(content, json.loads(schema_text()))
     assert content["memory"]["states"] == [
-        "steer_lag.angle [rad]", "delta of 1 step ago [rad]", "delta of 2 steps ago [rad]",
-    ]  # fmt: skip
+        "steer_lag.angle [rad]",
+        "delta of 1 step ago [rad]",
+        "delta of 2 steps ago [rad]",
+    ]
     assert content["memory"]["delays"] == {"T": 0.0, "delta": 0.08} and content["memory"]["step"] == STEP
 
 

@@ -74,11 +74,13 @@ def test_scale_offset_and_sign_do_not_matter_to_the_lag():
     [
         (lambda t, rng: (rng.standard_normal(len(t)), np.sin(t)), "explains only"),
         (lambda t, rng: (np.sin(2 * np.pi * t), np.sin(2 * np.pi * t)), "fit equally well|end of the search"),
-        (lambda t, rng: (np.sin(0.5 * (t - 3.0)) + np.sin(0.31 * (t - 3)), np.sin(0.5 * t) + np.sin(0.31 * t)),
-         r"beyond the 1.5 s that are searched, at \+3.00"),
+        (
+            lambda t, rng: (np.sin(0.5 * (t - 3.0)) + np.sin(0.31 * (t - 3)), np.sin(0.5 * t) + np.sin(0.31 * t)),
+            r"beyond the 1.5 s that are searched, at \+3.00",
+        ),
     ],
     ids=["unrelated", "periodic", "out of reach"],
-)  # fmt: skip
+)
 def test_what_cannot_be_told_is_refused(make, reason):
     t = np.arange(0.0, 200.0, 0.02)
     late, early = make(t, np.random.default_rng(0))

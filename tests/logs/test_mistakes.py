@@ -27,7 +27,9 @@ MISTAKES = {
     "steer angle right-positive": ({"delta": lambda v: -v}, "delta", "right-positive"),
     "angle of the steering wheel": ({"delta": lambda v: 15.0 * v}, "delta", "steering-wheel angle"),
     "angle of the steering wheel in degrees": (
-        {"delta": lambda v: 15.0 * v * DEGREES}, "delta", "steering-wheel angle in degrees",
+        {"delta": lambda v: 15.0 * v * DEGREES},
+        "delta",
+        "steering-wheel angle in degrees",
     ),
     "a_x in g": ({"ax": lambda v: v / STANDARD_GRAVITY}, "ax", "is in g"),
     "a_x positive when braking": ({"ax": lambda v: -v}, "ax", "positive when braking"),
@@ -37,7 +39,7 @@ MISTAKES = {
     "torque of the engine": ({"T": lambda v: v / 8.0}, "T", "engine"),
     "torque positive when braking": ({"T": lambda v: -v}, "T", "positive when braking"),
     "v_y right-positive": ({"vy": lambda v: -v}, "vy", "right-positive"),
-}  # fmt: skip
+}
 
 
 def with_mistakes(drive: Drive, *names: str) -> Drive:

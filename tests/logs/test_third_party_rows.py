@@ -108,8 +108,10 @@ def test_a_row_of_units_may_hold_the_pattern_of_a_clock_and_units_with_hyphens(p
              "AVz": c["r"] * DEG, "Ay": c["ay"] / 9.80665, "StrK_L1": c["delta"] * DEG,
              "StrK_R1": c["delta"] * DEG, "M_Wheels_Total": c["T"]}  # fmt: skip
     units = ["hh:mm:ss,000", "TT.MM.JJJJ", "km/h", "km/h", "deg/s", "g's", "deg", "deg", "N-m"]
-    cells = zip(*([x if isinstance(x, str) else f"{x:.9g}".replace(".", ",") for x in v] for v in table.values()),
-                strict=True)  # fmt: skip
+    cells = zip(
+        *([x if isinstance(x, str) else f"{x:.9g}".replace(".", ",") for x in v] for v in table.values()),
+        strict=True,
+    )
     text = "\n".join([";".join(table), ";".join(units), *(";".join(row) for row in cells)])
     (tmp_path / "log.csv").write_bytes(b"\xef\xbb\xbf" + text.encode())
     draft = ingested(tmp_path / "log.csv", planted, tmp_path)

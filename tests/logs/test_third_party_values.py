@@ -45,8 +45,10 @@ def written(form: str, rows, path) -> None:
         lines = [f"{t:.4f};CAN1;0x1F0;{name};{f'{v:.6f}'.replace('.', ',')};{unit}" for t, name, v, unit in rows]
         path.write_text("Time [s];Bus;Message;Signal;Value;Unit\n" + "\n".join(lines).replace(".", ",") + "\n")
     else:  # a table for each name, one behind the other
-        lines = [f",,0,,,2026-03-14T14:{int(t // 60):02}:{t % 60:09.6f}Z,{v:.7g},{name},car"
-                 for t, name, v, _ in sorted(rows, key=lambda row: row[1])]  # fmt: skip
+        lines = [
+            f",,0,,,2026-03-14T14:{int(t // 60):02}:{t % 60:09.6f}Z,{v:.7g},{name},car"
+            for t, name, v, _ in sorted(rows, key=lambda row: row[1])
+        ]
         path.write_text(INFLUX + "\n".join(lines) + "\n")
 
 
@@ -114,8 +116,10 @@ def test_json_with_an_object_for_each_channel_is_read_with_its_clocks(form, rows
         own["values"].append(v)
     if form != "dict":
         rates = {name: 1e3 / (one["time"][1] - one["time"][0]) for name, one in signals.items()}
-        channels = [{"name": name, "unit": one["unit"], "frequency": rates[name], "data": one["values"]}
-                    for name, one in signals.items()]  # fmt: skip
+        channels = [
+            {"name": name, "unit": one["unit"], "frequency": rates[name], "data": one["values"]}
+            for name, one in signals.items()
+        ]
         document = {"session": "FP1", "channels": channels}
         document = {"session": {"channels": channels}} if form == "inside" else document
     else:

@@ -165,10 +165,12 @@ def expected(term: str, seen: Seen, with_: ProofWorld, without: ProofWorld, size
     if term == "tire_relaxation":
         motion, change = recorded_motion(seen.run), np.zeros((len(seen.t), 2))
         vx, vy, r = motion[:, 3:6].T
-        for number, (tire, load, arm) in enumerate((
-            (old.front_tire, old.static_load_front, old.cg_to_front_axle),
-            (old.rear_tire, old.static_load_rear, -old.cg_to_rear_axle),
-        )):  # fmt: skip
+        for number, (tire, load, arm) in enumerate(
+            (
+                (old.front_tire, old.static_load_front, old.cg_to_front_axle),
+                (old.rear_tire, old.static_load_rear, -old.cg_to_rear_axle),
+            )
+        ):
             steer = seen.run.channel("delta_actual") if number == 0 else 0.0
             angle = steer - np.arctan((vy + arm * r) / vx)
             # The car without the effect has a relaxation too, of tire.relaxation_lateral.

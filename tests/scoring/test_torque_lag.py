@@ -30,8 +30,10 @@ LATE = road_car().with_effects(EffectSpec("drive_lag", {"tau": TAU}))
 
 def noisy(drive: Drive, seed: int) -> Drive:
     rng = np.random.default_rng(seed)
-    columns = {name: drive[name] + scale * rng.normal(size=len(drive)) for name, scale in
-               (("vx", 0.004), ("vy", 0.004), ("r", 0.001))}  # fmt: skip
+    columns = {
+        name: drive[name] + scale * rng.normal(size=len(drive))
+        for name, scale in (("vx", 0.004), ("vy", 0.004), ("r", 0.001))
+    }
     return replace(drive, columns={**drive.columns, **columns})
 
 

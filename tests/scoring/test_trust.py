@@ -117,8 +117,10 @@ def test_on_a_drive_a_missing_force_is_trusted_and_noise_is_not():
     assert min(found.share[1:]) >= 0.6
     plain = make_drive(1, segments=24)
     rng = np.random.default_rng(2)
-    noisy = {name: plain[name] + scale * rng.normal(size=len(plain)) for name, scale in
-             (("vx", 0.02), ("vy", 0.02), ("r", 0.003))}  # fmt: skip
+    noisy = {
+        name: plain[name] + scale * rng.normal(size=len(plain))
+        for name, scale in (("vx", 0.02), ("vy", 0.02), ("r", 0.003))
+    }
     plain = type(plain)(plain.name, {**plain.columns, **noisy}, plain.segment, plain.period)
     assert max(trust_of(plain).share) <= 0.1
 
@@ -130,8 +132,10 @@ def test_of_three_drives_each_is_held_out_whole():
     """
     heights = {3: 0.0, 2: 0.0}
     offset = 900.0
-    made = [make_drive(seed, segments=6, terms=[MissingForce({"front_lateral": offset})] if not seed else [])
-            for seed in range(3)]  # fmt: skip
+    made = [
+        make_drive(seed, segments=6, terms=[MissingForce({"front_lateral": offset})] if not seed else [])
+        for seed in range(3)
+    ]
     for count in heights:
         drives, empty = asked_of(*made[:count])
         evidence, _ = held_out_evidence(drives, empty)

@@ -291,10 +291,12 @@ def test_body_terms_equal_another_vehicle():
         np.testing.assert_allclose(rates(at, model), rates(at, car=replace(CAR, **changes)), rtol=1e-12)
     # Static capacity follows L/l: moving the CG forward loads the front axle.
     shifted = replace(
-        CAR, cg_to_front_axle=A - 0.1, cg_to_rear_axle=B + 0.1,
+        CAR,
+        cg_to_front_axle=A - 0.1,
+        cg_to_rear_axle=B + 0.1,
         front_tire=MagicFormula(11.0, 1.45, 7900.0 * (B + 0.1) / B),
         rear_tire=MagicFormula(12.5, 1.45, 6800.0 * (A - 0.1) / A),
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(rates(at, term("cg_shift", "loaded", dx=0.1)), rates(at, car=shifted), rtol=1e-12)
 
 

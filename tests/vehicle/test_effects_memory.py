@@ -245,8 +245,10 @@ def test_a_lag_of_no_time_is_the_nominal_model(name, tau):
     t = np.arange(101) * PERIOD
     torque, steer = (np.tile(u, (2, 1)) for u in inputs(t))
     state = np.array([[20.0, 0.0, 0.0], [12.0, 0.1, 0.05]])
-    end = [integrate_recorded(track, state, torque, steer, PERIOD)
-           for track in (SingleTrack(CAR, [term(name, tau=tau)]), SingleTrack(CAR))]  # fmt: skip
+    end = [
+        integrate_recorded(track, state, torque, steer, PERIOD)
+        for track in (SingleTrack(CAR, [term(name, tau=tau)]), SingleTrack(CAR))
+    ]
     np.testing.assert_allclose(*end, rtol=1e-12)
     short = integrate_recorded(SingleTrack(CAR, [term(name, tau=1e-3)]), state, torque, steer, PERIOD)
     assert 0.0 < np.abs(short - end[0]).max() < 0.02
@@ -254,6 +256,8 @@ def test_a_lag_of_no_time_is_the_nominal_model(name, tau):
 
 def test_a_relaxation_of_no_length_is_the_nominal_model_at_every_rate():
     steer = np.full((1, 3), 0.02)
-    ends = [integrate_recorded(track, np.array([[20.0, 0.0, 0.0]]), 0.0 * steer, steer, 0.1, substeps=20)
-            for track in (SingleTrack(CAR, [term("tire_relaxation", length=0.0)]), SingleTrack(CAR))]  # fmt: skip
+    ends = [
+        integrate_recorded(track, np.array([[20.0, 0.0, 0.0]]), 0.0 * steer, steer, 0.1, substeps=20)
+        for track in (SingleTrack(CAR, [term("tire_relaxation", length=0.0)]), SingleTrack(CAR))
+    ]
     np.testing.assert_allclose(*ends, rtol=1e-12)

@@ -22,8 +22,10 @@ def test_laps_add_up_to_the_set(tmp_path):
     assert sum(row.updates for row in result.laps) == result.total.updates
     last = result.laps[-1]
     assert (last.points, last.cells, last.valid_share) == (
-        result.total.points, result.total.cells, result.total.valid_share,
-    )  # fmt: skip
+        result.total.points,
+        result.total.cells,
+        result.total.valid_share,
+    )
     assert all(a.points <= b.points for a, b in zip(result.laps, result.laps[1:], strict=False))
     # 580 m a lap, give or take the line driven.
     assert all(0.9 * 580 < row.time * row.mean_speed < 1.1 * 580 for row in result.laps[:-1])

@@ -175,10 +175,12 @@ def beyond_form_error(
 def _steps_from_none(part: Part) -> np.ndarray:
     """Return how many steps the parameters are from no effect, 0 for those that no effect leaves open."""
     neutral, ranges = CATALOGUE[part.candidate.term].neutral, part.candidate.ranges
-    return np.array([
-        0.0 if neutral.get(name) is None else (value - neutral[name]) / ranges[name].step
-        for name, value in part.values.items()
-    ])  # fmt: skip
+    return np.array(
+        [
+            0.0 if neutral.get(name) is None else (value - neutral[name]) / ranges[name].step
+            for name, value in part.values.items()
+        ]
+    )
 
 
 def _variables(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
@@ -230,15 +232,17 @@ def _modulators(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
     for one in objective.evidence:
         z = features(one.series, one.vehicle)[one.at]
         torque = z[:, 2]
-        tables.append({
-            "the side of the turn": np.sign(one.series.smooth[one.at, 2]),
-            "torque": torque / max(float(np.quantile(np.abs(torque), 0.98)), 1e-9),
-            "the size of torque": np.abs(torque) / max(float(np.quantile(np.abs(torque), 0.98)), 1e-9),
-            "speed": z[:, 3] / max(float(np.quantile(z[:, 3], 0.98)), 1e-9),
-            "front slip": np.abs(z[:, 0]) / max(float(np.quantile(np.abs(z[:, 0]), 0.98)), 1e-9),
-            "rear slip": np.abs(z[:, 1]) / max(float(np.quantile(np.abs(z[:, 1]), 0.98)), 1e-9),
-            "time": one.series.t[one.at] / max(float(one.series.t[-1]), 1e-9),
-        })  # fmt: skip
+        tables.append(
+            {
+                "the side of the turn": np.sign(one.series.smooth[one.at, 2]),
+                "torque": torque / max(float(np.quantile(np.abs(torque), 0.98)), 1e-9),
+                "the size of torque": np.abs(torque) / max(float(np.quantile(np.abs(torque), 0.98)), 1e-9),
+                "speed": z[:, 3] / max(float(np.quantile(z[:, 3], 0.98)), 1e-9),
+                "front slip": np.abs(z[:, 0]) / max(float(np.quantile(np.abs(z[:, 0]), 0.98)), 1e-9),
+                "rear slip": np.abs(z[:, 1]) / max(float(np.quantile(np.abs(z[:, 1]), 0.98)), 1e-9),
+                "time": one.series.t[one.at] / max(float(one.series.t[-1]), 1e-9),
+            }
+        )
     extra = np.zeros(sum(len(one.begin) for one in objective.kinematics))
     out = {}
     for name in tables[0]:

@@ -19,8 +19,10 @@ def _place(position: Position, vehicle: Vehicle | None) -> tuple[float, float]:
     if position.axle == "cg":
         return position.x, position.y
     if vehicle is None:
-        raise MapError(f"a sensor is placed at the {position.axle}, whose distance the vehicle file knows",
-                       advice="Give it with --vehicle.")  # fmt: skip
+        raise MapError(
+            f"a sensor is placed at the {position.axle}, whose distance the vehicle file knows",
+            advice="Give it with --vehicle.",
+        )
     reach = {"front_axle": vehicle.cg_to_front_axle, "rear_axle": -vehicle.cg_to_rear_axle}[position.axle]
     return position.x + reach, position.y
 

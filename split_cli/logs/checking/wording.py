@@ -124,8 +124,10 @@ def _opposite_hands(world: Story, car: Story, broken: Sequence[Relation]) -> lis
     return [ConsistencyFinding("hand", "yaw", text, -1.0), ConsistencyFinding("hand", "X", "X, Y: see yaw.", -1.0)]
 
 
-_AXES_IN_WORDS = {"world": "the pose (X, Y, yaw) is north-east-down: `world: ned`",
-                  "car": "the car's signals are right-positive: `frame: frd`"}  # fmt: skip
+_AXES_IN_WORDS = {
+    "world": "the pose (X, Y, yaw) is north-east-down: `world: ned`",
+    "car": "the car's signals are right-positive: `frame: frd`",
+}
 
 
 def _in_words(story: Story) -> str:

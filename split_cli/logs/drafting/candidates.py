@@ -85,8 +85,10 @@ def _by_pairs(found: list[TrialCandidate], infos: Sequence[RawChannelInfo]) -> l
         if u in bare and v in bare:
             # Beside a u, v is the lateral velocity of the textbooks; q is quer, German for it.
             found = [c for c in found if c.sources not in ((bare[v].name,), (bare[u].name,))]
-            found += [TrialCandidate("vx", (bare[u].name,), 2, stated_unit(bare[u])),
-                      TrialCandidate("vy", (bare[v].name,), 2, stated_unit(bare[v]))]  # fmt: skip
+            found += [
+                TrialCandidate("vx", (bare[u].name,), 2, stated_unit(bare[u])),
+                TrialCandidate("vy", (bare[v].name,), 2, stated_unit(bare[v])),
+            ]
     lowered = {spelled_without_unit(info).lower(): info for info in numbers}
     lowered |= {"_".join(words_of(info.name)): info for info in numbers}
     for north, east in (("x_n", "y_e"), ("pos_n", "pos_e"), ("p_n", "p_e"), ("pn", "pe"), ("utm_n", "utm_e")):

@@ -148,7 +148,9 @@ def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tup
     """Return time and line of a table whose only column of time holds the steps between its rows; None if none."""
     for info in infos:
         if info.type_name == "text" or not {"dt", "delta_t", "deltat", "timestep", "time_step"} & {
-            "_".join(words_of(info.name)), spelled_without_unit(info).lower()}:  # fmt: skip
+            "_".join(words_of(info.name)),
+            spelled_without_unit(info).lower(),
+        }:
             continue
         steps = recording.read([info.name])[info.name].values
         steps = np.where(np.isfinite(steps), steps, np.nanmedian(steps))

@@ -20,8 +20,10 @@ _SECONDS = 5.0
 _HEAVE = 0.5
 """Of the velocity of what stands or hovers, by waves and drift [m/s]; judgement: half a walking pace."""
 _READINGS = (
-    ("m/s^2", 1.0, STANDARD_GRAVITY, "m/s^2"), ("g", 1.0, 1.0, "g"), ("g", 1e-3, 1000.0, "thousandths of g"),
-)  # fmt: skip
+    ("m/s^2", 1.0, STANDARD_GRAVITY, "m/s^2"),
+    ("g", 1.0, 1.0, "g"),
+    ("g", 1e-3, 1000.0, "thousandths of g"),
+)
 """Unit and scale of an accelerometer, with what it reads of gravity and how that is called."""
 _ABOUT_GRAVITY = 0.2
 """Share of gravity by which the median of a vertical axis may differ from it, from slopes and scale [1]."""

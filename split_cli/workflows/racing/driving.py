@@ -136,9 +136,11 @@ class Race:
         check_torque(vehicle, torque)
         # No plan asks for what the actuators of the car cannot give.
         self.actuators = Actuators(
-            torque, vehicle.max_brake_torque, max_steer=min(MAX_STEER, self.car.max_steer_angle),
+            torque,
+            vehicle.max_brake_torque,
+            max_steer=min(MAX_STEER, self.car.max_steer_angle),
             torque_rate=min(TORQUE_RATE, self.car.torque_rate),
-        )  # fmt: skip
+        )
         self.start_set: TrainingSet | None = None
         self.exported: ExportedResidual | None = None
         if settings.start_set is not None and FilePath(settings.start_set).is_dir():

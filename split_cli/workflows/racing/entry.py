@@ -200,8 +200,10 @@ def check_start(path: Path, start: float, width: float, margin: float) -> None:
     if room[tightest] <= 2.0 * margin:
         raise SplitError(
             f"leaves {room[tightest]:.2f} m beside the car at {tightest * path.spacing:.0f} m, less than twice "
-            f"the margin of {margin:g} m", where=path.name, advice="Lower --margin, or widen the track.",
-        )  # fmt: skip
+            f"the margin of {margin:g} m",
+            where=path.name,
+            advice="Lower --margin, or widen the track.",
+        )
     here = path.at(np.array([start]))
     nearest = float(min(here.left[0], here.right[0]))
     if nearest < 0.5 * width:

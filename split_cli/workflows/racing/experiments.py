@@ -137,11 +137,13 @@ _SWEEPS = {
 
 def _maneuvers() -> list[Experiment]:
     past = {"vehicle": "lagged", "features": PAST_FEATURES, "laps": 1}
-    found = [_race("lap1", "split", 0, model="split dry", laps=1, **_SMALL),
-             _race("lap1", "split", 0, model="split wet", laps=1, **_WET),
-             _race("lap1", "split", 0, "physics", model="split dry physics", laps=1, **_SMALL),
-             _race("lap1", "split", 0, model="split dry lagged", **past, **_SMALL),
-             _race("lap1", "split", 0, model="split wet lagged", **past, **_WET)]  # fmt: skip
+    found = [
+        _race("lap1", "split", 0, model="split dry", laps=1, **_SMALL),
+        _race("lap1", "split", 0, model="split wet", laps=1, **_WET),
+        _race("lap1", "split", 0, "physics", model="split dry physics", laps=1, **_SMALL),
+        _race("lap1", "split", 0, model="split dry lagged", **past, **_SMALL),
+        _race("lap1", "split", 0, model="split wet lagged", **past, **_WET),
+    ]
     for seed in _SEEDS:
         for (scenario, grip), speeds in _SWEEPS.items():
             road = "dry" if grip == 1.0 else "wet"

@@ -286,9 +286,11 @@ class _Run:
         check_torque(vehicle, torque)
         self.actuators = Actuators(torque, vehicle.max_brake_torque, steer_rate=car.steer_rate)
         mpc = MpcSettings(
-            horizon=scenario.horizon, step=scenario.step, steering_alone=scenario.steering_alone,
+            horizon=scenario.horizon,
+            step=scenario.step,
+            steering_alone=scenario.steering_alone,
             limits=settings.limits(vehicle),
-        )  # fmt: skip
+        )
         mpc = scaled_controller(mpc, scenario.scale)
         self.controller = Mpc(self.model, scenario.path, self.actuators, mpc, width, scenario.speed)
         self.controller.grip = grip
