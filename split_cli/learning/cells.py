@@ -12,6 +12,7 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.training_set import SetSource, TrainingSet
+from split_cli.logs.scratch import let_go
 from split_cli.vehicle.parameters import Vehicle
 
 DEFAULT_CAPACITY = 10
@@ -252,8 +253,11 @@ class _Cells:
         parts = [candidates[first : first + batch] for first in range(0, len(candidates), batch)]
         grid = self.set.grid
         numbers = (grid.pack(grid.index(labels.z[rows])[0]) for rows in parts)
-        given = zip(parts, numbers, strict=True)
-        outcome = np.concatenate([self._offer(labels, *both, source, begin) for both in given] or [np.empty(0)])
+        outcomes = []
+        for rows, within in zip(parts, numbers, strict=True):
+            outcomes.append(self._offer(labels, rows, within, source, begin))
+            let_go()  # of the labels of a long drive
+        outcome = np.concatenate(outcomes or [np.empty(0)])
         kept, inserted, replaced = (int(np.count_nonzero(outcome == code)) for code in range(3))
         return SetSource(
             name=labels.drive,

@@ -77,8 +77,9 @@ def scatter_variance(labels: Labels) -> np.ndarray:
     together = good[1:] & good[:-1] & (np.diff(labels.segment) == 0)
     if not together.any():
         return np.zeros(3)
-    difference = np.abs(np.diff(labels.y, axis=0)[together])
-    variance: np.ndarray = 0.5 * (np.median(difference, axis=0) / 0.6745) ** 2
+    # Output by output: a long drive's labels have no room for more.
+    median = np.array([np.median(np.abs(np.diff(output)[together])) for output in labels.y.T])
+    variance: np.ndarray = 0.5 * (median / 0.6745) ** 2
     return variance
 
 
@@ -201,10 +202,15 @@ def _blocks_to_fit(
     if len(z) < FEWEST_TO_FIT:
         what = f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed"
         raise SetError(what, advice="Use --hyperparameters default.")
-    thinned = _evenly(len(z), _AT_MOST)
+    thinned = labels_to_fit(len(z))
     z, y, t = z[thinned], y[thinned], t[thinned]
     blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)
     return z, y, t, [blocks[i] for i in _evenly(len(blocks), MAXIMUM_BLOCKS)]
+
+
+def labels_to_fit(count: int) -> np.ndarray:
+    """Return the numbers of those of `count` labels within the grid that `fit_kernel` looks at, ascending."""
+    return _evenly(count, _AT_MOST)
 
 
 def _evenly(count: int, most: int) -> np.ndarray:

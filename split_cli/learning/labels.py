@@ -15,6 +15,7 @@ from split_cli.learning.pieces import DrivePiece, pieces
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.set_limits import LARGEST_LABEL
 from split_cli.logs.drive import Drive
+from split_cli.logs.scratch import let_go, room
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.parameters import Vehicle
@@ -23,6 +24,7 @@ from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
 
 DEFAULT_HORIZON = 0.05
 _CHUNK = 4096  # temporaries of that length stay in the cache
+_PIECE = 2**16  # labels that are looked at at once where all of a long drive have no room
 _VELOCITIES = ("vx", "vy", "r")
 _ARRAYS = ("t", "row", "segment", "z", "y", "reason")
 
@@ -147,8 +149,13 @@ class Labels:
 
     def inside(self, grid: Grid) -> Labels:
         """Return the labels with accepted samples outside the grid marked as such."""
-        outside = self.accepted & ~grid.index(self.z)[1]
-        return replace(self, reason=np.where(outside, np.int8(Reason.GRID), self.reason))
+        reason = self.reason.copy()
+        for first in range(0, len(reason), _PIECE):
+            rows = slice(first, first + _PIECE)
+            accepted = reason[rows] == Reason.ACCEPTED
+            reason[rows][accepted & ~grid.index(self.z[rows])[1]] = Reason.GRID
+            let_go()
+        return replace(self, reason=reason)
 
     def counts(self) -> dict[str, int]:
         """Return how many samples were rejected, by the reason's word, in the order they are tested."""
@@ -210,8 +217,8 @@ def compute_labels(
     model = SingleTrack(vehicle)
     window = window_samples(horizon, drive.period)
     starts = _window_starts(drive, window, window if stride is None else stride)
-    t, z = np.empty(len(starts)), np.empty((len(starts), len(features.names)))
-    y, reason = np.full((len(starts), 3), np.nan), np.empty(len(starts), dtype=np.int8)
+    t, reason = room(len(starts)), np.empty(len(starts), dtype=np.int8)
+    z, y = (room(len(starts) * width).reshape(-1, width) for width in (len(features.names), 3))
     for rows, piece in pieces(model, drive, starts, window):
         local = starts[rows] - piece.first
         t[rows] = piece.drive["t"][local]
@@ -221,10 +228,10 @@ def compute_labels(
         y[rows][usable] = nominal_errors(
             model, piece.drive, local[usable], window, plain=plain, recording=piece.recording
         )
-    # A vanishing Phi or a diverging window shows as a value that is no label: it must not be learned.
-    computed = ~np.isin(reason, (Reason.GAP, Reason.NON_FINITE, Reason.SPEED))
-    reason[computed & ~(np.abs(y) <= LARGEST_LABEL).all(axis=1)] = Reason.NON_FINITE
-    time = drive["t"]
+        # A vanishing Phi or a diverging window shows as a value that is no label: it must not be learned.
+        reason[rows][usable & ~(np.abs(y[rows]) <= LARGEST_LABEL).all(axis=1)] = Reason.NON_FINITE
+        let_go()
+    begin, end = (float(drive.part("t", row, row + 1)[0]) for row in (0, len(drive) - 1))
     return Labels(
         drive=drive.name,
         sha256=drive.sha256,
@@ -234,8 +241,8 @@ def compute_labels(
         horizon=window * drive.period,
         window=window,
         plain=plain,
-        start_time=float(time[0]),
-        duration=float(time[-1] - time[0]),
+        start_time=begin,
+        duration=end - begin,
         t=t,
         row=starts,
         segment=drive.segment[starts],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -151,6 +151,12 @@ class Drive:
             columns = {name: values[first:last] for name, values in self.columns.items()}
         return replace(self, columns=columns, segment=self.segment[first:last])
 
+    def part(self, name: str, first: int, last: int) -> np.ndarray:
+        """Return the rows [first, last) of one column; of a long drive nothing else is read."""
+        if self.stays_in_file:
+            return self.columns.rows(first, last, (name,))[name]
+        return self.columns[name][first:last]
+
     def select(self, rows: np.ndarray | slice) -> Drive:
         """Return the drive restricted to `rows` (a slice or a boolean mask); a removed run starts a segment."""
         if isinstance(rows, slice):
@@ -207,7 +213,12 @@ def open_drive(path: str | Path, held: Sequence[str] = (), beside: int = 1) -> D
     if columns is None or columns.length * beside <= LONG_ROWS or not columns.is_plain or "t" not in columns:
         return read_drive(path, held)  # which says what is wrong
     metadata, period = metadata_from_schema(columns.schema.metadata or {}, path)
-    segment = _whole(columns["segment"], path) if "segment" in columns else None
+    segment = None
+    if "segment" in columns:
+        segment = np.empty(columns.length, dtype=np.int32)
+        for first in range(0, columns.length, _GROUP_ROWS):
+            rows = slice(first, min(first + _GROUP_ROWS, columns.length))
+            segment[rows] = _whole(columns.rows(rows.start, rows.stop, ("segment",))["segment"], path, first)
     drive = _checked_drive(columns.without("segment"), segment, period, metadata, path)
     return drive.with_held(held) if held else drive
 
@@ -272,11 +283,17 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
     return _checked_drive(columns, segment, period, metadata, path)
 
 
-def _whole(values: np.ndarray, path: Path) -> np.ndarray:
-    """Return the numbers of segments as int32, shape (N,); what is missing or no whole number has no segment."""
+def _whole(values: np.ndarray, path: Path, first: int = 0) -> np.ndarray:
+    """Return the numbers of segments from row `first` on as int32, shape (N,).
+
+    Raises
+    ------
+    DriveError
+        If a number is missing or not whole.
+    """
     bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < 2**31)))
     if len(bad):
-        what = f"segment holds {len(bad)} values that are no whole numbers, the first in row {bad[0] + 1}"
+        what = f"segment holds values that are no whole numbers, the first in row {first + bad[0] + 1}"
         advice = "Number every row, or leave the column out: gaps in time then part the segments."
         raise DriveError(what, where=str(path), advice=advice)
     return values.astype(np.int32)
@@ -303,30 +320,42 @@ def _checked_drive(
 
 def _check_drive(drive: Drive, path: Path) -> None:
     for name in ("t", *REQUIRED_CHANNELS):
-        values = drive.columns[name]
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            what = f"{len(bad)} non-finite values in {name}, the first in row {bad[0]}"
+        limit = CHANNELS[name].limit
+        count, missing, beyond = 0, [], []  # of each piece that has some the first row; and its value
+        for first, last in _spans(drive):
+            values = drive.part(name, first, last)
+            bad = np.flatnonzero(~np.isfinite(values))
+            count += len(bad)
+            missing += (first + bad[:1]).tolist()
+            beyond += [(first + int(at), values[at]) for at in np.flatnonzero(np.abs(values) > limit)[:1]]
+        if count:
+            what = f"{count} non-finite values in {name}, the first in row {missing[0]}"
             advice = "Run the recording through `split ingest`, which drops and counts them."
             raise DriveError(what, where=str(path), advice=advice)
-        limit = CHANNELS[name].limit
-        bad = np.flatnonzero((values > limit) | (values < -limit))
-        if len(bad):
-            what = f"{name} is {values[bad[0]]:g} in row {bad[0]}, beyond {limit:g} no number is a measurement"
+        if beyond:
+            row, value = beyond[0]
+            what = f"{name} is {value:g} in row {row}, beyond {limit:g} no number is a measurement"
             advice = "Check units, or run the recording through `split ingest`, which drops and counts them."
             raise DriveError(what, where=str(path), advice=advice)
-    time = drive.columns["t"]
-    for run in drive.segments():
-        step = np.diff(time[run])
-        uneven = np.flatnonzero(np.abs(step - drive.period) > 0.02 * drive.period + 1e-6)
+    for first, last in _spans(drive):
+        end = min(last + 1, len(drive))
+        step = np.diff(drive.part("t", first, end))
+        inside = drive.segment[first + 1 : end] == drive.segment[first : end - 1]
+        uneven = np.flatnonzero(inside & (np.abs(step - drive.period) > 0.02 * drive.period + 1e-6))
         if len(uneven):
-            row = run.start + int(uneven[0])
+            row = first + int(uneven[0])
             raise DriveError(
                 f"the clock is not uniform: row {row} to {row + 1} takes {step[uneven[0]]:.6g} s, "
                 f"the period is {drive.period:.6g} s",
                 where=str(path),
                 advice="Run the recording through `split ingest`.",
             )
+
+
+def _spans(drive: Drive) -> Iterator[tuple[int, int]]:
+    """Yield first rows and ends of pieces of which a long drive's column is read at a time."""
+    for first in range(0, len(drive), _GROUP_ROWS):
+        yield first, min(first + _GROUP_ROWS, len(drive))
 
 
 def _segments_from_time(time: np.ndarray, path: Path) -> np.ndarray:

@@ -68,14 +68,16 @@ def torque_delay(drives: Sequence[Drive], labels: Sequence[Labels], vehicle: Veh
 
 def _missing(drive: Drive, labels: Labels, vehicle: Vehicle, name: str, output: int) -> np.ndarray:
     """Return what an accepted label lacks for every second that an input is late, shape (N,)."""
-    first = labels.row[labels.accepted]
-    last = first + labels.window
-    at = {channel: drive[channel][first] for channel in ("vx", "vy", "r", "T", "delta")}
-    missing: np.ndarray = (drive[name][last] - at[name]) / labels.horizon
+    accepted = labels.row[labels.accepted]
+    missing = np.empty(len(accepted))
     model = SingleTrack(vehicle, ())
-    for begin in range(0, len(first), _CHUNK):
-        rows = slice(begin, begin + _CHUNK)
-        missing[rows] *= -_slope(model, {channel: values[rows] for channel, values in at.items()}, name, output)
+    for begin in range(0, len(accepted), _CHUNK):  # a long drive has no room for its columns
+        first = accepted[begin : begin + _CHUNK]
+        low, high = int(first[0]), int(first[-1]) + labels.window + 1
+        columns = {channel: drive.part(channel, low, high) for channel in ("vx", "vy", "r", "T", "delta")}
+        at = {channel: values[first - low] for channel, values in columns.items()}
+        rate = (columns[name][first - low + labels.window] - at[name]) / labels.horizon
+        missing[begin : begin + _CHUNK] = rate * -_slope(model, at, name, output)
     return missing
 
 

@@ -3,7 +3,8 @@
 Example: ``python -m tests.studies.hostile --only train``. A run may end with 0 to 3, or is stopped when it works
 on; it prints no traceback and no control characters, waits for nothing, and stays below 1 GB. A run that fails
 leaves every file as it was, and no run changes an input. Prints a row a command, and each run that broke a rule.
-Run as root, commands lose root's capabilities, so that folders may be closed to them.
+Run as root, commands lose root's capabilities, so that folders may be closed to them. ``--random 40 --seed 1``
+tries 40 runs of each command instead, with several arguments exchanged at a time and an input damaged.
 """
 
 import argparse
@@ -11,6 +12,7 @@ import ctypes
 import importlib
 import itertools
 import os
+import random
 import shutil
 import signal
 import socket
@@ -18,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -26,6 +28,7 @@ import click
 
 from split_cli.cli.main import COMMANDS, main
 from split_cli.files import sha256_of_file
+from tests.studies.fuzz import mutant
 from tests.studies.kill import prepare
 
 NUMBERS = ("nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "-0", "0", "-1", "", "1e400", "9" * 20, "9" * 5000)
@@ -95,6 +98,22 @@ def hostile_runs(only: str = "") -> Iterator[tuple[str, tuple[str, ...]]]:
                     yield name, (*base, option, value)
 
 
+def random_runs(only: str, count: int, rng: random.Random) -> Iterator[tuple[str, tuple[str, ...], str]]:
+    """Yield command, arguments with up to two exchanged or added, and the input to damage, if any."""
+    for name, runs in itertools.groupby(hostile_runs(only), key=lambda run: run[0]):
+        base, *others = [arguments for _, arguments in runs]
+        inputs = [word for word in base if "." in word and not word.startswith("out")]
+        for _ in range(count):
+            changes = rng.sample(others, rng.randrange(3))
+            words = list(base)
+            for changed in changes:
+                words[: len(base)] = [
+                    new if new != old else word for new, old, word in zip(changed, base, words, strict=False)
+                ]
+                words += changed[len(base) :]
+            yield name, tuple(words), rng.choice(inputs) if inputs and (not changes or rng.random() < 0.7) else ""
+
+
 def _values(kind: click.ParamType, of_base: list[str]) -> tuple[str, ...]:
     if isinstance(kind, click.Path):
         return (*OUTPUTS, *of_base) if "Output" in type(kind).__name__ else INPUTS
@@ -127,11 +146,19 @@ def state(folder: Path) -> dict[str, str]:
     }
 
 
-def try_run(source: Path, work: Path, name: str, arguments: tuple[str, ...], patience: float) -> tuple[str, str]:
+def try_run(
+    source: Path,
+    work: Path,
+    name: str,
+    arguments: tuple[str, ...],
+    patience: float,
+    damage: Callable[[Path], None] = lambda folder: None,
+) -> tuple[str, str]:
     """Run one command on a fresh copy of the inputs; return how it ended, and which rule it broke, if any."""
     shutil.rmtree(work, ignore_errors=True)
     shutil.copytree(source, work, symlinks=True)
     make_strange(work)
+    damage(work)
     printed = work.parent / "printed"
     (work / "closed").chmod(0)
     if os.getuid() == 0:
@@ -224,18 +251,32 @@ def prepared_folders() -> Iterator[tuple[Path, Path]]:
         yield source, work
 
 
-def run(only: str, patience: float, every: int = 1) -> list[str]:
-    """Try every so many runs of the commands whose name holds `only`; return what broke a rule."""
+def damaging(name: str, rng: random.Random) -> Callable[[Path], None]:
+    """Return what mutates one file of a folder, if it has a name."""
+
+    def damage(folder: Path) -> None:
+        if name:
+            others = [path.read_bytes() for path in folder.iterdir() if path.suffix and path.is_file()]
+            (folder / name).write_bytes(mutant(folder / name, (folder / name).read_bytes(), others, rng))
+
+    return damage
+
+
+def run(only: str, patience: float, every: int = 1, at_random: int = 0, seed: int = 1) -> list[str]:
+    """Try every so many runs of the commands whose name holds `only`, or some at random; return what broke."""
+    rng = random.Random(f"{seed} {only}")
+    runs = random_runs(only, at_random, rng) if at_random else ((*known, "") for known in hostile_runs(only))
     broken: list[str] = []
     with prepared_folders() as (source, work):
         shutil.rmtree(source / "tmp")
         counts: dict[str, Counter[str]] = {}
-        for name, arguments in itertools.islice(hostile_runs(only), 0, None, every):
-            how, fault = try_run(source, work, name, arguments, patience)
+        for name, arguments, damaged in itertools.islice(runs, 0, None, every):
+            how, fault = try_run(source, work, name, arguments, patience, damaging(damaged, rng))
             counts.setdefault(name, Counter())[how] += 1
             if fault:
                 counts[name]["broken"] += 1
-                broken.append(f"split {name} {' '.join(ascii(word)[:80] for word in arguments)}: {fault}")
+                with_ = f" with {damaged} damaged" if damaged else ""
+                broken.append(f"split {name} {' '.join(ascii(word)[:80] for word in arguments)}{with_}: {fault}")
                 print(broken[-1], flush=True)
         hows = ("done", "refused", "usage", "stopped", "other", "broken")
         print(f"{'command':18}" + "".join(f"{how:>9}" for how in ("runs", *hows)))
@@ -252,6 +293,8 @@ if __name__ == "__main__":
         "--patience", type=float, default=20.0, help="processor time after which a run is stopped [s]"
     )
     parser.add_argument("--every", type=int, default=1, help="try only each run of this many")
+    parser.add_argument("--random", type=int, default=0, help="instead, so many runs of each command at random")
+    parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     load_commands()
-    sys.exit(1 if run(given.only, given.patience, given.every) else 0)
+    sys.exit(1 if run(given.only, given.patience, given.every, given.random, given.seed) else 0)

@@ -21,6 +21,7 @@ from split_cli.learning.shared_rows import shared_sources
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive, open_drive, unstated_inputs
 from split_cli.logs.drive_metadata import ingest_found
+from split_cli.logs.scratch import LONG, set_aside
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.engine import HERE, Engine
@@ -96,6 +97,7 @@ class LabelledDrives:
         self._kept: dict[int, Labels | Path] = {}
         self._seconds: dict[int, float] = {}
         self._bytes = 0
+        self._open: tuple[int, Drive] | None = None
         self._scratch: ScratchFolder | None = None
 
     def __len__(self) -> int:
@@ -152,8 +154,12 @@ class LabelledDrives:
         source = self._sources[number]
         if source.drive is None:
             return None
+        if self._open is not None and self._open[0] == number:
+            return self._open[1]
         self.say(f"reading {source.name}")
         drive = self._correct(open_drive(source.drive, self.labelling.held))
+        # To open a long one takes longer than to hold it: its columns stay in its file.
+        self._open = (number, drive) if drive.stays_in_file else None
         if number not in self._checked:
             self._checked.add(number)
             self._notes += vehicle_doubts([drive], self.labelling.vehicle, self.labelling.any_vehicle)
@@ -193,6 +199,7 @@ class LabelledDrives:
             self._kept = {new: self._kept[old] for new, old in enumerate(kept)}
             self._seconds = {new: self._seconds[old] for new, old in enumerate(kept)}
             self._checked = {new for new, old in enumerate(kept) if old in self._checked}
+            self._open = None
 
     def remark(self, labels: Labels, drive: Drive | None, trained: TrainingSet) -> None:
         """Note what a reader should know of a drive that `trained` learns now."""
@@ -214,8 +221,15 @@ class LabelledDrives:
         ]
 
     def _keep(self, number: int, labels: Labels) -> None:
-        self._bytes += labels.nbytes
-        if self._bytes <= KEPT_BYTES:
+        long = len(labels) >= LONG
+        if long:  # they lie outside memory as they are
+            named = {name: getattr(labels, name) for name in ("t", "z", "y")}
+            labels = replace(
+                labels,
+                **{name: set_aside(values.reshape(-1)).reshape(values.shape) for name, values in named.items()},
+            )
+        self._bytes += 0 if long else labels.nbytes
+        if long or self._bytes <= KEPT_BYTES:
             self._kept[number] = labels
             return
         self._scratch = self._scratch or ScratchFolder()

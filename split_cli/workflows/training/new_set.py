@@ -11,6 +11,7 @@ from split_cli.learning.hyperparameters import (
     KernelFit,
     default_kernel,
     fit_kernel,
+    labels_to_fit,
     longest_scale,
     scatter_variance,
 )
@@ -135,15 +136,25 @@ def _recorded(drives: LabelledDrives) -> list[TrainingDrive]:
 
 def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
     """Fit to the valid labels of all drives; None, with a note, when they are too few."""
-    kept = [drives.labels(number).inside(grid) for number in range(len(drives))]
-    z = np.concatenate([labels.z[labels.accepted] for labels in kept])
-    y = np.concatenate([labels.y[labels.accepted] for labels in kept])
-    if len(z) < FEWEST_TO_FIT:
-        drives.note(f"{len(z)} valid labels are too few to fit hyperparameters to; the defaults are kept")
+    features = drives.labelling.features
+    valid = [np.flatnonzero(drives.labels(number).inside(grid).accepted) for number in range(len(drives))]
+    total = sum(map(len, valid))
+    if total < FEWEST_TO_FIT:
+        drives.note(f"{total} valid labels are too few to fit hyperparameters to; the defaults are kept")
         return None
-    drives.say(f"fitting hyperparameters to {len(z)} labels")
-    fit = fit_kernel(z, y, grid, start, longest=longest_scale(drives.labelling.features, grid, z))
-    names = drives.labelling.features.names
+    drives.say(f"fitting hyperparameters to {total} labels")
+    # Only what the fit looks at: all labels of a long drive have no room.
+    looked_at, before = labels_to_fit(total), np.cumsum([0, *map(len, valid)])
+    z, y, every = [], [], []
+    for number, rows in enumerate(valid):
+        low, high = np.searchsorted(looked_at, before[number : number + 2])
+        some, labels = rows[looked_at[low:high] - before[number]], drives.labels(number)
+        z.append(labels.z[some])
+        y.append(labels.y[some])
+        every.append(labels.z[some if features.is_z2 else rows])
+    longest = longest_scale(features, grid, np.concatenate(every))
+    fit = fit_kernel(np.concatenate(z), np.concatenate(y), grid, start, longest=longest)
+    names = features.names
     scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(names)}
     outputs = (("vx", "v_x"), ("vy", "v_y"), ("r", "r"))
     scales |= {
