@@ -17,6 +17,8 @@ from split_cli.vehicle.parameters import Vehicle
 
 DEFAULT_CAPACITY = 10
 DEFAULT_THRESHOLD = 1e-3
+_BATCH = 2**18
+"""Labels offered at once unless asked otherwise [1]: the set does not depend on it, memory does."""
 _POINT_ARRAYS = ("z", "y", "gamma", "t", "source", "row")
 
 
@@ -158,7 +160,7 @@ def extend(training_set: TrainingSet, labels: Iterable[Labels], *, batch: int | 
         _check_belongs(training_set, drive)
         if len(sources) > np.iinfo(np.int16).max:
             raise SetError(f"holds {len(sources)} drives already, a set can list no more")
-        sources.append(cells.offer(drive, len(sources), batch or max(len(drive), 1)))
+        sources.append(cells.offer(drive, len(sources), batch or _BATCH))
     return cells.freeze(tuple(sources))
 
 

@@ -157,6 +157,15 @@ class Drive:
             return self.columns.rows(first, last, (name,))[name]
         return self.columns[name][first:last]
 
+    def at(self, name: str, rows: np.ndarray) -> np.ndarray:
+        """Return one column at some rows, shape (N,), which ascend; of a long drive a piece is read at a time."""
+        values = np.empty(len(rows))
+        for first, last in _spans(self):
+            low, high = np.searchsorted(rows, (first, last))
+            if low < high:
+                values[low:high] = self.part(name, first, last)[rows[low:high] - first]
+        return values
+
     def select(self, rows: np.ndarray | slice) -> Drive:
         """Return the drive restricted to `rows` (a slice or a boolean mask); a removed run starts a segment."""
         if isinstance(rows, slice):

@@ -65,7 +65,7 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     rows = np.arange(0, max(len(drive) - step, 0), max(1, len(drive) // _MOST_ROWS))
     rows = rows[drive.segment[rows] == drive.segment[rows + step]]
     names = ("vx", "vy", "r", "T", "delta")
-    vx, vy, r, torque, delta = (np.asarray(drive[name], dtype=float)[rows] for name in names)
+    vx, vy, r, torque, delta = (drive.at(name, rows) for name in names)
     moving = np.isfinite(vx + vy + r + torque + delta) & (vx > vehicle.minimum_speed)
     if moving.sum() < _FEWEST:
         return Belonging(None, None, None, None)
@@ -80,7 +80,7 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     front_force, rear_force = flow.front.lateral_force, flow.rear.lateral_force
     nominal = (front_force + rear_force) / car.mass
     loaded = np.abs(front_force) + np.abs(rear_force) > 0.5 * (car.front_tire.D + car.rear_tire.D)
-    change = (np.asarray(drive["vx"], dtype=float)[rows + step] - vx) / (step * drive.period) - vy * r
+    change = (drive.at("vx", rows + step) - vx) / (step * drive.period) - vy * r
     driven = torque / car.wheel_radius / car.mass
     peak = float(np.quantile(np.abs(lateral), 0.995)) / carried
     return Belonging(
