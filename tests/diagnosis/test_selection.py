@@ -389,6 +389,16 @@ def test_form_error_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
     both = p_value(form_error_inflation=widened, term_floors=floors)
     assert both == max(p_value(form_error_inflation=widened), p_value(term_floors=floors))
     assert both < term_p(replace(pair, term_floors=floors), fit, k, saved, widened)
+    # Beside other terms each of three stands for itself: the floor is of what is saved without any of their error.
+    known = replace(pair, form_error_inflation=widened, term_floors=floors)
+    for apart, assumed in ((0.9, 0.8), (0.4, 0.3), (0.9, 0.005)):
+        ways = (
+            p_value(term_floors=floors),
+            term_p(replace(pair, form_error_inflation=widened), fit, k, apart * saved, VARIANCE_INFLATION),
+            term_p(pair, fit, k, assumed * saved, VARIANCE_INFLATION),
+        )
+        together = term_p(known, fit, k, saved, VARIANCE_INFLATION, (apart * saved, assumed * saved))
+        assert together == pytest.approx(max(ways), rel=1e-9)
 
 
 def test_the_best_of_many_places_has_to_save_more_where_there_is_form_error():

@@ -32,7 +32,8 @@ class _FormError:
 
     fit: Fit
     basis: np.ndarray  # of the objective whose rows these are
-    columns: np.ndarray  # (R, Q): M as in `costs_beside_form_error`, the shared discrepancy's columns among them
+    columns: np.ndarray  # (R, Q): M as in `costs_beside_form_error`, the shared discrepancy's columns last
+    own: int  # how many of them are of the explanation's terms
     laws: np.ndarray  # (R, V): of `_other_load_laws`
 
     @cached_property
@@ -53,9 +54,10 @@ def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
         forget_form_error(objective)  # before the next is made: both may be large
         laws, shared = _other_load_laws(objective, fit), _columns_of_discrepancy(objective)
         columns = form_error_columns(objective, fit) if laws.shape[1] or shared.shape[1] else shared
+        own = columns.shape[1]
         if shared.shape[1]:
             columns = np.hstack([columns, shared])
-        known = objective.memo[_ASKED] = _FormError(fit, objective.basis, columns, laws)
+        known = objective.memo[_ASKED] = _FormError(fit, objective.basis, columns, own, laws)
     return known
 
 
@@ -120,7 +122,9 @@ def _products(
     return normal - seen.T @ seen, scores - seen.T @ (objective.root[:, None] * (basis.T @ residuals))
 
 
-def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: Fit) -> float:
+def saved_beside_form_error(
+    objective: MarginalLikelihood, before: Fit, after: Fit, *, shared: bool = True
+) -> float:
     """Return what an explanation saves against another, the other's terms free to be wrong by their share.
 
     What single-track terms get wrong of a real car's effect is of their own kind, and varies with the operating
@@ -130,6 +134,11 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
 
     Beside instruments alone a term of the car is the first one, and all that it saves is evidence: once readings
     are put right, the model errs as it does on any drive.
+
+    Parameters
+    ----------
+    shared : bool
+        Whether the shared discrepancy may be wrong as well.
 
     Notes
     -----
@@ -144,11 +153,13 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
         parts = [(before.terms, k) for k in range(len(before.parts))]
         here, there = _costs_beside(objective, parts, [before, after])
         return here - there
-    here, there = _costs(wrong.columns, wrong.normal, [before.residuals, after.residuals])
+    count = wrong.columns.shape[1] if shared else wrong.own
+    columns, normal = wrong.columns[:, :count], wrong.normal[:count, :count]
+    here, there = _costs(columns, normal, [before.residuals, after.residuals])
     if not laws.shape[1]:
         return here - there
     low = np.zeros(laws.shape[1])
-    best = [_bounded_fit(wrong.columns, wrong.normal, laws, one.residuals, low)[1] for one in (before, after)]
+    best = [_bounded_fit(columns, normal, laws, one.residuals, low)[1] for one in (before, after)]
     return (here - best[0]) - (there - best[1])
 
 

@@ -209,8 +209,11 @@ def is_beyond_form_error(explore: Explorer, without: Fit, sizes: np.ndarray, fit
         return True
     if is_form_error(objective, part_sizes(objective, fit, k), sizes, without, fit, rules):
         return False
-    saved = saved_beside_form_error(objective, without, fit)
-    return term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates) < rules.level
+    saved, widened = without.cost - fit.cost, explore.variance_inflation
+    both = saved_beside_form_error(objective, without, fit)
+    alone = objective.posterior is None
+    beside = both if alone else saved_beside_form_error(objective, without, fit, shared=False), both
+    return term_p(objective, fit, k, saved, widened, beside) * len(explore.candidates) < rules.level
 
 
 def sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:

@@ -1,5 +1,6 @@
 """What one term has to show: sizes against noise, differences block by block, and the minimum-effect test."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -258,30 +259,50 @@ def part_over_allowance(objective: MarginalLikelihood, fit: Fit, k: int) -> floa
     return over_allowance(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
-def term_p(objective: MarginalLikelihood, fit: Fit, k: int, saved: float, variance_inflation: float) -> float:
-    """Return the minimum-effect p value of one part of an explanation that saves `saved`."""
+def term_p(
+    objective: MarginalLikelihood,
+    fit: Fit,
+    k: int,
+    saved: float,
+    variance_inflation: float,
+    beside: Sequence[float] = (),
+) -> float:
+    """Return the minimum-effect p value of one part of an explanation that saves `saved`, see `p_of_effect`."""
     size = part_over_allowance(objective, fit, k)
-    return p_of_effect(objective, fit.parts[k].candidate, size, saved, variance_inflation)
+    return p_of_effect(objective, fit.parts[k].candidate, size, saved, variance_inflation, beside)
 
 
 def p_of_effect(
-    objective: MarginalLikelihood, candidate: Candidate, size: float, saved: float, variance_inflation: float
+    objective: MarginalLikelihood,
+    candidate: Candidate,
+    size: float,
+    saved: float,
+    variance_inflation: float,
+    beside: Sequence[float] = (),
 ) -> float:
     """Return the minimum-effect p value of a term of `size`, over what is allowed, that saves `saved`.
 
-    What model-form error may save counts twice, as what it is known to save and as what it adds to chance. A
-    term has to stand against each, so the larger of two is returned; both at once would count it double.
+    What the shared discrepancy gets wrong is known in three ways: by what a term saves between halves of the
+    simulation, by how much that widens chance, and, beside other terms, as a share of the discrepancy. A term has
+    to stand against each, so the largest of three is returned; together they would count one error thrice.
+
+    Parameters
+    ----------
+    beside : sequence of float, optional
+        What it saves beside the model-form error of other terms; and of these and the shared discrepancy. What
+        halves of the simulation save is without any, and is compared with `saved`.
     """
     floor = max(
         objective.policy.allowances.term_floor * objective.shared_cost,
         objective.term_floors.get(candidate.effect, 0.0),
     )
-
-    def p_value(freedom: float, widened: float, spared: float) -> float:
-        return minimum_effect_p(saved, freedom, size, widened, spared, allowance=1.0)
-
-    known = p_value(candidate.complexity, variance_inflation, floor)
-    if objective.form_error_inflation <= variance_inflation:
-        return known
-    searched = candidate.complexity + (SEARCHED_PLACES if candidate.located else 0.0)
-    return max(known, p_value(searched, objective.form_error_inflation, 0.0))
+    ways = [(saved, candidate.complexity, variance_inflation, floor)]
+    if beside:
+        ways.append((beside[1], candidate.complexity, variance_inflation, 0.0))
+    if objective.form_error_inflation > variance_inflation:
+        searched = candidate.complexity + (SEARCHED_PLACES if candidate.located else 0.0)
+        ways.append((beside[0] if beside else saved, searched, objective.form_error_inflation, 0.0))
+    return max(
+        minimum_effect_p(much, freedom, size, widened, spared, allowance=1.0)
+        for much, freedom, widened, spared in ways
+    )
