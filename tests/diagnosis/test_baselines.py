@@ -11,7 +11,14 @@ from split_cli.diagnosis.innovations.evidence import integrated
 from split_cli.diagnosis.innovations.objective import build_objective
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.series import build_series
-from split_cli.diagnosis.search.baselines import SearchOutcome, _brings_back, ends_beyond, search, settled
+from split_cli.diagnosis.search.baselines import (
+    SearchOutcome,
+    _brings_back,
+    ends_beyond,
+    named_as_first,
+    search,
+    settled,
+)
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import Rival, Selection
@@ -137,7 +144,7 @@ def test_what_is_believed_with_a_fixed_baseline(names, marginalised, p_value, ex
 
 
 def part_of(name: str) -> SimpleNamespace:
-    return SimpleNamespace(candidate=SimpleNamespace(term=name, variant="", effect=name))
+    return SimpleNamespace(candidate=SimpleNamespace(term=name, variant="", effect=name, label=name))
 
 
 def searched_first(names: list[str], rivals: tuple[Rival, ...] = (), named: bool = False) -> SearchOutcome:
@@ -168,6 +175,35 @@ def test_what_the_first_search_cannot_tell_from_its_name_is_believed(
     first.structure.objective = SimpleNamespace(policy=STANDARD, form_error_inflation=1.0)
     selection = SimpleNamespace(terms=neutral(["mass"]), first_p=p_value)
     assert _brings_back(selection, first, STANDARD.selection) is expected
+
+
+@pytest.mark.parametrize(
+    ("other", "excess", "expected"),
+    [
+        ("drive_gain", 2.0, ["steer_gain", "drive_gain"]),  # what the first search names explains as well
+        ("drive_gain", 900.0, ["steer_gain", "rotating_mass"]),  # it explains less
+        ("mass", 2.0, ["steer_gain", "rotating_mass"]),  # nobody names it
+    ],
+)
+def test_a_fixed_baseline_names_what_the_first_search_names_where_it_explains_as_well(
+    monkeypatch, other, excess, expected
+):
+    """Wheels that turn heavily, which alter no command, beside a weak torque, which the first search names."""
+    module = "split_cli.diagnosis.search."
+    monkeypatch.setattr(module + "selection.part_over_allowance", lambda *_: 100.0)
+    monkeypatch.setattr(
+        module + "baselines.with_chosen", lambda explore, selection, fit: replace(selection, chosen=fit)
+    )
+    names = ["steer_gain", "rotating_mass"]
+    fit = SimpleNamespace(parts=[part_of("steer_gain"), part_of(other)], terms=neutral(["steer_gain", other]))
+    chosen = SimpleNamespace(parts=[part_of(one) for one in names], terms=neutral(names), cost=0.0)
+    none, rivals = ((), ()), ((), (Rival(fit, excess, 9.0),))
+    selection = Selection(None, chosen, (SimpleNamespace(cost=1000.0),) * 2, rivals, none, (True, True))
+    objective = SimpleNamespace(policy=STANDARD, form_error_inflation=1.0)
+    again = SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
+    first = SimpleNamespace(selection=SimpleNamespace(terms=neutral(["drive_gain"])))
+    found = named_as_first(first, again, ())
+    assert [one.id for one in found.selection.terms] == expected
 
 
 def test_a_sure_name_lends_its_sureness_to_no_other(restless):

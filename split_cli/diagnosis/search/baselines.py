@@ -27,10 +27,17 @@ from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.off_centre import with_offset_of_straights
-from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms
+from split_cli.diagnosis.search.selection import (
+    Selection,
+    explaining_as_well,
+    nothing,
+    select_terms,
+    with_chosen,
+)
 from split_cli.diagnosis.search.term_tests import is_witnessed, term_p, witnessed_p
 from split_cli.diagnosis.search.variant_choice import with_variants_by_rollout
 from split_cli.diagnosis.statement.separation import exact_mimics
@@ -80,6 +87,7 @@ def search(
         return replace(first, selection=with_offset_of_straights(*asked))
     progress("naming with a fixed baseline")
     again = search_again(case, candidates, objective, reach=reach)
+    again = named_as_first(first, again, candidates)
     found = settled(first, again, policy.selection)
     asked = found if any(found.selection.named) else again
     late = with_late_channel(asked.structure.objective, asked.selection, candidates, asked.variance_inflation)
@@ -127,6 +135,25 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     elif len(marginalised.terms) > 1:
         kept = replace(first, selection=_only_named(marginalised, _undoubted(first, _ids(fixed), rules)))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
+
+
+def named_as_first(first: SearchOutcome, again: SearchOutcome, candidates: Sequence[Candidate]) -> SearchOutcome:
+    """Return the search with a fixed baseline, with what the first names in the place of what explains no better.
+
+    A car whose wheels turn heavily accelerates like one whose torque is weak. Either search may name either.
+    """
+    objective, selection = again.structure.objective, again.selection
+    missing = _ids(first.selection) - _ids(selection)
+    for k, (term, several) in enumerate(zip(selection.chosen.terms, selection.rivals, strict=True)):
+        if alters_inputs(term) or term.id in _ids(first.selection):
+            continue
+        for rival in explaining_as_well(objective, selection, k, several):
+            if rival.fit.parts[-1].candidate.term in missing:
+                explore = Explorer(objective, tuple(candidates), again.variance_inflation)
+                found = with_chosen(explore, selection, rival.fit)
+                note = f"{rival.fit.parts[-1].candidate.label} replaces {term.id}, which explains no better"
+                return replace(again, selection=replace(found, history=(*selection.history, note)))
+    return again
 
 
 def ends_beyond(selection: Selection, policy: Policy) -> bool:
