@@ -4,7 +4,9 @@ One evaluation runs: actuate (what a command becomes), body (mass, inertia, CG),
 forces, tire (B, C, D of an axle), lateral forces, lateral (what becomes of them), external forces, balance.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,16 @@ from split_cli.vehicle.tire import lateral_force, lateral_force_slope
 
 #: v_x', v_y', r': arrays or symbols.
 Rates = tuple[Any, Any, Any]
+
+# What the balance is linear in, and what else it asks for.
+_FORCES = {
+    "front_longitudinal": attrgetter("front.longitudinal_force"),
+    "front_lateral": attrgetter("front.lateral_force"),
+    "rear_longitudinal": attrgetter("rear.longitudinal_force"),
+    "rear_lateral": attrgetter("rear.lateral_force"),
+    **{name: attrgetter(name) for name in ("force_x", "force_y", "moment")},
+}
+_BALANCED_BY = ("mass", "yaw_inertia", "l_f", "l_r", "rotating_mass", "sine", "cosine")
 
 
 def slip_angles(
@@ -34,7 +46,16 @@ def slip_angles(
 
 def same_curve(axle: AxleFlow, other: AxleFlow) -> bool:
     """Return whether two axles have the very same coefficients and slip angle, and so one force."""
-    return all(getattr(axle, name) is getattr(other, name) for name in ("B", "C", "D", "slip_angle"))
+    return _same_shape(axle, other) and _same(axle.D, other.D)
+
+
+def _same_shape(axle: AxleFlow, other: AxleFlow) -> bool:
+    """Return whether the forces of two axles differ by the ratio of their peaks alone."""
+    return axle.slip_angle is other.slip_angle and _same(axle.B, other.B) and _same(axle.C, other.C)
+
+
+def _same(one: Any, other: Any) -> bool:
+    return one is other or (isinstance(one, float) and isinstance(other, float) and one == other)
 
 
 class SingleTrack:
@@ -80,7 +101,7 @@ class SingleTrack:
         `arrived` is the same with those of the terms that act on commands, which then have acted already.
         """
         car = self.vehicle
-        acted = self
+        acted, nominal = self, bare
         if arrived is not None:
             acted, bare, T, delta = SingleTrack(car, ()), arrived, arrived.T, arrived.delta
         flow = acted.actuated(vx, vy, r, T, delta, yaw=yaw, t=t, s=s, ops=ops, states=states, recording=recording)
@@ -97,13 +118,17 @@ class SingleTrack:
             term.tire(flow)
         known_axles = (None, None) if bare is None else (bare.front, bare.rear)
         for axle, known in zip((front, rear), known_axles, strict=True):
-            if known is not None and same_curve(axle, known):
-                axle.lateral_force = known.lateral_force
+            if known is not None and _same_shape(axle, known):
+                same_peak = _same(axle.D, known.D)
+                axle.lateral_force = known.lateral_force if same_peak else axle.D / known.D * known.lateral_force
             else:
                 axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)
         for term in self.terms:
             term.lateral(flow)
-        flow.force_x = -car.drag_coefficient * vx * vx
+        if nominal is not None and vx is nominal.vx:
+            flow.force_x = nominal.force_x
+        else:
+            flow.force_x = -car.drag_coefficient * vx * vx
         for term in self.terms:
             term.external(flow)
         return flow
@@ -192,6 +217,40 @@ class SingleTrack:
         dvy = (f.rear.lateral_force + front_y + f.force_y) / f.mass - f.vx * f.r
         dr = (front_y * f.l_f - f.rear.lateral_force * f.l_r + f.moment) / f.yaw_inertia
         return dvx, dvy, dr
+
+    @classmethod
+    def weighted_changes(cls, plain: Flow, weighted: Iterable[tuple[float, Flow]]) -> Rates:
+        """Return the sum over flows of a weight times what each changes of (v_x', v_y', r') against a plain one.
+
+        Parameters
+        ----------
+        plain : Flow
+            Of the same vehicle at the very same arrays, as the flows are.
+        weighted : iterable of (float, Flow)
+
+        Notes
+        -----
+        The balance is linear in the forces: where nothing else changes, they are added up first.
+        """
+        sums: dict[str, Any] = dict.fromkeys(_FORCES, 0.0)
+        base = cls.balance(plain)
+        out = [0.0 * rate for rate in base]
+        for weight, flow in weighted:
+            if any(getattr(flow, name) is not getattr(plain, name) for name in _BALANCED_BY):
+                for k, (rate, before) in enumerate(zip(cls.balance(flow), base, strict=True)):
+                    out[k] = out[k] + weight * (rate - before)
+                continue
+            for name, force in _FORCES.items():
+                if force(flow) is not force(plain):
+                    sums[name] = sums[name] + weight * (force(flow) - force(plain))
+        axles = {
+            axle: AxleFlow(0.0, 0.0, 0.0, 0.0, sums[f"{axle}_longitudinal"], sums[f"{axle}_lateral"])
+            for axle in ("front", "rear")
+        }
+        # At rest, where nothing turns the velocities.
+        external = {name: sums[name] for name in ("force_x", "force_y", "moment")}
+        together = cls.balance(replace(plain, vx=0.0, vy=0.0, r=0.0, **axles, **external))
+        return out[0] + together[0], out[1] + together[1], out[2] + together[2]
 
     def velocity_jacobian(
         self, vx: np.ndarray, vy: np.ndarray, r: np.ndarray, T: np.ndarray, delta: np.ndarray, **situation: Any

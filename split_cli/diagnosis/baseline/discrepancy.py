@@ -7,11 +7,13 @@ simulation; reality is judged with what the simulation leaves uncertain about th
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
 import numpy as np
 
+from split_cli.diagnosis.baseline._functions_numba import weighted_functions
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
 from split_cli.diagnosis.baseline.tires import at_other_tires
 from split_cli.diagnosis.recording.series import Series, extended_model
@@ -54,9 +56,14 @@ class SharedDiscrepancy:
     def blocks(self, series: Series) -> Iterator[np.ndarray]:
         """Yield the columns a few at a time, shape (N, 3, c): all of them at once fill memory."""
         plain = series.rates(extended_model(self.vehicle))
-        for some in _few_of(tangents()):
-            yield np.stack([series.rates(self._altered(*entry)) - plain for entry in some], axis=2)
+        for some in _few_of(self._altered):
+            yield np.stack([series.rates(model) - plain for model in some], axis=2)
         yield from spread(self._functions(series), self._directions())
+
+    def size(self, series: Series) -> int:
+        """Return how large the columns are at once [bytes]."""
+        functions = len(_EVEN) + 1 + 2 * (len(_ODD) + 4) + 14 * len(_MEMORY_SECONDS)
+        return 24 * len(series) * (len(self._altered) + functions)
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors, tyres
@@ -73,20 +80,11 @@ class SharedDiscrepancy:
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), smooth)
         actual = replace(series, smooth=smooth, torque=torque, steer_angle=steer_angle)
-        entries = tangents()
-        of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(entries)])
-        # Row by row, and the plain rates taken off once: a sum over all of them is what costs.
-        out = [-of_tangents.sum() * row for row in actual.rate_rows(extended_model(self.vehicle))]
-        for entry, weight in zip(entries, of_tangents, strict=True):
-            for row, added in zip(out, actual.rate_rows(self._altered(*entry)), strict=True):
-                row += weight * added
-        directions = self._directions()
-        for axis, functions in self._functions(actual):
-            here, others = np.split(others, [len(functions)])
-            total = here @ functions
-            for row, direction in zip(out, directions[:, axis], strict=True):
-                row += direction * total
-        return self.at_another_car(np.stack(out, axis=1), actual, terms)
+        of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
+        flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
+        out = SingleTrack.weighted_changes(actual.flow(extended_model(self.vehicle)), flows)
+        rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
+        return self.at_another_car(rates, actual, terms)
 
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
         """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.
@@ -97,20 +95,44 @@ class SharedDiscrepancy:
         some = series if there is self.vehicle else replace(series)  # a series keeps a flow of every vehicle
         return at_another_body(at_other_tires(rates, some, there, terms), there, terms)
 
+    def _weighted(self, series: Series, weights: np.ndarray) -> np.ndarray:
+        """Return the sum of the smooth functions times weights by force, shape (3, N), without making each."""
+        ends = np.cumsum([len(_EVEN), 1, *2 * (len(_ODD), 4), *(count * len(_MEMORY_SECONDS) for count in (2, 6))])
+        even, size, front, front_sizes, rear, rear_sizes, along, by_front, by_rear = np.split(weights, ends)
+        z = self._scaled(series)
+        by_time = [part.reshape(len(_MEMORY_SECONDS), -1) for part in (along, by_front, by_rear)]
+        q = series.period / self._memory_seconds()
+        return weighted_functions(
+            z, _scaled_steer(series), np.array(_EVEN), np.array(_ODD), even, np.stack([front, rear]),
+            np.concatenate([size, front_sizes, rear_sizes]), np.hstack(by_time),
+            np.array([begin for begin, _ in series.recording.segments]), np.exp(-q), -np.expm1(-q) / q,
+        )  # fmt: skip
+
     def _directions(self) -> np.ndarray:
         return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION
 
     def _functions(self, series: Series) -> list[tuple[int, np.ndarray]]:
         """Return smooth functions, (F, N) each, with the force they act as: 0 longitudinal, 1 front, 2 rear."""
-        z = np.ascontiguousarray(_squash(features(series, self.vehicle), self.center, self.width).T)
+        z = self._scaled(series)
         return [*self._smooth(z), *self._memory(z, series)]
 
-    def _altered(self, kind: type[Term], variant: str, parameter: str, step: float) -> SingleTrack:
-        car = self.vehicle
-        scaled = step * kind.sizes(car).get(parameter, 1.0)
-        neutral = {key: kind.neutral[key] for key in kind.units}
-        term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
-        return extended_model(car, (term,))
+    def _scaled(self, series: Series) -> np.ndarray:
+        """Return the features, scaled and within bounds, shape (4, N)."""
+        return np.ascontiguousarray(_squash(features(series, self.vehicle), self.center, self.width).T)
+
+    def _memory_seconds(self) -> np.ndarray:
+        return np.array(_MEMORY_SECONDS) * np.sqrt(self.vehicle.wheelbase / 2.7)
+
+    @cached_property
+    def _altered(self) -> tuple[SingleTrack, ...]:
+        """Return the model that is a step away from the nominal one along each tangent."""
+        out, car = [], self.vehicle
+        for kind, variant, parameter, step in tangents():
+            scaled = step * kind.sizes(car).get(parameter, 1.0)
+            neutral = {key: kind.neutral[key] for key in kind.units}
+            term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
+            out.append(extended_model(car, (term,)))
+        return tuple(out)
 
     @staticmethod
     def _smooth(z: np.ndarray) -> list[tuple[int, np.ndarray]]:
@@ -135,17 +157,18 @@ class SharedDiscrepancy:
     def _memory(self, z: np.ndarray, series: Series) -> list[tuple[int, np.ndarray]]:
         """Slow parts of steering, torque and slip: suspension, actuators and tyres answer late in any real car."""
         a, b, c, v = z
-        delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
-        scale = np.sqrt(self.vehicle.wheelbase / 2.7)
-        along, side = [], []
-        for tau in _MEMORY_SECONDS:
-            late = [
-                first_order_response(x, 1.0 / (tau * scale), series.recording) - x for x in (a, b, c, delta, a * a)
-            ]
+        delta, along, side = _scaled_steer(series), [], []
+        for tau in self._memory_seconds().tolist():
+            late = [first_order_response(x, 1.0 / tau, series.recording) - x for x in (a, b, c, delta, a * a)]
             along += [late[2], late[4]]
             side += [late[0], late[1], late[3], late[2] * a, late[2] * b, late[0] * v]
         both = np.array(side)
         return [(0, np.array(along)), (1, both), (2, both)]
+
+
+def _scaled_steer(series: Series) -> np.ndarray:
+    """Return the steer angle over what a hundredth of the recording exceeds, shape (N,)."""
+    return series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
 
 
 def spread(functions: Iterable[tuple[int, Sequence[np.ndarray]]], directions: np.ndarray) -> Iterator[np.ndarray]:
@@ -200,7 +223,9 @@ def tangents() -> tuple[tuple[type[Term], str, str, float], ...]:
 def _squash(z: np.ndarray, center: np.ndarray, width: np.ndarray) -> np.ndarray:
     """Scale to about [-1, 1] inside and level off outside, so that nothing is extrapolated."""
     x = (z - center) / width
-    return np.where(np.abs(x) <= 1.0, x, np.sign(x) * (1.0 + np.tanh(np.abs(x) - 1.0)))
+    outside = np.abs(x) > 1.0
+    x[outside] = np.sign(x[outside]) * (1.0 + np.tanh(np.abs(x[outside]) - 1.0))
+    return x
 
 
 def _powers(x: np.ndarray, most: int) -> list[np.ndarray]:

@@ -16,6 +16,7 @@ from split_cli.vehicle.parameters import Vehicle
 
 ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
+_KEPT_BYTES = 2**26  # of columns of the shared discrepancy, beyond which they are made anew for each filter
 
 
 @dataclass(frozen=True)
@@ -117,16 +118,17 @@ def gather_evidence(
     kept = np.ones(len(at), dtype=bool)
     kept[group[(group >= 0) & ~rolls[:-1]]] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
+    kept_blocks = list(discrepancy.blocks(series)) if discrepancy.size(series) <= _KEPT_BYTES else None
     for _ in range(2):
         whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
-        columns = whitened_blocks(series, whitener, discrepancy.blocks(series))
+        columns = whitened_blocks(series, whitener, kept_blocks or discrepancy.blocks(series))
         w = _discrepancy_weights(whitener(plain), columns, kept)
         left = plain - integrated(series, discrepancy.rates(series, w))
         disturbance = _likely_disturbance(series, jacobian, left, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
-    u, phi = whitener(plain), whitened_blocks(series, whitener, discrepancy.blocks(series))
+    u, phi = whitener(plain), whitened_blocks(series, whitener, kept_blocks or discrepancy.blocks(series))
     left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
