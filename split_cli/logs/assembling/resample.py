@@ -166,23 +166,42 @@ def resample_together(
 def resample_held(
     time: np.ndarray, values: np.ndarray, grid: SampleClock, *, longest: float, resumed: Sequence[float] = ()
 ) -> np.ndarray:
-    """Return the last value at or before each row, shape (N,); NaN before the first and after `longest` [s].
+    """Return what a held signal is on average from each row to the next, shape (N,).
 
-    No value is held beyond one of the times `resumed` [s].
+    NaN before the first sample, and where the last one lies more than `longest` [s] before a row. No value is held
+    beyond one of the times `resumed` [s].
+
+    Notes
+    -----
+    A row's input lasts until the next row. Taken at the row alone, a sample that comes just after it would act a
+    whole period late: where stamps jitter, that depends on the jitter of the first one.
     """
-    # Rows and samples of equal clocks differ by rounding: without the slack half of the rows would read the
-    # sample before theirs.
+    # Rows and samples of equal clocks differ by rounding, of seconds since 1970 by 0.2 us: within the slack a row
+    # takes its sample alone.
+    slack = 1e-3 * grid.period
     result = room(len(grid.index))
     for first in range(0, len(result), _CHUNKS_HELD * _CHUNK):
         piece = slice(first, first + _CHUNKS_HELD * _CHUNK)
         at = grid.time_of(piece)
-        until = at + 1e-6 * grid.period
-        row = np.searchsorted(time, until, side="right") - 1
+        row = np.searchsorted(time, at + slack, side="right") - 1
+        last = np.searchsorted(time, at + grid.period - slack) - 1
         known = row >= 0
         row = np.maximum(row, 0)
         if len(resumed):
-            known &= np.searchsorted(resumed, time[row], "right") == np.searchsorted(resumed, until, "right")
-        result[piece] = np.where(known & (at - time[row] <= longest), values[row], np.nan)
+            run = np.searchsorted(resumed, time[row], "right")
+            known &= run == np.searchsorted(resumed, at + slack, "right")
+            last = np.where(run == np.searchsorted(resumed, time[last], "right"), last, row)
+        held = values[row]
+        changes = np.flatnonzero(known & (last > row))
+        if len(changes):
+            low, high = int(row[changes].min()), int(last[changes].max()) + 1
+            lasts = np.diff(time[low:high]) * values[low : high - 1]
+            until = np.concatenate([[0.0], np.cumsum(lasts)])  # the integral at each sample
+            begin, end = row[changes] - low, last[changes] - low
+            before = (at[changes] - time[row[changes]]) * values[row[changes]]
+            after = (at[changes] + grid.period - time[last[changes]]) * values[last[changes]]
+            held[changes] = (until[end] - until[begin] - before + after) / grid.period
+        result[piece] = np.where(known & (at - time[row] <= longest), held, np.nan)
         let_go()
     return result
 
