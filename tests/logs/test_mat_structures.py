@@ -152,3 +152,24 @@ def test_the_version_of_a_mat_file_is_told_by_its_bytes_and_not_by_its_text(tmp_
     path.write_bytes(whole[: at + 9] + bytes((8,)) + whole[at + 10 :])
     with pytest.raises(LogError, match="cut off or damaged"):
         open_recording(path)
+
+
+def test_a_map_beside_the_signals_and_names_of_a_path_do_not_mislead_the_draft(tmp_path):
+    """A car's logger saves structures of one length, the path of the course and the errors across it."""
+    planted = PlantedDrive(seconds=60.0)
+    t = np.arange(0.0, 60.0, 0.02)
+    ins = {name: planted.at(c, t) for name, c in {
+        "posE_m": "X", "posN_m": "Y", "yawAngle_rad": "yaw", "ux_mps": "vx", "uy_mps": "vy", "yawRate_radps": "r",
+    }.items()}  # fmt: skip
+    car = {"roadWheelAngle_rad": planted.at("delta", t)}
+    across = {"e_m": 0.1 * np.sin(t), "dpsi_rad": 0.02 * np.cos(t), "deltaPsi": 0.02 * np.cos(t)}
+    course = {"s_m": np.arange(900.0), "psi_rad": np.linspace(0.0, 6.0, 900), "k_1pm": np.full(900, 0.01)}
+    path = tmp_path / "run.mat"
+    savemat(path, {"t_20ms": t, "INSData": ins, "car": car, "match": across, "info": {"mapData": course}})
+    draft = draft_map(open_recording(path))
+    assert draft.time.startswith("time: {source: t_20ms")
+    found = {s.channel: s.sources[0].split(".")[-1] for s in draft.suggestions if s.status != "open"}
+    assert found == {
+        "X": "posE_m", "Y": "posN_m", "yaw": "yawAngle_rad", "vx": "ux_mps", "vy": "uy_mps", "r": "yawRate_radps",
+        "delta": "roadWheelAngle_rad",
+    }  # fmt: skip

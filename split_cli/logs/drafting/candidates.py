@@ -1,5 +1,6 @@
 """What names, units and the types of messages say that recorded signals may be: candidates for channels."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -65,6 +66,9 @@ def _by_name(info: RawChannelInfo, read_as: RawChannelInfo) -> Iterator[TrialCan
             continue
         if channel == "brake" and si == "Pa":
             channel = "brake_pressure"
+        between = (channel, si) == ("r", "rad") and re.search(r"(?i)d_?psi", info.name)
+        if between or channel == "yaw" and re.search(r"(?i)delta_?psi", info.name):
+            continue  # the angle between car and path
         if channel in ("yaw", "r") and si in ("rad", "rad/s"):
             channel = "yaw" if si == "rad" else "r"  # some call the rate yaw, as the axis
         expected = UNITS_OF.get(channel) or expected_unit(channel)
@@ -97,6 +101,9 @@ def _by_pairs(found: list[TrialCandidate], infos: Sequence[RawChannelInfo]) -> l
             pair = {"X": lowered[east], "Y": lowered[north]}
             found = [c for c in found if c.sources[0] not in {info.name for info in pair.values()}]
             found += [TrialCandidate(c, (info.name,), 3, info.unit) for c, info in pair.items()]
+    if "e" in lowered and "n" not in lowered:
+        # The distance from a path, called an error, is no position.
+        found = [c for c in found if c.sources != (lowered["e"].name,)]
     fix = {c.channel: c.sources for c in reversed(found) if c.channel in ("latitude", "longitude")}
     if len(fix) == 2:
         # Beside a latitude, lon is no longitudinal acceleration.

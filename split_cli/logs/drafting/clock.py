@@ -22,6 +22,8 @@ from split_cli.logs.raw import (
 from split_cli.logs.readers.clock_of_day import over_midnight
 from split_cli.signals import find_unit
 
+_OF_TIME = r"time|stamp|^t(?=_\d*(s|ms|us|ns)?$)"
+"""Names that may count time, such as ``t_10ms``."""
 _EVEN = 0.02
 """Of the step from row to row, which 99 of 100 keep where one period describes them [1]."""
 _SHORTEST, _LONGEST = 5e-5, 10.0
@@ -81,7 +83,7 @@ def _rising(
     infos: Sequence[RawChannelInfo], signals: Mapping[str, RawSignal], found: RawChannelInfo | None
 ) -> list[RawChannelInfo]:
     """Return the columns that may count time, the likeliest first: by name and unit, then by what they hold."""
-    timed = [i for i in infos if re.search("time|stamp", i.name, re.IGNORECASE) and not counts_rows(i.name)]
+    timed = [i for i in infos if re.search(_OF_TIME, i.name, re.IGNORECASE) and not counts_rows(i.name)]
     clocks = [found] if found is not None else timed
     clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
     # Whatever it is called, what counts evenly since 1970 is a clock. One of fewer digits than the rows come in

@@ -1,6 +1,7 @@
 """A draft of a signal map: names and units suggest, the data and the consistency checks judge."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -78,7 +79,9 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     if not any(c.channel in _OF_MOTION for c in candidates):
         candidates += named_by_motion(recording, infos)
     triples = names_of_triples(infos)
-    signals = _read(recording, candidates, triples)
+    read = _read(recording, candidates, triples)
+    signals = _of_one_table(read)
+    candidates = [c for c in candidates if not set(names_of(c)) & (read.keys() - signals.keys())]
     time, line, known = clock_of_rows(recording, infos, signals, candidates, row_rate)
     candidates = [c for c in candidates if f"source: {quoted(c.sources[0])}," not in line]
     if time is not None and newest_first(time):
@@ -245,7 +248,7 @@ def _read(
         names |= {
             info.name
             for info in listed
-            if re.search("time|stamp|millis|micros|epoch|^t$", info.name, re.IGNORECASE)
+            if re.search(r"time|stamp|millis|micros|epoch|^t(_\d*(s|ms|us|ns)?)?$", info.name, re.IGNORECASE)
         }
         names |= {info.name for info in [time_column(listed)] if info is not None}
         names |= {info.name for info in listed if info.type_name != "text" and info is listed[0]}
@@ -259,6 +262,15 @@ def _read(
         except SplitError:
             continue
     return signals
+
+
+def _of_one_table(signals: dict[str, RawSignal]) -> dict[str, RawSignal]:
+    """Return the signals without vectors of other lengths than most have, as a map or a table of settings has."""
+    lengths = Counter(len(signal.values) for signal in signals.values() if signal.time is None)
+    if len(lengths) < 2:
+        return signals
+    rows = max(lengths, key=lambda length: lengths[length])
+    return {name: s for name, s in signals.items() if s.time is not None or len(s.values) == rows}
 
 
 def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
