@@ -35,8 +35,8 @@ _GRIP_SECONDS = 1.0
 _FAR_BETTER = 0.25
 """Variance that a place of v_y leaves, of what a factor leaves, from which on it is a place [1]."""
 _BY_SLIP_SPEED = 0.5
-"""Variance of v_y that forces by slip speed leave, of what those by slip angle leave, from which on they are by slip
-speed [1]: a car of MuJoCo leaves 0.26 to 0.43, tyres 0.9 to 1.6."""
+"""Variance of v_y that forces by slip speed leave, of what those by slip angle leave, from which on they are by
+slip speed [1]: a car of MuJoCo leaves 0.26 to 0.43, tyres 0.9 to 1.6."""
 _LEAST_ARM = 0.15
 """Of the wheelbase, below which a place is not told from the CG [1]."""
 _SIGN_ONLY = 5.0
