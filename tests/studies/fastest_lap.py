@@ -4,16 +4,34 @@ Example: ``python -m tests.studies.fastest_lap``. For both tracks of the closed-
 of the fastest lap. The point follows any line within the track. It may use what both axles give in a steady state
 at each longitudinal acceleration, at once and without a lag. So its time bounds what a better model can gain.
 Further rows hold the point to what controllers hold their plans to: a margin to the border, and the ellipse.
+
+``python -m tests.studies.fastest_lap car`` asks the same of the model in the controllers instead of the point: the
+single track of the vehicle file with learned peaks, within all bounds of plans, over a whole lap at once.
 """
+
+import sys
+from dataclasses import replace
 
 import casadi
 import numpy as np
 
-from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL
+from split_cli.control.limits import load_shift
+from split_cli.control.policy import (
+    ALPHA_MAX,
+    DALPHA_MAX,
+    MARGIN,
+    MAX_STEER,
+    RACE_P_LONG,
+    SHARE_LEARNED,
+    SHARE_NOMINAL,
+    STEER_RATE,
+    TORQUE_RATE,
+)
 from split_cli.plant.cars import ROAD_CAR, CarParameters
 from split_cli.plant.tire import tire_force
 from split_cli.plant.tracks import find_track
 from split_cli.signals import STANDARD_GRAVITY
+from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.closed_loop import body_width, path_of
 
 TRACKS = {"small": 22.0, "handling": 30.0}
@@ -24,6 +42,9 @@ DRIVING = 1000.0
 
 LAST_MARGIN = 0.34
 """What plans kept to the border in lap 10 with SPLIT [m], on both tracks and with each seed."""
+
+LEARNED = {"small": (0.905, 0.93), "handling": (0.91, 0.935)}
+"""Peaks of front and rear over the vehicle file's [1] that SPLIT had learned after lap 10 with seed 0."""
 
 SPACING = 4.0
 """Of the collocation along the centre line [m]; with 2 m the times are 0.02 to 0.06 s longer."""
@@ -112,8 +133,84 @@ def fastest(track: str, along: np.ndarray, across: np.ndarray, margin: float) ->
     return float(opti.solve().value(opti.f))
 
 
-def main() -> None:
+def fastest_car(track: str, grip: tuple[float, float], margin: float, share: float, spacing: float = 2.0) -> float:
+    """Return the time of the fastest lap [s] of the single track within the controllers' bounds.
+
+    `grip` are the peaks of front and rear over the vehicle file's [1], `share` of them plans may use.
+    """
+    vehicle = read_vehicle("sample_logs/road_car.yaml")
+    front, rear = (
+        replace(tire, B=tire.B / s, D=s * tire.D)
+        for tire, s in zip((vehicle.front_tire, vehicle.rear_tire), grip, strict=True)
+    )
+    vehicle = replace(vehicle, front_tire=front, rear_tire=rear)
+    path, shift = path_of(find_track(track)), load_shift(vehicle)
+    count = int(round(path.length / spacing))
+    h = path.length / count
+    at = path.at(h * np.arange(count))
+    room = at.left - 0.5 * body_width(ROAD_CAR) - margin
+    opti = casadi.Opti()
+    n, angle, vx, vy, r, torque, steer = (opti.variable(1, count) for _ in range(7))
+    torque_rate, steer_rate = opti.variable(1, count), opti.variable(1, count)
+    curvature = at.curvature[None]
+    along = (vx * casadi.cos(angle) - vy * casadi.sin(angle)) / (1.0 - n * curvature)  # ds/dt
+    l_f, l_r = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle
+    slip = steer - casadi.atan((vy + l_f * r) / vx), -casadi.atan((vy - l_r * r) / vx)
+    side_f, side_r = (
+        tire.D * casadi.sin(tire.C * casadi.atan(tire.B * alpha))
+        for tire, alpha in zip((front, rear), slip, strict=True)
+    )
+    whole = 1e3 * torque / vehicle.wheel_radius
+    brake, drive = vehicle.brake_split_front, vehicle.drive_split_front
+    ahead = 0.5 * (drive + brake) + 0.5 * (drive - brake) * casadi.tanh(20.0 * torque)  # smooth within 50 N m
+    force = ahead * whole, (1.0 - ahead) * whole
+    rolling = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
+    push = whole - rolling - vehicle.drag_coefficient * vx**2 - side_f * casadi.sin(steer)
+    slopes = (
+        (n, vx * casadi.sin(angle) + vy * casadi.cos(angle)), (angle, r - curvature * along),
+        (vx, push / vehicle.mass + vy * r), (vy, (side_f * casadi.cos(steer) + side_r) / vehicle.mass - vx * r),
+        (r, (l_f * side_f * casadi.cos(steer) - l_r * side_r) / vehicle.yaw_inertia),
+        (torque, torque_rate), (steer, steer_rate),
+    )  # fmt: skip
+    following = [*range(1, count), 0]
+    for state, slope in slopes:
+        a_metre = slope / along
+        opti.subject_to(state[following] - state == 0.5 * h * (a_metre + a_metre[following]))
+    for k, tire in enumerate((front, rear)):
+        scale = 1.0 + shift[k] * whole
+        angle_over = casadi.atan(tire.B / scale * slip[k])
+        used = RACE_P_LONG * force[k] / (tire.D * scale)
+        opti.subject_to(casadi.sin(tire.C * angle_over) ** 2 + used**2 <= share**2)
+        opti.subject_to(opti.bounded(-1.0, tire.C * angle_over / (0.5 * np.pi), 1.0))
+        opti.subject_to(opti.bounded(-ALPHA_MAX, slip[k], ALPHA_MAX))
+    opti.subject_to(opti.bounded(-DALPHA_MAX, slip[0] - slip[1], DALPHA_MAX))
+    opti.subject_to(opti.bounded(-1e-3 * vehicle.max_brake_torque, torque, 1e-3 * DRIVING))
+    opti.subject_to(opti.bounded(-MAX_STEER, steer, MAX_STEER))
+    opti.subject_to(opti.bounded(-1e-3 * TORQUE_RATE, torque_rate, 1e-3 * TORQUE_RATE))
+    opti.subject_to(opti.bounded(-STEER_RATE, steer_rate, STEER_RATE))
+    opti.subject_to(opti.bounded(-room[None], n, room[None]))
+    opti.subject_to(opti.bounded(3.0, vx, TRACKS[track]))
+    opti.subject_to(opti.bounded(-1.0, angle, 1.0))
+    opti.set_initial(vx, 8.0)
+    opti.set_initial(r, 8.0 * curvature)
+    opti.set_initial(steer, np.arctan(vehicle.wheelbase * curvature))
+    opti.minimize(casadi.sum2(h / along) + 1e-6 * casadi.sumsqr(steer_rate))
+    opti.solver("ipopt", {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 2000})
+    solution = opti.solve()
+    return float(solution.value(casadi.sum2(h / along)))
+
+
+def main(model: str = "point") -> None:
     """Run from the command line."""
+    if model == "car":
+        for track, grip in LEARNED.items():
+            for margin, share in ((LAST_MARGIN, SHARE_LEARNED), (0.0, SHARE_LEARNED), (LAST_MARGIN, 1.0)):
+                time = fastest_car(track, grip, margin, share)
+                print(
+                    f"single track, {share} of the peak, {track}, {margin} m to the border: {time:.2f} s",
+                    flush=True,
+                )
+        return
     along = np.arange(-9.0, 3.01, 0.5)
     for share in (None, SHARE_LEARNED, SHARE_NOMINAL):
         across = envelope(ROAD_CAR, along, share)
@@ -127,4 +224,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])
