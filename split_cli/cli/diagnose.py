@@ -88,7 +88,8 @@ def _tell(result) -> None:
     click.echo(result.summary)
     # Beside the summary: a match says nothing of what these drives cannot show.
     for note in result.not_judged:
-        click.echo(f"not judged: {note}")
+        if note not in result.summary:
+            click.echo(f"not judged: {note}")
     if result.findings:
         rows = [
             [f.term, name, *pair_known(p.value, p.std_error), p.unit, ", ".join(f.alternatives)]

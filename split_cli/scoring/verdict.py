@@ -204,7 +204,9 @@ def _left_while_driving(running: Sequence[Comparison]) -> str:
 def _span(ratios: Sequence[float]) -> str:
     if not ratios:
         return ""
-    low, high = (_beside_one(ratio) for ratio in (min(ratios), max(ratios)))
+    plain = f"{min(ratios):.2f}", f"{max(ratios):.2f}"
+    # Beside a clear end of the span the digits of the other tell nothing.
+    low, high = plain if plain[0] != plain[1] else (_beside_one(ratio) for ratio in (min(ratios), max(ratios)))
     return low if low == high else f"{low} to {high}"
 
 

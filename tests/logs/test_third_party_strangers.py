@@ -10,6 +10,7 @@ from split_cli.errors import LogError
 from split_cli.logs.assembling.gather import gather
 from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drafting.naming import meanings, stated_unit
+from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.drive import Drive
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers import json_channels
@@ -17,7 +18,8 @@ from split_cli.logs.readers.clock_of_day import packed_clock
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.signals import STANDARD_GRAVITY, convert_to_si
-from tests.logs.planted import PlantedDrive
+from split_cli.workflows.ingesting.ingest import open_logs
+from tests.logs.planted import PlantedDrive, write_table
 from tests.logs.test_third_party_public import drafted_table
 
 
@@ -187,3 +189,44 @@ def test_what_turns_at_a_corner_in_rpm_is_a_wheel_and_an_engine_is_none():
     info = RawChannelInfo("RPM_RL", "column", None)
     assert meanings(info)[0].channel == "wheel_speed_rl" and stated_unit(info) == "rpm"
     assert not meanings(RawChannelInfo("RPM", "column", None))
+
+
+def test_fixes_once_a_second_judge_a_yaw_rate_by_what_both_can_show(tmp_path):
+    """Straight pieces between fixes turn in their corners alone: r was 0.72 times the turning of such a path."""
+    planted = PlantedDrive(seconds=90.0)
+    t = np.arange(0.0, 90.0, 0.02)
+    table = {"time": t, "speed [m/s]": planted.at("vx", t), "yaw_rate [rad/s]": planted.at("r", t)}
+    fixes = np.arange(len(t)) % 50 == 0
+    noise = np.random.default_rng(4).normal(0.0, 0.05, (2, len(t)))  # of a receiver's digits [m]
+    table |= {
+        n: np.where(fixes, planted.at(n[0], t) + e, np.nan) for n, e in zip(("X [m]", "Y [m]"), noise, strict=True)
+    }
+    draft = drafted_table(table, tmp_path)
+    assert "r against the turning of X, Y" in draft.of("r").reason
+    slope = float(draft.of("r").reason.split("turning of X, Y ")[1].split(";")[0])
+    assert slope == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_status_of_a_quantity_is_its_value_unless_it_takes_few(tmp_path):
+    t = np.arange(0.0, 20.0, 0.02)
+    values = {"vehicle_speed_status": 10.0 + np.sin(t), "yaw_rate_status": np.round(np.sin(t)) + 2.0}
+    draft = drafted_table({"time": t, **values}, tmp_path)
+    assert draft.of("vx").status == "assumed" and draft.of("r").status == "open"
+
+
+@pytest.mark.parametrize("laps", [1, 4])
+def test_clocks_that_do_not_meet_are_brought_together_by_the_speed_of_both(laps, tmp_path):
+    """A bus counts from its start, a receiver since 1970; of laps that repeat, nothing says which one is which."""
+    planted = PlantedDrive(seconds=120.0 / laps)
+    t = np.arange(0.0, 120.0, 0.1)
+    speed = planted.at("vx", t % (120.0 / laps))
+    write_table(tmp_path / "bus.csv", {"time": 311.37 + t, "VehicleSpeed [km/h]": 3.6 * speed})
+    late = t[20:] + 1.7e9 + 0.13
+    write_table(tmp_path / "fix.csv", {"utc_ms": 1000.0 * late, "GPS Speed [kn]": speed[20:] / 0.5144})
+    joined = open_logs([tmp_path / "bus.csv", tmp_path / "fix.csv"])
+    moved = float(joined.read(["GPS Speed"])["GPS Speed"].time[0] - late[0])
+    if laps == 1:
+        assert moved == pytest.approx(311.37 - 1.7e9 - 0.13, abs=0.02)
+        assert "correlation 1.0" in draft_map(joined).time
+    else:
+        assert moved == 0.0

@@ -93,5 +93,5 @@ def test_a_ratio_near_one_is_told_from_one():
     from split_cli.scoring.verdict import _span
 
     told = {(0.8512,): "0.85", (1.0031, 1.0042): "1.003 to 1.004", (0.99996,): "0.99996", (1.0,): "1.00"}
-    told[0.997, 1.4] = "0.997 to 1.40"
+    told[0.36, 0.99996] = "0.36 to 1.00"
     assert {ratios: _span(ratios) for ratios in told} == told

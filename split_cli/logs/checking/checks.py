@@ -65,10 +65,11 @@ class Checks:
         vehicle: Vehicle | None,
         kinds: Mapping[str, str],
         certain: Collection[str] = (),
+        slowest: float = 0.0,
     ) -> None:
         self.vehicle = vehicle
         self.certain = certain
-        self.k = Kinematics(columns, drive.period, drive.segments())
+        self.k = Kinematics(columns, drive.period, drive.segments(), max(slowest, Kinematics.WIDTH))
         # A side-slip angle is measured, and may be so at another place or with another sign than v_y is taken for.
         derived = {channel for channel, kind in kinds.items() if is_derived(kind)}
         self.of_sideslip = "vy" in derived and MEASURED_SIDESLIP in kinds["vy"]
@@ -77,6 +78,7 @@ class Checks:
         self.absent = {channel for channel in self.derived if kinds[channel] == NOT_RECORDED}
         self.pose_fits = True
         self.arm = 0.0
+        self.beside_accelerometer = False  # whether v_y is of the place where a_y is measured
         self.relations: list[Relation] = []
         #: What was compared, by the relation's name: both signals (N,), tolerance, whether both are 0 together.
         self.pairs: dict[str, tuple[np.ndarray, np.ndarray, float, bool]] = {}

@@ -36,7 +36,11 @@ class Consistency:
 
 
 def check_consistency(
-    drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str], certain: Collection[str] = ()
+    drive: Drive,
+    vehicle: Vehicle | None,
+    kinds: Mapping[str, str],
+    certain: Collection[str] = (),
+    slowest: float = 0.0,
 ) -> Consistency:
     """Check a drive's channels against each other.
 
@@ -48,6 +52,9 @@ def check_consistency(
         Derived channels are not checked against what they were derived from.
     certain : collection of str
         What no mistake is looked for in: ``hand`` where X, Y are known to be east and north, ``yaw``.
+    slowest : float
+        Step between two samples of the channel that was recorded least often [s]: shorter motion is smoothed away
+        in all of them, since it is not in that one.
 
     Notes
     -----
@@ -55,7 +62,7 @@ def check_consistency(
     (a unit, a hand, a swap) that account for them. Where it is sure of one, what was wrong is corrected in a copy,
     and the finer checks (bias on straights, place of v_y, direction of yaw) are made on that.
     """
-    checks = Checks(drive.columns, drive, vehicle, kinds, certain)
+    checks = Checks(drive.columns, drive, vehicle, kinds, certain, slowest)
     constant = checks.constant_channels()
     spoilt = [swap_finding(checks)] if look_swapped(checks) else along_the_world(checks)
     if not spoilt:
@@ -73,7 +80,7 @@ def check_consistency(
         kinds = {c: NOT_RECORDED if is_derived(kind) else kind for c, kind in kinds.items()}
 
     def of(columns: Mapping[str, np.ndarray]) -> Checks:
-        return Checks(columns, drive, vehicle, kinds, certain)
+        return Checks(columns, drive, vehicle, kinds, certain, slowest)
 
     if shared:
         # The path may judge v_y now; where it does not, v_y has the unit of v_x.

@@ -37,8 +37,11 @@ class Kinematics:
         so that it holds among smoothed signals as it does among true ones.
     """
 
+    WIDTH = 0.2
+    """The usual width [s]: short beside a turn of the wheel, long beside the step of a fix at 10 Hz."""
+
     def __init__(
-        self, columns: Mapping[str, np.ndarray], period: float, segments: list[slice], width: float = 0.2
+        self, columns: Mapping[str, np.ndarray], period: float, segments: list[slice], width: float = WIDTH
     ) -> None:
         self.columns = columns
         self.period = period

@@ -49,7 +49,8 @@ def _by_the_sideslip(checks: Checks) -> list[ConsistencyFinding]:
     """Tell from the fit of the sideslip at which distance p ahead of the rear axle v_y is measured.
 
     The rear tyres need the slip m l_f a/(L C_r), so q > 0; at the CG p is l_r. Between the axle and the CG a place
-    is not told from tyres near their limit, and stands under what could not be judged.
+    is not told from tyres near their limit, and stands under what could not be judged, unless the accelerometer
+    is at the same place: it needs no tyre.
     """
     fit = checks.sideslip_fit()
     if fit is None:
@@ -64,7 +65,7 @@ def _by_the_sideslip(checks: Checks) -> list[ConsistencyFinding]:
     if q > 0.0 and p - _SURE * error > 1.5 * l_r and abs(p - car.wheelbase) < _NEAR * car.wheelbase:
         text = f"{where}: it is near the front axle: `position: front_axle`{entry}."
         return [ConsistencyFinding("place", "vy", text, float(p), float(error))]
-    if q > 0.0 and abs(p - l_r) > _NEAR * l_r + _SURE * error:
+    if q > 0.0 and abs(p - l_r) > _NEAR * l_r + _SURE * error and not checks.beside_accelerometer:
         reason = f"{where}. If the sensor is elsewhere, give its `position:`; tyres near their limit look alike"
         checks.unjudged.append(Unjudged(PLACE_IN_DOUBT, reason))
     return []
@@ -106,6 +107,7 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
         return []
     fitted, errors = block_interval(lambda rows: np.linalg.lstsq(design[rows], y[rows], rcond=None)[0], len(y))
     x, error = float(fitted[0]), float(errors[0])
+    checks.beside_accelerometer = abs(x) + _SURE * error < _NEAR * min(car.cg_to_front_axle, car.cg_to_rear_axle)
     # A delay acts as a place does at one speed; of a large one, the first derivative is not all.
     without = np.delete(design, 0, axis=1)
     rest_without = y - without @ np.linalg.lstsq(without, y, rcond=None)[0]

@@ -8,6 +8,7 @@ import numpy as np
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.gather import row_rate_from_path, row_rate_from_speed, row_rate_from_yaw
 from split_cli.logs.drafting.draft import quoted
+from split_cli.logs.drafting.meeting_clocks import MOVED
 from split_cli.logs.drafting.naming import spelled_without_unit, stated_unit, words_of
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import (
@@ -48,7 +49,8 @@ def clock_of_rows(
     if recording.clocks:
         return None, "# time: that of the messages", True
     if hasattr(recording, "paths"):
-        return None, "# time: that of each file", True
+        moved = [f"; {n.where}: {n.what}" for n in recording.notes if n.what.startswith(MOVED)]
+        return None, f"# time: that of each file{''.join(moved)}", True
     if signals and not bare:
         return None, "# time: each signal has its own", True
     needed = "# time: {period: SECONDS}   # no column of time: needed, or --row-rate HZ"

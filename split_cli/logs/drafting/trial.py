@@ -20,6 +20,8 @@ from split_cli.signals import REQUIRED_CHANNELS, find_unit
 from split_cli.vehicle.parameters import Vehicle
 
 _JUDGED = ("vx", "vy", "r", "yaw", "X", "Y", "ax", "ay", "delta")
+_MOST_FLAGS = 8
+"""Values that a flag of validity takes at most [1]: two or three bits."""
 _GAP = 0.5
 """Between two rows of a table, from which on what stands between them is not judged, or five usual steps [s]."""
 
@@ -92,6 +94,8 @@ class Trial:
             return f"torque of {alike} wheel(s): those of two or four wheels make T"
         if np.ptp(finite) == 0.0:
             return f"never changes ({finite[0]:g})"
+        if candidate.sources[0].lower().endswith("status") and len(np.unique(finite)) <= _MOST_FLAGS:
+            return "takes few values: a flag, not a quantity"
         beyond = self._beyond_the_globe(candidate)
         if beyond:
             return beyond
@@ -146,10 +150,12 @@ class Trial:
         order = np.argsort(stamps, kind="stable")
         if len(order) < 20 or not len(self.grid):
             return None
+        stamps, values = stamps[order], values[order]
         if s.channel in ("yaw", "course"):
-            values = np.unwrap(values[order])
-            return np.interp(self.grid, stamps[order], values)
-        return np.interp(self.grid, stamps[order], values[order])
+            values = np.unwrap(values)
+        if s.channel in ("X", "Y", "yaw"):
+            return _along_a_curve(self.grid, stamps, values)
+        return np.interp(self.grid, stamps, values)
 
     def _without_spikes(self, signal: RawSignal) -> np.ndarray:
         """Return what ingest would keep of a signal; NaN where a sample stands alone, far from its neighbours."""
@@ -247,7 +253,26 @@ class Trial:
         nothing = {channel: np.zeros(len(self.grid)) for channel in kinds if channel not in used}
         drive = Drive("draft", {"t": self.grid - self.grid[0], **used, **nothing}, self.segment, 1.0 / self.rate)
         with np.errstate(all="ignore"):
-            return check_consistency(drive, self.vehicle, kinds, certain)
+            steps = [
+                self._step(chosen[channel]) for channel in ("X", "yaw") if channel in used and channel in chosen
+            ]
+            return check_consistency(drive, self.vehicle, kinds, certain, max(steps, default=0.0))
+
+    def _step(self, s: Suggestion) -> float:
+        """Return the usual step between two samples of a suggestion [s]."""
+        signal = self.signals[names_of(TrialCandidate(s.channel, s.sources, 0, s.unit, s.convert))[0]]
+        stamps = self.time if signal.time is None else signal.time
+        return 0.0 if stamps is None else float(np.nanmedian(np.diff(stamps[np.isfinite(signal.values)])))
+
+
+def _along_a_curve(grid: np.ndarray, stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return a pose between its fixes, shape of `grid`: a path of straight pieces turns in its corners alone."""
+    stamps, first = np.unique(stamps, return_index=True)
+    if len(stamps) < 2 or float(np.median(np.diff(stamps))) < Kinematics.WIDTH:
+        return np.interp(grid, stamps, values[first])
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(stamps, values[first])(np.clip(grid, stamps[0], stamps[-1]))
 
 
 def _without_restarts(time: np.ndarray) -> np.ndarray:

@@ -210,6 +210,10 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
 
     A command is a command of an input: steering, torque or a pedal.
     """
+    if words[-1:] == ["status"] and len(words) > 1:
+        # What a bus calls the status of a quantity may be its value; few values show a flag (`Trial.unusable`).
+        said = read_concepts(words[:-1])
+        return said and (said[0], 1)
     concepts, unknown = concepts_of(words)
     if not concepts or "other" in concepts:
         return None

@@ -39,6 +39,7 @@ class JointRecording:
         self.name = "+".join(part.name for part in parts)
         self._own_notes: list[ReadNote] = []
         self._time: dict[int, RawChannelInfo] = {}
+        self._moved: dict[int, float] = {}
         self._places: dict[str, tuple[RawRecording, RawChannelInfo]] = {}
         for part in parts:
             infos = part.channels()
@@ -78,10 +79,25 @@ class JointRecording:
             time = self._time.get(id(part))
             signals = part.read([*own.values(), *([time.name] if time else [])], clock)
             stamps = None if time is None else self._seconds(part, signals[time.name])
+            moved = self._moved.get(id(part), 0.0)
             for name, inside in own.items():
                 signal = signals[inside]
-                read[name] = RawSignal(name, signal.time if stamps is None else stamps, signal.values, signal.unit)
+                time = signal.time if stamps is None else stamps
+                time = time if time is None or not moved else time + moved
+                read[name] = RawSignal(name, time, signal.values, signal.unit)
         return {name: read[name] for name in names}
+
+    def part_of(self, name: str) -> RawRecording:
+        """Return the file that a channel is of."""
+        return self._places[name][0]
+
+    def move(self, part: RawRecording, seconds: float) -> None:
+        """Add seconds to the clock of a file."""
+        self._moved[id(part)] = seconds
+
+    def remark(self, note: ReadNote) -> None:
+        """Add what a reader of the drive must know."""
+        self._own_notes.append(note)
 
     def _seconds(self, part: RawRecording, signal: RawSignal) -> np.ndarray:
         unit = signal.unit
@@ -100,8 +116,8 @@ def _own_clock(part: RawRecording, infos: Sequence[RawChannelInfo]) -> bool:
     return any(signal.time is not None for signal in read.values())
 
 
-def open_together(parts: Sequence[RawRecording]) -> RawRecording:
-    """Join recordings whose clocks count from one instant.
+def open_together(parts: Sequence[RawRecording]) -> JointRecording:
+    """Join recordings.
 
     Raises
     ------

@@ -11,6 +11,7 @@ from split_cli.files import atomic_directory, refuse_overwriting_inputs
 from split_cli.logs.assembling.assemble import Assembled, IngestSettings, assemble_drive
 from split_cli.logs.assembling.gather import fitting_presets, topic_of
 from split_cli.logs.assembling.quality import QualityReport, render_quality
+from split_cli.logs.drafting.meeting_clocks import let_clocks_meet
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.presets import preset_abouts
@@ -300,10 +301,12 @@ def _ingest_together(paths: Sequence[Path], output: Path, job: _Job) -> IngestRe
 
 
 def open_logs(log: str | Path | Sequence[str | Path], message_paths: Sequence[str | Path] = ()) -> RawRecording:
-    """Open a recording, or several files that are one."""
+    """Open a recording, or several files that are one: clocks that do not meet are brought together."""
     if isinstance(log, str | Path):
         return open_recording(log, message_paths=message_paths)
-    return open_together([open_recording(path, message_paths=message_paths) for path in log])
+    joined = open_together([open_recording(path, message_paths=message_paths) for path in log])
+    let_clocks_meet(joined)
+    return joined
 
 
 def list_channels(
