@@ -1,7 +1,8 @@
 """split: driving logs in, vehicle models a controller can trust out.
 
-Imports run one way: cli -> workflows -> (export, plots) -> scoring -> (prediction, learning) ->
-(logs, vehicle) -> (signals, files, yaml_file, errors); plant stands beside vehicle.
+Imports run one way: (cli, api) -> workflows -> (diagnosis, control, export, proof, plots) -> scoring ->
+prediction -> learning -> logs -> vehicle -> (signals, files, yaml_file, errors). The plant, which makes test
+recordings, stands beside vehicle; only proof and workflows import it.
 """
 
 import importlib as _importlib

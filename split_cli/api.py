@@ -29,8 +29,8 @@ from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
 from split_cli.workflows.diagnose import IMPROVEMENT_COLUMNS, corrected_vehicle, improvement_rows
+from split_cli.workflows.drive_charts import diagnosis_charts, recording_charts
 from split_cli.workflows.evaluate import evaluate as evaluate_drives
-from split_cli.workflows.pictures import diagnosis_charts, recording_charts
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.comparison import comparison_charts, comparison_page
 from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_page
@@ -200,7 +200,7 @@ def compare(
 
 @dataclass(frozen=True)
 class DiagnosisResult:
-    """A diagnosis with what it was made from; the drives are needed for its pictures."""
+    """A diagnosis with what it was made from; the drives are needed for its charts."""
 
     diagnosis: Diagnosis
     vehicle: Vehicle

@@ -145,7 +145,7 @@ def diagnose(
     )
     reach = settings.far_reach if is_far else settings.reach
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
-    if outcome.known.ratio > policy.selection.much_over_noise:
+    if outcome.self_test.ratio > policy.selection.much_over_noise:
         not_judged += (_MUCH_FORM_ERROR,)
     # What a named sensor accounts for contradicts nothing any more.
     contradictions = out_of_scale(*positions, outcome.selection.terms, policy.screening)
@@ -295,7 +295,7 @@ def _compare(
     structure, selection, usual_autocorrelation = (
         outcome.structure,
         outcome.selection,
-        outcome.known.autocorrelation,
+        outcome.self_test.autocorrelation,
     )
     unnamed = outcome.gap
     if selection.chosen.parts and not any(selection.named):

@@ -44,7 +44,7 @@ def quiet(axes: Axes) -> None:
 
 
 def model_name(key: tuple[str, str]) -> str:
-    """Return how a legend calls a contestant, a pair of name and features."""
+    """Return how a legend calls a predictor on features, a pair of their names."""
     name, features = key
     return f"{name} on {features}" if features else name
 

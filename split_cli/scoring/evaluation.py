@@ -51,7 +51,7 @@ def predictor_names(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, str], st
 
 @dataclass(frozen=True)
 class ScoreTally:
-    """Sums of one contestant over test samples: all of them, and those inside the valid region."""
+    """Sums of one model over test samples: all of them, and those inside the valid region."""
 
     everywhere: ErrorSums
     valid: ErrorSums
@@ -74,7 +74,7 @@ class ScoreTally:
 
 @dataclass(frozen=True)
 class Score:
-    """Figures of merit of one contestant; arrays are v_x, v_y, r, and the norm where there are four."""
+    """Figures of merit of one model; arrays are v_x, v_y, r, and the norm where there are four."""
 
     name: str  # ``nominal``, ``velocity held``, ``last label held``, or a predictor
     features: str  # ``z1``, ``z2`` or names; empty for the baselines
@@ -173,7 +173,7 @@ def rollout_trajectories(
     predictors: dict[tuple[str, str], tuple[HeldOutSamples, Predictor]],
     steps: int,
 ) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray]]:
-    """Return start rows in a drive's test blocks, and every contestant's rollout from them as `roll_out` does.
+    """Return start rows in a drive's test blocks, and the rollout of every model from them as `roll_out` does.
 
     Parameters
     ----------

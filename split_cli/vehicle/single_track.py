@@ -243,7 +243,7 @@ class SingleTrack:
             for name, force in _FORCES.items():
                 if force(flow) is not force(plain):
                     sums[name] = sums[name] + weight * (force(flow) - force(plain))
-        axles = {
+        axles: dict[str, Any] = {
             axle: AxleFlow(0.0, 0.0, 0.0, 0.0, sums[f"{axle}_longitudinal"], sums[f"{axle}_lateral"])
             for axle in ("front", "rear")
         }

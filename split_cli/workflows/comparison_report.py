@@ -9,13 +9,13 @@ from split_cli.errors import spreadsheet_text
 from split_cli.files import atomic_directory, write_digests
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart
+from split_cli.plots.charts import Subject, drive_charts, handling_charts
 from split_cli.plots.palette import ROLES
-from split_cli.plots.pictures import Subject, drive_charts, handling_charts
 from split_cli.prediction import make_predictor
 from split_cli.scoring.rollouts import Correction
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.compare import ComparedModel, ModelComparison
-from split_cli.workflows.pictures import gathered
+from split_cli.workflows.drive_charts import gathered
 from split_cli.workflows.recordings import RecordingCorrection
 from split_cli.workflows.report.comparison import comparison_page
 
@@ -31,7 +31,7 @@ def write_comparison(
 ) -> None:
     """Write ``report.html``, ``compare.csv`` and their digests into a folder."""
     table = _table(compared)
-    page = comparison_page(compared, _pictures(models, max(drives, key=len)), table)
+    page = comparison_page(compared, _drive_charts(models, max(drives, key=len)), table)
     with atomic_directory(output) as folder:
         (folder / "report.html").write_text(page, encoding="utf-8")
         (folder / "compare.csv").write_text(table, encoding="utf-8", newline="")
@@ -52,7 +52,7 @@ def _table(compared: ModelComparison) -> str:
     return text.getvalue()
 
 
-def _pictures(models: Sequence[ComparedModel], drive: Drive) -> tuple[Chart, ...]:
+def _drive_charts(models: Sequence[ComparedModel], drive: Drive) -> tuple[Chart, ...]:
     """Return the charts of the longest drive with the first models; colours for more would not be told apart."""
     subjects = [Subject("measured", "measured", drive)]
     for model, role in zip(models[:_SHOWN], ROLES[1:], strict=False):

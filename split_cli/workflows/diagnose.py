@@ -20,9 +20,9 @@ from split_cli.learning.label_file import label_columns
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive, read_drive, unstated_inputs
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, read_vehicle, vehicle_file, write_vehicle
+from split_cli.workflows.drive_charts import diagnosis_charts
 from split_cli.workflows.engine import HERE, Engine
-from split_cli.workflows.pictures import diagnosis_charts
-from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
+from split_cli.workflows.recordings import RecordingCorrection, vehicle_warnings
 from split_cli.workflows.report.page import report_page
 
 _UNJUDGED = "Not judged: no held-out time to compare it with the vehicle given."
@@ -96,8 +96,8 @@ def read_and_diagnose(
     drives = {role: [read_drive(path, held) for path in paths] for role, paths in groups.items()}
     given = [drive for several in drives.values() for drive in several]
     # A car that differs from its file is what is looked for: said at once, and not refused.
-    doubts = vehicle_doubts(drives["real"], vehicle, any_vehicle=True)
-    for text in (*doubts, *unstated_inputs(given), *_long(given)):
+    warnings = vehicle_warnings(drives["real"], vehicle, any_vehicle=True)
+    for text in (*warnings, *unstated_inputs(given), *_long(given)):
         note(text)
     inputs = [InputFile(one.name, one.sha256, role) for role, several in drives.items() for one in several]
     inputs.append(InputFile(vehicle_path.name, sha256_of_file(vehicle_path), "vehicle"))

@@ -60,13 +60,13 @@ from split_cli.workflows.evaluation_notes import (
     own_sets,
     same_interval,
 )
-from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
+from split_cli.workflows.recordings import RecordingCorrection, vehicle_warnings
 
 #: Marks a predictor whose whole correction is applied, beside one that is trusted in part.
 PLAIN = ", full trust"
 #: Marks a predictor that is trusted, at each moment, as far as the drive until then supports.
 RUNNING = ", running trust"
-#: A drive with the start rows of its rollouts and every contestant's trajectories.
+#: A drive with the start rows of its rollouts and the trajectories of every model.
 Rolled = tuple[HeldOutSamples, np.ndarray, dict[tuple[str, str], np.ndarray]]
 
 
@@ -134,19 +134,19 @@ def evaluate(
         settings = replace(settings, features=(short,), horizon=trained.horizon)
     correct = RecordingCorrection(vehicle)
     drives = [correct(drive) for drive in drives]
-    doubts = vehicle_doubts(drives, vehicle, settings.any_vehicle)
+    warnings = vehicle_warnings(drives, vehicle, settings.any_vehicle)
     model = SingleTrack(vehicle)
-    contestants, nominal = _contestants(drives, vehicle, settings, trained, say, engine)
-    baselines = [baseline_tallies(h, model, _variance_of(nominal, contestants[0][2])) for h in nominal]
-    scored = _score_predictors(contestants, baselines, settings, say, engine)
+    labelled_sets, nominal = _labelled_sets(drives, vehicle, settings, trained, say, engine)
+    baselines = [baseline_tallies(h, model, _variance_of(nominal, labelled_sets[0][2])) for h in nominal]
+    scored = _score_predictors(labelled_sets, baselines, settings, say, engine)
     scores, traces, tallies, predictors = scored
     say("rollouts")
     rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings, engine)
     comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
-    sizes = _sizes(contestants, baselines, settings, say)
+    sizes = _sizes(labelled_sets, baselines, settings, say)
     shown = [trace for trace in traces if trace.name in settings.predictors]
     followed = [trace for trace in traces if trace.name.endswith(RUNNING)]
-    intervals = interval_shares([*shown, *followed], {name: own for name, _, own in contestants}, RUNNING)
+    intervals = interval_shares([*shown, *followed], {name: own for name, _, own in labelled_sets}, RUNNING)
     say("noise floor")
     facts = tuple(drive_facts(h, model, trained) for h in nominal)
     report = Evaluation(
@@ -155,7 +155,7 @@ def evaluate(
         drives=facts,
         sets=tuple(
             SetFacts(name, own.size, own.cell_count, own.kernel, own.trust, own.found)
-            for name, _, own in contestants
+            for name, _, own in labelled_sets
         ),
         scores=tuple(scores),
         noise_floor=pooled_noise_floor(model, nominal),
@@ -165,23 +165,23 @@ def evaluate(
         verdicts=verdicts,
         intervals=intervals,
         notes=(
-            *doubts,
-            *notes_of(facts, contestants[0][1], settings, rollout_scores),
-            *_not_unseen(contestants[0], settings, trained is None),
-            *_notes_of_sets(contestants, settings, trained is None),
+            *warnings,
+            *notes_of(facts, labelled_sets[0][1], settings, rollout_scores),
+            *_not_unseen(labelled_sets[0], settings, trained is None),
+            *_notes_of_sets(labelled_sets, settings, trained is None),
             *correct.notes,
             *(
                 text
                 for s in _not_judged(trained, drives)
                 for text in ingest_found(s.name, (*s.faults, *s.remarks))
             ),
-            *(lag_note(own) for *_, own in contestants if found_lag(own) is not None),
+            *(lag_note(own) for *_, own in labelled_sets if found_lag(own) is not None),
             *warnings_of([c for c in comparisons if c.name in settings.predictors]),
             *(interval_warnings(shown, intervals) if trained else ()),
         ),
     )
-    sets = tuple(own for *_, own in contestants)
-    drawn_from = tuple(tuple(held) for _, held, _ in contestants)
+    sets = tuple(own for *_, own in labelled_sets)
+    drawn_from = tuple(tuple(held) for _, held, _ in labelled_sets)
     return EvaluationRun(report, sets, drawn_from, tuple(traces), tallies, rollouts)
 
 
@@ -191,7 +191,7 @@ def _not_judged(trained: TrainingSet | None, drives: Sequence[Drive]) -> list[Se
     return [source for source in trained.sources if source.sha256 not in judged] if trained else []
 
 
-def _contestants(
+def _labelled_sets(
     drives: Sequence[Drive],
     vehicle: Vehicle,
     settings: EvaluationSettings,
@@ -200,39 +200,39 @@ def _contestants(
     engine: Engine,
 ) -> tuple[list[tuple[str, list[HeldOutSamples], TrainingSet]], list[HeldOutSamples]]:
     """Return each feature set with samples and trained set, and the samples of the nominal model."""
-    contestants, nominal = [], []
+    labelled_sets, nominal = [], []
     for features in settings.features:
         say(f"{features}: labels and training")
         parsed = parse_features(features)
-        held = _hold_out(drives, _remembering(vehicle, trained), parsed, settings, trained, engine)
+        held = _hold_out(drives, _with_states_of_features(vehicle, trained), parsed, settings, trained, engine)
         nominal = nominal or held
         own = trained or _train(held, vehicle, settings)
         if own.found_effects:
             held = _hold_out(drives, own.vehicle, parsed, settings, trained, engine)
-        contestants.append((features, held, own))
+        labelled_sets.append((features, held, own))
     if not any(len(h.tested) for h in nominal):
         what = "no test sample can be scored: all are in gaps, too slow or not finite"
         advice = "`split label` counts why; look at units and signs with `split info`."
         raise DriveError(what, where=", ".join(h.drive.name for h in nominal), advice=advice)
-    return contestants, nominal
+    return labelled_sets, nominal
 
 
 def _not_unseen(
-    contestant: tuple[str, list[HeldOutSamples], TrainingSet], settings: EvaluationSettings, is_own: bool
+    labelled_set: tuple[str, list[HeldOutSamples], TrainingSet], settings: EvaluationSettings, is_own: bool
 ) -> Iterator[str]:
     """Yield which drives share rows with one that the set was trained on."""
-    _, held, trained = contestant
+    _, held, trained = labelled_set
     if settings.protocol != "paper":
         for number, h in enumerate(held):
             yield from not_unseen("the set", trained, h.drive, h.z, number if is_own else None)
 
 
-def _notes_of_sets(contestants: Sequence[tuple], settings: EvaluationSettings, are_own: bool) -> Iterator[str]:
+def _notes_of_sets(labelled_sets: Sequence[tuple], settings: EvaluationSettings, are_own: bool) -> Iterator[str]:
     """Yield that the sets are the evaluation's own, where they are, and of which part of long drives it is."""
     finds_trust = are_own and _finds_trust(settings)
     if finds_trust:
-        yield from own_sets([(name, own) for name, _, own in contestants])
-    yield from left_out(contestants[0][1], finds_trust)
+        yield from own_sets([(name, own) for name, _, own in labelled_sets])
+    yield from left_out(labelled_sets[0][1], finds_trust)
 
 
 def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: EvaluationSettings) -> TrainingSet:
@@ -295,7 +295,7 @@ def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
         )
 
 
-def _remembering(vehicle: Vehicle, trained: TrainingSet | None) -> Vehicle:
+def _with_states_of_features(vehicle: Vehicle, trained: TrainingSet | None) -> Vehicle:
     """Return the vehicle with those terms that a set found beyond its file whose states are its features."""
     found = () if trained is None else trained.found
     named = {name.partition(".")[0] for name in (() if trained is None else trained.features.names)}
@@ -336,7 +336,7 @@ def _training(held: HeldOutSamples) -> Labels:
 
 
 def _score_predictors(
-    contestants: list[tuple[str, list[HeldOutSamples], TrainingSet]],
+    labelled_sets: list[tuple[str, list[HeldOutSamples], TrainingSet]],
     baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
     say: Callable[[str], None],
@@ -347,11 +347,11 @@ def _score_predictors(
     tallies = {(name, ""): tally for name, tally in pooled.items()}
     by_drive = [
         score(name, tally, own, drive=held.drive.name)
-        for held, own in zip(contestants[0][1], baselines, strict=True)
+        for held, own in zip(labelled_sets[0][1], baselines, strict=True)
         for name, tally in own.items()
     ]
     traces, predictors = [], {}
-    for features, held, training_set in contestants:
+    for features, held, training_set in labelled_sets:
         tested = [h.labels.take(h.tested) for h in held]
         longest = max(held, key=lambda h: len(h.tested))
         rows = longest.labels.row[longest.tested]
@@ -456,7 +456,7 @@ def _comparisons(
     rolled: Sequence[Rolled],
     settings: EvaluationSettings,
 ) -> tuple[tuple[Comparison, ...], tuple[str, ...]]:
-    """Return every contestant beside the nominal model and persistence, and a verdict on each in words."""
+    """Return every predictor beside the nominal model and persistence, and a verdict on each in words."""
     blocks: dict[int, np.ndarray] = {}
 
     def block_of(drive: Drive) -> np.ndarray:
@@ -488,16 +488,16 @@ def _comparisons(
 
 
 def _sizes(
-    contestants: list[tuple[str, list[HeldOutSamples], TrainingSet]],
+    labelled_sets: list[tuple[str, list[HeldOutSamples], TrainingSet]],
     baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
     say: Callable[[str], None],
 ) -> list[SizeScore]:
     paper = settings.protocol == "paper"
-    asked = settings.sizes or ((PAPER_SIZE,) if paper else DEFAULT_SIZES if len(contestants) > 1 else ())
+    asked = settings.sizes or ((PAPER_SIZE,) if paper else DEFAULT_SIZES if len(labelled_sets) > 1 else ())
     pooled = {name: _sum([b[name] for b in baselines]) for name in baselines[0]}
     scores = []
-    for features, held, training_set in contestants if asked else ():
+    for features, held, training_set in labelled_sets if asked else ():
         candidates = Labels.joined([_training(h) for h in held])
         for size, chosen in informative_sets(training_set.vehicle, candidates, training_set.kernel, asked):
             say(f"{features}: full on the {chosen.size} most informative samples")

@@ -7,7 +7,7 @@ from split_cli.logs.drive import Drive
 from split_cli.plots.evaluation import FigureFiles, write_figures
 from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.pictures import recording_charts
+from split_cli.workflows.drive_charts import recording_charts
 from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_page
 from split_cli.workflows.report.recording import recording_page
 

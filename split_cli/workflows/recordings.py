@@ -64,7 +64,7 @@ class RecordingCorrection:
         return replace(drive, columns=columns)
 
 
-def vehicle_doubts(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool = False) -> tuple[str, ...]:
+def vehicle_warnings(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool = False) -> tuple[str, ...]:
     """Return warnings about drives that the vehicle can hardly have made.
 
     Parameters
@@ -77,7 +77,7 @@ def vehicle_doubts(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool 
     DriveError
         If a drive is of another vehicle: its geometry, grip or mass contradict the file by more than a factor 2.5.
     """
-    doubts = []
+    warnings = []
     for drive in drives:
         shown = belonging(drive, vehicle)
         wrong = "; ".join(shown.contradictions())
@@ -85,6 +85,6 @@ def vehicle_doubts(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool 
             advice = "Check vehicle file, units and signs with `split info`, or go on with --any-vehicle."
             raise DriveError(f"is not of the vehicle {vehicle.name!r}: {wrong}", where=drive.name, advice=advice)
         if wrong:
-            doubts.append(f"WARNING: {drive.name} is not of the vehicle {vehicle.name!r}: {wrong}")
-        doubts += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in shown.doubts()]
-    return tuple(doubts)
+            warnings.append(f"WARNING: {drive.name} is not of the vehicle {vehicle.name!r}: {wrong}")
+        warnings += [f"WARNING: {drive.name}: {doubt}: other tyres, load or road" for doubt in shown.doubts()]
+    return tuple(warnings)

@@ -111,7 +111,7 @@ def test_what_brings_reality_back_is_named_where_form_error_is_much(restless):
     """Without a fault the same recordings match: test_calibration."""
     steps: list[str] = []
     outcome = search(restless, candidates_of(restless), reach=0.35, progress=steps.append)
-    assert outcome.known.ratio > 3.0
+    assert outcome.self_test.ratio > 3.0
     assert steps == ["comparing", "naming", "naming with a fixed baseline"] and len(outcome.objectives) == 2
     assert [term.id for term in outcome.selection.terms] == ["steer_gain"]
     assert outcome.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)

@@ -8,7 +8,7 @@ import pytest
 from split_cli.errors import DriveError
 from split_cli.scoring.vehicle_match import belonging, share_beyond
 from split_cli.vehicle.tire import MagicFormula
-from split_cli.workflows.recordings import vehicle_doubts
+from split_cli.workflows.recordings import vehicle_warnings
 from tests.factories import make_drive, make_training_set, road_car
 
 
@@ -19,7 +19,7 @@ def drive():
 
 def test_its_own_vehicle_is_not_doubted(drive):
     shown = belonging(drive, road_car())
-    assert vehicle_doubts([drive], road_car()) == ()
+    assert vehicle_warnings([drive], road_car()) == ()
     # The drive turns by the very equations; steady turning leaves out what is transient.
     assert 0.6 < shown.turning < 1.2 and 0.8 < shown.traction < 1.2
 
@@ -30,8 +30,8 @@ def test_a_car_of_another_size_is_refused_and_with_the_flag_warned_of(drive):
         max_brake_torque=2.0, front_tire=MagicFormula(9.0, 1.4, 18.0), rear_tire=MagicFormula(9.0, 1.4, 18.0),
     )  # fmt: skip
     with pytest.raises(DriveError, match="is not of the vehicle 'test car': it turns .* times as fast"):
-        vehicle_doubts([drive], small)
-    said = vehicle_doubts([drive], small, any_vehicle=True)
+        vehicle_warnings([drive], small)
+    said = vehicle_warnings([drive], small, any_vehicle=True)
     assert said[0].startswith("WARNING: made.parquet is not of the vehicle")
 
 

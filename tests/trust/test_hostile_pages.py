@@ -9,8 +9,8 @@ import pytest
 from split_cli.scoring.comparison import RunErrors, rank
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.workflows.compare import ModelComparison
+from split_cli.workflows.drive_charts import recording_charts
 from split_cli.workflows.evaluate import evaluate
-from split_cli.workflows.pictures import recording_charts
 from split_cli.workflows.racing.race_page import race_page
 from split_cli.workflows.report.comparison import comparison_page
 from split_cli.workflows.report.evaluation import evaluation_page

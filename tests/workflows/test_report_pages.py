@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from split_cli.plots.pictures import handling, handling_charts
+from split_cli.plots.charts import handling, handling_charts
 from split_cli.scoring.handling.understeer import Understeer
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.scoring.verdict import Comparison
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from split_cli.workflows.drive_charts import recording_charts
 from split_cli.workflows.evaluate import evaluate
 from split_cli.workflows.pages import write_recording_report
-from split_cli.workflows.pictures import recording_charts
 from split_cli.workflows.report.evaluation import _headline, evaluation_charts, evaluation_page
 from split_cli.workflows.report.recording import recording_page
 from tests.factories import MissingForce, make_drive, road_car

@@ -50,7 +50,7 @@ class SearchOutcome:
     structure: Structure  # with the objective
     gap: FlexibleFit  # of the whole gap
     selection: Selection
-    known: SelfTest  # what the simulation shows against itself, searched alike
+    self_test: SelfTest  # what the simulation shows against itself, searched alike
     variance_inflation: float  # by which residual autocorrelation widens chi squared
     # With a marginalised baseline, and with a fixed one where that was searched, too.
     objectives: tuple[MarginalLikelihood, ...] = ()

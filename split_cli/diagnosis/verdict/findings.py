@@ -275,7 +275,7 @@ def _is_unexplained(
         min(selection.form_error_share * outcome.gap.effect_to_noise, selection.above_noise),
     )
     if (
-        is_autocorrelated(autocorrelation, outcome.known.autocorrelation, policy)
+        is_autocorrelated(autocorrelation, outcome.self_test.autocorrelation, policy)
         and autocorrelation.effect_to_noise > large
     ):
         return True

@@ -1,4 +1,4 @@
 """From recordings to drives, and the first files of a newcomer: `split ingest`, `split init`.
 
-May import: the ground of `workflows`, and every package but cli.
+May import: the modules directly in `workflows/`, and every package but cli.
 """

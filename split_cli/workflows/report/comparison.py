@@ -7,6 +7,7 @@ import numpy as np
 from split_cli.plots.chart import Chart, ChartLine
 from split_cli.scoring.comparison import STATES, UNITS, ModelScore
 from split_cli.workflows.compare import ModelComparison
+from split_cli.workflows.report.chart_sections import chart_sections
 from split_cli.workflows.report.markup import (
     charts_block,
     facts_list,
@@ -17,14 +18,13 @@ from split_cli.workflows.report.markup import (
     verdict,
 )
 from split_cli.workflows.report.payload import shows
-from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number
 
 _NAMES = {"v_x": "longitudinal velocity", "v_y": "lateral velocity", "r": "yaw rate"}
 
 
-def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), table: str = "") -> str:
+def comparison_page(compared: ModelComparison, drive_charts: Sequence[Chart] = (), table: str = "") -> str:
     """Return the report of a comparison as one HTML document that loads nothing.
 
     Parameters
@@ -32,7 +32,7 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
     table : str
         Content of the file that has the same numbers; the page names its digest.
     """
-    charts = (*comparison_charts(compared), *pictures)
+    charts = (*comparison_charts(compared), *drive_charts)
     last = _at(compared.scores, _longest(compared))
     drives = "drive" if len(compared.drives) == 1 else "drives"
     facts = [
@@ -52,7 +52,7 @@ def comparison_page(compared: ModelComparison, pictures: Sequence[Chart] = (), t
         + section("errors", title, charts_block(charts[:3], thirds=True))
         + (section("gate", f"Where {escape(compared.models[0])}, named first, is worse", alarms) if alarms else "")
         + _tables(compared)
-        + "".join(picture_sections(pictures))
+        + "".join(chart_sections(drive_charts))
         + notes_section(compared.notes, "What to know")
     )
     return page(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from split_cli.plots.chart import Chart, ChartLine
-from split_cli.plots.pictures import (
+from split_cli.plots.charts import (
     Subject,
     coverage_charts,
     drive_charts,
@@ -14,7 +14,7 @@ from split_cli.plots.pictures import (
     track_chart,
     whiteness_chart,
 )
-from split_cli.plots.pictures.tires import LearnedForces
+from split_cli.plots.charts.tires import LearnedForces
 from split_cli.prediction import make_predictor
 from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, predictor_names
 from split_cli.scoring.report import IntervalShares
@@ -22,7 +22,8 @@ from split_cli.scoring.rollouts import Correction
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.verdict import Comparison, does_harm
 from split_cli.vehicle.single_track import SingleTrack
-from split_cli.workflows.pictures import gathered
+from split_cli.workflows.drive_charts import gathered
+from split_cli.workflows.report.chart_sections import chart_sections
 from split_cli.workflows.report.markup import (
     charts_block,
     facts_list,
@@ -31,7 +32,6 @@ from split_cli.workflows.report.markup import (
     section,
     verdict,
 )
-from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number, percent
 
@@ -55,7 +55,7 @@ def evaluation_page(run: EvaluationRun, charts: Sequence[Chart] | None = None) -
     names = ", ".join(drive.name for drive in report.drives)
     believed = [c for c in report.comparisons if c.name in report.settings.predictors]
     body = (
-        f"{_verdict(run, believed)}{_errors(charts)}{''.join(picture_sections(charts))}{_tables(run)}"
+        f"{_verdict(run, believed)}{_errors(charts)}{''.join(chart_sections(charts))}{_tables(run)}"
         f"{notes_section([_sentence(note) for note in report.notes if not note.startswith(_WARNING)], 'Notes')}"
     )
     return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)} {names}", body, charts)

@@ -6,8 +6,8 @@ from typing import Any
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart
 from split_cli.signals import CHANNELS
+from split_cli.workflows.report.chart_sections import chart_sections
 from split_cli.workflows.report.markup import facts_list, items, plain_table, section, verdict
-from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import number, prose
 
@@ -36,7 +36,7 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
     ]
     body = (
         f"{verdict(kind, _short(headline), f'{_rest(headline)}{more}{facts_list(facts)}')}"
-        f"{''.join(picture_sections(charts))}{_open(found)}{_channels(found)}{_done(drive)}"
+        f"{''.join(chart_sections(charts))}{_open(found)}{_channels(found)}{_done(drive)}"
     )
     source = ", ".join(one.name for one in drive.metadata.sources) or drive.name
     return page("ingest", source, f"{_short(headline)} {source}", body, charts)

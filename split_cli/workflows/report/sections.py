@@ -7,10 +7,10 @@ from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Location
 from split_cli.diagnosis.statement.sentences import not_accepted, scatter, unexplained_part
 from split_cli.plots.chart import Chart
+from split_cli.workflows.report.chart_sections import chart_sections
 from split_cli.workflows.report.findings import what_section
 from split_cli.workflows.report.headline import finding_headline, findings_headline
 from split_cli.workflows.report.markup import bar_row, facts_list, section, table, verdict
-from split_cli.workflows.report.pictures import picture_sections
 from split_cli.workflows.report.words import (
     CHANNELS,
     FORCE_IDS,
@@ -59,7 +59,7 @@ def all_sections(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
     """Return the body of the page; a verdict without a gap has no sections about one."""
     parts = [_verdict(diagnosis)]
     if diagnosis.verdict != "undecided":
-        parts += picture_sections(charts)
+        parts += chart_sections(charts)
     if diagnosis.verdict == "undecided":
         parts.append(_not_judged(diagnosis))
     if any(len(gap.t) for gap in diagnosis.gaps):

@@ -1,4 +1,4 @@
 """From drives to a trained set: `split train`, and the settings that held-out blocks choose.
 
-May import: ingesting, the ground of `workflows`, and every package but cli.
+May import: ingesting, the modules directly in `workflows/`, and every package but cli.
 """

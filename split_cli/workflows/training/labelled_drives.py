@@ -26,7 +26,7 @@ from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.label import drive_notes
-from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
+from split_cli.workflows.recordings import RecordingCorrection, vehicle_warnings
 
 #: Labels kept in memory [bytes]; those beyond wait in a temporary folder, so that an archive of any size trains.
 KEPT_BYTES = 256 * 2**20
@@ -125,9 +125,9 @@ class LabelledDrives:
         jobs = [
             (self._sources[n].drive, self.labelling, self._rows_of(n), n not in self._checked) for n in numbers
         ]
-        for n, (labels, doubts, seconds) in zip(numbers, self._engine.map(_label_apart, jobs), strict=True):
+        for n, (labels, warnings, seconds) in zip(numbers, self._engine.map(_label_apart, jobs), strict=True):
             self._checked.add(n)
-            self._notes += doubts
+            self._notes += warnings
             self._seconds[n] = seconds
             self._keep(n, labels)
 
@@ -162,7 +162,7 @@ class LabelledDrives:
         self._open = (number, drive) if drive.stays_in_file else None
         if number not in self._checked:
             self._checked.add(number)
-            self._notes += vehicle_doubts([drive], self.labelling.vehicle, self.labelling.any_vehicle)
+            self._notes += vehicle_warnings([drive], self.labelling.vehicle, self.labelling.any_vehicle)
         return drive
 
     def labels(self, number: int, drive: Drive | None = None) -> Labels:
@@ -264,14 +264,14 @@ def _labelled(drive: Drive, how: Labelling) -> Labels:
 
 
 def _label_apart(job: tuple[Path, Labelling, np.ndarray | None, bool]) -> tuple[Labels, tuple[str, ...], float]:
-    """Return the labels of a drive, what is doubtful of it, and the time that labelling took [s]."""
+    """Return the labels of a drive, warnings about it, and the time that labelling took [s]."""
     path, how, rows, check = job
     drive = RecordingCorrection(how.vehicle)(open_drive(path, how.held))
-    doubts = vehicle_doubts([drive], how.vehicle, how.any_vehicle) if check else ()
+    warnings = vehicle_warnings([drive], how.vehicle, how.any_vehicle) if check else ()
     start = time.perf_counter()
     labels = _labelled(drive, how)
     labels = labels if rows is None else labels.within(rows)
-    return labels, doubts, time.perf_counter() - start
+    return labels, warnings, time.perf_counter() - start
 
 
 def drive_digest(path: Path) -> str:

@@ -21,7 +21,7 @@ from split_cli.scoring.selection import SelectionSettings, SetCandidate, SetSele
 from split_cli.scoring.splits import DEFAULT_BLOCKS, DEFAULT_GUARD, with_guards
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
-from split_cli.workflows.recordings import RecordingCorrection, vehicle_doubts
+from split_cli.workflows.recordings import RecordingCorrection, vehicle_warnings
 
 _FOLDS = 3  # a third of the time is held out, as in `split evaluate`
 
@@ -49,7 +49,7 @@ def select_files(
     car = read_vehicle(vehicle)
     correct = RecordingCorrection(car)
     recorded = [correct(read_drive(path, held)) for path in drives]
-    vehicle_doubts(recorded, car, any_vehicle)
+    vehicle_warnings(recorded, car, any_vehicle)
     return select(recorded, car, settings, command=f"--vehicle {vehicle}", say=say)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from split_cli.plots.chart import Chart, ChartLine, thinned
-from split_cli.plots.pictures.drive import Subject
+from split_cli.plots.charts.drive import Subject
 from split_cli.scoring.handling.steering_response import steering_response
 from split_cli.scoring.handling.understeer import DEG_PER_G, Understeer, understeer_of
 from split_cli.vehicle.parameters import Vehicle

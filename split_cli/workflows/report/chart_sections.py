@@ -16,7 +16,7 @@ _SECTIONS = (
 )
 
 
-def picture_sections(charts: Sequence[Chart]) -> list[str]:
+def chart_sections(charts: Sequence[Chart]) -> list[str]:
     """Return a section for each kind of chart there is."""
     found = []
     for name, title, begins, thirds in _SECTIONS:

@@ -12,7 +12,7 @@ from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart, thinned
-from split_cli.plots.pictures import (
+from split_cli.plots.charts import (
     Subject,
     drive_charts,
     handling_charts,
@@ -20,7 +20,7 @@ from split_cli.plots.pictures import (
     track_chart,
     whiteness_chart,
 )
-from split_cli.plots.pictures.tires import LearnedForces
+from split_cli.plots.charts.tires import LearnedForces
 from split_cli.prediction import DEFAULT_PREDICTOR, make_predictor
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.workflows.recordings import RecordingCorrection
