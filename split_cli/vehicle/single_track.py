@@ -219,12 +219,12 @@ class SingleTrack:
         return dvx, dvy, dr
 
     @classmethod
-    def weighted_changes(cls, plain: Flow, weighted: Iterable[tuple[float, Flow]]) -> Rates:
-        """Return the sum over flows of a weight times what each changes of (v_x', v_y', r') against a plain one.
+    def weighted_changes(cls, bare: Flow, weighted: Iterable[tuple[float, Flow]]) -> Rates:
+        """Return the sum over flows of a weight times what each changes of (v_x', v_y', r') against a bare one.
 
         Parameters
         ----------
-        plain : Flow
+        bare : Flow
             Of the same vehicle at the very same arrays, as the flows are.
         weighted : iterable of (float, Flow)
 
@@ -233,23 +233,23 @@ class SingleTrack:
         The balance is linear in the forces: where nothing else changes, they are added up first.
         """
         sums: dict[str, Any] = dict.fromkeys(_FORCES, 0.0)
-        base = cls.balance(plain)
+        base = cls.balance(bare)
         out = [0.0 * rate for rate in base]
         for weight, flow in weighted:
-            if any(getattr(flow, name) is not getattr(plain, name) for name in _BALANCED_BY):
+            if any(getattr(flow, name) is not getattr(bare, name) for name in _BALANCED_BY):
                 for k, (rate, before) in enumerate(zip(cls.balance(flow), base, strict=True)):
                     out[k] = out[k] + weight * (rate - before)
                 continue
             for name, force in _FORCES.items():
-                if force(flow) is not force(plain):
-                    sums[name] = sums[name] + weight * (force(flow) - force(plain))
+                if force(flow) is not force(bare):
+                    sums[name] = sums[name] + weight * (force(flow) - force(bare))
         axles: dict[str, Any] = {
             axle: AxleFlow(0.0, 0.0, 0.0, 0.0, sums[f"{axle}_longitudinal"], sums[f"{axle}_lateral"])
             for axle in ("front", "rear")
         }
         # At rest, where nothing turns the velocities.
         external = {name: sums[name] for name in ("force_x", "force_y", "moment")}
-        together = cls.balance(replace(plain, vx=0.0, vy=0.0, r=0.0, **axles, **external))
+        together = cls.balance(replace(bare, vx=0.0, vy=0.0, r=0.0, **axles, **external))
         return out[0] + together[0], out[1] + together[1], out[2] + together[2]
 
     def velocity_jacobian(

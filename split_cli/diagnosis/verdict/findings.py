@@ -198,12 +198,14 @@ def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequen
     """Return terms that the data do not single out.
 
     Many others do as well, nothing tells where they act, or no effect at all is as good: for each parameter by
-    itself, and for all of them together.
+    itself, and for all of them together. Or they end at what a car can have, once others are fitted again.
     """
-    candidates = {part.candidate.term: part.candidate for part in selection.chosen.parts}
+    parts = {part.candidate.term: part for part in selection.chosen.parts}
     rules, out = objective.policy.abstention, set()
     for one in reported:
         term, parameters = one.finding.term, one.finding.parameters
+        if parts[term].candidate.at_limit(parts[term].values):
+            out.add(term)
         if sum(name not in one.declared for name in one.finding.alternatives) > rules.most_alternatives:
             out.add(term)
         if not excludes_no_effect(one.finding):
@@ -211,7 +213,7 @@ def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequen
         for name in ("s_start", "s_end"):
             if name in parameters:
                 low, high = parameters[name].interval_95
-                if high - low > rules.greater_part * candidates[term].ranges[name].upper:
+                if high - low > rules.greater_part * parts[term].candidate.ranges[name].upper:
                     out.add(term)
     return out
 
