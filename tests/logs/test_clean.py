@@ -6,6 +6,8 @@ import pytest
 from split_cli.errors import LogError
 from split_cli.logs.assembling.clean import clean_series, join_clock_resets, longest_repeat
 from split_cli.logs.assembling.conversion import RawSeries
+from split_cli.logs.assembling.synchronize import clean_channels
+from tests.logs.planted import planted_map
 
 
 def series(time, values, channel="vx", delay=0.0) -> RawSeries:
@@ -33,6 +35,32 @@ def test_every_drop_is_counted_by_reason_and_the_rest_is_as_it_was():
     }
     assert np.all(np.diff(clean.time) > 0)
     np.testing.assert_allclose(clean.values, np.sin(clean.time), atol=1e-12)
+
+
+@pytest.mark.parametrize("piece", [7, 50])
+def test_a_long_signal_is_cleaned_piece_by_piece_as_a_whole_one_is(monkeypatch, piece):
+    rng = np.random.default_rng(piece)
+    yaw = (np.cumsum(rng.normal(0.0, 1.5, 999)) + np.pi) % (2.0 * np.pi) - np.pi
+    yaw[rng.random(999) < 0.1] = np.nan
+    held = np.repeat(rng.normal(size=333), 3)
+    held[[40, 41, 700]] += 90.0
+    entries = planted_map(("yaw", "ax")).channels
+
+    def cleaned() -> list:
+        made, _ = clean_channels(
+            {c: [series(np.arange(999) * 0.01, v, c)] for c, v in (("yaw", yaw), ("ax", held))},
+            {entry.channel: entry for entry in entries}, ("yaw", "ax"), gap=0.1, despike=True,
+        )  # fmt: skip
+        return [made.clean["yaw"][0].values, made.clean["ax"][0].values, made.clean["ax"][0].repeats]
+
+    whole = cleaned()
+    finite = np.isfinite(yaw)
+    np.testing.assert_array_equal(whole[0], np.unwrap(yaw[finite]))
+    assert whole[2] == 3
+    for place in ("clean", "synchronize"):
+        monkeypatch.setattr(f"split_cli.logs.assembling.{place}.PIECE", piece)
+    for one, other in zip(whole, cleaned(), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_a_delay_moves_times_earlier():

@@ -1,5 +1,6 @@
 """Time stamps and samples made fit for resampling; whatever is dropped or moved is counted."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,7 +10,7 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.checking.plausible import is_damaged
-from split_cli.logs.scratch import set_aside
+from split_cli.logs.scratch import PIECE, room, set_aside
 from split_cli.signals import CHANNELS
 
 _RESET_WINDOW = 10
@@ -306,7 +307,9 @@ def clean_series(
         drops.append(("out of order, sorted", backward))
     if len(time) > 1:
         step = np.diff(time)
-        typical = float(np.median(step[step > 0])) if np.any(step > 0) else 0.0
+        onward = step > 0
+        typical = float(np.median(step if onward.all() else step[onward])) if onward.any() else 0.0
+        del onward
         keep(np.concatenate([[True], step > _DUPLICATE_SHARE * typical]), "duplicate time")
     steps = held if steps is None else steps
     if steps:
@@ -329,7 +332,7 @@ def clean_series(
         source=series.source,
         time=set_aside(time),
         values=set_aside(values),
-        period=float(np.median(np.diff(time))),
+        period=float(np.median(np.diff(time), overwrite_input=True)),
         repeats=repeats,
         spikes=int(np.count_nonzero(spikes)),
         drops=tuple(Drop(series.source, reason, count) for reason, count in drops),
@@ -346,7 +349,12 @@ def isolated_spikes(values: np.ndarray) -> np.ndarray:
         return np.zeros(len(values), dtype=bool)
     from scipy.ndimage import median_filter
 
-    deviation = np.abs(values - median_filter(values, size=7, mode="nearest"))
+    deviation = room(len(values))
+    for first in range(0, len(values), PIECE):  # with the neighbours that the filter looks at
+        last, before = min(first + PIECE, len(values)), max(first - 3, 0)
+        near = np.asarray(values[before : last + 3], dtype=float)
+        smooth = median_filter(near, size=7, mode="nearest")
+        deviation[first:last] = np.abs(near - smooth)[first - before : last - before]
     scale = max(float(np.quantile(deviation, 0.99)) / 2.576, 1.4826 * float(np.median(deviation)))
     span = float(np.subtract(*np.quantile(values, [0.99, 0.01])))
     flagged = deviation > max(_SPIKE_SIGMAS * scale, 0.25 * span, 1e-9)
@@ -372,15 +380,29 @@ def longest_repeat(values: np.ndarray) -> int:
     A quantised signal repeats values too, but in runs of any length: here nine of ten runs of a moving signal
     have the same length, give or take one.
     """
-    change = np.flatnonzero(np.diff(values) != 0.0)
-    if len(change) < 20:
+    lengths, counts = _between_changes(values)
+    total = int(counts.sum())
+    if total < 19:
         return 1
-    lengths = np.diff(change)
-    typical = int(np.median(lengths))
+    middle = np.searchsorted(np.cumsum(counts), [(total - 1) // 2 + 1, total // 2 + 1])
+    typical = int(0.5 * float(lengths[middle].sum()))
     if typical < 2:
         return 1
-    regular = np.count_nonzero(np.abs(lengths - typical) <= 1) / len(lengths)
+    regular = int(counts[np.abs(lengths - typical) <= 1].sum()) / total
     return typical if regular >= 0.9 else 1
+
+
+def _between_changes(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how many samples lie between changes, ascending, and how often; a long signal piece by piece."""
+    found: Counter[int] = Counter()
+    latest: list[int] = []  # change
+    for first in range(0, len(values), PIECE):
+        change = first + np.flatnonzero(np.diff(values[first : first + PIECE + 1]) != 0.0)
+        apart, count = np.unique(np.diff(np.concatenate([latest, change])), return_counts=True)
+        found.update(dict(zip(apart.astype(int).tolist(), count.tolist(), strict=True)))
+        latest = change[-1:].tolist() or latest
+    lengths = sorted(found)
+    return np.array(lengths, dtype=int), np.array([found[length] for length in lengths], dtype=int)
 
 
 def _first_of_repeats(values: np.ndarray, repeats: int) -> np.ndarray:

@@ -22,7 +22,7 @@ from split_cli.logs.assembling.resample import (
 )
 from split_cli.logs.drive import NoiseEstimate
 from split_cli.logs.map_entries import ChannelMap
-from split_cli.logs.scratch import let_go, set_aside
+from split_cli.logs.scratch import PIECE, let_go, room, set_aside
 from split_cli.signals import CHANNELS
 
 SLOWEST_PERIOD = 0.125
@@ -119,9 +119,20 @@ def clean_channels(
 
 
 def _unwrapped(angle: np.ndarray) -> np.ndarray:
-    finite = np.isfinite(angle)
-    result = angle.copy()
-    result[finite] = np.unwrap(angle[finite])
+    """Return an angle without its jumps by a turn, as `np.unwrap` does; a long one piece by piece."""
+    result, before, turned = room(len(angle)), np.empty(0), 0.0
+    for first in range(0, len(angle), PIECE):
+        piece = angle[first : first + PIECE]
+        finite = np.isfinite(piece)
+        own = np.concatenate([before, piece[finite]])
+        step = np.diff(own)
+        back = np.mod(step + np.pi, 2.0 * np.pi) - np.pi
+        back[(back == -np.pi) & (step > 0.0)] = np.pi
+        turns = np.where(np.abs(step) < np.pi, 0.0, back - step)
+        turns = np.cumsum(np.concatenate([[turned], turns]))
+        result[first : first + PIECE] = piece
+        result[first : first + PIECE][finite] = (own + turns)[len(before) :]
+        before, turned = own[-1:], float(turns[-1]) if len(own) else turned
     return result
 
 
