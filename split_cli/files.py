@@ -346,6 +346,11 @@ def json_ready(value: Any) -> Any:
     return [json_ready(entry) for entry in value] if isinstance(value, Iterable) else str(value)
 
 
+def typed_path(path: str | os.PathLike[str]) -> str:
+    """Return a path as one types it: what begins with a hyphen would be taken for an option."""
+    return os.path.join(os.curdir, path) if str(path).startswith("-") else str(path)
+
+
 def refuse_overwriting_inputs(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> None:
     """Refuse to write over a file that is being read: a recording that is replaced by its result is lost.
 

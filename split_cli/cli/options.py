@@ -13,7 +13,7 @@ from click.core import ParameterSource
 
 from split_cli.cli.digits import Printed, plausible
 from split_cli.errors import SplitError
-from split_cli.files import json_ready
+from split_cli.files import json_ready, typed_path
 
 
 class _PlaceOfFile(click.Path):
@@ -316,6 +316,6 @@ def _cell(value: Any) -> str:
 
 def tell_next(words: Sequence[str | Path] = (), *, before: str = "") -> None:
     """Print the command to run next on stderr, as a line to copy; `before` says what has to be done first."""
-    line = before + " ".join(shlex.quote(str(word)) for word in words)
+    line = before + " ".join(shlex.quote(typed_path(w) if isinstance(w, Path) else w) for w in words)
     if line:
         click.echo(f"next: {line}", err=True)

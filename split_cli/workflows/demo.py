@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from split_cli.errors import SplitError
+from split_cli.files import typed_path
 
 TRAINING_LOG = "road_handling_moderate.mcap"
 HELD_OUT_LOG = "road_handling_aggressive.mcap"
@@ -53,12 +54,14 @@ def find_samples(folder: str | Path | None = None) -> Path:
 
 def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:
     """Return the commands of the demo, reading `samples` and writing into `output`."""
-    vehicle = str(samples / VEHICLE)
-    drives = {log: str(output / Path(log).with_suffix(".parquet").name) for log in (TRAINING_LOG, HELD_OUT_LOG)}
-    trained = str(output / "road_car.split")
+    vehicle = typed_path(samples / VEHICLE)
+    drives = {
+        log: typed_path(output / Path(log).with_suffix(".parquet").name) for log in (TRAINING_LOG, HELD_OUT_LOG)
+    }
+    trained = typed_path(output / "road_car.split")
 
     def ingest(log: str) -> tuple[str, ...]:
-        return ("ingest", str(samples / log), "--vehicle", vehicle, "--map", "split_sim", "-o", drives[log])
+        return ("ingest", typed_path(samples / log), "--vehicle", vehicle, "--map", "split_sim", "-o", drives[log])
 
     return (
         DemoStep("Read a recording: ROS 2 messages in MCAP, each channel with a rate and a clock of its own.",
@@ -67,13 +70,15 @@ def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:
         DemoStep("Learn what the nominal model gets wrong.",
                  ("train", drives[TRAINING_LOG], "--vehicle", vehicle, "-o", trained)),
         DemoStep("Score it on the recording it has not seen, beside persistence and the noise floor.",
-                 ("evaluate", drives[HELD_OUT_LOG], "--set", trained, "-o", str(output / "figures"))),
+                 ("evaluate", drives[HELD_OUT_LOG], "--set", trained, "-o", typed_path(output / "figures"))),
         DemoStep("Write it as C99 and as a CasADi function, verified against Python.",
-                 ("export", trained, "--target", "c", "--target", "casadi", "-o", str(output / "controller"))),
+                 ("export", trained, "--target", "c", "--target", "casadi",
+                  "-o", typed_path(output / "controller"))),
         DemoStep("Ask what a file is.", ("info", trained)),
         DemoStep("Another pair: a real drive and its simulation, which differ in one thing. Say what it is.",
-                 ("diagnose", "--real", str(samples / REAL_LOG), "--sim", str(samples / SIMULATED_LOG),
-                  "--vehicle", vehicle, "--out", str(output / DIAGNOSIS))),
+                 ("diagnose", "--real", typed_path(samples / REAL_LOG),
+                  "--sim", typed_path(samples / SIMULATED_LOG),
+                  "--vehicle", vehicle, "--out", typed_path(output / DIAGNOSIS))),
     )  # fmt: skip
 
 

@@ -21,6 +21,13 @@ def test_every_file_a_step_reads_is_bundled_or_written_before(sample_logs, tmp_p
         written |= outputs
 
 
+def test_a_folder_whose_name_begins_with_a_hyphen_is_no_option(sample_logs, tmp_path):
+    """`split demo -o -x` had ended at its third step, with a usage of `split train`."""
+    for step in demo_steps(sample_logs, Path("-x")):
+        assert not any(argument.startswith("-x") for argument in step.arguments)
+    assert any(argument == "./-x/road_car.split" for argument in demo_steps(sample_logs, Path("-x"))[2].arguments)
+
+
 def test_the_last_step_is_a_diagnosis_with_options_that_exist(sample_logs, tmp_path):
     """What it finds on the pair is in tests/test_notebook.py, which diagnoses the same two drives."""
     command, *arguments = demo_steps(find_samples(sample_logs), tmp_path)[-1].arguments
