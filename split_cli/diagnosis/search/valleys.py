@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.recording.series import values_of
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of
 from split_cli.diagnosis.search.term_tests import error_of_sum
 
@@ -89,8 +90,18 @@ def _profile(
 
     Costs are those block by block, less those of the fit. At each delay the other parameters take what is best to
     first order. Witnesses alone refute what the equations of motion find as good: model-form error differs from
-    block to block, and would drown what two instruments say.
+    block to block, and would drown what two instruments say. What was asked for a choice is known for an interval.
     """
+    known = objective.memo.setdefault("profiles of delays", {})
+    key = (objective.fixed_baseline, k, name, values_of(fit.terms))
+    if key not in known:
+        known[key] = _profile_anew(objective, fit, k, name)
+    return known[key]
+
+
+def _profile_anew(
+    objective: MarginalLikelihood, fit: Fit, k: int, name: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     part = fit.parts[k]
     limit = part.candidate.ranges[name]
     own = sum(len(one.values) for one in fit.parts[:k]) + list(part.values).index(name)
