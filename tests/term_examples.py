@@ -54,6 +54,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, float]] = {
     ("sensor_misalignment", ""): {"angle": 0.02},
     ("velocity_bias", ""): {"angle": 0.02, "drift": 0.001},
     ("velocity_bias", "step"): {"angle": 0.02, "step": 0.01, "at": 20.0},
+    ("velocity_bias", "offset"): {"offset": 0.1},
     ("acceleration_bias", ""): {"ax": 0.2, "ay": -0.3},
     ("acceleration_bias", "ax"): {"ax": 0.2},
     ("acceleration_bias", "ay"): {"ay": -0.3},

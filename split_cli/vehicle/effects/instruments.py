@@ -18,6 +18,7 @@ __all__ = ["AccelerationBias", "ChannelDelay", "SpeedScale", "VelocityBias", "Ya
 
 _TURNED = "judgement: a mounting that is off by more than nine degrees is seen"
 _WANDER = "judgement: what turns by half a degree in a second is no sensor of a direction"
+_BESIDE = "judgement: on straights, v_y of 1 m/s is seen at any speed"
 _TILTED = "judgement: an accelerometer tilted by eleven degrees measures a fifth of gravity"
 CROSSFALL = 0.025 * 9.81  # [m/s^2] gravity across a road that sheds water (AASHTO, 1.5 to 2.5 %): any road does
 # [1] judgement: a body that leans by some 4.6 degrees at 1 g, more than most cars do; g sin(roll) is felt across.
@@ -65,7 +66,8 @@ class VelocityBias(_Instrument):
     Recorded v_y is v_y + angle(t) v_x to first order, counter-clockwise positive: the velocity is turned by
     R(angle). By default the angle drifts as angle + drift (t - t_middle), so that `angle` is its mean over the
     drive. Variant ``step``: the angle is `angle` before the time `at` and `angle` + `step` after it, as if an
-    observer were reset.
+    observer were reset. Variant ``offset``: recorded v_y is v_y + offset, an angle that falls with speed, as of an
+    optical sensor beside its zero.
 
     A constant angle is `sensor_misalignment` with the opposite sign. Slip angle estimates that integrate
     inertial sensors drift in this way (Bevly, Ryu and Gerdes, 2006). Redundant channels (witnesses): position
@@ -75,9 +77,9 @@ class VelocityBias(_Instrument):
     id = "velocity_bias"
     _turned: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
     units: ClassVar = {"angle": "rad", "drift": "rad/s"}
-    variants: ClassVar = ("", "step")
-    variant_units: ClassVar = {"step": {"angle": "rad", "step": "rad", "at": "s"}}
-    neutral: ClassVar = {"angle": 0.0, "drift": 0.0, "step": 0.0}
+    variants: ClassVar = ("", "step", "offset")
+    variant_units: ClassVar = {"step": {"angle": "rad", "step": "rad", "at": "s"}, "offset": {"offset": "m/s"}}
+    neutral: ClassVar = {"angle": 0.0, "drift": 0.0, "step": 0.0, "offset": 0.0}
     needs: ClassVar = frozenset({"measured position", "lateral velocity"})
     mimics: ClassVar = (
         Mimic("sensor_misalignment", "a drift small against the mean", "a longer drive with position"),
@@ -87,6 +89,8 @@ class VelocityBias(_Instrument):
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         angle = Range(-0.15, 0.15, 0.0005, _TURNED)
+        if variant == "offset":
+            return Search({"offset": Range(-1.0, 1.0, 0.003, _BESIDE)}, ({"offset": 0.01},))
         if variant == "step":
             at = Range(0.0, course.duration, 0.005 * course.duration)
             starts = tuple(
@@ -99,6 +103,8 @@ class VelocityBias(_Instrument):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
+        if variant == "offset":
+            return f"the recorded lateral velocity is {amount(p['offset'])} beside its zero"
         angle = amount(p["angle"])
         if variant == "step":
             return (
@@ -119,6 +125,8 @@ class VelocityBias(_Instrument):
     def _changed(
         self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
     ) -> dict[str, np.ndarray]:
+        if self.variant == "offset":
+            return {**columns, "vy": columns["vy"] + sign * self.parameters["offset"]}
         cosine, sine = self._direction(columns["t"])
         vx, vy, sine = columns["vx"], columns["vy"], sign * sine
         return {**columns, "vx": cosine * vx - sine * vy, "vy": sine * vx + cosine * vy}
