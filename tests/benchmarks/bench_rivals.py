@@ -1,11 +1,14 @@
 """Updates and queries of every predictor and of rivals on one stream, in one run: ratios, medians, tails.
 
-    python -m tests.benchmarks.bench_rivals [--sizes 100,1000,4151] [--length-scale 2] [--json F] [--stream F]
+    python -m tests.benchmarks.bench_rivals [--sizes 100,1000,4151] [--length-scale 2 | --tuned] [--json F]
+    python -m tests.benchmarks.bench_rivals --drive lap.parquet --vehicle car.yaml
 
 One process, one thread, pinned to one processor; processor time of every single call less that of reading the
 clock, 50th and 99th percentile, the median over repeats of the whole. Samples are spread over the valid region
 of the road car, their labels a smooth function with noise, so that truth is known; every contestant has the
-kernel that the labels were made for. Rivals that are not installed are left out. `--log-gp` and `--sky-gp` name
+kernel that the labels were made for, or with `--tuned` one that was fitted to them. With `--drive` the training
+blocks of a drive are learned, and the labels of its held-out blocks are asked. Rivals that are not installed are
+left out. `--log-gp` and `--sky-gp` name
 folders with code of two streaming learners, which is no part of this project: `LoGGP.py`
 (github.com/alederer25/LoG-GPs, folder Python) and `models/SkyGP_BCM.py` (github.com/Zewen-Yang/SkyGP).
 `--stream` writes the samples and queries for programs that are measured beside this one.
@@ -41,9 +44,20 @@ from split_cli.prediction import make_predictor  # noqa: E402
 from split_cli.prediction.online import OnlineCommittee  # noqa: E402
 from split_cli.prediction.online_process import OnlineProcess  # noqa: E402
 from split_cli.prediction.table import TablePredictor  # noqa: E402
+from split_cli.vehicle.parameters import read_vehicle  # noqa: E402
 from split_cli.vehicle.single_track import SingleTrack  # noqa: E402
 from tests.benchmarks.gpytorch_rival import gpytorch_rows  # noqa: E402
-from tests.benchmarks.rival_stream import SLOW_QUERIES, Row, Stream, accuracy, each, percentiles, spent, stream_of  # noqa: E402
+from tests.benchmarks.rival_stream import (  # noqa: E402
+    SLOW_QUERIES,
+    Row,
+    Stream,
+    accuracy,
+    each,
+    percentiles,
+    recorded_stream,
+    spent,
+    stream_of,
+)
 from tests.benchmarks.streaming_rivals import log_gp_rows, sky_gp_rows  # noqa: E402
 from tests.factories import make_labels  # noqa: E402
 from tests.printed_learner import PrintedLearner  # noqa: E402
@@ -235,12 +249,12 @@ def scikit_learn(stream: Stream, full: np.ndarray) -> Row | None:
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel
     except ImportError:
         return None
-    s, models = stream.trained, []
+    s, (z, y), models = stream.rivals, stream.points, []
     begin = time.perf_counter()
     for output in range(3):
-        kernel = ConstantKernel(s.kernel.signal_variance[output]) * RBF(s.kernel.length_scales)
-        model = GaussianProcessRegressor(kernel, alpha=s.kernel.noise_variance[output], optimizer=None)
-        models.append(model.fit(s.z, s.y[:, output]))
+        kernel = ConstantKernel(s.signal_variance[output]) * RBF(s.length_scales[output])
+        model = GaussianProcessRegressor(kernel, alpha=s.noise_variance[output], optimizer=None)
+        models.append(model.fit(z, y[:, output]))
     build = time.perf_counter() - begin
 
     def predict(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -248,8 +262,8 @@ def scikit_learn(stream: Stream, full: np.ndarray) -> Row | None:
         return np.stack(mean, axis=1), np.stack(deviation, axis=1) ** 2
 
     query = each(predict, [z[None] for z in stream.queries[:SLOW_QUERIES]])
-    found = accuracy(*predict(stream.queries), stream, full)
-    return Row("scikit-learn, exact", len(stream.z), s.size, build, None, None, *query, **found)
+    found = accuracy(*predict(stream.queries), stream, full, ours=False)
+    return Row("scikit-learn, exact", len(stream.z), len(z), build, None, None, *query, **found)
 
 
 def casadi_full(stream: Stream, compiler: Compiler) -> Row:
@@ -294,16 +308,14 @@ def casadi_full(stream: Stream, compiler: Compiler) -> Row:
 
 
 def measure(
-    size: int,
-    length_scale: float,
+    stream: Stream,
     repeats: int,
     compiler: Compiler | None,
     log_gp: Path | None = None,
     sky_gp: Path | None = None,
 ) -> list[Row]:
-    """Return the rows of one size; every contestant `repeats` times, the median taken of each figure."""
-    stream = stream_of(size, length_scale)
-    dense = stream.trained.size <= 6000
+    """Return the rows of one stream; every contestant `repeats` times, the median taken of each figure."""
+    size, dense = len(stream.z), stream.trained.size <= 6000
     full = make_predictor("full", stream.trained).mean(stream.queries) if dense else None
     begin = time.perf_counter()
     table = TablePredictor(stream.trained)
@@ -339,17 +351,15 @@ def measure(
     return [_median(list(same)) for same in zip(*rows, strict=True)]
 
 
-def measure_streaming(size: int, length_scale: float, log_gp: Path | None, sky_gp: Path | None) -> list[Row]:
+def measure_streaming(stream: Stream, log_gp: Path | None, sky_gp: Path | None) -> list[Row]:
     """Return rows of the contestants that learn sample by sample, once each, at any size."""
-    stream = stream_of(size, length_scale)
     rows = [our_update(stream), offered(stream), online_update(stream), projected(stream, None)]
     rows += [] if log_gp is None else log_gp_rows(log_gp, stream, None)
     return rows + ([] if sky_gp is None else sky_gp_rows(sky_gp, stream, None))
 
 
-def measure_table(size: int, length_scale: float, repeats: int, compiler: Compiler) -> list[Row]:
+def measure_table(stream: Stream, repeats: int, compiler: Compiler) -> list[Row]:
     """Return the rows of the table in C at any size, medians of `repeats`."""
-    stream = stream_of(size, length_scale)
     table = TablePredictor(stream.trained)
     found = [
         [row for real in ("double", "float") for row in exported("table", real, stream, table, compiler)]
@@ -415,6 +425,10 @@ def table_text(rows: list[Row]) -> str:
 @click.option("--streaming", is_flag=True, help="Only those that learn sample by sample, once each.")
 @click.option("--table", is_flag=True, help="Only the table in C, at any size.")
 @click.option("--gpytorch", is_flag=True, help="Only GPyTorch, one output after the other, at any size.")
+@click.option("--tuned", is_flag=True, help="Ours and the others fit hyperparameters of their own.")
+@click.option("--drive", "recording", type=click.Path(exists=True, path_type=Path),
+              help="Learn its training blocks, ask its held-out ones; others are tuned.")  # fmt: skip
+@click.option("--vehicle", type=click.Path(exists=True, path_type=Path), help="Vehicle file of the drive.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Rows and machine.")
 @click.option("--stream", "stream_path", type=click.Path(path_type=Path), help="Samples and queries, npz.")
 @click.option("--log-gp", type=click.Path(exists=True, path_type=Path), help="Folder that holds LoGGP.py.")
@@ -428,6 +442,9 @@ def main(
     streaming: bool,
     table: bool,
     gpytorch: bool,
+    tuned: bool,
+    recording: Path | None,
+    vehicle: Path | None,
     json_path: Path | None,
     stream_path: Path | None,
     log_gp: Path | None,
@@ -438,20 +455,25 @@ def main(
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     compiler = find_compiler()
     rows: list[Row] = []
-    for size in (int(part) for part in sizes.split(",")):
+    if (recording is None) != (vehicle is None):
+        raise click.UsageError("--drive and --vehicle need each other")
+    if recording is not None:
+        streams = iter([recorded_stream(recording, read_vehicle(vehicle))])
+    else:
+        streams = (stream_of(int(size), length_scale, tuned) for size in sizes.split(","))
+    for s in streams:
         if stream_path is not None:
-            s = stream_of(size, length_scale)
             np.savez(stream_path, z=s.z, y=s.y, queries=s.queries, truth=s.truth, kept_z=s.trained.z,
                      kept_y=s.trained.y, **{k: getattr(s.trained.kernel, k) for k in
                      ("length_scales", "signal_variance", "noise_variance")})  # fmt: skip
         if gpytorch:
-            rows += gpytorch_rows(stream_of(size, length_scale), None, alone=True)
+            rows += gpytorch_rows(s, None, alone=True)
         elif table and compiler is not None:
-            rows += measure_table(size, length_scale, repeats, compiler)
+            rows += measure_table(s, repeats, compiler)
         elif streaming:
-            rows += measure_streaming(size, length_scale, log_gp, sky_gp)
+            rows += measure_streaming(s, log_gp, sky_gp)
         else:
-            rows += measure(size, length_scale, repeats, compiler, log_gp, sky_gp)
+            rows += measure(s, repeats, compiler, log_gp, sky_gp)
         if json_path is not None:
             json_path.write_text(json.dumps({"machine": machine(), "rows": [asdict(r) for r in rows]}, indent=1))
     click.echo(json.dumps(machine()))

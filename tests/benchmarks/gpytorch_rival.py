@@ -23,8 +23,8 @@ def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) 
         click.echo("GPyTorch is not installed (pip install gpytorch): its rows are left out", err=True)
         return []
     torch.set_num_threads(1)
-    s = stream.trained
-    z = torch.tensor(s.z)
+    s, (points, labels) = stream.rivals, stream.points
+    z = torch.tensor(points)
 
     class Exact(gpytorch.models.ExactGP):
         def __init__(self, x, targets, likelihood):
@@ -41,10 +41,10 @@ def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) 
     def fresh(outputs: list[int]):
         size = len(outputs)
         likelihood = gpytorch.likelihoods.GaussianLikelihood(batch_shape=torch.Size([size]))
-        model = Exact(z.expand(size, *z.shape), torch.tensor(s.y.T[outputs].copy()), likelihood).double()
-        model.covar_module.outputscale = torch.tensor(s.kernel.signal_variance[outputs])
-        model.covar_module.base_kernel.lengthscale = torch.tensor(s.kernel.length_scales.copy()).reshape(1, 1, 3)
-        likelihood.noise = torch.tensor(s.kernel.noise_variance[outputs]).reshape(size, 1)
+        model = Exact(z.expand(size, *z.shape), torch.tensor(labels.T[outputs].copy()), likelihood).double()
+        model.covar_module.outputscale = torch.tensor(s.signal_variance[outputs])
+        model.covar_module.base_kernel.lengthscale = torch.tensor(s.length_scales[outputs]).reshape(size, 1, 3)
+        likelihood.noise = torch.tensor(s.noise_variance[outputs]).reshape(size, 1)
         return model.eval()
 
     def ask(model, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) 
             found = model(torch.tensor(at).expand(*model.train_targets.shape[:1], *at.shape))
             return found.mean.numpy().T, found.variance.numpy().T
 
-    few = 3 if s.size > 2000 else 8
+    few = 3 if len(points) > 2000 else 8
     build, cached, anew, answers = 0.0, np.zeros(SLOW_QUERIES), np.zeros(few), []
     for outputs in ([0], [1], [2]) if alone else ([0, 1, 2],):
         begin = time.perf_counter()
@@ -67,9 +67,9 @@ def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) 
     mean, variance = (np.concatenate(part, axis=1) for part in zip(*answers, strict=True))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0 if alone else None
     how = ", one output after the other" if alone else ""
-    size = len(stream.z)
+    size, count = len(stream.z), len(points)
     return [
-        Row(f"GPyTorch, exact{how}", size, s.size, build, None, None, *percentiles(list(cached)),
-            **accuracy(mean, variance, stream, full), megabytes=peak),
-        Row(f"GPyTorch, update then predict{how}", size, s.size, None, None, None, *percentiles(list(anew))),
+        Row(f"GPyTorch, exact{how}", size, count, build, None, None, *percentiles(list(cached)),
+            **accuracy(mean, variance, stream, full, ours=False), megabytes=peak),
+        Row(f"GPyTorch, update then predict{how}", size, count, None, None, None, *percentiles(list(anew))),
     ]  # fmt: skip

@@ -22,8 +22,9 @@ SKY = """
 class SkyGP_BCM:
     def __init__(self, inputs, outputs, **settings):
         self.deviation = settings["pretrained_params"][0]
-        self.asked = None
+        self.asked, self.expert_weights = None, [0.5]
     def predict(self, x):
+        assert self.expert_weights == [1.0], "an expert is forgotten"
         self.asked = x
         return self.deviation * 0.0, self.deviation**2
     def add_point(self, x, y):
