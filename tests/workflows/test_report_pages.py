@@ -58,6 +58,10 @@ def test_a_recording_is_headed_by_what_is_wrong_with_it(drive, car):
     long = recording_page(drive, {"consistency": {"findings": [{"text": told.replace(": ", " ", 1)}]}}, ())
     assert '<h1 id="verdict">The channels do not fit together.</h1>' in long
     assert "1.58 ± 0.01 m" in long and "<code>position: rear_axle</code>" in long
+    # A headline ends before a bracket, not within.
+    told = "delta is the steering-wheel angle (delta against the steady steer angle: slope 16.9, correlation 1)."
+    bracketed = recording_page(drive, {"consistency": {"findings": [{"text": told}]}}, ())
+    assert '<h1 id="verdict">delta is the steering-wheel angle.</h1>' in bracketed and "slope 16.9" in bracketed
 
 
 def test_a_recording_is_drawn_as_it_was_measured(drive, car):
@@ -109,6 +113,17 @@ def test_its_page_says_the_verdict_first_and_lets_no_name_act(run):
     headline = re.search(r'<h1 id="verdict">(.*?)</h1>', page).group(1)
     assert re.search("errors up to|changes nothing|worse|Too little", headline)
     assert page.count("<script") == 2 and HOSTILE not in page
+
+
+def test_its_headline_leaves_out_what_a_derived_torque_makes_true(run):
+    """T made of the acceleration gives the nominal model v_x: no error of v_x tells of the drive train."""
+    trace = run.traces[0]
+    made = replace(trace.held.drive.metadata, kinds={"T": "derived: torque from measured a_x"})
+    held = replace(trace.held, drive=replace(trace.held.drive, metadata=made))
+    page = evaluation_page(replace(run, traces=(replace(trace, held=held), *run.traces[1:])))
+    headline = re.search(r'<h1 id="verdict">(.*?)</h1>', page).group(1)
+    assert "v_x" not in headline and "ongitudinal" not in headline
+    assert "the error of v_x says nothing" in page.split("</section>")[0]
 
 
 def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):

@@ -1,9 +1,10 @@
 """The report of an evaluation: does the correction help, where, and what the car does with and without it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from split_cli.logs.drive_metadata import DriveMetadata
 from split_cli.plots.chart import Chart, ChartLine
 from split_cli.plots.charts import (
     Subject,
@@ -53,12 +54,23 @@ def evaluation_page(run: EvaluationRun, charts: Sequence[Chart] | None = None) -
     report = run.report
     charts = evaluation_charts(run) if charts is None else charts
     names = ", ".join(drive.name for drive in report.drives)
-    believed = [c for c in report.comparisons if c.name in report.settings.predictors]
+    of_motion = derived_states(trace.held.drive.metadata for trace in run.traces)
+    believed = [c for c in report.comparisons if c.name in report.settings.predictors and c.state not in of_motion]
     body = (
-        f"{_verdict(run, believed)}{_errors(charts)}{''.join(chart_sections(charts))}{_tables(run)}"
+        f"{_verdict(run, believed, of_motion.values())}{_errors(charts)}"
+        f"{''.join(chart_sections(charts))}{_tables(run)}"
         f"{notes_section([_sentence(note) for note in report.notes if not note.startswith(_WARNING)], 'Notes')}"
     )
     return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)} {names}", body, charts)
+
+
+def derived_states(drives: Iterable[DriveMetadata]) -> dict[str, str]:
+    """Return the states whose error says nothing, since an input was made of the motion itself, and why."""
+    if not any(one.torque_follows_motion for one in drives):
+        return {}
+    return {
+        "v_x": "T was derived from the acceleration, so the error of v_x says nothing. The headline leaves it out"
+    }
 
 
 def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
@@ -128,7 +140,7 @@ def _headline(comparisons: Sequence[Comparison]) -> str:
     return f"The correction helps: errors up to {less} % smaller in {_STATES[best.state][0].lower()}{more}."
 
 
-def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
+def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison], left_out: Iterable[str]) -> str:
     report = run.report
     # The headline and its colour are those of the first predictor; the others stand below.
     own = [line for line in report.verdicts if comparisons and line.startswith(f"{comparisons[0].name} ")]
@@ -148,7 +160,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison]) -> str:
         ),
         ("Trust", trust, "share of the correction of v_x, v_y, r that is applied"),
     ]
-    warned = [note.split(_WARNING, 1)[1] for note in report.notes if note.startswith(_WARNING)]
+    warned = [*left_out, *(note.split(_WARNING, 1)[1] for note in report.notes if note.startswith(_WARNING))]
     # Notes on a correction that does harm come first; others, such as on its intervals, behind the figures.
     style = ' class="lead"' if harm else ""
     but = "".join(f"<p{style}>Note: {escape(text)}.</p>" for text in warned)

@@ -58,7 +58,7 @@ def _findings(found: Mapping[str, Any]) -> list[str]:
 
 def _short(text: str) -> str:
     """Return the first clause of a finding, for a headline."""
-    heads = [text.partition(end)[0] for end in (". ", "; ", ": ") if end in text]
+    heads = [text.partition(end)[0] for end in (". ", "; ", ": ", " (") if end in text]
     heads = [head for head in heads if 12 <= len(head) <= 110]
     if heads:
         return f"{min(heads, key=len)}."

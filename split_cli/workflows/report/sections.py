@@ -101,7 +101,10 @@ def _chips(diagnosis: Diagnosis) -> str:
 def _lead(diagnosis: Diagnosis) -> str:
     """Return the summary without what the headline says already."""
     if diagnosis.verdict == "match":
-        return "Within noise, at all operating points that both have."
+        subjects = [note.partition(": ")[0] for note in diagnosis.not_judged if note not in diagnosis.summary]
+        # A match says nothing of what these drives cannot show.
+        besides = f" Not judged: {'; '.join(subjects)}." if subjects else ""
+        return f"Within noise, at all operating points that both have.{besides}"
     if diagnosis.verdict == "undecided" and diagnosis.not_judged:
         return "Nothing is claimed about this pair of recordings."
     return typeset(diagnosis.summary.removeprefix(_HEADLINES[diagnosis.verdict][1]).strip())
