@@ -20,6 +20,8 @@ _MODEL_CHANNELS = ("vx", "vy", "r", "T", "delta")
 MEASURED_SIDESLIP = "the measured sideslip angle"
 #: Words of motion that position and yaw give.
 OF_POSE = "from X, Y, yaw"
+#: Words of a v_x that wheel speeds give.
+OF_WHEELS = "speed of the"
 #: Words of a torque that was derived from what was asked of the drive train.
 _ASKED = ("throttle", "pedal", "brake", "current", "N m/A")
 
@@ -92,6 +94,11 @@ class DriveMetadata:
         for channel, kind in self.kinds.items():
             alike.setdefault(kind, []).append(channel)
         return tuple(f"{', '.join(channels)} {kind}" for kind, channels in alike.items())
+
+    @property
+    def speed_is_of_wheels(self) -> bool:
+        """Whether v_x was derived from wheel speeds: their slip under torque is in it."""
+        return self.is_derived("vx") and OF_WHEELS in self.kinds["vx"]
 
     @property
     def lateral_velocity_is_integrated(self) -> bool:

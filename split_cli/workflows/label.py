@@ -138,6 +138,11 @@ def _label_one(job: tuple[str, str | Path, Path, Mapping[str, Any]]) -> LabelRes
 def drive_notes(drive: Drive) -> tuple[str, ...]:
     """Return what a reader of labels should know of a drive's channels, in words."""
     notes = ingest_found(drive.name, (*drive.metadata.faults, *drive.metadata.remarks))
+    if drive.metadata.speed_is_of_wheels:
+        notes = (
+            *notes,
+            f"{drive.name}: v_x is of wheel speeds; the slip of their tyres is learned as an error of v_x",
+        )
     if drive.metadata.lateral_velocity_is_integrated:
         notes = (
             *notes,

@@ -8,7 +8,7 @@ from split_cli.logs.assembling.derivation import Derivation, DerivationInputs, D
 from split_cli.logs.assembling.smoothing import derivative, smooth
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
-from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE
+from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, OF_WHEELS
 
 
 def velocity_from_pose(
@@ -107,14 +107,30 @@ def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Der
 
 
 def _run_longitudinal_velocity_from_wheels(situation: DerivationInputs) -> Derived:
-    """Take the mean of the rear wheels: what turning adds to one it takes from the other, and neither steers."""
-    c = situation.columns
-    driven = situation.vehicle is None or situation.vehicle.drive_split_front < 1.0
-    slip = "the slip of the driven rear wheels and " if driven else ""
+    """Take the axle that slips less: a driven wheel is faster than the road, a braked one slower.
+
+    The mean of an axle is that of its middle: what turning adds to one wheel it takes from the other. The front
+    wheels follow their own path, of speed hypot(v_x, L r) where the rear axle does not slide.
+    """
+    c, car = situation.columns, situation.vehicle
+    rear = 0.5 * (c["wheel_speed_rl"] + c["wheel_speed_rr"])
+    if car is None or not {"wheel_speed_fl", "wheel_speed_fr", "r"} <= set(c):
+        how, vx, slip = "rear wheels", rear, "the slip of the rear wheels, where driven,"
+    else:
+        steered = 0.5 * (c["wheel_speed_fl"] + c["wheel_speed_fr"])
+        front = np.copysign(np.sqrt(np.maximum(steered**2 - (car.wheelbase * c["r"]) ** 2, 0.0)), steered)
+        force = np.empty(len(rear))
+        for run in situation.segments:
+            speed = smooth(0.5 * (front[run] + rear[run]))
+            force[run] = car.mass * derivative(speed, situation.period) + car.drag_coefficient * speed**2
+        force += car.rolling_resistance_front + car.rolling_resistance_rear
+        vx = np.where(force > 0.0, np.minimum(front, rear), np.maximum(front, rear))
+        how = "front or rear wheels, the slower where driven, the faster where braked"
+        slip = "the slip of the axle that slips less"
     return Derived(
-        {"vx": 0.5 * (c["wheel_speed_rl"] + c["wheel_speed_rr"])},
-        "mean speed of the rear wheels",
-        f"v_x is derived from wheel speeds: {slip}locked or worn tyres stay in it, and so does an error of "
+        {"vx": vx},
+        f"mean {OF_WHEELS} {how}",
+        f"v_x is derived from wheel speeds: {slip} and locked or worn tyres stay in it, and so does an error of "
         "their radius",
     )
 
