@@ -7,6 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from split_cli.errors import LogError
+from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.assembling.gather import gather
 from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drafting.naming import meanings, stated_unit
@@ -230,3 +231,15 @@ def test_clocks_that_do_not_meet_are_brought_together_by_the_speed_of_both(laps,
         assert "correlation 1.0" in draft_map(joined).time
     else:
         assert moved == 0.0
+
+
+def test_laps_whose_clock_starts_again_lose_nothing_to_the_pause_between_them(tmp_path):
+    planted = PlantedDrive(seconds=60.0)
+    t = np.arange(0.0, 60.0, 0.02)
+    columns = {c: planted.at(c, t) for c in ("vx", "vy", "r", "T", "delta")}
+    write_table(tmp_path / "laps.csv", {"lap_time": np.round(t % 20.0, 2), **columns})
+    channels = {c: {"source": c} for c in columns}
+    entries = {"name": "laps", "time": {"source": "lap_time", "unit": "s"}, "channels": channels}
+    made = assemble_drive(open_recording(tmp_path / "laps.csv"), map_from_mapping(entries), planted.vehicle)
+    assert made.quality.segments == 3 and len(made.drive) == len(t)
+    assert made.quality.recorded == pytest.approx(made.quality.duration, abs=0.1)

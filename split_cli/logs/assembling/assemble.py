@@ -142,7 +142,10 @@ def _assemble(
         gap=gap,
     )
     _check_required(gathered, derivations, signal_map, recording.name)
-    series, joined = join_clock_resets(_with_delays(gathered, settings), gap)
+    delayed = _with_delays(gathered, settings)
+    series, joined = join_clock_resets(delayed, gap)
+    paused = _pauses(delayed, series) if joined else 0.0
+    del delayed
     resumed = resumptions(series, gap)
     series, trimmed = trim(series, settings.start, settings.end, settings.cuts, gap)
     gathered = replace(gathered, series={})  # each stage lets go of what the one before held
@@ -169,7 +172,7 @@ def _assemble(
         channels=tuple(qualities),
         segments=len(slices_of(grid.segment)),
         duration=len(drive) * grid.period,
-        recorded=max(float(part.time[-1] - part.time[0]) for c in needed for part in channels.clean[c]),
+        recorded=max(float(part.time[-1] - part.time[0]) for c in needed for part in channels.clean[c]) - paused,
         origin=gathered.origin + float(grid.time[0]),
         clock=gathered.clock,
         consistency=consistency,
@@ -317,6 +320,14 @@ def _way_to(channel: str, signal_map: SignalMap, reached: Collection[str]) -> st
         return f"{channel}: map a recorded signal{derived}."
     takes = [f"{name} takes {', '.join(DERIVATIONS[name].needs) or 'settings in the map'}" for name in ways]
     return f"{channel}: map a recorded signal, or map what derives it ({'; '.join(takes)})."
+
+
+def _pauses(before: Mapping[str, Sequence[RawSeries]], after: Mapping[str, Sequence[RawSeries]]) -> float:
+    """Return what was put between runs whose clock starts again [s]: nothing was recorded then."""
+    channel = next(iter(after))
+    clocks = [parts[channel][0].time for parts in (before, after)]
+    steps = [np.diff(clock[np.isfinite(clock)]) for clock in clocks]
+    return max(float(np.sum(steps[1]) - np.sum(steps[0][steps[0] > 0.0])), 0.0)
 
 
 def _with_delays(gathered: Gathered, settings: IngestSettings) -> dict[str, tuple[RawSeries, ...]]:
