@@ -14,9 +14,9 @@ from split_cli.plots.style import quiet, save
 
 #: Names of charts that a report may have. A report takes away those of an earlier one that it has not itself.
 CHARTS = (
-    *(f"{kind}-{state}" for kind in ("strip", "white", "coverage", "ratio") for state in ("vx", "vy", "r")),
+    *(f"{kind}-{of}" for kind in ("strip", "white", "coverage", "ratio", "label") for of in ("vx", "vy", "r")),
     *(f"strip-{channel}" for channel in ("ay", "delta", "T")),
-    "gg", "path", "tire-front", "tire-rear", "force-x", "understeer", "response-gain", "response-phase",
+    "gg", "path", "growth", "tire-front", "tire-rear", "force-x", "understeer", "response-gain", "response-phase",
 )  # fmt: skip
 
 

@@ -11,13 +11,9 @@ from split_cli.learning.kernel import OUTPUTS
 from split_cli.plots.chart import Chart
 from split_cli.plots.draw import CHARTS, write_charts
 from split_cli.plots.feature_space import draw_coverage, draw_labels
-from split_cli.plots.growth import draw_growth
 from split_cli.plots.sizes import draw_sizes
 from split_cli.plots.style import save
-from split_cli.plots.time_series import draw_error_over_time
 from split_cli.scoring.run import EvaluationRun
-
-_NO_PREDICTIONS = "this protocol scores no predictor on held-out time"
 
 
 @dataclass(frozen=True)
@@ -57,9 +53,7 @@ def write_figures(
 def draw_figures(run: EvaluationRun) -> tuple[dict[str, Figure], tuple[str, ...]]:
     """Return figures beside the report's charts by file name, and ``name: reason`` of those without content."""
     drawing: dict[str, tuple[bool, str, Callable[[], Figure]]] = {
-        "error_over_time.png": (bool(run.traces), _NO_PREDICTIONS, lambda: draw_error_over_time(run)),
         "sizes.png": (bool(run.report.sizes), "one feature set, no --sizes", lambda: draw_sizes(run)),
-        "growth.png": (True, "", lambda: draw_growth(run)),
     }
     at = next((i for i, own in enumerate(run.sets) if own.features.is_z2), None)
     other = "it is drawn for the features z2 only"

@@ -8,9 +8,8 @@ from matplotlib.figure import Figure
 
 #: Okabe and Ito (2008), which the common forms of colour blindness can tell apart.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-#: Cells in which nothing is known, and the ground of held-out time.
+#: Cells in which nothing is known.
 EMPTY = "#DDDDDD"
-HELD_OUT = "0.91"
 STATES = ("$v_x$", "$v_y$", "$r$")
 LABEL_UNITS = ("m/s²", "m/s²", "rad/s²")
 
@@ -41,12 +40,6 @@ def quiet(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
-
-
-def model_name(key: tuple[str, str]) -> str:
-    """Return how a legend calls a predictor on features, a pair of their names."""
-    name, features = key
-    return f"{name} on {features}" if features else name
 
 
 def save(figure: Figure, path: Path) -> None:

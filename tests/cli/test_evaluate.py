@@ -182,7 +182,7 @@ def test_figures_are_written_and_named(garage, tmp_path):
     )
     json.loads(outcome.stdout)
     names = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert {"error_over_time.png", "coverage.png", "gg.png", "coverage-r.png", "strip-vy.png"} <= names
+    assert {"label-vy.png", "growth.png", "coverage.png", "gg.png", "coverage-r.png", "strip-vy.png"} <= names
     assert f"split: {len(names) - 2} figures in {tmp_path / 'figures'}" in outcome.stderr
     assert "not drawn: sizes.png" in outcome.stderr
 

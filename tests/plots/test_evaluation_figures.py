@@ -10,11 +10,10 @@ from matplotlib.image import imread
 from split_cli.errors import SplitError
 from split_cli.files import DIGESTS
 from split_cli.learning.region import valid_cell_count
+from split_cli.plots.charts.learned import growth_chart, kept_over_time, label_charts
 from split_cli.plots.evaluation import draw_figures, write_figures
 from split_cli.plots.feature_space import coverage_maps, draw_coverage, draw_labels, label_maps
-from split_cli.plots.growth import draw_growth, kept_over_time
 from split_cli.plots.sizes import draw_sizes
-from split_cli.plots.time_series import draw_error_over_time
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.scoring.run import EvaluationRun
 from split_cli.workflows.evaluate import evaluate
@@ -47,40 +46,18 @@ def finite(values: np.ndarray) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def test_error_over_time_shows_labels_prediction_and_band_of_the_longest_drive(run):
-    figure = draw_error_over_time(run)
-    trace = max((t for t in run.traces if (t.name, t.features) == ("bcm", "z2")), key=lambda t: len(t.tested))
-    assert trace.held.drive.name == "d1.parquet"
-    for state in range(3):
-        axis = figure.axes[2 * state]
-        t, y = line(axis, "label")
-        np.testing.assert_array_equal(y, trace.held.labels.y[:, state])
-        np.testing.assert_array_equal(t, trace.held.labels.t)
-        np.testing.assert_array_equal(line(axis, "nominal model")[1], 0.0)
-        np.testing.assert_array_equal(finite(line(axis, "bcm on z2")[1]), trace.prediction.mean[:, state])
-        (band,) = (part for part in axis.collections if part.get_label() == "95 % interval of a label")
-        edge = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
-        half = 1.959964 * np.sqrt(trace.prediction.variance[:, state] + trace.noise_variance[state])
-        assert edge.max() == pytest.approx((trace.prediction.mean[:, state] + half).max())
-        assert edge.min() == pytest.approx((trace.prediction.mean[:, state] - half).min())
-        # The title's numbers are those of the report.
-        by_drive = {s.name: s for s in run.report.scores if s.drive == "d1.parquet" and s.features in ("", "z2")}
-        for name in ("nominal", "bcm"):
-            assert f"{by_drive[name].rmse[state]:.3g}" in axis.get_title(loc="left")
-    shaded = [
-        patch.get_extents().transformed(figure.axes[0].transData.inverted()) for patch in figure.axes[0].patches
-    ]
-    intervals = [(box.x0, box.x1) for box in shaded]
-    np.testing.assert_allclose(intervals, trace.held.split.intervals)
-
-
-def test_no_line_spans_a_gap_between_tested_stretches(run):
+def test_labels_and_prediction_are_shown_with_the_band_and_no_line_spans_a_gap(run):
     trace = run.traces[0]
-    t, mean = line(draw_error_over_time(replace(run, traces=(trace,))).axes[0], "bcm on z2")
-    joined = np.isfinite(mean[:-1]) & np.isfinite(mean[1:])
-    step = trace.tested.window * trace.held.drive.period
-    assert np.diff(t)[joined].max() < 2.5 * step
-    assert np.isnan(mean).sum() >= len(trace.held.split.intervals) - 1
+    at = np.flatnonzero(np.diff(trace.tested.t) > 2.5 * trace.tested.window * trace.held.drive.period) + 1
+    assert len(at) >= len(trace.held.split.intervals) - 1
+    for state, chart in enumerate(label_charts(trace)):
+        labels, predicted = chart.series
+        np.testing.assert_array_equal(labels.y, trace.tested.y[:, state])
+        np.testing.assert_array_equal(finite(predicted.y), trace.prediction.mean[:, state])
+        half = 1.959964 * np.sqrt(trace.prediction.variance[:, state] + trace.noise_variance[state])
+        np.testing.assert_allclose(finite(predicted.high - predicted.y), half)
+        np.testing.assert_allclose(finite(predicted.y - predicted.low), half)
+        assert np.isnan(predicted.y[at + np.arange(len(at))]).all()
 
 
 def test_coverage_counts_are_the_sets(run):
@@ -131,24 +108,12 @@ def test_label_maps_are_means_of_cells_and_the_learned_mean(run):
 
 
 def test_growth_is_that_of_the_sources(run):
-    figure = draw_growth(run)
-    for trained, dots, squares in zip(
-        run.sets, figure.axes[0].get_lines()[::2], figure.axes[0].get_lines()[1::2], strict=True
-    ):
-        assert list(dots.get_ydata()) == [source.points for source in trained.sources]
-        assert list(squares.get_ydata()) == [source.cells for source in trained.sources]
-        assert dots.get_ydata()[-1] == trained.size
-    heights = [bar.get_height() for bar in figure.axes[1].patches]
-    expected = [
-        value
-        for trained in run.sets
-        for value in ([s.insertions for s in trained.sources] + [s.replacements for s in trained.sources])
-    ]
-    assert heights == expected
     met, count = kept_over_time(run.sets[0])
     first = run.sets[0].sources[0]
     assert count[-1] == run.sets[0].size
     assert (met < first.duration - 1e-9).sum() == (run.sets[0].source == 0).sum()
+    (chart,) = growth_chart([("z2", run.sets[0])])
+    np.testing.assert_array_equal(chart.series[0].x, met)
 
 
 def test_sizes_are_the_reports(run):
@@ -180,8 +145,7 @@ def test_what_cannot_be_drawn_is_left_out_with_a_reason(run):
     report = replace(run.report, sizes=(), settings=replace(run.report.settings, features=("z1",)))
     bare = EvaluationRun(report, run.sets[1:], run.held[1:], (), {}, {})
     figures, left_out = draw_figures(bare)
-    assert set(figures) == {"growth.png"}
+    assert set(figures) == set()
     told = dict(entry.split(": ", 1) for entry in left_out)
     assert "z2 only" in told["coverage.png"]
     assert "z2 only" in told["labels_r.png"]
-    assert "error_over_time.png" in told

@@ -11,8 +11,10 @@ _SECTIONS = (
     ("tires", "Axle forces and tyres", ("tire-", "force-"), True),
     ("handling", "Handling: understeer and steering response", ("understeer", "response-"), True),
     ("grip", "Accelerations and track", ("gg", "path"), False),
+    ("labels", "Error of the nominal model, and its prediction", ("label-",), False),
     ("white", "Is the remaining error noise?", ("white-",), True),
     ("coverage", "Do the intervals hold?", ("coverage-",), True),
+    ("growth", "How the set grew", ("growth",), False),
 )
 
 

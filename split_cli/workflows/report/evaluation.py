@@ -10,7 +10,9 @@ from split_cli.plots.charts import (
     Subject,
     coverage_charts,
     drive_charts,
+    growth_chart,
     handling_charts,
+    label_charts,
     tire_charts,
     track_chart,
     whiteness_chart,
@@ -100,7 +102,9 @@ def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
             lambda: tire_charts(drive, vehicle, None, learned),
             lambda: handling_charts(subjects, vehicle),
             lambda: [track_chart([("measured", "measured", drive)])],
+            lambda: label_charts(trace),
             lambda: whiteness_chart(residuals),
+            lambda: growth_chart([*zip(run.report.settings.features, run.sets, strict=True)]),
             lambda: coverage_charts(run.tallies, run.report.settings.predictors),
         ]
     )
