@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.checking.plausible import is_damaged
-from split_cli.logs.scratch import PIECE, room, set_aside
+from split_cli.logs.scratch import PIECE, let_go, room, set_aside
 from split_cli.signals import CHANNELS
 
 _RESET_WINDOW = 10
@@ -73,9 +73,9 @@ def written_on_change(time: np.ndarray, values: np.ndarray) -> bool:
     Then no value stands twice in a row, the values are few, and the steps of time are as different as a drive is.
     Messages that come regularly have one usual step, and those of a noisy sensor hardly repeat a value.
     """
-    steps = np.diff(time)
-    if len(steps) < _FEWEST_CHANGES or np.any(np.diff(values) == 0.0):
+    if len(time) <= _FEWEST_CHANGES or np.any(np.diff(values) == 0.0):
         return False
+    steps = np.diff(time)
     short, long = np.quantile(steps, [0.1, 0.9])
     return bool(long > _IRREGULAR * short) and len(np.unique(values)) <= 0.5 * len(values)
 
@@ -311,6 +311,7 @@ def clean_series(
         typical = float(np.median(step if onward.all() else step[onward])) if onward.any() else 0.0
         del onward
         keep(np.concatenate([[True], step > _DUPLICATE_SHARE * typical]), "duplicate time")
+        del step  # of a long recording each column counts
     steps = held if steps is None else steps
     if steps:
         spikes = np.zeros(len(values), dtype=bool)
@@ -355,7 +356,9 @@ def isolated_spikes(values: np.ndarray) -> np.ndarray:
         near = np.asarray(values[before : last + 3], dtype=float)
         smooth = median_filter(near, size=7, mode="nearest")
         deviation[first:last] = np.abs(near - smooth)[first - before : last - before]
+        let_go()
     scale = max(float(np.quantile(deviation, 0.99)) / 2.576, 1.4826 * float(np.median(deviation)))
+    let_go()
     span = float(np.subtract(*np.quantile(values, [0.99, 0.01])))
     flagged = deviation > max(_SPIKE_SIGMAS * scale, 0.25 * span, 1e-9)
     most = float(np.quantile(deviation, 0.95)) / 1.96
