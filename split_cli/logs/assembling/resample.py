@@ -192,15 +192,14 @@ def resample_held(
             known &= run == np.searchsorted(resumed, at + slack, "right")
             last = np.where(run == np.searchsorted(resumed, time[last], "right"), last, row)
         held = values[row]
-        changes = np.flatnonzero(known & (last > row))
-        if len(changes):
-            low, high = int(row[changes].min()), int(last[changes].max()) + 1
-            lasts = np.diff(time[low:high]) * values[low : high - 1]
-            until = np.concatenate([[0.0], np.cumsum(lasts)])  # the integral at each sample
-            begin, end = row[changes] - low, last[changes] - low
-            before = (at[changes] - time[row[changes]]) * values[row[changes]]
-            after = (at[changes] + grid.period - time[last[changes]]) * values[last[changes]]
-            held[changes] = (until[end] - until[begin] - before + after) / grid.period
+        rest = np.flatnonzero(known & (last > row))
+        sample = row[rest]
+        while len(rest):  # each sample within the row's period changes what is held for the rest of it
+            sample = sample + 1
+            left = (at[rest] + grid.period - time[sample]) / grid.period
+            held[rest] += (values[sample] - values[sample - 1]) * left
+            more = last[rest] > sample
+            rest, sample = rest[more], sample[more]
         result[piece] = np.where(known & (at - time[row] <= longest), held, np.nan)
         let_go()
     return result
