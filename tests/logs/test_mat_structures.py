@@ -167,7 +167,7 @@ def test_a_map_beside_the_signals_and_names_of_a_path_do_not_mislead_the_draft(t
     path = tmp_path / "run.mat"
     savemat(path, {"t_20ms": t, "INSData": ins, "car": car, "match": across, "info": {"mapData": course}})
     draft = draft_map(open_recording(path))
-    assert draft.time.startswith("time: {source: t_20ms")
+    assert draft.time.startswith("time: {source: t_20ms") and draft.left == "east and north"
     found = {s.channel: s.sources[0].split(".")[-1] for s in draft.suggestions if s.status != "open"}
     assert found == {
         "X": "posE_m", "Y": "posN_m", "yaw": "yawAngle_rad", "vx": "ux_mps", "vy": "uy_mps", "r": "yawRate_radps",

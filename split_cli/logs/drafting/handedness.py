@@ -23,7 +23,8 @@ def path_is_certain(chosen: Mapping[str, Suggestion]) -> bool:
     if chosen["X"].convert == "local_x" and chosen["Y"].convert == "local_y":
         return True
     letters = {"e": "east", "n": "north", "pe": "east", "pn": "north"}
-    words = [tokens_of(chosen[c].sources[0]) for c in "XY"]
+    # posE is no pose.
+    words = [tokens_of(re.sub("pos(?=[EN])", "pos_", chosen[c].sources[0])) for c in "XY"]
     named = [concepts_of(w)[0] | {letters[one] for one in w if one in letters} for w in words]
     return "east" in named[0] and "north" in named[1]
 
