@@ -155,7 +155,7 @@ def _texts(
         "PLACE_TIME": f", {name}_real t, {name}_real s" if graph.needs_place_and_time else "",
         "RESIDUAL": "h g(z)" if plain else "h Phi g(z)",
         "RESIDUAL_A": "none" if plain else "A",
-        "PLAIN": ("    static const real none[STATES * STATES] = {ZERO};\n    (void)A;\n" if plain else ""),
+        "PLAIN": ("    static const real none[STATES * STATES] = {0};\n    (void)A;\n" if plain else ""),
         "GATHER": (
             "    const real place_time[2] = {t, s};"
             if graph.needs_place_and_time
