@@ -1,5 +1,6 @@
 """A short manoeuvre and a short lap on the plant."""
 
+import gc
 import json
 import re
 from dataclasses import replace
@@ -28,7 +29,7 @@ from split_cli.workflows.racing.choice import (
     what_lap_0_asks,
     whether_learning_helped,
 )
-from split_cli.workflows.racing.driving import Race, next_deviation, share_left
+from split_cli.workflows.racing.driving import Race, next_deviation, share_left, uncollected
 from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.first_lap import blank_header, remembering
 from split_cli.workflows.racing.maneuver import ManeuverSettings, course_scale, run_maneuvers
@@ -244,6 +245,13 @@ def test_a_choice_that_later_laps_turn_learns_all_laps_as_if_it_had_been_made_at
     assert [source.name for source in kept.sources] == ["lap 0", "lap 1"]
     z = kept.z[:5]
     np.testing.assert_array_equal(turned.learner.residual.along(z).mean, at_once.learner.residual.along(z).mean)
+
+
+def test_a_lap_is_driven_without_collections_and_what_ends_it_brings_them_back():
+    with pytest.raises(KeyboardInterrupt), uncollected():
+        assert not gc.isenabled()
+        raise KeyboardInterrupt
+    assert gc.isenabled()
 
 
 def test_the_margin_is_what_the_lap_before_has_needed():

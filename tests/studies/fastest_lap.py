@@ -46,6 +46,9 @@ LAST_MARGIN = 0.34
 LEARNED = {"small": (0.905, 0.93), "handling": (0.91, 0.935)}
 """Peaks of front and rear over the vehicle file's [1] that SPLIT had learned after lap 10 with seed 0."""
 
+NOMINAL_MARGIN = 0.76
+"""What the nominal controller kept to the border in its best lap of the small track [m]."""
+
 SPACING = 4.0
 """Of the collocation along the centre line [m]; with 2 m the times are 0.02 to 0.06 s longer."""
 
@@ -133,10 +136,13 @@ def fastest(track: str, along: np.ndarray, across: np.ndarray, margin: float) ->
     return float(opti.solve().value(opti.f))
 
 
-def fastest_car(track: str, grip: tuple[float, float], margin: float, share: float, spacing: float = 2.0) -> float:
+def fastest_car(
+    track: str, grip: tuple[float, float], margin: float, share: float, spacing: float = 2.0, lags: bool = False
+) -> float:
     """Return the time of the fastest lap [s] of the single track within the controllers' bounds.
 
-    `grip` are the peaks of front and rear over the vehicle file's [1], `share` of them plans may use.
+    `grip` are the peaks of front and rear over the vehicle file's [1], `share` of them plans may use. With `lags`
+    torque, steer angle and slip angles follow late, as those of the plant do.
     """
     vehicle = read_vehicle("sample_logs/road_car.yaml")
     front, rear = (
@@ -156,21 +162,30 @@ def fastest_car(track: str, grip: tuple[float, float], margin: float, share: flo
     along = (vx * casadi.cos(angle) - vy * casadi.sin(angle)) / (1.0 - n * curvature)  # ds/dt
     l_f, l_r = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle
     slip = steer - casadi.atan((vy + l_f * r) / vx), -casadi.atan((vy - l_r * r) / vx)
+    whole, arrived, angles, late = 1e3 * torque / vehicle.wheel_radius, steer, slip, ()
+    if lags:
+        pull, arrived, *angles = (opti.variable(1, count) for _ in range(4))
+        kinematic, length = (slip[0] + arrived - steer, slip[1]), ROAD_CAR.front_tire.relaxation_lateral
+        late = (
+            (pull, (torque - pull) / ROAD_CAR.drive_lag), (arrived, (steer - arrived) / ROAD_CAR.steer_lag),
+            *((own, (goal - own) * vx / length) for own, goal in zip(angles, kinematic, strict=True)),
+        )  # fmt: skip
+        whole = 1e3 * pull / vehicle.wheel_radius
+        opti.set_initial(arrived, np.arctan(vehicle.wheelbase * curvature))
     side_f, side_r = (
         tire.D * casadi.sin(tire.C * casadi.atan(tire.B * alpha))
-        for tire, alpha in zip((front, rear), slip, strict=True)
+        for tire, alpha in zip((front, rear), angles, strict=True)
     )
-    whole = 1e3 * torque / vehicle.wheel_radius
     brake, drive = vehicle.brake_split_front, vehicle.drive_split_front
     ahead = 0.5 * (drive + brake) + 0.5 * (drive - brake) * casadi.tanh(20.0 * torque)  # smooth within 50 N m
     force = ahead * whole, (1.0 - ahead) * whole
     rolling = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
-    push = whole - rolling - vehicle.drag_coefficient * vx**2 - side_f * casadi.sin(steer)
+    push = whole - rolling - vehicle.drag_coefficient * vx**2 - side_f * casadi.sin(arrived)
     slopes = (
         (n, vx * casadi.sin(angle) + vy * casadi.cos(angle)), (angle, r - curvature * along),
-        (vx, push / vehicle.mass + vy * r), (vy, (side_f * casadi.cos(steer) + side_r) / vehicle.mass - vx * r),
-        (r, (l_f * side_f * casadi.cos(steer) - l_r * side_r) / vehicle.yaw_inertia),
-        (torque, torque_rate), (steer, steer_rate),
+        (vx, push / vehicle.mass + vy * r), (vy, (side_f * casadi.cos(arrived) + side_r) / vehicle.mass - vx * r),
+        (r, (l_f * side_f * casadi.cos(arrived) - l_r * side_r) / vehicle.yaw_inertia),
+        (torque, torque_rate), (steer, steer_rate), *late,
     )  # fmt: skip
     following = [*range(1, count), 0]
     for state, slope in slopes:
@@ -203,13 +218,19 @@ def fastest_car(track: str, grip: tuple[float, float], margin: float, share: flo
 def main(model: str = "point") -> None:
     """Run from the command line."""
     if model == "car":
-        for track, grip in LEARNED.items():
-            for margin, share in ((LAST_MARGIN, SHARE_LEARNED), (0.0, SHARE_LEARNED), (LAST_MARGIN, 1.0)):
-                time = fastest_car(track, grip, margin, share)
-                print(
-                    f"single track, {share} of the peak, {track}, {margin} m to the border: {time:.2f} s",
-                    flush=True,
-                )
+        nominal, learned = (
+            ((1.0, 1.0), NOMINAL_MARGIN, SHARE_NOMINAL),
+            (LEARNED["small"], LAST_MARGIN, SHARE_LEARNED),
+        )
+        for called, track, bounds, lags in (
+            ("bounds of the nominal controller", "small", nominal, False),
+            ("bounds of SPLIT", "small", learned, False),
+            ("the same with lags", "small", learned, True),
+            ("the same, no margin", "small", (learned[0], 0.0, learned[2]), False),
+            ("the same, the whole peak", "small", (*learned[:2], 0.9999), False),
+            ("bounds of SPLIT", "handling", (LEARNED["handling"], *learned[1:]), False),
+        ):
+            print(f"single track, {track}, {called}: {fastest_car(track, *bounds, lags=lags):.2f} s", flush=True)
         return
     along = np.arange(-9.0, 3.01, 0.5)
     for share in (None, SHARE_LEARNED, SHARE_NOMINAL):

@@ -1,6 +1,8 @@
 """The laps themselves: plant, controller and learner side by side, one control interval after the other."""
 
-from collections.abc import Callable, Sequence
+import gc
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path as FilePath
 
@@ -59,6 +61,19 @@ takes milliseconds, and a lap has hundreds of intervals."""
 
 LEFT_BEHIND = 1.0
 """A car whose whole width and this much more [m] is beyond the border has left the track, and its lap ends."""
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Collect garbage now and none within: a full collection holds up a step by several intervals."""
+    was = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 def share_left(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
@@ -309,7 +324,8 @@ class Race:
         begin = self.crossing
         self.lines += 1
         self.until = self.lines * self.path.length
-        finished = self._drive(tally)
+        with uncollected():
+            finished = self._drive(tally)
         world = self.world
         duration = world.rows[-1][0] - world.rows[tally.first][0]
         trained = self.learner.end_lap(duration)
