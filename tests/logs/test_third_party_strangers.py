@@ -243,3 +243,19 @@ def test_laps_whose_clock_starts_again_lose_nothing_to_the_pause_between_them(tm
     made = assemble_drive(open_recording(tmp_path / "laps.csv"), map_from_mapping(entries), planted.vehicle)
     assert made.quality.segments == 3 and len(made.drive) == len(t)
     assert made.quality.recorded == pytest.approx(made.quality.duration, abs=0.1)
+
+
+def test_topics_as_tables_with_seconds_and_nanoseconds_make_one_drive(tmp_path):
+    """A model car's topics, a table each with `s`, `ns`: the yaw is that of the file which X and Y are of."""
+    planted = PlantedDrive(seconds=30.0)
+    t = np.arange(0.0, 30.0, 0.04)
+    stamp = {"s": 1651541251 + np.floor(t), "ns": np.round(t % 1.0 * 1e9)}
+    half = 0.5 * planted.at("yaw", t)
+    turned = {"q.x": 0.0 * t, "q.y": 0.0 * t, "q.z": np.sin(half), "q.w": np.cos(half)}
+    other = {"q.x": 0.0 * t, "q.y": 0.0 * t, "q.z": np.sin(0.3 * half), "q.w": np.cos(0.3 * half)}
+    write_table(tmp_path / "imu.csv", {**stamp, "wz": planted.at("r", t), **other})
+    write_table(tmp_path / "odom.csv", {**stamp, "vx": planted.at("vx", t)})
+    write_table(tmp_path / "pose.csv", {**stamp, "x": planted.at("X", t), "y": planted.at("Y", t), **turned})
+    draft = draft_map(open_logs([tmp_path / f"{name}.csv" for name in ("imu", "odom", "pose")]))
+    assert draft.of("yaw").sources == tuple(f"pose.q.{axis}" for axis in "xyzw")
+    assert "r against dyaw/dt 1" in draft.of("yaw").reason and draft.of("vx").status == "judged"

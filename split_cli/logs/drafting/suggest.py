@@ -388,12 +388,14 @@ def _yaw_of_the_pose(
 ) -> dict[str, Suggestion]:
     """Return the yaw of the message or source that X is taken from: two estimators have two axes X.
 
-    Of a table's columns the last word is the source: ``x_opti`` and ``yaw_opti``, beside ``yaw_imu``.
+    Of a table's columns the last word is the source: ``x_opti`` and ``yaw_opti``, beside ``yaw_imu``. Of several
+    files, ``pose.x`` and ``pose.q.w``, the first is.
     """
 
     def message(sources: Sequence[str]) -> str:
         topic, words = sources[0].rpartition("/")[0], words_of(sources[0])
-        return topic or (words[-1] if len(words) > 1 else "")
+        of_file = sources[0].partition(".")[0] if "." in sources[0] else ""
+        return topic or of_file or (words[-1] if len(words) > 1 else "")
 
     place = message(chosen["X"].sources) if "X" in chosen else ""
     same = next((c for c in options if place and message(c.sources) == place), None)

@@ -14,6 +14,7 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     nearest_column,
+    seconds_and_nanoseconds,
     time_column,
     unit_of_time,
 )
@@ -39,12 +40,16 @@ class JointRecording:
         self.name = "+".join(part.name for part in parts)
         self._own_notes: list[ReadNote] = []
         self._time: dict[int, RawChannelInfo] = {}
+        self._pairs: dict[int, tuple[str, str]] = {}
         self._moved: dict[int, float] = {}
         self._places: dict[str, tuple[RawRecording, RawChannelInfo]] = {}
         for part in parts:
             infos = part.channels()
             time = time_column(infos)
-            if time is None and not part.clocks and not _own_clock(part, infos):
+            pair = seconds_and_nanoseconds(infos) if time is None else None
+            if pair is not None:
+                self._pairs[id(part)] = pair
+            elif time is None and not part.clocks and not _own_clock(part, infos):
                 what = "has no column of time, which several files together need"
                 advice = "Name one of its columns `time`, or ingest the files one by one."
                 raise LogError(what, where=part.name, advice=advice)
@@ -53,7 +58,7 @@ class JointRecording:
         counts = Counter(info.name for part in parts for info in part.channels())
         for part in parts:
             for info in part.channels():
-                if info is not self._time.get(id(part)) and info != self._time.get(id(part)):
+                if info != self._time.get(id(part)) and info.name not in self._pairs.get(id(part), ()):
                     name = info.name if counts[info.name] == 1 else f"{Path(part.name).stem}.{info.name}"
                     self._places[name] = (part, info)
 
@@ -77,8 +82,11 @@ class JointRecording:
             if not own:
                 continue
             time = self._time.get(id(part))
-            signals = part.read([*own.values(), *([time.name] if time else [])], clock)
+            pair = self._pairs.get(id(part), ())
+            signals = part.read([*own.values(), *([time.name] if time else pair)], clock)
             stamps = None if time is None else self._seconds(part, signals[time.name])
+            if pair:
+                stamps = signals[pair[0]].values + 1e-9 * signals[pair[1]].values
             moved = self._moved.get(id(part), 0.0)
             for name, inside in own.items():
                 signal = signals[inside]

@@ -18,7 +18,7 @@ from split_cli.learning.hyperparameters import (
 from split_cli.learning.iol import DEFAULT_DICTIONARY, LEARNER, empty_dictionary
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.kernel_file import read_kernel
-from split_cli.learning.labels import Labels
+from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.set_limits import MOST_CELLS_OF_A_GRID
 from split_cli.learning.training_set import TrainingSet
@@ -172,6 +172,11 @@ def _first_valid(drives: LabelledDrives) -> Labels:
             return labels
     counts = ", ".join(f"{count} {reason}" for reason, count in labels.counts().items()) or "no samples"
     advice = "Check units and signs with `split info`, and that the vehicle file is of this car."
+    if 2 * labels.counts().get(Reason.SPEED.word, 0) > len(labels.reason):
+        advice = (
+            "Most are slower than 5 sqrt(wheelbase/2.7 m) m/s, where slip angles tell nothing of the tyres. Drive "
+            "faster, or check the unit of v_x and that the vehicle file is of this car."
+        )
     raise SetError(f"no sample is inside the valid region (rejected: {counts})", where=labels.drive, advice=advice)
 
 
