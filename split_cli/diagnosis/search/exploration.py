@@ -6,10 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.cache import release_memory
+from split_cli.diagnosis.cache import Recent, release_memory
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import map_distributed_with, map_in_threads
 from split_cli.diagnosis.policy import SelectionRules
+from split_cli.diagnosis.recording.series import values_of
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
     Fit,
@@ -27,6 +28,7 @@ from split_cli.diagnosis.search.form_error import (
     saved_beside_form_error,
 )
 from split_cli.diagnosis.search.term_tests import is_denied
+from split_cli.vehicle.effects import Term
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,9 @@ class Explorer:
     # Explanations, the costs that were asked for, and fits beside each.
     _explored: list[tuple[Fit, float, list[Fit]]] = field(
         default_factory=list, init=False, repr=False, compare=False
+    )
+    _beside: Recent[list[Tangent]] = field(
+        default_factory=lambda: Recent(1), init=False, repr=False, compare=False
     )
 
     @property
@@ -126,6 +131,28 @@ class Explorer:
             (one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts
         ]
 
+    def _lines_beside(self, current: Fit) -> list[Tangent]:
+        """Return every start of terms without a place, linearised; faults of commands beside those of sensors.
+
+        With a fixed baseline the shared discrepancy is that at the velocities as they are corrected. What a late
+        steering brings back to where the simulation has been is hardly seen before a turned sensor is put right.
+        """
+        beside = current.terms
+        if not (self.objective.fixed_baseline and any(term.corrects for term in beside)):
+            return self._tangents
+
+        def made() -> list[Tangent]:
+            left = self.objective.left_by(beside)
+
+            def line(one: Tangent) -> Tangent:
+                acts = type(one.part.term).actuate is not Term.actuate
+                return tangent(self.objective, left, one.part, beside) if acts else one
+
+            taken = {part.candidate.term for part in current.parts}
+            return map_in_threads(line, [one for one in self._tangents if one.part.candidate.term not in taken])
+
+        return self._beside(values_of(beside), made)
+
     def tangents(self) -> list[Tangent]:
         """Return every start of every term without a place, linearised."""
         return self._tangents
@@ -134,7 +161,7 @@ class Explorer:
         """Return what each start of each candidate promises to cost, price included, best first."""
         sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
-        lines = [one for one in self._tangents if one.part.candidate.term not in taken]
+        lines = [one for one in self._lines_beside(current) if one.part.candidate.term not in taken]
         for candidate, effect in self._effects:
             if candidate.term not in taken:
                 starts = scan_places(self.objective, current.residuals, candidate, effect)
