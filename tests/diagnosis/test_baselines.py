@@ -20,7 +20,8 @@ from split_cli.diagnosis.search.baselines import (
     settled,
 )
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
-from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.exploration import Explorer
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.selection import Rival, Selection
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -105,6 +106,25 @@ def test_with_a_fixed_baseline_a_fit_is_where_a_scan_finds_the_least(restless):
     assert fit.cost <= scan[best] + 1e-6
     assert fit.parts[0].values["gain"] == pytest.approx(best, abs=0.011)
     assert best == pytest.approx(0.75, abs=0.03)
+
+
+def test_beside_a_sensors_fault_a_fault_of_commands_promises_what_it_saves_there(restless):
+    objective = fixed_objective(restless)
+    arm, gain = (
+        next(one for one in candidates_of(restless) if one.term == name)
+        for name in ("sensor_lever_arm", "steer_gain")
+    )
+    displaced = Part(arm, {**arm.starts[0], "dx": 0.8})
+    residuals = objective.left_by([displaced.term])
+    current = Fit((displaced,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
+    explore = Explorer(objective, (gain,), 1.5)
+    ((promised, line), *_) = explore.promises(current)
+    alone = min(one.cost(current) for one in explore.tangents())
+    steps = np.linspace(0.7, 1.0, 16)
+    best = min(objective.cost([displaced.term, term("steer_gain", gain=value)]) for value in steps)
+    assert abs(promised - best) < 0.8 * abs(alone - best) < 0.1 * current.cost
+    beside = tangent(objective, residuals, line.part, (displaced.term,))
+    assert promised == pytest.approx(beside.cost(current), rel=1e-9)
 
 
 def test_what_brings_reality_back_is_named_where_form_error_is_much(restless):

@@ -157,7 +157,7 @@ class Explorer:
         """Return every start of every term without a place, linearised."""
         return self._tangents
 
-    def _promises(self, current: Fit, free: np.ndarray | None) -> list[tuple[float, Tangent]]:
+    def promises(self, current: Fit, free: np.ndarray | None = None) -> list[tuple[float, Tangent]]:
         """Return what each start of each candidate promises to cost, price included, best first."""
         sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
@@ -188,7 +188,7 @@ class Explorer:
     ) -> dict[str, list[tuple[float, Tangent]]]:
         """Return the best promises by the candidates' labels, and what they promise to cost."""
         starts: dict[str, list[tuple[float, Tangent]]] = {}
-        for promised, line in self._promises(current, free):
+        for promised, line in self.promises(current, free):
             label = line.part.candidate.label
             most = self.rules.full_fits if promised <= worth else self.rules.considered
             if label in starts or len(starts) < most:
