@@ -184,7 +184,7 @@ def _assemble(
             *warnings,
             *channels.bridged(),
             *unusable,
-            *(f"{n.where}: {n.count} x {n.what}" for n in recording.notes),
+            *(f"{n.where}: {f'{n.count} x ' * (n.count > 1)}{n.what}" for n in recording.notes),
         ),
     )
     quality = replace(quality, unverified=_unverified(recording.path, before))

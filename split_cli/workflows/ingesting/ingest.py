@@ -349,7 +349,7 @@ def _with_notes(error: SplitError, recording: RawRecording) -> SplitError:
     if recording.name not in str(error):
         where = f"{recording.name}, {where}" if where else recording.name
     if isinstance(error, LogError) and recording.notes:
-        noted = "; ".join(f"{note.what} ({note.count} times)" for note in recording.notes[:3])
+        noted = "; ".join(f"{note.what}{f' ({note.count} times)' * (note.count > 1)}" for note in recording.notes[:3])
         advice = f"{advice.rstrip('.')}{'. ' if advice else ''}Found while reading: {noted}."
     return type(error)(error.what, where=where, advice=advice or None)
 
