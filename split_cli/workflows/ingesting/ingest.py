@@ -349,7 +349,8 @@ def _with_notes(error: SplitError, recording: RawRecording) -> SplitError:
     if recording.name not in str(error):
         where = f"{recording.name}, {where}" if where else recording.name
     if isinstance(error, LogError) and recording.notes:
-        noted = "; ".join(f"{note.what}{f' ({note.count} times)' * (note.count > 1)}" for note in recording.notes[:3])
+        counted = ((note.what, note.count) for note in recording.notes[:3])
+        noted = "; ".join(f"{what}{f' ({count} times)' * (count > 1)}" for what, count in counted)
         advice = f"{advice.rstrip('.')}{'. ' if advice else ''}Found while reading: {noted}."
     return type(error)(error.what, where=where, advice=advice or None)
 
