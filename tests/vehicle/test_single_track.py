@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import fsolve
 
 from split_cli.errors import VehicleError
+from split_cli.vehicle.effects import CATALOGUE, build_terms
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack, slip_angles
 from split_cli.vehicle.tire import MagicFormula, lateral_force, lateral_force_slope
@@ -192,3 +193,28 @@ def test_tire_slope_peak_and_stiffness(tire):
 def test_unknown_terms_and_parameters_are_told_with_the_nearest(road_car, effect, message):
     with pytest.raises(VehicleError, match=message):
         SingleTrack(road_car.with_effects(effect))
+
+
+def test_weighted_changes_are_those_of_balances_one_by_one(car):
+    """Of forces, of peaks and whole curves, of the body and of a steer angle, with others in the file."""
+    car = car.with_effects(EffectSpec("aero_drag", {"drag": 0.3}))
+    state, own = random_states(car, 50, 12), build_terms(car)
+    bare = SingleTrack(car, ()).flow(*state)
+    values = {
+        "aero_downforce": {"front": 0.4, "rear": 0.0},
+        "tire_stiffness": {"front_scale": 1.2, "rear_scale": 1.0},
+        "load_transfer": {"cg_height": 0.1},
+        "mass": {"scale": 1.1},
+        "steer_gain": {"gain": 0.9},
+        "rolling_resistance": {"force": 30.0},
+    }
+    flows = [SingleTrack(car, (*own, CATALOGUE[k](v))).flow(*state, bare=bare) for k, v in values.items()]
+    nominal = SingleTrack(car).flow(*state, bare=bare)
+    weights = np.linspace(-2.0, 3.0, len(flows))
+    found = SingleTrack.weighted_changes(nominal, zip(weights.tolist(), flows, strict=True))
+    # Each by all its stages, with nothing taken from the bare flow.
+    before = SingleTrack(car).velocity_derivative(*state)
+    whole = [SingleTrack(car, (*own, CATALOGUE[k](v))).velocity_derivative(*state) for k, v in values.items()]
+    for k in range(3):
+        expected = sum(w * (one[k] - before[k]) for w, one in zip(weights, whole, strict=True))
+        np.testing.assert_allclose(found[k], expected, rtol=0.0, atol=1e-10)
