@@ -4,12 +4,7 @@ import base64
 import hashlib
 import json
 import math
-import os
-import pty
 import re
-import subprocess
-import sys
-import threading
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -30,15 +25,10 @@ from split_cli.diagnosis.statement.result import (
     RemainderTest,
     RivalSummary,
 )
-from split_cli.logs.drive import write_drive
-from split_cli.vehicle.effects import CATALOGUE
-from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.report.page import report_page
 from split_cli.workflows.report.payload import chart_numbers, embedded_json
 from split_cli.workflows.report.sections import all_sections
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, readable
-from tests.diagnosis.recordings import driven, noisy
-from tests.factories import road_car
 
 HOSTILE = "</script><script>window.taken = 1</script><img src=x onerror='window.taken = 2'>\u202e\u2028&\".parquet"
 
@@ -396,79 +386,6 @@ class TestInABrowser:
         content = base64.b64decode(printed["data"])
         # A4 upright; a page that did not reflow would have been scaled or cut into a second column of sheets.
         assert content.startswith(b"%PDF") and 2 <= len(re.findall(rb"/Type\s*/Page\b", content)) <= 6
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess, str]:
-    """Run `split diagnose` on a car that steers 7 % less than commanded, with a terminal for its stderr."""
-    folder = tmp_path_factory.mktemp("diagnosed")
-    for name, seed, terms in (("real", 82, (CATALOGUE["steer_gain"]({"gain": 0.93}),)), ("sim", 81, ())):
-        drive = driven(seed, terms, runs=8, seconds=8.0, spaced=9.0, name=name)
-        write_drive(noisy(drive, seed, position=0.01), folder / f"{name}.parquet")
-    write_vehicle(road_car(), folder / "car.yaml")
-    ours, theirs = pty.openpty()
-    words = [
-        "diagnose", "--real", "real.parquet", "--sim", "sim.parquet", "--vehicle", "car.yaml", "--out", "out",
-        "--json", "--exit-code",
-    ]  # fmt: skip
-    shown = []
-    # A terminal that nobody reads holds a few thousand characters, and then the command waits.
-    reader = threading.Thread(target=lambda: shown.extend(iter(lambda: read_terminal(ours), b"")), daemon=True)
-    reader.start()
-    finished = subprocess.run(
-        [sys.executable, "-m", "split_cli", *words], cwd=folder, stdout=subprocess.PIPE, stderr=theirs, timeout=300
-    )
-    os.close(theirs)
-    reader.join(timeout=10)
-    os.close(ours)
-    return folder / "out", finished, b"".join(shown).decode()
-
-
-def read_terminal(end: int) -> bytes:
-    """Return what has been written to a terminal; nothing once the other end is closed."""
-    try:
-        return os.read(end, 100_000)
-    except OSError:  # EIO, as Linux tells that nobody writes any more
-        return b""
-
-
-@pytest.fixture(scope="module")
-def written(run) -> Path:
-    return run[0]
-
-
-def test_the_command_prints_the_file_and_tells_a_mismatch_by_its_code(run):
-    out, finished, shown = run
-    assert finished.returncode == 3
-    assert finished.stdout == (out / "diagnosis.json").read_bytes()
-    # Progress on a terminal: one bar, drawn again and again, with the step that is under way.
-    drawn = [text for text in re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", shown)) if text.strip()]
-    drawn = [text for text in drawn if not text.startswith("note: ")]
-    told = [re.fullmatch(r"([█░]+)  .+?  (\w[\w ]*?) *", text) for text in drawn]
-    assert all(told) and len({match.group(2) for match in told}) >= 5
-    filled = [match.group(1).count("█") for match in told]
-    assert filled == sorted(filled) and told[-1].group(2) == "writing"
-
-
-def test_a_diagnosis_leaves_a_report_that_says_what_its_json_says(written):
-    said = json.loads((written / "diagnosis.json").read_text(encoding="utf-8"))
-    page = (written / "report.html").read_text(encoding="utf-8")
-    assert said["verdict"] == "mismatch" and '<p class="kicker">Simulation and reality differ.</p>' in page
-    assert 'id="chart-strip-vx"' in page and 'id="chart-tire-front"' in page
-    for finding in said["findings"]:
-        assert f"<code>{finding['term']}" in page
-    for file in said["inputs"]:
-        assert file["sha256"] in page
-
-
-def test_that_report_opens(written, browser, tmp_path):
-    opened(browser, written / "report.html", tmp_path)
-    assert one(browser, ".kicker").text == "Simulation and reality differ."
-    # The first words are the part of the car.
-    assert one(browser, "#verdict").text.startswith("Steering")
-    assert len(browser.find_elements("css selector", "#chart-strip-vx svg path")) >= 3
-    assert len(browser.find_elements("css selector", "#plot-map svg g rect")) > 20
-    assert "front lateral" in label_of(browser, "track")
 
 
 class TestWhatWouldHaveBeenNamed:

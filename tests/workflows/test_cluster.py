@@ -86,22 +86,6 @@ def test_an_evaluation_is_the_same(folder, address, monkeypatch):
 
 
 @pytest.mark.slow
-def test_cases_of_a_proof_are_the_same(tmp_path, address):
-    for name, way in ways(address).items():
-        told = run(
-            "prove", "generate", tmp_path / name, "--seed", 4, "--cases", 1, "--kinds", "null", "--json", *way
-        )
-        assert json.loads(told)["cases"] == 1
-    files = [
-        sorted(p.relative_to(tmp_path / name) for p in (tmp_path / name).rglob("*.parquet"))
-        for name in ways(address)
-    ]
-    assert files[0] == files[1] and files[0]
-    for file in files[0]:
-        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "cluster" / file).read_bytes()
-
-
-@pytest.mark.slow
 def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
     """Of a stretch of the samples, long enough for the halves of the simulation to be tested."""
     samples = Path(__file__).parents[2] / "sample_logs"
