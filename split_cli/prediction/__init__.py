@@ -11,7 +11,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.predictor import Prediction, Predictor
 from split_cli.prediction.trusted import TrustedPredictor
 
-__all__ = ["DEFAULT_PREDICTOR", "PREDICTORS", "Prediction", "Predictor", "make_predictor"]
+__all__ = ["DEFAULT_PREDICTOR", "PREDICTORS", "Prediction", "Predictor", "make_predictor", "refuse_unknown"]
 
 #: What evaluates, compares and exports a set unless told otherwise (docs/decisions/0030).
 DEFAULT_PREDICTOR = "projected"
@@ -31,6 +31,12 @@ PREDICTORS = {
 }
 
 
+def refuse_unknown(name: str) -> None:
+    """Raise a `SplitError` where there is no predictor of this name; it names the nearest."""
+    if name not in PREDICTORS:
+        raise SplitError(f"no predictor {name!r}", advice=nearest_names(name, PREDICTORS))
+
+
 def make_predictor(name: str, training_set: TrainingSet, **options: Any) -> Predictor:
     """Return the predictor called `name` over a trained set, as far as the set is trusted.
 
@@ -44,10 +50,9 @@ def make_predictor(name: str, training_set: TrainingSet, **options: Any) -> Pred
     Raises
     ------
     SplitError
-        If there is no such predictor; the nearest name is told.
+        As `refuse_unknown`.
     """
-    if name not in PREDICTORS:
-        raise SplitError(f"no predictor {name!r}", advice=nearest_names(name, PREDICTORS))
+    refuse_unknown(name)
     module, attribute = PREDICTORS[name]
     predictor = getattr(importlib.import_module(module), attribute)(training_set, **options)
     return predictor if training_set.trust.is_full else TrustedPredictor(predictor)

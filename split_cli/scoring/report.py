@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.errors import SplitError
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.trust import Trust
-from split_cli.prediction import DEFAULT_PREDICTOR
+from split_cli.prediction import DEFAULT_PREDICTOR, refuse_unknown
 from split_cli.scoring.evaluation import Score
 from split_cli.scoring.noise import NoiseFloor
 from split_cli.scoring.verdict import Comparison
@@ -33,6 +34,32 @@ class EvaluationSettings:
     trust: str = "held-out"
     any_vehicle: bool = False  # score drives that contradict the vehicle all the same, with a warning
     held: tuple[str, ...] = ()  # inputs that keep their value between samples, whatever the files say
+
+    def check(self, *, with_set: bool) -> None:
+        """Refuse what cannot be asked for, or not beside a trained set.
+
+        Raises
+        ------
+        SplitError
+            If a setting is unknown, empty or not positive, or trains sets of its own `with_set`.
+        """
+        if not self.features or not self.predictors:
+            advice = "Leave out --features or --predictor for the default."
+            raise SplitError("no feature set or no predictor was named", advice=advice)
+        if any(size < 0 for size in self.sizes) or not all(0 < time < np.inf for time in self.rollout):
+            raise SplitError(
+                f"--sizes {self.sizes} or --rollout {self.rollout} holds a number that is not positive"
+            )
+        for name in self.predictors:
+            refuse_unknown(name)
+        if self.protocol not in ("held-out", "paper"):
+            raise SplitError(f"no protocol {self.protocol!r}", advice="There are held-out and paper.")
+        if self.protocol == "paper" and with_set:
+            what = "the paper's protocol trains on the lap that it scores, and --set gives a trained set"
+            raise SplitError(what, advice="Leave --set out.")
+        if self.sizes and with_set:
+            what = "--sizes trains sets of its own, and --set gives one"
+            raise SplitError(what, advice="Leave --set or --sizes out.")
 
 
 @dataclass(frozen=True)

@@ -127,7 +127,7 @@ def evaluate(
     SplitError
         If a setting is unknown, a drive too short, or nothing can be scored.
     """
-    _check(settings, trained)
+    settings.check(with_set=trained is not None)
     if trained is not None:
         names = trained.features.names
         short = {Z1.names: "z1", Z2.names: "z2"}.get(names, ",".join(names))
@@ -271,28 +271,6 @@ def _variance_of(nominal: Sequence[HeldOutSamples], trained: TrainingSet) -> np.
         return np.mean(np.square(trained.y), axis=0)
     labels = [_training(h) for h in nominal]
     return np.mean(np.square(np.concatenate([part.y[part.accepted] for part in labels])), axis=0)
-
-
-def _check(settings: EvaluationSettings, trained: TrainingSet | None) -> None:
-    if not settings.features or not settings.predictors:
-        advice = "Leave out --features or --predictor for the default."
-        raise SplitError("no feature set or no predictor was named", advice=advice)
-    if any(size < 0 for size in settings.sizes) or not all(0 < time < np.inf for time in settings.rollout):
-        raise SplitError(
-            f"--sizes {settings.sizes} or --rollout {settings.rollout} holds a number that is not positive"
-        )
-    for name in settings.predictors:
-        if name not in PREDICTORS:
-            make_predictor(name, None)
-    if settings.protocol not in ("held-out", "paper"):
-        raise SplitError(f"no protocol {settings.protocol!r}", advice="There are held-out and paper.")
-    if settings.protocol == "paper" and trained is not None:
-        what = "the paper's protocol trains on the lap that it scores, and --set gives a trained set"
-        raise SplitError(what, advice="Leave --set out.")
-    if settings.sizes and trained is not None:
-        raise SplitError(
-            "--sizes trains sets of its own, and --set gives one", advice="Leave --set or --sizes out."
-        )
 
 
 def _with_states_of_features(vehicle: Vehicle, trained: TrainingSet | None) -> Vehicle:
