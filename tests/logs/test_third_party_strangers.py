@@ -259,3 +259,16 @@ def test_topics_as_tables_with_seconds_and_nanoseconds_make_one_drive(tmp_path):
     draft = draft_map(open_logs([tmp_path / f"{name}.csv" for name in ("imu", "odom", "pose")]))
     assert draft.of("yaw").sources == tuple(f"pose.q.{axis}" for axis in "xyzw")
     assert "r against dyaw/dt 1" in draft.of("yaw").reason and draft.of("vx").status == "judged"
+
+
+def test_east_and_north_tell_no_side_of_a_yaw_rate_that_does_not_follow_them(tmp_path):
+    """On a motorway a right-positive gyro shows little but noise: its sign is to be checked."""
+    planted = PlantedDrive(seconds=60.0)
+    t = np.arange(0.0, 60.0, 0.02)
+    table = {"time": t, "east [m]": planted.at("X", t), "north [m]": planted.at("Y", t)}
+    table |= {"speed [m/s]": planted.at("vx", t)}
+    slow = np.sin(0.9 * t) + np.sin(1.7 * t)
+    marked = drafted_table({**table, "gyro_z [rad/s]": 0.3 * slow - planted.at("r", t)}, tmp_path)
+    assert marked.left == "east and north" and marked.of("r").status in ("assumed", "open")
+    followed = drafted_table({**table, "gyro_z [rad/s]": -planted.at("r", t)}, tmp_path)
+    assert followed.of("r").status == "judged" and followed.of("r").scale == -1.0

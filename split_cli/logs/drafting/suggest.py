@@ -17,7 +17,13 @@ from split_cli.logs.drafting.candidates import candidates_of
 from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import Draft, Suggestion, quoted, render_draft
-from split_cli.logs.drafting.handedness import what_tells_left, without_a_side
+from split_cli.logs.drafting.handedness import (
+    path_is_certain,
+    told_sides,
+    what_tells_left,
+    without_a_side,
+    without_its_side,
+)
 from split_cli.logs.drafting.nameless import named_by_motion
 from split_cli.logs.drafting.naming import (
     Meaning,
@@ -107,9 +113,17 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     bare = {note.where for note in recording.notes if note.what.startswith("not readable")}
     undefined = dict.fromkeys(i.type_name for i in infos if i.name in bare and "/" in i.type_name)
     mapped = {s.channel: s for s in suggestions if s.status != "open"}
-    left_by = what_tells_left(mapped, infos, trial.outer_wheels_are_faster(trial.columns(mapped)))
+    by_wheels = trial.outer_wheels_are_faster(trial.columns(mapped))
+    left_by = what_tells_left(mapped, infos, by_wheels)
     if not left_by:
         suggestions = [without_a_side(s) for s in suggestions]
+    elif path_is_certain(mapped):
+        told = told_sides(mapped, consistency.relations, by_wheels)
+        unknown = {"r", "vy", "ay", "delta"} - told
+        suggestions = [
+            without_its_side(s) if s.channel in unknown and s.status in ("judged", "stated") else s
+            for s in suggestions
+        ]
     by_gravity = "" if left_by else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)
     hints = hints_on_the_form(recording, infos)
     still = {name for s in left_out if s.never_changes for name in s.sources}
