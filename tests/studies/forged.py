@@ -1,10 +1,13 @@
 """Give every command that takes a trained set one that was forged, with digests that fit.
 
 Example: ``python -m tests.studies.forged --only append``. The rules are those of `tests.studies.hostile`. Prints a
-row a command, which forged sets it took, and each run that broke a rule.
+row a command, which forged sets it took, and each run that broke a rule. ``--random 40 --seed 1`` forges 40 sets
+at random instead: values of the header exchanged or scaled, or some numbers of the points.
 """
 
 import argparse
+import json
+import random
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -17,6 +20,7 @@ from split_cli.errors import SplitError
 from split_cli.learning.kernel import OUTPUTS
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from tests.factories import write_forged_set
+from tests.studies.fuzz import mutate_json, places
 from tests.studies.hostile import load_commands, prepared_folders, try_run
 from tests.studies.kill import run
 
@@ -100,6 +104,34 @@ COMMANDS = {
 }
 
 
+def random_header(rng: random.Random) -> Callable[[dict], None]:
+    """Return what exchanges values of a header, or scales one to three of its numbers."""
+
+    def change(described: dict) -> None:
+        if rng.random() < 0.3:
+            forged = json.loads(mutate_json(json.dumps(described).encode(), rng), parse_constant=lambda _: 0.0)
+            described.clear()
+            described.update(forged)
+            return
+        for _ in range(rng.choice((1, 1, 2, 3))):
+            numbers = [place for place in places(described) if isinstance(place[0][place[1]], float)]
+            inner, key = rng.choice(numbers)
+            inner[key] *= rng.choice((-1.0, 1.0, 1.0)) * 10.0 ** rng.gauss(0.0, 2.0)
+
+    return change
+
+
+def random_points(rng: random.Random) -> Callable[[TrainingSet], TrainingSet]:
+    """Return what scales some numbers of one array of the points."""
+    name, share, power = (
+        rng.choice(("z", "y", "gamma", "t", "row")),
+        rng.choice((0.01, 0.2, 1.0)),
+        rng.gauss(0.0, 2.0),
+    )
+    draws = np.random.default_rng(rng.randrange(2**32))
+    return points(name, lambda v: np.where(draws.random(v.shape) < share, v * 10.0**power, v).astype(v.dtype))
+
+
 def _is_refused(path: Path) -> bool:
     try:
         read_set(path)
@@ -116,9 +148,15 @@ def main() -> int:
     parser.add_argument(
         "--patience", type=float, default=40.0, help="processor time after which a run is stopped [s]"
     )
+    parser.add_argument("--random", type=int, default=0, help="instead, so many sets forged at random")
+    parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     load_commands()
-    broken = 0
+    broken, rng = 0, random.Random(given.seed)
+    headers, forged_points = HEADERS, POINTS
+    if given.random:
+        headers = {f"header {number}": random_header(rng) for number in range(given.random // 2)}
+        forged_points = {f"points {number}": random_points(rng) for number in range(given.random // 2)}
     with prepared_folders() as (source, work):
         made = ("maneuver", "brake-avoid", "--vehicle", "road_car.yaml", "--set", "turn.split")
         if run(source, made) != 0:
@@ -128,11 +166,11 @@ def main() -> int:
                 continue
             path = source / next(word for word in arguments if word.endswith(".split"))
             whole, counts, took = read_set(path), Counter(), []
-            for kind in (*HEADERS, *POINTS):
-                if kind in HEADERS:
-                    write_forged_set(whole, path, HEADERS[kind])
+            for kind in (*headers, *forged_points):
+                if kind in headers:
+                    write_forged_set(whole, path, headers[kind])
                 else:
-                    write_set(POINTS[kind](whole), path)
+                    write_set(forged_points[kind](whole), path)
                 if given.readable and _is_refused(path):
                     counts["refused when read"] += 1
                     continue

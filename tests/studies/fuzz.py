@@ -110,10 +110,10 @@ def mutate_json(content: bytes, rng: random.Random) -> bytes:
     """Return JSON with one to four of its values exchanged for others, moved, repeated, renamed or left out."""
     tree = json.loads(content)
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        places = list(_places(tree))
-        if not places:
+        found = list(places(tree))
+        if not found:
             break
-        (parent, key), (other, elsewhere) = rng.choice(places), rng.choice(places)
+        (parent, key), (other, elsewhere) = rng.choice(found), rng.choice(found)
         kind = rng.randrange(5)
         if kind == 0:
             del parent[key]
@@ -128,12 +128,12 @@ def mutate_json(content: bytes, rng: random.Random) -> bytes:
     return json.dumps(tree).encode()
 
 
-def _places(tree: object) -> Iterator[tuple[dict | list, str | int]]:
+def places(tree: object) -> Iterator[tuple[dict | list, str | int]]:
     """Yield every value of a tree as its container and its key there."""
     keys = tree if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ()
     for key in keys:
         yield tree, key
-        yield from _places(tree[key])
+        yield from places(tree[key])
 
 
 def mutant(path: Path, content: bytes, others: list[bytes], rng: random.Random) -> bytes:
