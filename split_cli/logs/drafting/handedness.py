@@ -83,29 +83,29 @@ def without_a_side(s: Suggestion) -> Suggestion:
     return replace(s, status="unsided") if s.status == "judged" and s.channel in (*HANDED, "X", "Y") else s
 
 
-def told_sides(chosen: Mapping[str, Suggestion], relations: Sequence[Relation], by_wheels: bool) -> set[str]:
+def channels_with_a_side(
+    chosen: Mapping[str, Suggestion], relations: Sequence[Relation], by_wheels: bool
+) -> set[str]:
     """Return the channels whose side is told: related, directly or by steps, to what knows left from right.
 
     East and north say nothing of a yaw rate that does not follow the turning of X, Y.
     """
-    told = {"hand"} if path_is_certain(chosen) else set()
-    told |= {"yaw"} if "yaw" in chosen and chosen["yaw"].world == "ned" else set()
-    told |= {"r"} if by_wheels else set()
+    reached = {"hand"} if path_is_certain(chosen) else set()
+    reached |= {"yaw"} if "yaw" in chosen and chosen["yaw"].world == "ned" else set()
+    reached |= {"r"} if by_wheels else set()
     sided = {"hand", *HANDED}
     links = [
         (sided & set(r.powers)) | ({"hand"} if r.of_the_world or "X, Y" in r.name else set())
         for r in relations
         if r.holds
     ]
-    while grown := {channel for link in links if link & told for channel in link} - told:
-        told |= grown
-    return told | ({"delta", "steering_wheel_angle"} if "r" in told else set())
+    while grown := {channel for link in links if link & reached for channel in link} - reached:
+        reached |= grown
+    return reached | ({"delta", "steering_wheel_angle"} if "r" in reached else set())
 
 
 def without_its_side(s: Suggestion) -> Suggestion:
     """Return a suggestion marked as one whose side nothing tells, though the recording has what could."""
     if s.status == "judged":
         return replace(s, status="unsided")
-    return replace(
-        s, status="assumed", reason=f"its sign: it goes with X, Y too loosely to tell left{s.reason}"
-    )
+    return replace(s, status="assumed", reason=f"its sign: it goes with X, Y too loosely to tell left{s.reason}")

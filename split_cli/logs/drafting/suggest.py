@@ -18,8 +18,8 @@ from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.handedness import (
+    channels_with_a_side,
     path_is_certain,
-    told_sides,
     what_tells_left,
     without_a_side,
     without_its_side,
@@ -118,8 +118,8 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     if not left_by:
         suggestions = [without_a_side(s) for s in suggestions]
     elif path_is_certain(mapped):
-        told = told_sides(mapped, consistency.relations, by_wheels)
-        unknown = {"r", "vy", "ay", "delta"} - told
+        sided_channels = channels_with_a_side(mapped, consistency.relations, by_wheels)
+        unknown = {"r", "vy", "ay", "delta"} - sided_channels
         suggestions = [
             without_its_side(s) if s.channel in unknown and s.status in ("judged", "stated") else s
             for s in suggestions
