@@ -18,7 +18,7 @@ from split_cli.diagnosis.search.exchange import (
 )
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
-from split_cli.diagnosis.search.selection import nothing, select_terms
+from split_cli.diagnosis.search.selection import Rival, Selection, _best_rival, nothing, select_terms
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
 
@@ -210,3 +210,19 @@ def test_two_terms_that_imitate_a_moved_centre_of_gravity_give_way_to_it():
     both = fitted(explore, tire_stiffness=stiff, cg_shift__loaded={"dx": 0.05})
     other = fitted(explore, tire_stiffness=stiff, sensor_lever_arm={"dx": 0.05})
     assert with_fewer_parts(explore, both, [other]) is None
+
+
+def test_what_ends_at_its_limit_takes_no_place_of_what_does_not():
+    """Wheels as heavy as any car's saved 2 in the place of a weak torque, which then had no name."""
+    objective = noisy_objective(driven(31, []), 2)
+    (inertia,) = candidates_of(objective, "yaw_inertia")
+    chosen = fit_parts(objective, (Part(inertia, {"scale": 1.1}),))
+
+    def rival(scale: float, excess: float) -> Rival:
+        return Rival(replace(chosen, parts=(Part(inertia, {"scale": scale}),)), excess, 3.0)
+
+    heavy, possible = rival(inertia.ranges["scale"].upper, -50.0), rival(1.3, -10.0)
+    assert inertia.at_limit(heavy.fit.parts[0].values)
+    several = Selection(nothing(objective), chosen, (), ((heavy, possible),), ((),), (True,))
+    assert _best_rival(several) is possible
+    assert _best_rival(replace(several, rivals=((heavy,),))) is None

@@ -24,6 +24,7 @@ from split_cli.diagnosis.search.fitting import Fit, fit_parts
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
 from split_cli.diagnosis.search.forward import (
     Found,
+    goes_too_far,
     is_beyond_form_error,
     other_beginnings,
     refusal,
@@ -227,9 +228,7 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
         selection = _examined(explore, base, fewer)
     all_known = True
     for _ in range(rules.swaps * max(len(selection.chosen.parts), 1)):
-        # A variant was chosen before what was found later; it may be another now.
-        rivals = [several[0] for several in (*selection.rivals, *selection.siblings) if several]
-        better = min(rivals, key=lambda one: one.excess, default=None)
+        better = _best_rival(selection)
         if len(selection.chosen.parts) < 2 or better is None or better.excess > -rules.tie:
             if all_known:
                 break
@@ -250,6 +249,13 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
     if not all_known:
         selection = _with_rivals(explore, selection)
     return selection, selection.chosen is not before
+
+
+def _best_rival(selection: Selection) -> Rival | None:
+    """Return what costs least in the place of a part, of all that needs no more than a car has; else None."""
+    others = (rival for several in (*selection.rivals, *selection.siblings) for rival in several)
+    possible = [one for one in others if not goes_too_far(selection.chosen, one.fit)]
+    return min(possible, key=lambda one: one.excess, default=None)
 
 
 def _settled_nuisances(explore: Explorer, selection: Selection, history: list[str]) -> Selection:
