@@ -59,7 +59,7 @@ def draw_figures(run: EvaluationRun) -> tuple[dict[str, Figure], tuple[str, ...]
     other = "it is drawn for the features z2 only"
     drawing["coverage.png"] = (at is not None, other, lambda: draw_coverage(run.sets[at]))
     for output, state in enumerate(OUTPUTS):
-        drawing[f"labels_{state}.png"] = (
+        drawing[f"error-map-{state}.png"] = (
             at is not None,
             other,
             lambda output=output: draw_labels(run.sets[at], run.held[at], output),

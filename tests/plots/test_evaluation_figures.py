@@ -148,4 +148,4 @@ def test_what_cannot_be_drawn_is_left_out_with_a_reason(run):
     assert set(figures) == set()
     told = dict(entry.split(": ", 1) for entry in left_out)
     assert "z2 only" in told["coverage.png"]
-    assert "z2 only" in told["labels_r.png"]
+    assert "z2 only" in told["error-map-r.png"]
