@@ -12,13 +12,11 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.training_set import SetSource, TrainingSet
-from split_cli.logs.scratch import let_go
+from split_cli.logs.scratch import PIECE, let_go
 from split_cli.vehicle.parameters import Vehicle
 
 DEFAULT_CAPACITY = 10
 DEFAULT_THRESHOLD = 1e-3
-_BATCH = 2**18
-"""Labels offered at once unless asked otherwise [1]: the set does not depend on it, memory does."""
 _POINT_ARRAYS = ("z", "y", "gamma", "t", "source", "row")
 
 
@@ -160,7 +158,7 @@ def extend(training_set: TrainingSet, labels: Iterable[Labels], *, batch: int | 
         _check_belongs(training_set, drive)
         if len(sources) > np.iinfo(np.int16).max:
             raise SetError(f"holds {len(sources)} drives already, a set can list no more")
-        sources.append(cells.offer(drive, len(sources), batch or _BATCH))
+        sources.append(cells.offer(drive, len(sources), batch or PIECE))
     return cells.freeze(tuple(sources))
 
 

@@ -24,7 +24,9 @@ from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
 
 DEFAULT_HORIZON = 0.05
 _CHUNK = 4096  # temporaries of that length stay in the cache
-_PIECE = 2**16  # labels that are looked at at once where all of a long drive have no room
+_PIECE = 2**16
+"""Labels that are compared with the grid at once [1]: 2 MB a temporary of four features; judgement, it decides
+memory and no result."""
 _VELOCITIES = ("vx", "vy", "r")
 _ARRAYS = ("t", "row", "segment", "z", "y", "reason")
 

@@ -3,9 +3,8 @@
 import numpy as np
 
 from split_cli.learning.training_set import TrainingSet
+from split_cli.logs.scratch import PIECE
 
-_ROWS = 2**18
-"""Rows that are compared at once [1]."""
 _LEAST_SHARE = 0.01
 """Share of a source's points that are rows of a drive, from which on they have rows in common [1]; judgement:
 coarse signals of two drives agree in a few rows by chance."""
@@ -35,8 +34,8 @@ def shared_sources(trained: TrainingSet, z: np.ndarray, row: np.ndarray | None =
     known = _keys(trained.z)
     wanted = np.unique(known)
     keys, rows = [], []
-    for first in range(0, len(z), _ROWS):
-        own = _keys(z[first : first + _ROWS])
+    for first in range(0, len(z), PIECE):
+        own = _keys(z[first : first + PIECE])
         hit = np.flatnonzero(np.isin(own, wanted))
         keys.append(own[hit])
         rows.append(first + hit)

@@ -20,6 +20,7 @@ from split_cli.errors import LogError
 LONG = 2**19
 """Values from which on a column is set aside [1]: 4 MB; shorter ones cost less in memory than in files."""
 PIECE = 2**18
+"""Values of a long column that are worked on at once [1]: 2 MB; judgement, it decides memory and no result."""
 HELD = 2**14
 """Samples of a signal that are held before they go to its columns [1]: 256 kB."""
 _maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()

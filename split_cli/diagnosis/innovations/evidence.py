@@ -16,7 +16,9 @@ from split_cli.vehicle.parameters import Vehicle
 
 ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
-_KEPT_BYTES = 2**26  # of columns of the shared discrepancy, beyond which they are made anew for each filter
+_KEPT_BYTES = 2**26
+"""Columns of the shared discrepancy that are kept between filters [bytes]; larger ones are made anew for each.
+Judgement: 15,000 samples, well under the 1 GB of a diagnosis. It decides time and memory, and no result."""
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,11 @@ def with_offset_of_straights(
     It is the same selection where a steer offset is named, where straights show none, where the fit disagrees, and
     where the offset saves no more than chance or is too small to be named.
     """
-    straight = straight_off_centre(objective)
     own = [one for one in candidates if one.term == _TERM]
-    if straight is None or not own or any(term.id == _TERM for term in selection.terms):
+    if not own or any(term.id == _TERM for term in selection.terms):
+        return selection
+    straight = straight_off_centre(objective)
+    if straight is None:
         return selection
     chosen = selection.chosen
     keep = [k for k, part in enumerate(chosen.parts) if part.candidate.term != _TERM]
