@@ -122,11 +122,14 @@ def test_an_alternative_takes_the_place_where_it_is_better_beside_form_error(beh
     # Alternatives are what may be model-form error; here the lag is made one.
     monkeypatch.setattr(selecting, "explaining_as_well", lambda objective, selection, k, rivals: list(rivals))
     assert select_terms(behind, candidates, 1.5).chosen.names == ("steer_delay",)
-    monkeypatch.setattr(
-        selecting,
-        "costs_beside_form_error",
-        lambda objective, fits: [float("steer_delay" in fit.names) for fit in fits],
-    )
+    tie = 1.5 * behind.policy.selection.tie  # before variance inflation
+
+    def saving(much):
+        return lambda objective, fits: [much * ("steer_delay" in fit.names) for fit in fits]
+
+    monkeypatch.setattr(selecting, "costs_beside_form_error", saving(0.9 * tie))
+    assert select_terms(behind, candidates, 1.5).chosen.names == ("steer_delay",)
+    monkeypatch.setattr(selecting, "costs_beside_form_error", saving(1.1 * tie))
     turned = select_terms(behind, candidates, 1.5)
     assert turned.chosen.names == ("steer_lag",) and turned.named == (True,)
     assert "beside model-form error" in turned.history[-1]

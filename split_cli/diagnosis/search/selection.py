@@ -394,7 +394,7 @@ def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[
     """Return the best alternative with every effect's model-form error free, and what it saves; else None.
 
     Alternatives lack no more than a fair share of what the part saves: by chance, or since a single track gets
-    some of either wrong, which this comparison asks.
+    some of either wrong, which this comparison asks. One that saves no more than a tie takes no place.
     """
     alternatives, rules = {}, explore.rules
     for k, rivals in enumerate(selection.rivals):
@@ -403,7 +403,7 @@ def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[
         for rival in rivals:
             if rival.excess < lacking:
                 alternatives.setdefault((k, rival.fit.parts[-1].candidate.term), rival.fit)
-    best, most = None, 0.0
+    best, most = None, rules.tie
     for fit in alternatives.values():
         here, there = costs_beside_form_error(explore.objective, [selection.chosen, fit])
         price = rules.price * (fit.complexity - selection.chosen.complexity)
