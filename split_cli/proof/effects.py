@@ -211,9 +211,9 @@ def _aero_downforce(rng, world):
             downforce_area_rear=w.car.downforce_area_rear + (1.0 - share) * area,
         )
 
-    # A size at which the load at a brisk speed has changed by a tenth.
+    # A size at which the load at a brisk speed has changed by a tenth; at most what an axle of a car can have.
     unit = 0.1 * world.car.mass * STANDARD_GRAVITY / (20.0 * _pace(world.car)) ** 2
-    return Concealed("aero_downforce", lift, unit, 8.0 * unit if sign > 0 else 4.0 * unit)
+    return Concealed("aero_downforce", lift, unit, 5.0 * unit if sign > 0 else 2.5 * unit)
 
 
 def _aero_drag(rng, world):
