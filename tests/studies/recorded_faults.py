@@ -75,7 +75,10 @@ DRIVES: dict[str, tuple[Prepared, Path | str]] = {
     "tape": (lambda datasets, folder: dart_drive(datasets, TAPE, folder), DART_CAR),
     "slippery": (lambda datasets, folder: dart_drive(datasets, SLIPPERY, folder), DART_CAR),
     "free": (lambda datasets, folder: dart_drive(datasets, "free_driving", folder), DART_CAR),
+    "race": (lambda datasets, folder: dart_drive(datasets, "racetrack_lap_v_1", folder), DART_CAR),
+    "steering": (lambda datasets, folder: dart_drive(datasets, "steer_id", folder), DART_CAR),
     "kth": (lambda datasets, folder: kth_drive(datasets, "038", folder), KTH_CAR),
+    "kth step": (lambda datasets, folder: kth_drive(datasets, "040", folder), KTH_CAR),
     "autorally 5": (lambda datasets, folder: autorally_drive(datasets, 5, folder), AUTORALLY_CAR),
     "autorally 6": (lambda datasets, folder: autorally_drive(datasets, 6, folder), AUTORALLY_CAR),
 }

@@ -32,6 +32,11 @@ def _rows(pair: str, *faults: str | tuple[str, float]) -> list[Row]:
     return [Row(pair, "none"), *(Row(pair, name, multiple) for name, multiple in pairs)]
 
 
+def _twice(pair: str, *faults: str) -> list[Row]:
+    """Return faults of 1.5 and of 3 times the promise."""
+    return _rows(pair, *((name, multiple) for name in faults for multiple in (1.5, 3.0)))
+
+
 LISTS: dict[str, list[Row]] = {
     "first": [
         *_rows("rubber, blocks", "yaw rate scaled", "torque scaled", "heavier"),
@@ -61,6 +66,20 @@ LISTS: dict[str, list[Row]] = {
         *_rows("autorally 6, halves", "yaw rate late", "speed scaled", "torque late"),
         *_rows("tum second file, blocks", "steering scaled", "clocks shifted", "lateral acceleration biased"),
         *_rows("genesis, swapped halves", "steering offset", "velocity rotated", "speed scaled"),
+    ],
+    "third": [
+        *_twice("race, halves", "steering late", "yaw rate biased"),
+        *_twice("steering, blocks", "steering scaled", "velocity moved"),
+        *_twice("kth step, blocks 4", "yaw rate scaled", "steering offset"),
+        *_twice("tum second file, halves", "torque scaled", "velocity rotated"),
+        *_twice("tum, swapped blocks", "steering offset", "lateral velocity late"),
+        *_twice("rubber, blocks 15", "steering logged late", "velocity moved"),
+        *_twice("tape, blocks 6", "torque late", "yaw rate biased"),
+        *_twice("free, halves", "clocks shifted", "velocity biased"),
+        *_twice("slippery, swapped blocks", "steering offset", "torque scaled"),
+        *_twice("autorally 6, swapped halves", "steering late", "velocity rotated"),
+        *_twice("av21, blocks 20", "speed scaled", "steering scaled"),
+        *_twice("genesis, halves", "yaw rate scaled", "lateral velocity late"),
     ],
     "several": [
         *_rows(
@@ -120,6 +139,7 @@ LISTS: dict[str, list[Row]] = {
     ],
 }
 """By name. ``first`` are the 42 faults of docs/records/recorded_faults.md at today's sizes.
-``second`` has parts and faults that no search had seen when the list was fixed, on 25 November 2026.
+``second`` has parts and faults that no search had seen when the list was fixed, on 25 November 2026;
+``third`` has recordings, parts and faults of no list before, fixed on 26 November 2026.
 ``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed,
 and ``several again`` other parts with round sizes, fixed the same day after ``several`` had been run once."""
