@@ -72,7 +72,7 @@ def command(models, drives, horizons, exit_code, limits, output, held, as_json) 
     from split_cli.workflows.comparison_report import write_comparison
 
     progress = StepBar(len(drives))
-    compared, read, recordings = compare_files(models, drives, horizons, held, say=progress)
+    compared, read, recordings = compare_files(models, drives, horizons, held, progress=progress)
     progress.close()
     if output is not None:
         write_comparison(compared, read, recordings, output)

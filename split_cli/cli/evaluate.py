@@ -145,7 +145,7 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
     progress = StepBar(len(asked.features) * (1 + 2 * len(asked.predictors)) + 2)
     engine, scheduler, jobs = worked
     with open_engine(engine, jobs=jobs, scheduler=scheduler) as where:
-        run = evaluate_files(drives, vehicle_path, asked, set_path, say=progress, engine=where)
+        run = evaluate_files(drives, vehicle_path, asked, set_path, progress=progress, engine=where)
     progress.close()
     if output is not None:
         from split_cli.workflows.pages import write_evaluation
@@ -170,7 +170,7 @@ def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settin
         raise click.UsageError("--select trains sets of its own: give --vehicle, and no --set")
     asked = SelectionSettings(settings["features"], **tried, horizon=settings["horizon"])
     found = select_files(
-        drives, vehicle_path, asked, held=settings["held"], any_vehicle=settings["any_vehicle"], say=StepBar()
+        drives, vehicle_path, asked, held=settings["held"], any_vehicle=settings["any_vehicle"], progress=StepBar()
     )
     if output is not None:
         from split_cli.plots.selection import write_selection

@@ -73,7 +73,7 @@ def command(set_path, targets, output, predictor, name, real, queries, step, ins
         queries=queries,
         step=step,
         insist=insist,
-        say=lambda line: click.echo(f"{line} ...", err=True),
+        progress=lambda line: click.echo(f"{line} ...", err=True),
     )
     print_notes(f"WARNING: {doubt}" for doubt in result.doubts)
     print_notes(result.reservations)

@@ -49,7 +49,7 @@ def generate(folder, seed, cases, kinds, sets, engine, scheduler, jobs, as_json)
 
     kinds = tuple(("set,nominal-set" if sets else kinds).split(","))
     with open_engine(engine, jobs=jobs, scheduler=scheduler) as where:
-        seal = generate_cases(folder, seed, cases, apply=where.map, kinds=kinds, report=_progress("cases"))
+        seal = generate_cases(folder, seed, cases, apply=where.map, kinds=kinds, count=_progress("cases"))
     _tell_seal(seal, as_json)
 
 
@@ -69,7 +69,7 @@ def identify(folder, limit, engine, scheduler, jobs, as_json) -> None:
     with contextlib.ExitStack() as stack:
         own = engine == "process" and scheduler is None
         cluster = None if own else stack.enter_context(open_engine(engine, jobs=jobs, scheduler=scheduler))
-        identify_cases(folder, jobs=jobs, limit=limit, report=_progress("identified"), cluster=cluster)
+        identify_cases(folder, jobs=jobs, limit=limit, count=_progress("identified"), cluster=cluster)
 
 
 @command.command("score")
@@ -81,7 +81,7 @@ def score(folder, markdown, as_json) -> None:
     from split_cli.proof.tables import markdown_of, target_rows
     from split_cli.workflows.proving.prove import score_cases
 
-    result = score_cases(folder, report=_progress("scored"))
+    result = score_cases(folder, count=_progress("scored"))
     if markdown:
         from split_cli.files import atomic_write_text
 
@@ -132,7 +132,7 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
         block=block,
         halves=halves,
         multiples=_numbers(multiples),
-        report=_progress("faults"),
+        count=_progress("faults"),
     )
     _tell_faults(rows, as_json)
 
@@ -171,7 +171,7 @@ def multibody(seed, car, model, output, faults, as_json) -> None:
     if faults:
         only = None if faults == "all" else faults.split(",")
         rows = prove_multibody_faults(
-            output, seed=seed, car=car, model=model, only=only, report=_progress("faults")
+            output, seed=seed, car=car, model=model, only=only, count=_progress("faults")
         )
         _tell_faults(rows, as_json)
         return
@@ -214,9 +214,9 @@ def _progress(what: str):
     bar = StepBar()
     bar.text = what
 
-    def report(done: int, total: int) -> None:
+    def count(done: int, total: int) -> None:
         bar.count(done, total)
         if done == total:
             bar.close()
 
-    return report
+    return count

@@ -118,7 +118,7 @@ def write_export(
     plan: ExportPlan,
     provenance: Provenance,
     folder: Path,
-    say: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[TargetResult, ...]:
     """Write every target into `folder`, which should be temporary, each verified; the manifest last.
 
@@ -126,7 +126,7 @@ def write_export(
     ----------
     folder : Path
         Exists and is empty.
-    say : callable
+    progress : callable
         Told what happens.
 
     Raises
@@ -140,10 +140,10 @@ def write_export(
         provenance = replace(provenance, memory=graph.memory.to_mapping())
     require_usable(training_set)
     if plan.predictor == "table":
-        say("filling the table")
+        progress("filling the table")
     predictor = make_predictor(plan.predictor, training_set)
     tables = predictor_tables(predictor)
-    say(f"answering {plan.queries} queries in Python")
+    progress(f"answering {plan.queries} queries in Python")
     oracle = make_oracle(predictor, plan.queries)
     drives = _drives(graph, training_set, oracle)
     steps, intervals = None, None
@@ -155,7 +155,7 @@ def write_export(
     results = []
     document_check = None
     for target in plan.targets:
-        say(f"writing and verifying {target}")
+        progress(f"writing and verifying {target}")
         if target == "c":
             oracle_c = make_oracle(predictor, plan.queries, "float") if plan.real == "float" else oracle
             constants = predictor_tables(predictor, plan.real)

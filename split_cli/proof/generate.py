@@ -19,7 +19,7 @@ def generate_cases(
     *,
     apply: Callable[[Callable[[Any], None], Sequence[Any]], Iterable[None]] = map,
     kinds: tuple[str, ...] = MIXED,
-    report: Callable[[int, int], None] | None = None,
+    count: Callable[[int, int], None] = lambda done, total: None,
 ) -> Seal:
     """Write the cases of a seed that are not there yet, and seal them all.
 
@@ -31,7 +31,7 @@ def generate_cases(
         ``apply(function, items)`` does the work, as `map` does here; other processes must see the same folder.
     kinds : tuple of str
         Of `plan.KINDS`.
-    report : callable, optional
+    count : callable
         Called with (done, total) after each case.
 
     Raises
@@ -45,8 +45,7 @@ def generate_cases(
     open_ = [n for n in range(cases) if not (root / "cases" / case_name(n)).is_dir()]
     tasks = [(root.absolute(), seed, number, kinds) for number in open_]
     for done, _ in enumerate(apply(_make, tasks), cases - len(open_) + 1):
-        if report:
-            report(done, cases)
+        count(done, cases)
     return write_seal(root, seed)
 
 

@@ -101,7 +101,7 @@ def held_out_evidence(
     drives: Sequence[TrainingDrive],
     empty: TrainingSet,
     predictor: str = "rbcm",
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[tuple[TrustEvidence, ...], int]:
     """Return errors of held-out predictions by state and horizon, and the number of blocks they are from.
 
@@ -123,7 +123,7 @@ def held_out_evidence(
     conditions = [_conditions(part.drive, number, model) for number, part in enumerate(drives)]
     parts: list[TrustEvidence] = []
     for fold in range(_FOLDS):
-        say(f"judging the correction on held-out blocks, fold {fold + 1} of {_FOLDS}")
+        progress(f"judging the correction on held-out blocks, fold {fold + 1} of {_FOLDS}")
         tests = [its == fold for its in folds]
         if not any(test.any() for test in tests):
             continue

@@ -45,7 +45,7 @@ class Prepared(Generic[Made]):
 def decide(
     by_file: Prepared[Made],
     relabel: Callable[[Vehicle], Prepared[Made]] | None,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Prepared[Made]:
     """Find the trust of a set on held-out blocks, and with it whether a lag of the torque enters the set's model.
 
@@ -55,7 +55,7 @@ def decide(
         With the vehicle file as it is.
     relabel : callable or None
         Prepares the same for another vehicle; None where no lag is looked for.
-    say : callable
+    progress : callable
         Told what is being done.
 
     Returns
@@ -63,11 +63,11 @@ def decide(
     Prepared
         One of the two, its set with its trust: that with a lag only if held-out blocks gain more with it.
     """
-    trust, gain, needed = judge_correction(by_file.drives, by_file.empty, say=say)
+    trust, gain, needed = judge_correction(by_file.drives, by_file.empty, progress=progress)
     by_file = replace(by_file, empty=replace(by_file.empty, trust=trust), needed=needed)
     if relabel is None or trust.origin == "unjudged":
         return by_file
-    say("looking for a torque that arrives late")
+    progress("looking for a torque that arrives late")
     late = fit_torque_lag(by_file.drives, by_file.empty.vehicle)
     if late is None:
         return by_file
@@ -77,7 +77,7 @@ def decide(
     # more cautious of two judgements of them counts. Where the file shows no gain at all, there is one: its errors
     # of v_x hide what the others gain, and 0 for these would forbid the lag as well.
     most = (1.0, *trust.share[1:]) if gain > 0.0 else (1.0, 1.0, 1.0)
-    trust, other_gain, needed = judge_correction(other.drives, empty, say=say, most=most)
+    trust, other_gain, needed = judge_correction(other.drives, empty, progress=progress, most=most)
     return replace(other, empty=replace(empty, trust=trust), needed=needed) if other_gain > gain else by_file
 
 

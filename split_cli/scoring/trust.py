@@ -40,7 +40,7 @@ class Judgement(NamedTuple):
 def judge_correction(
     drives: Sequence[TrainingDrive],
     empty: TrainingSet,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     most: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Judgement:
     """Return the trust of each output, found on held-out blocks of the drives, and its gain.
@@ -49,7 +49,7 @@ def judge_correction(
     ----------
     empty : TrainingSet
         Without points: its settings and kernel are those of the set that is trained on everything.
-    say : callable
+    progress : callable
         Told what is being done.
     most : sequence of float, shape (3,)
         Largest trust of each output.
@@ -61,7 +61,7 @@ def judge_correction(
         speaks for is not applied.
     """
     # Not with the default predictor: the trust it finds of itself did more harm on other drives (decision 0030).
-    evidence, blocks = held_out_evidence(drives, empty, "rbcm", say)
+    evidence, blocks = held_out_evidence(drives, empty, "rbcm", progress)
     if blocks < FEWEST_BLOCKS:
         return Judgement(Trust((0.0, 0.0, 0.0), "unjudged", blocks), -np.inf, None)
     share, gain = best_trust(evidence, most)

@@ -82,19 +82,19 @@ def compare_files(
     drives: Sequence[str | Path],
     horizons: Sequence[float] = (0.05, 0.5, 2.0),
     held: Sequence[str] = (),
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[ModelComparison, tuple[ComparedModel, ...], tuple[Drive, ...]]:
     """Read models and drives and compare; see `read_model` and `compare_models`."""
     read = tuple(read_model(text) for text in models)
     recordings = tuple(read_drive(path, held) for path in drives)
-    return compare_models(read, recordings, horizons, say), read, recordings
+    return compare_models(read, recordings, horizons, progress), read, recordings
 
 
 def compare_models(
     models: Sequence[ComparedModel],
     drives: Sequence[Drive],
     horizons: Sequence[float] = (0.05, 0.5, 2.0),
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> ModelComparison:
     """Simulate every model open-loop from the same starts on the same drives, and compare the ends.
 
@@ -102,7 +102,7 @@ def compare_models(
     ----------
     horizons : sequence of float
         [s], rounded to whole steps of about 0.05 s.
-    say : callable
+    progress : callable
         Gets a line about what is being done.
 
     Raises
@@ -128,7 +128,7 @@ def compare_models(
     parts: list[tuple[str, list[RunErrors], int]] = []
     first_block = 0
     for drive in drives:
-        say(f"free runs on {drive.name}")
+        progress(f"free runs on {drive.name}")
         block = number_blocks(drive["t"], drive.segment, first_block)
         first_block = int(block.max()) + 1
         found, diverged = _run_on(models, drive, horizons, block)

@@ -75,7 +75,7 @@ def evaluate_files(
     vehicle: str | Path | None,
     settings: EvaluationSettings,
     set_path: str | Path | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     engine: Engine = HERE,
 ) -> EvaluationRun:
     """Read drives, vehicle and set, and evaluate; see `evaluate`.
@@ -97,7 +97,7 @@ def evaluate_files(
         what = f"was trained for another vehicle than {car.name!r}"
         raise SetError(what, where=str(set_path), advice="Leave --vehicle out, the set carries its own.")
     opened = [open_drive(path, settings.held, beside=len(drives)) for path in drives]
-    return evaluate(opened, car, settings, trained, say, engine)
+    return evaluate(opened, car, settings, trained, progress, engine)
 
 
 def evaluate(
@@ -105,7 +105,7 @@ def evaluate(
     vehicle: Vehicle,
     settings: EvaluationSettings,
     trained: TrainingSet | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     engine: Engine = HERE,
 ) -> EvaluationRun:
     """Score predictors on drives.
@@ -117,7 +117,7 @@ def evaluate(
     trained : TrainingSet, optional
         Scored on the whole of every drive. Without one, sets are trained on the training blocks, with
         hyperparameters fitted there, and scored on the held-out blocks.
-    say : callable
+    progress : callable
         Gets a line about what is being done.
     engine : Engine
         Where each drive is labelled, predicted and rolled out; the numbers do not depend on it.
@@ -136,18 +136,18 @@ def evaluate(
     drives = [correct(drive) for drive in drives]
     warnings = vehicle_warnings(drives, vehicle, settings.any_vehicle)
     model = SingleTrack(vehicle)
-    labelled_sets, nominal = _labelled_sets(drives, vehicle, settings, trained, say, engine)
+    labelled_sets, nominal = _labelled_sets(drives, vehicle, settings, trained, progress, engine)
     baselines = [baseline_tallies(h, model, _variance_of(nominal, labelled_sets[0][2])) for h in nominal]
-    scored = _score_predictors(labelled_sets, baselines, settings, say, engine)
+    scored = _score_predictors(labelled_sets, baselines, settings, progress, engine)
     scores, traces, tallies, predictors = scored
-    say("rollouts")
+    progress("rollouts")
     rollouts, rollout_scores, rolled = _rollouts(nominal, model, predictors, settings, engine)
     comparisons, verdicts = _comparisons(model, nominal, traces, rolled, settings)
-    sizes = _sizes(labelled_sets, baselines, settings, say)
+    sizes = _sizes(labelled_sets, baselines, settings, progress)
     shown = [trace for trace in traces if trace.name in settings.predictors]
     followed = [trace for trace in traces if trace.name.endswith(RUNNING)]
     intervals = interval_shares([*shown, *followed], {name: own for name, _, own in labelled_sets}, RUNNING)
-    say("noise floor")
+    progress("noise floor")
     facts = tuple(drive_facts(h, model, trained) for h in nominal)
     report = Evaluation(
         settings=settings,
@@ -196,13 +196,13 @@ def _labelled_sets(
     vehicle: Vehicle,
     settings: EvaluationSettings,
     trained: TrainingSet | None,
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
     engine: Engine,
 ) -> tuple[list[tuple[str, list[HeldOutSamples], TrainingSet]], list[HeldOutSamples]]:
     """Return each feature set with samples and trained set, and the samples of the nominal model."""
     labelled_sets, nominal = [], []
     for features in settings.features:
-        say(f"{features}: labels and training")
+        progress(f"{features}: labels and training")
         parsed = parse_features(features)
         held = _hold_out(drives, _with_states_of_features(vehicle, trained), parsed, settings, trained, engine)
         nominal = nominal or held
@@ -317,7 +317,7 @@ def _score_predictors(
     labelled_sets: list[tuple[str, list[HeldOutSamples], TrainingSet]],
     baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
     engine: Engine,
 ) -> tuple[list[Score], list[Trace], dict, dict]:
     pooled = {name: _sum([b[name] for b in baselines]) for name in baselines[0]}
@@ -336,7 +336,7 @@ def _score_predictors(
         spent: dict[str, float] = {}  # of one query [s]: how far its answer is believed costs nothing
         for name, way in _named(settings, training_set):
             believed = replace(training_set, trust=Trust.full()) if way == PLAIN else training_set
-            say(f"{features}: {name}{way} on {training_set.size} points")
+            progress(f"{features}: {name}{way} on {training_set.size} points")
             predictor = make_predictor(name, believed)
             asked = [predictor] * len(held)
             if way == RUNNING:
@@ -469,7 +469,7 @@ def _sizes(
     labelled_sets: list[tuple[str, list[HeldOutSamples], TrainingSet]],
     baselines: list[dict[str, ScoreTally]],
     settings: EvaluationSettings,
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> list[SizeScore]:
     paper = settings.protocol == "paper"
     asked = settings.sizes or ((PAPER_SIZE,) if paper else DEFAULT_SIZES if len(labelled_sets) > 1 else ())
@@ -478,7 +478,7 @@ def _sizes(
     for features, held, training_set in labelled_sets if asked else ():
         candidates = Labels.joined([_training(h) for h in held])
         for size, chosen in informative_sets(training_set.vehicle, candidates, training_set.kernel, asked):
-            say(f"{features}: full on the {chosen.size} most informative samples")
+            progress(f"{features}: full on the {chosen.size} most informative samples")
             predictor = make_predictor("full", chosen)
             tally = _sum([predictor_tally(h, predictor)[0] for h in held])
             known = {"features": features, "points": chosen.size}

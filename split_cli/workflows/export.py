@@ -54,7 +54,7 @@ def export_set(
     queries: int = 10_000,
     step: float | None = None,
     insist: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> ExportResult:
     """Export a trained set into a folder.
 
@@ -77,7 +77,7 @@ def export_set(
         default the set's label interval.
     insist : bool
         Export in spite of `export_doubts`.
-    say : callable
+    progress : callable
         Told what happens, one line at a time.
 
     Raises
@@ -96,7 +96,7 @@ def export_set(
     digest = sha256_of_file(set_path)
     provenance = provenance_of(training_set, predictor, set_path.name, digest)
     with atomic_directory(output) as folder:
-        results = write_export(training_set, plan, provenance, folder, say)
+        results = write_export(training_set, plan, provenance, folder, progress)
     size, cells = training_set.size, training_set.cell_count
     said = (doubts, provenance.reservations)
     return ExportResult(str(output), plan.name, digest, size, cells, results, *said)

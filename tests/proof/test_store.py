@@ -24,7 +24,7 @@ def made(tmp_path_factory):
     root = tmp_path_factory.mktemp("proof") / "out"
     counts = []
     for cases in (1, 2):
-        seal = generate_cases(root, 4, cases, kinds=("null", "single"), report=lambda *at: counts.append(at))
+        seal = generate_cases(root, 4, cases, kinds=("null", "single"), count=lambda *at: counts.append(at))
     assert counts == [(1, 1), (2, 2)]
     return root, seal
 
@@ -140,7 +140,7 @@ def test_another_engine_is_handed_the_same_tasks_by_full_paths(copy, monkeypatch
     monkeypatch.chdir(root.parent)
     counts: list[tuple[int, int]] = []
     cluster = Engine("others", 2, apply)
-    assert prove.identify_cases(Path(root.name), report=lambda *at: counts.append(at), cluster=cluster) == seal
+    assert prove.identify_cases(Path(root.name), count=lambda *at: counts.append(at), cluster=cluster) == seal
     assert counts == [(1, 2), (2, 2)] and len(given) == 6 and all(path.is_absolute() for path in given)
     assert prove.read_statement(root, "0002").verdict == "match"
 

@@ -5,9 +5,9 @@ from math import comb
 import numpy as np
 
 from split_cli.logs.drive import NoiseEstimate
+from split_cli.logs.scratch import PIECE
 
 _ORDERS = (3, 4, 5, 6)
-_PIECE = 2**18  # steps
 
 
 def difference_noise(values: np.ndarray, runs: list[tuple[int, int]], order: int = 3) -> float:
@@ -124,8 +124,8 @@ def _resolution(values: np.ndarray) -> float | None:
         return None
     smallest = float(np.quantile(steps, 0.02))
     small = multiples = 0
-    for first in range(0, len(steps), _PIECE):  # a long recording has no room for all ratios at once
-        ratio = steps[first : first + _PIECE] / smallest
+    for first in range(0, len(steps), PIECE):  # a long recording has no room for all ratios at once
+        ratio = steps[first : first + PIECE] / smallest
         ratio = ratio[ratio < 20]
         small += len(ratio)
         multiples += np.count_nonzero(np.abs(ratio - np.round(ratio)) < 0.02 * np.maximum(1.0, 0.2 * ratio))

@@ -28,8 +28,6 @@ __all__ = ["ProofScore", "generate_cases", "identify_cases", "read_statement", "
 _CASES_OF_A_PROCESS = 10
 """A worker is replaced after so many cases, so that memory stays bounded whatever a case leaves behind."""
 
-Report = Callable[[int, int], None]
-
 
 @dataclass(frozen=True)
 class ProofScore:
@@ -48,7 +46,7 @@ def identify_cases(
     *,
     jobs: int = 1,
     limit: int | None = None,
-    report: Report | None = None,
+    count: Callable[[int, int], None] = lambda done, total: None,
     cluster: Engine | None = None,
 ) -> Seal:
     """Diagnose every case that has no result yet, each in a worker process.
@@ -61,7 +59,7 @@ def identify_cases(
         Worker processes.
     limit : int, optional
         Only the first so many cases.
-    report : callable, optional
+    count : callable
         Called with (done, total) after each case.
     cluster : Engine, optional
         Does the work instead; its workers must see the same folder.
@@ -87,8 +85,7 @@ def identify_cases(
             pool = context.Pool(jobs, use_threads, threads, maxtasksperchild=_CASES_OF_A_PROCESS)
             identified = stack.enter_context(pool).imap_unordered(_identify, tasks)
         for done, _ in enumerate(identified, len(cases) - len(open_) + 1):
-            if report:
-                report(done, len(cases))
+            count(done, len(cases))
     return seal
 
 
@@ -126,7 +123,7 @@ def read_statement(root: Path, name: str) -> Statement:
     return statement_of(json.loads(path.read_text()))
 
 
-def score_cases(root: Path, *, report: Report | None = None) -> ProofScore:
+def score_cases(root: Path, *, count: Callable[[int, int], None] = lambda done, total: None) -> ProofScore:
     """Unseal the answers of the identified cases and score them.
 
     Raises
@@ -146,8 +143,7 @@ def score_cases(root: Path, *, report: Report | None = None) -> ProofScore:
         heldout, noise = read_heldout(root, case.name)
         vehicle = read_vehicle(case.vehicle)
         scores.append(score_case(case.name, answer, read_statement(root, case.name), heldout, noise, vehicle))
-        if report:
-            report(number + 1, len(cases))
+        count(number + 1, len(cases))
     seconds = [note["seconds"] for note in notes]
     summary = replace(
         summarise(scores),

@@ -69,7 +69,7 @@ def prove_multibody_faults(
     car: int = 2,
     model: str = "multibody",
     only: Sequence[str] | None = None,
-    report: Callable[[int, int], None] | None = None,
+    count: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[InjectionResult]:
     """Put known faults into the car; without them, on another track, it is the simulation.
 
@@ -109,8 +109,7 @@ def prove_multibody_faults(
                 in_catalogue=fault.in_catalogue,
             )
         )  # fmt: skip
-        if report:
-            report(number + 1, len(faults))
+        count(number + 1, len(faults))
     return results
 
 

@@ -46,7 +46,7 @@ def prove_recording(
     block: float = 10.0,
     halves: bool = False,
     multiples: Sequence[float] = (),
-    report: Callable[[int, int], None] | None = None,
+    count: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[InjectionResult]:
     """Put faults into drives and diagnose each.
 
@@ -83,8 +83,7 @@ def prove_recording(
             faults = faults_of_sizes(faults, _promised(output / f"{done + 1:03d}"), multiples)
         for number, fault in enumerate(faults, start=1):
             results.append(_one(path, fault, vehicle, done + number, output, length))
-            if report:
-                report(number, len(faults))
+            count(number, len(faults))
     return results
 
 

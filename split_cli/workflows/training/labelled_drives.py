@@ -69,7 +69,7 @@ class LabelledDrives:
         Drives, and files that `split label` wrote. Labels of a drive that is given too spare its labelling.
     rows : sequence of ndarray of bool, optional
         For each drive, which rows may be learned; a label whose window touches another row is left out.
-    say : callable
+    progress : callable
         Told what is being done.
     engine : Engine
         Where drives are labelled, several at a time; its workers must see the same files.
@@ -85,10 +85,10 @@ class LabelledDrives:
         paths: Sequence[Path],
         labelling: Labelling,
         rows: Sequence[np.ndarray] | None,
-        say: Callable[[str], None],
+        progress: Callable[[str], None],
         engine: Engine = HERE,
     ) -> None:
-        self.labelling, self.say, self._engine = labelling, say, engine
+        self.labelling, self.progress, self._engine = labelling, progress, engine
         self._rows = rows
         self._sources = _paired(paths)
         self._correct = RecordingCorrection(labelling.vehicle)
@@ -121,7 +121,7 @@ class LabelledDrives:
         # Places count along the first drive: one after the other.
         if self._engine.workers < 2 or len(numbers) < 2 or self._correct.counts_places:
             return
-        self.say(f"labelling {len(numbers)} drives on {self._engine.name}")
+        self.progress(f"labelling {len(numbers)} drives on {self._engine.name}")
         jobs = [
             (self._sources[n].drive, self.labelling, self._rows_of(n), n not in self._checked) for n in numbers
         ]
@@ -156,7 +156,7 @@ class LabelledDrives:
             return None
         if self._open is not None and self._open[0] == number:
             return self._open[1]
-        self.say(f"reading {source.name}")
+        self.progress(f"reading {source.name}")
         drive = self._correct(open_drive(source.drive, self.labelling.held))
         # To open a long one takes longer than to hold it: its columns stay in its file.
         self._open = (number, drive) if drive.stays_in_file else None

@@ -56,7 +56,7 @@ def create_set(
             blank, its_fit = _blank(own, settings)
             return Prepared(blank, _recorded(own), (its_fit, own))
 
-        chosen = decide(prepared(), None if dictionary or settings.lag == "none" else prepared, drives.say)
+        chosen = decide(prepared(), None if dictionary or settings.lag == "none" else prepared, drives.progress)
         empty, (fit, drives) = chosen.empty, chosen.made
         drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust))
         if chosen.needed is not None:
@@ -142,7 +142,7 @@ def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
     if total < FEWEST_TO_FIT:
         drives.note(f"{total} valid labels are too few to fit hyperparameters to; the defaults are kept")
         return None
-    drives.say(f"fitting hyperparameters to {total} labels")
+    drives.progress(f"fitting hyperparameters to {total} labels")
     # Only what the fit looks at: all labels of a long drive have no room.
     looked_at, before = labels_to_fit(total), np.cumsum([0, *map(len, valid)])
     z, y, every = [], [], []

@@ -43,14 +43,14 @@ def select_files(
     *,
     held: tuple[str, ...] = (),
     any_vehicle: bool = False,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> SetSelection:
     """Read drives and vehicle, and choose; see `select`."""
     car = read_vehicle(vehicle)
     correct = RecordingCorrection(car)
     recorded = [correct(read_drive(path, held)) for path in drives]
     vehicle_warnings(recorded, car, any_vehicle)
-    return select(recorded, car, settings, command=f"--vehicle {vehicle}", say=say)
+    return select(recorded, car, settings, command=f"--vehicle {vehicle}", progress=progress)
 
 
 def select(
@@ -59,7 +59,7 @@ def select(
     settings: SelectionSettings,
     *,
     command: str = "",
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> SetSelection:
     """Try every combination of settings on held-out blocks of time, and choose one.
 
@@ -67,7 +67,7 @@ def select(
     ----------
     command : str
         What `split train` needs besides the settings chosen; for `Selection.command`.
-    say : callable
+    progress : callable
         Gets a line about what is being done.
 
     Notes
@@ -92,10 +92,10 @@ def select(
     for features in settings.features:
         parts = _parts(drives, vehicle, features, settings)
         for edge in settings.cell_edges:
-            say(f"{features}, cell edge {edge:g}: fitting hyperparameters on {_FOLDS} folds")
+            progress(f"{features}, cell edge {edge:g}: fitting hyperparameters on {_FOLDS} folds")
             folds = [_fold(parts, fold, vehicle, edge) for fold in range(_FOLDS)]
             for capacity, threshold in product(settings.capacities, settings.thresholds):
-                say(f"{features}, cell edge {edge:g}, capacity {capacity}, threshold {threshold:g}")
+                progress(f"{features}, cell edge {edge:g}, capacity {capacity}, threshold {threshold:g}")
                 blank = SetCandidate(
                     features, capacity, threshold, edge, 0.0, 0.0, 0.0, np.zeros(3), 0.0, 0.0, 0.0
                 )

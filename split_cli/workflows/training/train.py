@@ -73,7 +73,7 @@ def train_set(
     batch: int | None = None,
     per_lap: bool = False,
     engine: Engine = HERE,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> TrainResult:
     """Train a set from drives in the order given, and write it.
 
@@ -93,7 +93,7 @@ def train_set(
         Also tell what each lap of the drives added; not for the dictionary of `iol`.
     engine : Engine
         Where drives are labelled; the set does not depend on it.
-    progress : callable, optional
+    progress : callable
         Told what is being done.
 
     Raises
@@ -101,7 +101,7 @@ def train_set(
     SplitError
         If an input is at fault; `output` is then as it was before.
     """
-    settings, say = settings or TrainSettings(), progress or (lambda text: None)
+    settings = settings or TrainSettings()
     kernel_file = {settings.hyperparameters} - {None, "fit", "default"}
     refuse_overwriting_inputs(output, (*drive_paths, vehicle_path, *kernel_file))
     sources = find_sources(drive_paths, DRIVE_SUFFIXES, what="drive")
@@ -114,7 +114,7 @@ def train_set(
         changed: tuple[str, ...] = ()
         if append and expanded:
             paths, changed = _not_learned(paths, read_set(output))
-        result = _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, engine, say)
+        result = _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, engine, progress)
         return replace(result, notes=(*changed, *result.notes))
 
 
@@ -153,7 +153,7 @@ def _train_set(
     batch: int | None,
     per_lap: bool,
     engine: Engine,
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> TrainResult:
     vehicle = read_vehicle(vehicle_path)
     known = read_set(output) if append else None
@@ -163,7 +163,7 @@ def _train_set(
         [Path(path) for path in drive_paths],
         _labelling(vehicle, settings, known),
         rows,
-        say,
+        progress,
         engine,
     )
     if per_lap and drives.without_recording():
@@ -180,7 +180,7 @@ def _train_set(
         drive = drives.drive(number)
         labels = drives.labels(number, drive)
         drives.remark(labels, drive, trained)
-        say(f"[{number + 1}/{len(drives)}] learning {labels.drive}")
+        progress(f"[{number + 1}/{len(drives)}] learning {labels.drive}")
         if per_lap and drive is not None and trained.learner != LEARNER:
             laps += lap_rows(drive, labels, trained)
         start = time.perf_counter()
