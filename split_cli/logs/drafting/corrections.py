@@ -182,10 +182,10 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     faults = ("scale", "sign", "range", "constant", "swapped", "contradiction", "course")
     wrong = [f for f in verdict.findings if f.channel == s.channel and f.check in faults]
     if wrong:
-        return replace(s, status="open", reason=wrong[0].text)
+        return s.left_open(wrong[0].text)
     undecided = [f for f in verdict.findings if f.check in ("sign", "hand") and f.channel in ("r", "yaw", "X")]
     if undecided and s.channel in HANDED:
-        return replace(s, status="open", reason=f"left or right positive is undecided: {undecided[0].text}")
+        return s.left_open(f"left or right positive is undecided: {undecided[0].text}")
     key = {"Y": "X"}.get(s.channel, s.channel)
     keys = {key, "hand"} if key == "X" else {key}
     # What agrees with a channel that no car's can be has it for a companion, not for a judge.

@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
@@ -44,6 +44,10 @@ class Suggestion:
     def never_changes(self) -> bool:
         """Whether it is left out since it holds one value from end to end."""
         return self.reason.startswith("never changes")
+
+    def left_open(self, reason: str) -> "Suggestion":
+        """Return the suggestion left out of the map, with the reason."""
+        return replace(self, status="open", reason=reason)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def without_a_side(s: Suggestion) -> Suggestion:
     if s.channel in HANDED and NOT_UP in s.reason and s.status in ("assumed", "stated"):
         why = next(part for part in s.reason.split("; ") if NOT_UP in part)
         remark = f"{why}; with `scale: -1` if positive is to the right"
-        return replace(s, status="open", reason=remark)
+        return s.left_open(remark)
     return replace(s, status="unsided") if s.status == "judged" and s.channel in (*HANDED, "X", "Y") else s
 
 

@@ -9,6 +9,7 @@ from split_cli.logs.checking.checks import LEAST_CORRELATION
 from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval, fit_slope
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
+from split_cli.logs.drafting.steering import is_full_size
 from split_cli.logs.drafting.wheels import note_on_part
 
 _LEAST_OF_A_CAR = 50.0
@@ -36,6 +37,10 @@ _MOST_SHARE, _MOST_PERCENT = 1.2, 120.0
 """Of a pedal's travel, sensors that overshoot included: as a share of 1, and in per cent."""
 
 
+def _kinematics(columns: Mapping[str, np.ndarray], rate: float) -> Kinematics:
+    return Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+
+
 def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
     """Say whether T goes with the acceleration; how much per m/s^2 shows a torque of the engine or of one axle."""
     of_part = note_on_part(s.sources)
@@ -43,7 +48,7 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
         if of_part and s.status == "stated":
             return replace(s, status="assumed", reason=f"{of_part}{s.reason}")
         return s
-    k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+    k = _kinematics(columns, rate)
     carried = k.of("vy r", lambda: columns["vy"] * columns["r"]) if {"vy", "r"} <= set(columns) else 0.0
     slope = fit_slope(k.signal("T"), k.rate("vx") - carried, k.moving)
     if slope is None or abs(slope.correlation) < LEAST_CORRELATION:
@@ -55,19 +60,17 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
             and _go_apart(k.signal("T"), k.rate("vx") - carried, k.moving)
         ):
             remark = f"T and dv_x/dt {how}: it drives nothing, as the torque in a steering column does"
-            return replace(s, status="open", reason=remark)
+            return s.left_open(remark)
         return replace(s, status="assumed", reason="; ".join(filter(None, (of_part, remark))))
     size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, which should be mass times wheel radius"
     if slope.slope < 0.0:
         s, size = replace(s, scale=-s.scale), f"its sign is turned; {size}"
-    too_small = abs(slope.slope) < _LEAST_OF_A_CAR and float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
-    if too_small:
+    if abs(slope.slope) < _LEAST_OF_A_CAR and is_full_size(columns):
         remark = f"{size}: too small for a car, so of the engine? `scale:` with ratio times efficiency makes it T"
-        return replace(s, status="open", reason=remark)
-    beyond = abs(slope.slope) > _MOST_OF_A_LORRY
-    if beyond:
+        return s.left_open(remark)
+    if abs(slope.slope) > _MOST_OF_A_LORRY:
         remark = f"the file says {s.foreign_unit!r}, which is no known unit; " if s.foreign_unit else ""
-        return replace(s, status="open", reason=f"{remark}{size}: more than any lorry's. Give its `scale:`")
+        return s.left_open(f"{remark}{size}: more than any lorry's. Give its `scale:`")
     status = "assumed" if of_part or s.unit is None or s.foreign_unit else "judged"
     unit = s.unit or "N m"
     remark = "" if s.unit else "unit not stated"
@@ -93,7 +96,7 @@ def read_pedal(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
         return s
     if largest > _MOST_PERCENT:
         remark = f"reaches {largest:.4g}: neither a share nor per cent of the pedal's travel. Give its `scale:`"
-        return replace(s, status="open", reason=remark)
+        return s.left_open(remark)
     return replace(s, unit="%", reason=f"unit not stated; it reaches {largest:.3g}, so per cent")
 
 
@@ -107,7 +110,7 @@ def read_yaw_rate(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float)
         remark = (
             f"unit not stated; it reaches {reach:.3g}, more than any car's in rad/s or deg/s. Give its `scale:`"
         )
-        return replace(s, status="open", reason=remark)
+        return s.left_open(remark)
     remark = f"unit not stated; it reaches {reach:.3g}, and no car's exceeds {limit:g} {unit}, so deg/s"
     return replace(s, unit="deg/s", reason=remark) if reach > limit else s
 
@@ -116,34 +119,33 @@ def read_yaw(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> S
     """Leave out a yaw that nothing judged and that does not turn with X, Y, such as a part of a quaternion."""
     if s.status != "assumed" or not {"X", "Y", "vx"} <= set(columns) or s.channel not in columns:
         return s
-    k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+    k = _kinematics(columns, rate)
     slope = fit_slope(k.rate("yaw"), k.course_rate(), k.moving)
     if slope is None or abs(slope.correlation) >= LEAST_CORRELATION:
         return s
     remark = (
         f"dyaw/dt and the turning of X, Y correlate by {slope.correlation:.2f} only: not the car's yaw, or late"
     )
-    return replace(s, status="open", reason=remark)
+    return s.left_open(remark)
 
 
 def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
     """Tell the unit of a wheel speed by v_x: what rolls is as fast, what turns has a radius that wheels have."""
     if s.status != "assumed" or not {s.channel, "vx"} <= set(columns):
         return s
-    k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+    k = _kinematics(columns, rate)
     found = fit_slope(k.signal(s.channel), k.signal("vx"), k.moving)
     if found is None:
         return s
     if found.correlation < LEAST_CORRELATION:
         remark = f"{s.channel} and v_x correlate by {found.correlation:.2f} only: not the speed of a wheel"
-        return replace(s, status="open", reason=remark)
+        return s.left_open(remark)
     slope, remark = found.slope, f"{s.channel} against v_x {found.slope:.3g}"
     for unit, factor in _ROLLING.items():
         if abs(slope / factor - 1.0) < _ALIKE:
             return replace(s, unit=unit, status="judged", reason=f"{remark}, unit not stated")
-    is_large = float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
     turning = {unit: factor / slope for unit, factor in (("rad/s", 1.0), ("rpm", 30.0 / np.pi))}
-    least = _LEAST_OF_A_CAR_WHEEL if is_large else _RADII[0]
+    least = _LEAST_OF_A_CAR_WHEEL if is_full_size(columns) else _RADII[0]
     for unit, radius in turning.items():
         if least < radius < _RADII[1]:
             remark = f"unit not stated; in {unit} it is a wheel of {radius:.3g} m radius"
@@ -153,8 +155,8 @@ def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
         remark = (
             f"unit not stated; in turns per second, `unit: rad/s, scale: 6.2832`, it is a wheel of {radius:.3g} m"
         )
-        return replace(s, status="open", reason=f"{remark} radius")
-    return replace(s, status="open", reason=f"{remark}: neither a speed nor the turning of a wheel")
+        return s.left_open(f"{remark} radius")
+    return s.left_open(f"{remark}: neither a speed nor the turning of a wheel")
 
 
 def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> Suggestion:
@@ -165,18 +167,18 @@ def read_acceleration(s: Suggestion, columns: Mapping[str, np.ndarray], rate: fl
     if s.status not in ("assumed", "stated") or not {s.channel, "vx"} <= set(columns):
         return s
     if s.channel == "ax" and s.status == "assumed":
-        k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+        k = _kinematics(columns, rate)
         own, change = k.signal("ax"), k.rate("vx")
         use = k.moving & np.isfinite(own * change)
         less = np.count_nonzero(use) > _REST_SECONDS * rate and np.std(own[use]) < np.std(change[use])
         if less and _go_apart(own, change, k.moving):
-            return replace(s, status="open", reason=f"varies less than dv_x/dt {_OTHER_AXIS}")
+            return s.left_open(f"varies less than dv_x/dt {_OTHER_AXIS}")
     standing = np.abs(columns["vx"]) < _AT_REST
     values = columns[s.channel][standing & np.isfinite(columns[s.channel])]
     if len(values) < _REST_SECONDS * rate or abs(np.median(values)) < _TILTED:
         return s
     remark = f"reads {np.median(values):.3g} m/s^2 {_GRAVITY_AT_REST}, so it is not along a level axis"
-    return replace(s, status="open", reason=remark)
+    return s.left_open(remark)
 
 
 def without_the_tilted(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
@@ -187,9 +189,7 @@ def without_the_tilted(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
         return list(suggestions)
     remark = f"of the sensor of {both[0][0].sources[0]}, which {both[0][1]}"
     return [
-        replace(s, status="open", reason=remark)
-        if s.channel in ("ax", "ay") and s.status in ("assumed", "stated")
-        else s
+        s.left_open(remark) if s.channel in ("ax", "ay") and s.status in ("assumed", "stated") else s
         for s in suggestions
     ]
 
@@ -213,7 +213,7 @@ def read_sideslip(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float)
 
 
 def _of_sideslip(columns: Mapping[str, np.ndarray], rate: float) -> Slope | None:
-    k = Kinematics(columns, 1.0 / rate, [slice(0, len(columns["vx"]))])
+    k = _kinematics(columns, rate)
     if "vy" in columns:
         with np.errstate(divide="ignore", invalid="ignore"):
             return fit_slope(k.signal("sideslip"), k.signal("vy") / k.signal("vx"), k.moving)

@@ -3,11 +3,11 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from split_cli.logs.checking.kinematics import block_interval, fit_slope
+from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
@@ -90,8 +90,8 @@ def _at_rest(delta: np.ndarray, curvature: np.ndarray, vx: np.ndarray, mask: np.
 
 
 def read_steering(
-    chosen: Mapping[str, Any], columns: Mapping[str, np.ndarray], vehicle: Vehicle | None, make: Any
-) -> list[Any]:
+    chosen: Mapping[str, Suggestion], columns: Mapping[str, np.ndarray], vehicle: Vehicle | None
+) -> list[Suggestion]:
     """Return the suggestions for ``delta`` and ``steering_wheel_angle``.
 
     Parameters
@@ -100,8 +100,6 @@ def read_steering(
         Of the suggestions, SI.
     vehicle : Vehicle, optional
         Its wheelbase turns the apparent wheelbase into a steering ratio.
-    make : type
-        ``Suggestion``.
     """
     drafted = []
     shares = [s for c, s in chosen.items() if c in ("delta", "steering_wheel_angle") and s.unit == "%"]
@@ -121,7 +119,7 @@ def read_steering(
             found = chosen["steering_wheel_angle"]
             if reach is not None and found.unit != wheel.unit and wheel.unit == "deg":
                 reach *= np.pi / 180.0
-            by_ratio = make("delta", wheel.sources, status="open", reason=_ratio(reach, wheel.unit, vehicle))
+            by_ratio = Suggestion("delta", wheel.sources, status="open", reason=_ratio(reach, wheel.unit, vehicle))
     if "delta" in chosen:
         drafted.append(_road_wheel(chosen["delta"], columns, vehicle))
     if by_ratio is not None and not any(s.channel == "delta" and s.status != "open" for s in drafted):
@@ -129,7 +127,7 @@ def read_steering(
     return drafted
 
 
-def _share(s: Any, columns: Mapping[str, np.ndarray]) -> str:
+def _share(s: Suggestion, columns: Mapping[str, np.ndarray]) -> str:
     """Say of steering in per cent how it becomes an angle."""
     text = "a share of the steering's lock, no angle: {source: ..., unit: rad, scale: ANGLE/100} with the"
     text += " road wheels' angle at 100 %"
@@ -139,14 +137,14 @@ def _share(s: Any, columns: Mapping[str, np.ndarray]) -> str:
     return f"{text}, near wheelbase/{abs(reach):.3g} m{' with a minus sign' if reach < 0.0 else ''}"
 
 
-def _hand_wheel(s: Any, columns: Mapping[str, np.ndarray]) -> Any:
+def _hand_wheel(s: Suggestion, columns: Mapping[str, np.ndarray]) -> Suggestion:
     """Return the steering wheel's angle with its unit: as stated, as its size over curvature tells, or assumed."""
     reach = apparent_wheelbase(columns[s.channel], columns) if s.channel in columns else None
     if reach is not None and reach < 0.0:
         s = replace(s, scale=-s.scale)
     if s.status == "stated":
         return replace(s, reason="; its sign is turned" if reach is not None and reach < 0.0 else "")
-    if s.unit is None and reach is not None and _is_full_size(columns):
+    if s.unit is None and reach is not None and is_full_size(columns):
         unit, of_road = _read_size(abs(reach))
         if unit and not of_road:
             size = abs(reach) * (np.pi / 180.0 if unit == "deg" else 1.0)
@@ -160,17 +158,18 @@ def _hand_wheel(s: Any, columns: Mapping[str, np.ndarray]) -> Any:
     return replace(s, reason=remark)
 
 
-def _is_of_the_road(wheel: Any, columns: Mapping[str, np.ndarray]) -> bool:
+def _is_of_the_road(wheel: Suggestion, columns: Mapping[str, np.ndarray]) -> bool:
     """Whether an angle that is called the steering wheel's is as small over curvature as a wheelbase."""
     reach = apparent_wheelbase(columns[wheel.channel], columns) if wheel.channel in columns else None
-    if reach is None or not _is_full_size(columns):
+    if reach is None or not is_full_size(columns):
         return False
     # Of an angle without unit the size tells the unit too.
     unit, of_road = _read_size(abs(reach))
     return of_road and (wheel.unit is None or unit == "rad")
 
 
-def _is_full_size(columns: Mapping[str, np.ndarray]) -> bool:
+def is_full_size(columns: Mapping[str, np.ndarray]) -> bool:
+    """Tell whether a recording is of a car that a person drives: it is faster than models are."""
     return "vx" in columns and float(np.nanquantile(np.abs(columns["vx"]), 0.95)) > 12.0
 
 
@@ -202,10 +201,10 @@ def _ratio(reach: float | None, unit: str | None, vehicle: Vehicle | None) -> st
     return f"{text}: {abs(reach):.3g} m over the wheelbase (roughly: understeer may add){turned}"
 
 
-def _road_wheel(s: Any, columns: Mapping[str, np.ndarray], vehicle: Vehicle | None) -> Any:
+def _road_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], vehicle: Vehicle | None) -> Suggestion:
     """Judge a steering signal by the curvature that it gives."""
     if "delta" not in columns:
-        return replace(s, status="open", reason="cannot be read")
+        return s.left_open("cannot be read")
     values = columns["delta"]
     reach = apparent_wheelbase(values, columns)
     unit = find_unit(s.unit) if s.unit else None
@@ -215,7 +214,7 @@ def _road_wheel(s: Any, columns: Mapping[str, np.ndarray], vehicle: Vehicle | No
             return replace(s, status="stated", reason="; a road-wheel angle by its name; not judged")
         why = "does not follow the curvature of the path, or the car hardly turns"
         why = why if "vx" in columns else "no speed to compare it with"
-        return replace(s, status="open", reason=f"road wheel, steering wheel or command? Not judged: {why}")
+        return s.left_open(f"road wheel, steering wheel or command? Not judged: {why}")
     turned = {"scale": -1.0} if reach < 0 else {}
     hand = "; its sign is turned" if reach < 0 else ""
     size = abs(reach)
@@ -225,8 +224,8 @@ def _road_wheel(s: Any, columns: Mapping[str, np.ndarray], vehicle: Vehicle | No
         reason = f"{size:.3g} m of angle over curvature is a wheelbase{hand}"
         return replace(s, status="judged", reason=reason, **turned)
     if size >= _SHORTEST_STEERING_WHEEL:
-        return replace(s, status="open", reason=_ratio(reach, s.unit, vehicle))
-    return replace(s, status="open", reason=_between(reach, s.unit))
+        return s.left_open(_ratio(reach, s.unit, vehicle))
+    return s.left_open(_between(reach, s.unit))
 
 
 def _between(reach: float, unit: str) -> str:
@@ -240,22 +239,22 @@ def _between(reach: float, unit: str) -> str:
 
 
 def _without_unit(
-    s: Any, size: float, largest: float, turned: dict, hand: str, columns: Mapping[str, np.ndarray]
-) -> Any:
+    s: Suggestion, size: float, largest: float, turned: dict, hand: str, columns: Mapping[str, np.ndarray]
+) -> Suggestion:
     """Judge a steering signal without a unit: radians only where the wheelbase is that of a car of that speed."""
     if abs(largest - 1.0) < 0.02 or largest == 1.0:
         why = f"reaches 1 and no more: a command in -1..1. {_scale_of_command(size, bool(turned))}"
-        return replace(s, status="open", reason=why)
+        return s.left_open(why)
     named = s.sources[0].lower()
     if "user" in concepts_of(tokens_of(named))[0]:
         why = (
             f"what the driver or a pilot asks for: a command without unit. {_scale_of_command(size, bool(turned))}"
         )
-        return replace(s, status="open", reason=why)
+        return s.left_open(why)
     if "steer" not in named and 0.05 < size < _LONGEST_WHEELBASE:
         reason = f"rad: {size:.3g} m of angle over curvature is a wheelbase{hand}"
         return replace(s, unit="rad", status="judged", reason=reason, **turned)
-    if _is_full_size(columns):
+    if is_full_size(columns):
         unit, of_road = _read_size(size)
         if of_road:
             factor = 1.0 if unit == "rad" else np.pi / 180.0
@@ -278,15 +277,15 @@ def _without_unit(
                 f"(`unit: deg, scale: {sign}1`), or radians of the steering wheel, with {size:.3g} m over the "
                 f"wheelbase as ratio (`unit: rad, scale: {sign}1/RATIO`)"
             )
-            return replace(s, status="open", reason=why)
+            return s.left_open(why)
         if unit:
             reach = (-size if turned else size) * find_unit(unit).factor
             return replace(s, unit=unit, status="open", reason=_ratio(reach, unit, None))
-    if not _is_full_size(columns) and re.search("ang|tire|tyre", named) and 0.05 < size < 1.8:
+    if not is_full_size(columns) and re.search("ang|tire|tyre", named) and 0.05 < size < 1.8:
         reason = f"unit not stated, rad assumed: {size:.3g} m over curvature may be a small car's wheelbase{hand}"
         return replace(s, unit="rad", status="assumed", reason=reason, **turned)
     why = f"unit not stated: radians of which wheel, or a command? {_scale_of_command(size, bool(turned))}"
-    return replace(s, status="open", reason=why)
+    return s.left_open(why)
 
 
 def _scale_of_command(size: float, is_turned: bool) -> str:

@@ -167,7 +167,7 @@ def _judged(
     in_doubt = {s.channel for s in suggestions if s.status == "open"}
     clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
     turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
-    steering = read_steering(corrected, turning, trial.vehicle, Suggestion)
+    steering = read_steering(corrected, turning, trial.vehicle)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
     alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
              "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate, "yaw": read_yaw}  # fmt: skip
@@ -179,7 +179,7 @@ def _judged(
     suggestions = [
         read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions
     ]
-    steered = [replace(s, status="open", reason=hand) if hand and s.status != "open" else s for s in steering]
+    steered = [s.left_open(hand) if hand and s.status != "open" else s for s in steering]
     return [*suggestions, *steered]
 
 
@@ -199,16 +199,16 @@ def _as_course(s: Suggestion, verdict: Consistency, trial: Trial, chosen: Mappin
     if Meaning("yaw", 3) not in named and s.world == "ned":
         if _changes_with_the_fix(s, trial):
             why = "changes only with the satellite fix: of one antenna it is the direction of travel, not yaw"
-            return replace(s, status="open", reason=why)
+            return s.left_open(why)
         if "r" not in chosen and chosen.get("X", s).convert == "local_x":
             why = (
                 "a bearing beside a satellite fix, without yaw rate: the direction of travel if of the receiver. "
                 "A v_y derived from it would be zero"
             )
-            return replace(s, status="open", reason=why)
+            return s.left_open(why)
     if "course" not in {m.channel for m in named}:
         return s
-    return replace(s, status="open", reason="by its name the direction of travel: yaw plus sideslip, not yaw")
+    return s.left_open("by its name the direction of travel: yaw plus sideslip, not yaw")
 
 
 def _with_sideslip(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
@@ -232,7 +232,7 @@ def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo]) -> Suggestion:
 def _in_pairs(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
     """Leave X and Y open together: one of them alone is no position."""
     why = next((s.reason for s in suggestions if s.channel in ("X", "Y") and s.status == "open"), None)
-    return [replace(s, status="open", reason=why) if why and s.channel in ("X", "Y") else s for s in suggestions]
+    return [s.left_open(why) if why and s.channel in ("X", "Y") else s for s in suggestions]
 
 
 def _changes_with_the_fix(s: Suggestion, trial: Trial) -> bool:

@@ -42,8 +42,8 @@ class TrialCandidate:
     asked: bool = False  # of a message that by its type asks for something
 
 
-def names_of(candidate: TrialCandidate) -> tuple[str, ...]:
-    """Return the recorded names that a candidate reads."""
+def names_of(candidate: TrialCandidate | Suggestion) -> tuple[str, ...]:
+    """Return the recorded names that a candidate or a suggestion reads."""
     if candidate.convert == "yaw_from_quaternion" and len(candidate.sources) == 1:
         base = candidate.sources[0]
         joint = "." if "." in base.rsplit("/", 1)[-1] or not base.startswith("/") else "/"
@@ -133,7 +133,7 @@ class Trial:
 
     def column(self, s: Suggestion) -> np.ndarray | None:
         """Return a suggestion's samples on the grid, SI, shape (N,); None where too few."""
-        names = names_of(TrialCandidate(s.channel, s.sources, 0, s.unit, s.convert))
+        names = names_of(s)
         if any(name not in self.signals for name in names):
             return None
         raw = [self.signals[name] for name in names]
@@ -260,7 +260,7 @@ class Trial:
 
     def _step(self, s: Suggestion) -> float:
         """Return the usual step between two samples of a suggestion [s]."""
-        signal = self.signals[names_of(TrialCandidate(s.channel, s.sources, 0, s.unit, s.convert))[0]]
+        signal = self.signals[names_of(s)[0]]
         stamps = self.time if signal.time is None else signal.time
         return 0.0 if stamps is None else float(np.nanmedian(np.diff(stamps[np.isfinite(signal.values)])))
 

@@ -123,7 +123,7 @@ def unit_by_gravity(
         return s
     known = f"no car's exceeds {limit:g} {si}"
     reason = f"unit not stated; it reaches {reach:.3g}, and {known}. Give its `unit:`, or `scale:`"
-    return replace(s, status="open", reason=reason)
+    return s.left_open(reason)
 
 
 def along_the_car(
