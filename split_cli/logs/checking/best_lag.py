@@ -158,19 +158,15 @@ def _prepare(signal, regressors, mask, period, segments, longest):
 
 def _costs(design: np.ndarray, shifted: Callable, lags: np.ndarray) -> np.ndarray:
     """Return 1 - R^2, shape (1 + B, K): with all blocks, then with each one left out."""
-    moments = np.einsum("bni,bnj->bij", design, design)
-    count = design.shape[1]
+    kept = 1.0 - np.eye(1 + _BLOCKS, _BLOCKS, -1)  # which blocks a row of the result has
+    inverses = np.linalg.pinv(np.tensordot(kept, np.einsum("bni,bnj->bij", design, design), 1), 1e-12)
+    counts = design.shape[1] * kept.sum(axis=1)
     costs = np.empty((1 + _BLOCKS, len(lags)))
     for column, lag in enumerate(lags):
         y = shifted(lag)
-        cross = np.einsum("bni,bn->bi", design, y)
-        squares, sums = np.sum(y * y, axis=1), np.sum(y, axis=1)
-        for row in range(1 + _BLOCKS):
-            keep = np.arange(_BLOCKS) != row - 1
-            gram, right = moments[keep].sum(axis=0), cross[keep].sum(axis=0)
-            solution = np.linalg.lstsq(gram, right, rcond=1e-12)[0]
-            total = squares[keep].sum() - sums[keep].sum() ** 2 / (count * keep.sum())
-            costs[row, column] = (squares[keep].sum() - right @ solution) / max(total, 1e-300)
+        right, squares, sums = kept @ np.einsum("bni,bn->bi", design, y), kept @ (y * y).sum(1), kept @ y.sum(1)
+        explained = np.einsum("ri,rij,rj->r", right, inverses, right)
+        costs[:, column] = (squares - explained) / np.maximum(squares - sums**2 / counts, 1e-300)
     return costs
 
 

@@ -194,8 +194,7 @@ def block_interval(estimate: Callable[[np.ndarray], np.ndarray], count: int) -> 
     """
     rows = np.arange(count)
     full = np.asarray(estimate(rows))
-    blocks = np.array_split(rows, _BLOCKS)
-    left_out = np.stack([estimate(np.setdiff1d(rows, block, assume_unique=True)) for block in blocks])
+    left_out = np.stack([estimate(np.delete(rows, block)) for block in np.array_split(rows, _BLOCKS)])
     spread = left_out - left_out.mean(axis=0)
     return full, np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2, axis=0))
 
