@@ -12,7 +12,7 @@ from split_cli.plant.drivers import DRIVER_STYLES
 from split_cli.plant.simulation import Trajectory
 from split_cli.proof.beyond_catalogue import beyond_catalogue
 from split_cli.proof.cars import CarOfProof, bare, build_car, rich, varied_car
-from split_cli.proof.effects import Concealed, draw_effect
+from split_cli.proof.concealed import Concealed, draw_effect
 from split_cli.proof.plan import CasePlan
 from split_cli.proof.recordings import START, record
 from split_cli.proof.strange import draw_strange

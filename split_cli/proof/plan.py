@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.errors import SplitError, nearest_names
-from split_cli.proof.effects import EFFECTS
+from split_cli.proof.concealed import CONCEALED
 from split_cli.proof.nominal_terms import NOMINAL_TERMS
 from split_cli.proof.strange import STRANGE
 from split_cli.vehicle.effects import CATALOGUE
@@ -72,7 +72,7 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = MIXED) -> CasePla
     rounds, rest = divmod(number, len(pattern))
     turn = rounds * sum(_LETTERS[x] == kind for x in pattern) + sum(_LETTERS[x] == kind for x in pattern[:rest])
     order = np.random.default_rng([seed, 99])
-    singles, strange = order.permutation(sorted(EFFECTS)), order.permutation(sorted(STRANGE))
+    singles, strange = order.permutation(sorted(CONCEALED)), order.permutation(sorted(STRANGE))
     rng = np.random.default_rng([seed, number, 1])
     if kind in ("null", "whole-car"):
         return CasePlan(seed, number, kind, (), "", 0.0, 0.0)
@@ -86,7 +86,7 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = MIXED) -> CasePla
         low, high = _PAIR_RANGE if kind == "pair" else TIERS["hard"]
         return CasePlan(seed, number, kind, first, "", low, high, instead=tuple(others))
     if kind in ("set", "nominal-set"):
-        names = sorted(EFFECTS) if kind == "set" else sorted(NOMINAL_TERMS)
+        names = sorted(CONCEALED) if kind == "set" else sorted(NOMINAL_TERMS)
         first, *others = (_draw_set(rng, names) for _ in range(1 + _SUBSTITUTES))
         return CasePlan(seed, number, kind, first, "", *TIERS["realistic"], instead=tuple(others))
     # Some are all but a term of the catalogue in some cars; then the next kind takes the place.
@@ -96,7 +96,7 @@ def plan_case(seed: int, number: int, kinds: tuple[str, ...] = MIXED) -> CasePla
 
 def _draw_pair(rng: np.random.Generator) -> tuple[str, str]:
     """Return two terms that are not declared to look alike."""
-    names = sorted(EFFECTS)
+    names = sorted(CONCEALED)
     while True:
         first, second = (str(name) for name in rng.choice(names, 2, replace=False))
         if not (_looks_like(first, second) or _looks_like(second, first)):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.proof.effects import Concealed, of_one_number, sensor_with
+from split_cli.proof.concealed import Concealed, of_one_number, sensor_with
 from split_cli.proof.world import ProofWorld
 
 

@@ -18,7 +18,7 @@ from split_cli.plant.replay import predict, recorded_motion
 from split_cli.plant.simulation import commands_at
 from split_cli.plant.tire import tire_force
 from split_cli.proof.cars import bare
-from split_cli.proof.effects import EFFECTS, draw_effect
+from split_cli.proof.concealed import CONCEALED, draw_effect
 from split_cli.proof.recordings import exact_motion
 from split_cli.proof.strange import STRANGE, draw_strange
 from split_cli.proof.tracks import random_track
@@ -201,7 +201,7 @@ SIZES = {"steer_backlash": 0.02, "drive_lag": 0.15, "steer_lag": 0.06, "friction
          "friction_patch": 0.3, "combined_slip": 1.0, "tire_relaxation": 0.25, "load_transfer": 0.4}  # fmt: skip
 
 
-@pytest.mark.parametrize("term", [t for t in EFFECTS if t not in SENSORS])
+@pytest.mark.parametrize("term", [t for t in CONCEALED if t not in SENSORS])
 def test_an_effect_adds_the_accelerations_that_paper_says(term, world):
     if term == "yaw_moment_differential":
         car = replace(world.car, track_front=1.5, track_rear=1.5)
@@ -236,7 +236,7 @@ def test_sensor_effects_report_what_their_geometry_says(world):
     vx, vy, r = true[:, 3:6].T
 
     def seen(term, size):
-        draw = draw_effect if term in EFFECTS else draw_strange
+        draw = draw_effect if term in CONCEALED else draw_strange
         effect = draw(term, np.random.default_rng(1), world)
         return exact_motion(run, effect.apply(world, size).sensor, t), effect.known(world, size)
 
@@ -365,4 +365,4 @@ def test_without_an_effect_the_prediction_is_the_run(world):
 
 
 def test_every_strange_effect_has_a_name_of_its_own():
-    assert not set(STRANGE) & set(EFFECTS)
+    assert not set(STRANGE) & set(CONCEALED)

@@ -1,4 +1,4 @@
-"""Every effect of the catalogue as physics of the double track, one size each, found by its severity."""
+"""How cases conceal each term of the catalogue in the plant: one shape drawn, one size found by its severity."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -357,7 +357,7 @@ def _sensor_lever_arm(rng, world):
     )
 
 
-EFFECTS: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
+CONCEALED: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
     "combined_slip": _combined_slip,
     "friction_scale": _friction_scale,
     "friction_patch": _friction_patch,
@@ -396,4 +396,4 @@ EFFECTS: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
 
 def draw_effect(term: str, rng: np.random.Generator, world: ProofWorld) -> Concealed:
     """Return the effect of a catalogue id, its shape drawn for a world."""
-    return EFFECTS[term](rng, world)
+    return CONCEALED[term](rng, world)
