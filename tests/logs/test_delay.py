@@ -2,12 +2,14 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.checking.best_lag import fit_lag
+from split_cli.logs.checking.channel_delays import _least_squares, estimate_delays
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
 NOISE = {
@@ -122,6 +124,36 @@ def test_a_delay_the_user_gives_is_taken_and_not_estimated_again(drive):
     assert "r" not in {e.channel for e in made.quality.delays}
     error = made.drive["r"] - drive.at("r", made.drive["t"] + made.quality.origin)
     assert np.std(error) < 2.0 * NOISE["r"]
+
+
+def test_yaw_is_timed_by_the_path_where_no_yaw_rate_tells_it(drive):
+    t = np.arange(0.0, 100.0, 0.04)
+    rng = np.random.default_rng(5)
+    late = {"vx": 0.0, "vy": 0.0, "yaw": 0.13, "X": 0.1, "Y": 0.1}
+    columns = {name: drive.at(name, t - late[name]) + NOISE[name] * rng.standard_normal(len(t)) for name in late}
+    columns["r"] = 0.1 * rng.standard_normal(len(t))
+    found = {
+        e.channel: e
+        for e in estimate_delays(columns, 0.04, [slice(0, len(t))], None, {name: name for name in columns})
+    }
+    for name in ("yaw", "X"):
+        assert found[name].delay == pytest.approx(late[name], abs=max(3.0 * found[name].error, 0.002))
+    assert found["yaw"].error < 0.01 and "r" not in found
+
+
+def test_what_contradicts_itself_leaves_an_identity_that_nothing_else_speaks_of_its_error():
+    """Birge's ratio: a loop of three that is open by 0.1 s at errors of 0.01 s widens its own three alone."""
+    lags = {("yaw", "r"): 0.1, ("X", "r"): 0.0, ("X", "yaw"): 0.0, ("X", "vx"): 0.2}
+    edges = [
+        (SimpleNamespace(late=late, early=early), SimpleNamespace(lag=lag, error=0.01))
+        for (late, early), lag in lags.items()
+    ]
+    groups = {name: name for name in ("yaw", "r", "X", "vx")}
+    delays, errors = _least_squares(edges, groups, ["r", "yaw", "X"])
+    assert delays["X"] == pytest.approx(0.2) and errors["X"] == pytest.approx(0.01)
+    # Two ways lead from X to yaw, of one identity and of two: 1/(1 + 1/2) of a variance, times chi squared.
+    widened = (0.1 / np.sqrt(3.0)) ** 2 / (1.0 + 1.0 / 2.0)
+    assert errors["yaw"] == pytest.approx(np.hypot(0.01, np.sqrt(widened)))
 
 
 def test_without_a_vehicle_the_steer_angle_is_not_guessed(drive):

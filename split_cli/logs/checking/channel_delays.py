@@ -172,7 +172,11 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
         lambda: wide.of("ground speed", k.ground_speed, 1),
         lambda: wide.rate("vx"),
     )
-    add("turning of X, Y = r + dbeta/dt", "X", "r", {"Y", "vx", "vy"}, wide.course_rate, lambda: _turning(wide))
+    for name, late, turn in (("r", "r", wide.signal), ("dyaw/dt", "yaw", wide.rate)):
+        add(
+            f"turning of X, Y = {name} + dbeta/dt", "X", late, {"Y", "vx", "vy"},
+            wide.course_rate, lambda late=late, turn=turn: turn(late) + _sideslip_rate(wide),
+        )  # fmt: skip
     if vehicle is not None:
         add("steer angle of the single track", "delta", "r", {"vx", "vy"}, lambda: k.signal("delta"),
             *_steer_regressors(k, vehicle))  # fmt: skip
@@ -187,11 +191,10 @@ def _is_driven(wheel: str, vehicle: Vehicle | None) -> bool:
     return share > 0.0
 
 
-def _turning(k: Kinematics) -> np.ndarray:
-    """Return the turning of the CG's path: yaw rate alone leads it or lags it by l/v_x, metres over speed."""
+def _sideslip_rate(k: Kinematics) -> np.ndarray:
+    """Return the rate of the sideslip angle: without it the path leads yaw or lags it by metres over speed."""
     c = k.columns
-    sideslip = k.of("beta", lambda: np.where(k.moving, np.arctan2(c["vy"], c["vx"]), np.nan), 1)
-    return k.signal("r") + sideslip
+    return k.of("beta", lambda: np.where(k.moving, np.arctan2(c["vy"], c["vx"]), np.nan), 1)
 
 
 def _steer_regressors(k: Kinematics, car: Vehicle) -> tuple[Callable, Callable]:
@@ -262,10 +265,15 @@ def _least_squares(edges, groups, free: list[str]) -> tuple[dict[str, float], di
         return {}, {}
     covariance = np.linalg.pinv((design * weight[:, None] ** 2).T @ design)
     solution = covariance @ (design.T @ (weight**2 * target))
-    # Identities that contradict each other tell that their errors are larger than the blocks show.
+    # Identities that contradict each other tell that their errors are larger than the blocks show. What no other
+    # identity is compared with contradicts none, and keeps its error.
     spare = len(edges) - len(free)
-    reduced = float(np.sum((weight * (target - design @ solution)) ** 2)) / spare if spare > 0 else 1.0
-    errors = np.sqrt(np.diag(covariance) * max(1.0, reduced))
+    if spare > 0:
+        reduced = float(np.sum((weight * (target - design @ solution)) ** 2)) / spare
+        own = np.einsum("ij,jk,ik->i", design, covariance, design) * weight**2
+        weight = np.where(own < 1.0 - 1e-6, weight / np.sqrt(max(1.0, reduced)), weight)
+        covariance = np.linalg.pinv((design * weight[:, None] ** 2).T @ design)
+    errors = np.sqrt(np.diag(covariance))
     return dict(zip(free, solution, strict=True)), dict(zip(free, errors, strict=True))
 
 
