@@ -15,7 +15,7 @@ from split_cli.diagnosis.recording.series import values_of
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of
 from split_cli.diagnosis.search.term_tests import error_of_sum
 
-_POINTS = 48  # at which a delay's range is looked at; 13 ms apart for a full-size car
+_POINTS = 48  # at which a delay's range is looked at; 13 ms apart
 
 
 def in_lowest_valleys(objective: MarginalLikelihood, fit: Fit, least: float) -> Fit:

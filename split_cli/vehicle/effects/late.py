@@ -24,11 +24,8 @@ class Delayed(Term):
     late_inputs: ClassVar[tuple[str, ...]] = ()  # of T and delta
 
     @classmethod
-    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        return {"delay": time_unit(vehicle)}
-
-    @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
+        """Return range and starts [s]: networks and clocks do not run faster in smaller cars."""
         return DELAY_SEARCH
 
     @property

@@ -79,10 +79,10 @@ class Course:
     reach: float  # length of the lap, or of the way driven [m]
 
 
-# What is late by ten times as much promises nothing, so starts stand close; in units of `time_unit`.
+# What is late by ten times as much promises nothing, so starts stand close.
 _LATE = (
     "judgement: by-wire actuators and their networks are late by up to 0.3 s, clocks of a log that nobody aligned "
-    "by up to twice that"
+    "by up to twice that, in a small car as in a large one"
 )
 _SLOW = "judgement: a turbo-charged engine builds up torque in up to a second, nothing in a car is slower"
 #: Sizes at which fits of a delay begin [s]: about evenly in ratio; see `valleys` for what lies between.
@@ -90,6 +90,7 @@ DELAYS = (0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38)
 DELAY_SEARCH = Search(
     {"delay": Range(0.0, 0.6, 0.001, _LATE)}, tuple({"delay": value} for value in (0.001, *DELAYS))
 )
+#: In units of `time_unit`: small engines and servos are quicker.
 LAG_SEARCH = Search(
     {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
 )
