@@ -153,12 +153,14 @@ def diagnose(
     scales = scales_as_terms(*positions, outcome.selection.terms, policy.screening)
     found = _compare(case, outcome, contradictions, scales)
     progress("sizing")
+    chosen = outcome.selection.chosen
     detectable = detection_limits(
         outcome.objectives,
         candidates,
         outcome.variance_inflation,
         settings.level / _TESTS,
         partial(planted_saving, case=case, reach=reach),
+        [part for part, named in zip(chosen.parts, outcome.selection.named, strict=True) if named],
     )
     if found.p_value >= settings.level:
         judged = _with_known_torque(candidates, real) if simulated else []
@@ -358,7 +360,12 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         remainder=remainder,
         improvement=improvement,
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
-        leads=(*leads, *find_leads(found.outcome.structure.objective, found.outcome.selection)),
+        leads=(
+            *leads,
+            *find_leads(
+                found.outcome.structure.objective, found.outcome.selection, found.outcome.variance_inflation
+            ),
+        ),
         history=selection.history,
         summary=summarise(
             "mismatch",

@@ -67,6 +67,23 @@ def test_so_it_is_with_a_delay_which_is_not_in_proportion_and_with_a_sensor(told
         assert (named(noisy_objective(turned, 7)) == ["sensor_misalignment"]) == expected
 
 
+def test_beside_a_name_a_size_is_told_by_what_the_name_cannot_take_up(told):
+    """Half as much again beside a named gain is named, too, and half of it is not; drag is as alone."""
+    gain = CATALOGUE["steer_gain"]({"gain": 0.9}, "")
+    objective = objective_of(gain)
+    candidates = candidates_of(objective, *NAMES)
+    chosen = select_terms(objective, candidates, VARIANCE_INFLATION).chosen
+    found = detection_limits((objective,), candidates, VARIANCE_INFLATION, LEVEL, named=chosen.parts)
+    beside = {one.term: one.parameters for one in found}
+    alone, value = told["yaw_inertia"].parameters["scale"][0], beside["yaw_inertia"]["scale"][0]
+    assert abs(value - 1.0) > 1.2 * abs(alone - 1.0)
+    drag = told["aero_drag"].parameters["drag"][0]
+    assert beside["aero_drag"]["drag"][0] == pytest.approx(drag, rel=0.3)
+    for share, expected in ((1.5, ["steer_gain", "yaw_inertia"]), (0.5, ["steer_gain"])):
+        inertia = CATALOGUE["yaw_inertia"]({"scale": 1.0 + share * (value - 1.0)}, "")
+        assert sorted(named(objective_of(gain, inertia))) == expected
+
+
 def test_form_error_asks_for_more(sound, told):
     for form_error, factor, most in ((20.0, 1.0, 0), (2000.0, 1.4, 2)):
         found = smallest(replace(sound, form_error_inflation=form_error)).items()

@@ -1,5 +1,7 @@
 """What no real car can have is no finding, and is reported as a lead with what it would need."""
 
+from dataclasses import replace
+
 import jsonschema
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.selection import Selection, nothing
+from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict import leads
@@ -42,6 +44,8 @@ def test_limits_grow_with_the_car():
     small = CATALOGUE["sensor_lever_arm"]
     assert small.sizes(road_car())["dx"] == pytest.approx(road_car().wheelbase)
     assert CATALOGUE["steer_lag"].sizes(road_car())["tau"] == pytest.approx(np.sqrt(road_car().wheelbase / 2.7))
+    # Networks and clocks do not run faster in smaller cars.
+    assert not CATALOGUE["steer_delay"].sizes(road_car()) and not CATALOGUE["channel_delay"].sizes(road_car())
 
 
 def test_a_range_is_widened_about_what_is_neutral():
@@ -72,13 +76,27 @@ def test_a_bank_that_no_road_has_is_a_lead(nominal_series):
     assert mapping["leads"][0]["term"] == "road_bank"
 
 
+def test_beside_a_name_what_no_car_can_have_is_a_lead():
+    """A steering that turns half as far, and a bank beside it: the search refuses it, and a lead says why."""
+    planted = (CATALOGUE["steer_gain"]({"gain": 0.6}), CATALOGUE["road_bank"]({"angle": 0.2}))
+    objective = noisy_objective(driven(73, planted, runs=4), 7)
+    (bank,) = (one for one in candidates_of(objective, "road_bank") if not one.variant)
+    short = replace(bank, ranges={"angle": replace(bank.ranges["angle"], lower=-0.1, upper=0.1)})
+    selection = select_terms(objective, (*candidates_of(objective, "steer_gain"), short), 1.5)
+    assert [one.id for one in selection.terms] == ["steer_gain"]
+    (lead,) = leads.find_leads(objective, selection, 1.5)
+    assert lead.term == "road_bank" and lead.limits == {"angle": (-0.1, 0.1)}
+    assert lead.parameters["angle"].value == pytest.approx(0.2, abs=0.02)
+    assert lead.sentence.startswith("A lead, not a finding: what the findings leave would be explained if")
+
+
 def test_what_may_as_well_be_of_the_other_sign_is_no_lead(monkeypatch):
     objective = noisy_objective(driven(73, (CATALOGUE["road_bank"]({"angle": 0.3}),), runs=4), 7)
     (bank,) = (one for one in candidates_of(objective, "road_bank") if not one.variant)
     base, ended = nothing(objective), fit_parts(objective, [Part(bank, dict(bank.starts[0]))])
     selection = Selection(base, base, (), (), (), (), first=(ended,))
-    (lead,) = leads.find_leads(objective, selection)
+    (lead,) = leads.find_leads(objective, selection, 1.5)
     assert lead.parameters["angle"].interval_95[0] > 0.0
     known = lead.parameters["angle"].covering(ParameterEstimate(-0.1, 0.1, "rad", (-0.3, 0.1)))
     monkeypatch.setattr(leads, "parameter_estimates", lambda *_: ({"angle": known},))
-    assert leads.find_leads(objective, selection) == ()
+    assert leads.find_leads(objective, selection, 1.5) == ()

@@ -95,7 +95,7 @@ def test_what_a_fault_saves_is_what_it_saves_of_a_drive_that_has_it(promised, as
     (candidate,) = candidates_of(as_promised, "steer_gain")
     term = candidate.build({"gain": 1.0 / promised[1]})
     rows = [as_promised.whiten(as_promised.left_by(terms)) for terms in ((), (term,))]
-    saved, _ = planted_saving(objective_of(sound), term, sound, REACH)
+    saved, _ = planted_saving(objective_of(sound), term, case=sound, reach=REACH)
     assert saved == pytest.approx(rows[0] @ rows[0] - rows[1] @ rows[1], rel=1e-3)
 
 
@@ -103,7 +103,9 @@ def test_without_a_simulation_recordings_that_have_a_fault_may_keep_other_rows()
     case = gather_case(road_car(), [prepared(at_the_limit(31), "real")])
     every_other = tuple(np.arange(len(mask)) % 2 == 0 for mask in case.keep)
     term = CATALOGUE["steer_offset"]({"offset": 0.05}, "")
-    saved, _ = planted_saving(build_objective(case.real, None, case.discrepancy, every_other), term, case, REACH)
+    saved, _ = planted_saving(
+        build_objective(case.real, None, case.discrepancy, every_other), term, case=case, reach=REACH
+    )
     faulty_case = case.recorded_as([faulty(one, term) for one in case.real], REACH)
     there = build_objective(faulty_case.real, None, case.discrepancy, faulty_case.keep)
     assert len(there.weight) > 3 * sum(mask.sum() for mask in every_other)

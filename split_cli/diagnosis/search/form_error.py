@@ -72,16 +72,17 @@ def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) 
     are the residuals left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
     L L^T = I + M^T M.
     """
-    return _costs_beside(objective, [(fit.terms, k) for fit in fits for k in range(len(fit.parts))], fits)
+    parts = [(fit.terms, k) for fit in fits for k in range(len(fit.parts))]
+    return _costs_beside(objective, parts, [fit.residuals for fit in fits])
 
 
 def _costs_beside(
-    objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], fits: Sequence[Fit]
+    objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], rows: Sequence[np.ndarray]
 ) -> list[float]:
-    """Return the costs of fits with a share of the effects of parts free, each terms and the number of one."""
+    """Return the costs of rows with a share of the effects of parts free, each terms and the number of one."""
     if not parts:
-        return [fit.cost for fit in fits]
-    residuals = np.stack([fit.residuals for fit in fits], axis=1)
+        return [float(one @ one) for one in rows]
+    residuals = np.stack(rows, axis=1)
     normal, scores = _products(objective, parts, residuals)
     explained = np.sum(scores * np.linalg.solve(np.eye(len(normal)) + normal, scores), axis=0)
     return [float(one @ one - part) for one, part in zip(residuals.T, explained, strict=True)]
@@ -145,22 +146,28 @@ def saved_beside_form_error(
     With P = (I + M M^T)^-1 as in `costs_beside_form_error` and the columns V of `_other_load_laws`, each cost is
     the least of (e - V u)^T P (e - V u) with u from 0, the variant that was chosen, to 1, another.
     """
+    here, there = costs_of_rows(objective, before, [before.residuals, after.residuals], shared=shared)
+    return here - there
+
+
+def costs_of_rows(
+    objective: MarginalLikelihood, before: Fit, rows: Sequence[np.ndarray], *, shared: bool = True
+) -> list[float]:
+    """Return what several rows (R,) cost, an explanation's terms free to be wrong as above."""
     if before.parts and not any(term.exported for term in before.terms):
-        return before.cost - after.cost
+        return [float(one @ one) for one in rows]
     wrong = _form_error_of(objective, before)
     laws = wrong.laws
     if not wrong.columns.shape[1]:
         parts = [(before.terms, k) for k in range(len(before.parts))]
-        here, there = _costs_beside(objective, parts, [before, after])
-        return here - there
+        return _costs_beside(objective, parts, rows)
     count = wrong.columns.shape[1] if shared else wrong.own
     columns, normal = wrong.columns[:, :count], wrong.normal[:count, :count]
-    here, there = _costs(columns, normal, [before.residuals, after.residuals])
+    costs = _costs(columns, normal, rows)
     if not laws.shape[1]:
-        return here - there
+        return costs
     low = np.zeros(laws.shape[1])
-    best = [_bounded_fit(columns, normal, laws, one.residuals, low)[1] for one in (before, after)]
-    return (here - best[0]) - (there - best[1])
+    return [cost - _bounded_fit(columns, normal, laws, one, low)[1] for cost, one in zip(costs, rows, strict=True)]
 
 
 def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = True) -> np.ndarray:

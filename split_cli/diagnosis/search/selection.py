@@ -71,14 +71,14 @@ class Selection:
     # For each part of the chosen fit that is named, that part replaced by every other term, best first.
     rivals: tuple[tuple[Rival, ...], ...]
     siblings: tuple[tuple[Rival, ...], ...]  # the same with other variants of the part's own term
-    # Which parts are large enough to be named; the others are nuisance terms, so that they take nothing from
-    # these.
+    # Which parts are large enough to be named; the others are nuisances, and take nothing from these.
     named: tuple[bool, ...]
     history: tuple[str, ...] = ()  # what was added or removed, in order, in words
     # Smallest minimum-effect p value of a term that was tried, times the number of terms tried; of none that any
     # sound recording has, or that halves of the simulation differ by as much.
     first_p: float = 1.0
     first: tuple[Fit, ...] = ()  # what each term, in each variant that promised most, explains alone, best first
+    further: tuple[Fit, ...] = ()  # the same beside the chosen explanation, where it has names
     # Returns the term that most surely acts in a part of the drive, or None, whatever acts all along it; worked
     # out when first asked, which is where nothing is named.
     partly: Callable[[], ActingPart | None] = lambda: None
@@ -143,8 +143,8 @@ def select_terms(
         for other in other_beginnings(first, base, rules) if found.left_something else ():
             found = min(found, search_forward(explore, base, [other]), key=score)
         chosen, history = found.with_what_matters(base, rules), list(found.history)
-        refused, small = chosen is not found.chosen, objective.policy.allowances.unnamed
-        if refused and term_size(objective, chosen, len(chosen.parts) - 1) < small:
+        refused = chosen is not found.chosen
+        if refused and term_size(objective, chosen, len(chosen.parts) - 1) < objective.policy.allowances.unnamed:
             history.append(f"{chosen.parts[-1].candidate.label} kept as a nuisance")
         else:
             chosen = found.chosen
@@ -170,6 +170,8 @@ def select_terms(
     if single is not None:
         history.append(move_in_words(selection.chosen, single))
         selection = _examined(explore, base, single)
+    if any(selection.named):
+        selection = replace(selection, further=tuple(explore(selection.chosen)))
     explore.close()
     return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
 

@@ -190,13 +190,27 @@ def is_form_error(
     The model-form error of large terms in a channel they hardly act in has no simple shape: a term that takes
     nearly all that was left there, and much was, is none of it.
     """
-    least = objective.policy.allowances.unnamed
+    across = [
+        0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across
+        for channel in range(len(size))
+    ]
+    return over_form_error(objective, size, of, np.array(across)) < 1.0
 
-    def is_no_more(channel: int) -> bool:
-        across = 0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across * of.max()
-        return bool(size[channel] < max(least, rules.form_error_share * of[channel], across))
 
-    return all(is_no_more(channel) for channel in range(len(size)))
+def over_form_error(
+    objective: MarginalLikelihood, size: np.ndarray, of: np.ndarray, across: np.ndarray | None = None
+) -> float:
+    """Return sizes (3,) over the model-form error of terms with sizes `of` (3,), in the channel where most [1].
+
+    Parameters
+    ----------
+    across : ndarray, shape (3,)
+        Share of the largest size that is wrong in each channel; by default that of the policy.
+    """
+    rules = objective.policy.selection
+    across = np.full(len(size), rules.form_error_across) if across is None else across
+    least = np.maximum(objective.policy.allowances.unnamed, rules.form_error_share * of)
+    return float(np.max(size / np.maximum(least, across * of.max())))
 
 
 def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
@@ -214,7 +228,7 @@ def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fi
     return bool(much > rules.much_over_noise * noise and little < rules.fair_share * much)
 
 
-def _sizes_of_terms(
+def sizes_of_terms(
     objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]
 ) -> np.ndarray:
     """Return effect-to-noise ratios of terms against those of `without` in v_x, v_y and r, shape (3,)."""
@@ -236,7 +250,7 @@ def sizes_in_velocity(
 
 def part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:
     """Return the effect-to-noise ratios of one part of an explanation, the others in place, shape (3,)."""
-    return _sizes_of_terms(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
+    return sizes_of_terms(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
 def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
@@ -246,12 +260,12 @@ def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
 
 def effect_to_noise_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> float:
     """Return the effect-to-noise ratio of terms, in the channel where it is most."""
-    return float(_sizes_of_terms(objective, terms, ()).max())
+    return float(sizes_of_terms(objective, terms, ()).max())
 
 
 def over_allowance(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:
     """Return the size of terms against `without` over what is allowed, in the channel where that is most."""
-    return float(np.max(_sizes_of_terms(objective, terms, without) / term_allowances(objective)))
+    return float(np.max(sizes_of_terms(objective, terms, without) / term_allowances(objective)))
 
 
 def part_over_allowance(objective: MarginalLikelihood, fit: Fit, k: int) -> float:

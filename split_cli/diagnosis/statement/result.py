@@ -127,8 +127,8 @@ class Lead:
     limits : mapping of str to (float, float)
         What a real car can have, of those parameters that would have to go beyond; empty where none would.
     share : float
-        Of what the best explanation saves, how much this one would save alone; where held-out time speaks against
-        it, its `gap_explained` as a finding.
+        Of what the best explanation saves, how much this one would save, alone or beside the findings; where
+        held-out time speaks against it, its `gap_explained` as a finding.
     instead : tuple of str
         Terms that explain nearly as much within what a car can have, best first.
     """

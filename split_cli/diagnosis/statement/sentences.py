@@ -78,6 +78,8 @@ def lead_sentence(
     sources: Sequence[str],
     instead: Sequence[tuple[str, str, Parameters]],
     vehicle: Vehicle | None = None,
+    *,
+    further: bool = False,
 ) -> str:
     """Return what an explanation would need that no real car has, why none has it, and what explains as much.
 
@@ -89,10 +91,12 @@ def lead_sentence(
         Of the limits.
     instead : sequence of (str, str, mapping)
         Term, variant and parameters of explanations within what a car can have.
+    further : bool
+        Whether it would come to what is named.
     """
-    kind = CATALOGUE[term]
+    kind, gap = CATALOGUE[term], "what the findings leave" if further else "the gap"
     parts = [
-        f"A lead, not a finding: the gap would be explained if {kind.statement(parameters, variant)}. No real "
+        f"A lead, not a finding: {gap} would be explained if {kind.statement(parameters, variant)}. No real "
         f"car of this size has such a value ({'; '.join(sources)})."
     ]
     parts += [

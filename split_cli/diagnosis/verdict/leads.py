@@ -1,54 +1,114 @@
 """Explanations that no real car can have: no findings, but leads, with what they would need."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import replace
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
 from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.term_tests import term_p
 from split_cli.diagnosis.statement.result import Lead, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import lead_sentence
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.diagnosis.verdict.findings import one_excludes_no_effect
 
 
-def find_leads(objective: MarginalLikelihood, selection: Selection) -> tuple[Lead, ...]:
+def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> tuple[Lead, ...]:
     """Return what would explain much, had a car what it would need.
 
     Parameters
     ----------
     selection : Selection
-        With what every term explains alone.
+        With what every term explains alone, and beside the explanation.
+    variance_inflation : float
+        By which residual autocorrelation widens chi squared.
 
     Notes
     -----
-    A term whose fit ended at a bound of what a car can have is followed beyond it. It is reported if it then
-    explains a fair share of what is there, alone, and if its interval leaves out no effect: what may as well be of
-    the other sign leads nowhere.
+    A term whose fit ended at a bound of what a car can have is followed beyond it: alone, and beside what is
+    named. It is reported if it then explains a fair share of what is there, and if its interval leaves out no
+    effect: what may as well be of the other sign leads nowhere. Beside names it has to be what a further name has
+    to be, more than their model-form error.
+    """
+    chosen, known = selection.chosen, {term.id for term in selection.terms}
+    explore = Explorer(objective, tuple(fit.parts[-1].candidate for fit in selection.first), variance_inflation)
+    found: dict[str, Lead] = {}
+    for rest, fits in ((selection.base, selection.first), *_beside_names(selection)):
+        least = min(chosen.cost, rest.cost) if rest is selection.base else rest.cost
+        for lead, free in _leads_beside(objective, rest, fits, least, known):
+            if rest is selection.base or _is_believed(explore, rest, free):
+                found.setdefault(lead.term, lead)
+    return tuple(sorted(found.values(), key=lambda one: -one.share)[: objective.policy.abstention.most_leads])
+
+
+def _beside_names(selection: Selection) -> list[tuple[Fit, Sequence[Fit]]]:
+    """Return what stands beside names, and fits of further terms beside it, each the last of its parts.
+
+    Those are the chosen explanation, and what is left of it without a term that ended at a bound.
+    """
+    chosen = selection.chosen
+    if not selection.terms:
+        return []
+    own = [part.candidate.label for part in chosen.parts]
+    found = [
+        (chosen, [one for one in selection.further if [each.candidate.label for each in one.parts[:-1]] == own])
+    ]
+    for k, (part, without, named) in enumerate(zip(chosen.parts, selection.without, selection.named, strict=True)):
+        if not named and part.candidate.at_limit(part.values):
+            last = replace(chosen, parts=(*chosen.parts[:k], *chosen.parts[k + 1 :], part))
+            found.append((without, [last]))
+    return found
+
+
+def _is_believed(explore: Explorer, rest: Fit, free: Fit) -> bool:
+    """Return whether a further term would be named, but for what it needs."""
+    objective, last = explore.objective, len(free.parts) - 1
+    p_value = term_p(objective, free, last, rest.cost - free.cost, explore.variance_inflation)
+    sure = p_value * len(explore.candidates) < explore.rules.level
+    return sure and not refusal(explore, rest, sizes_with_form_error(objective, rest.terms), free)
+
+
+def _leads_beside(
+    objective: MarginalLikelihood,
+    rest: Fit,
+    fits: Sequence[Fit],
+    least: float,
+    known: Set[str],
+) -> list[tuple[Lead, Fit]]:
+    """Return the leads among terms fitted beside the rest of an explanation, which may be nothing, and their fits.
+
+    Parameters
+    ----------
+    least : float
+        What the best explanation costs; that of `fits` may be less.
     """
     rules = objective.policy.abstention
-    known = {term.id for term in selection.terms}
-    whole = max(selection.base.cost - min(one.cost for one in (selection.chosen, *selection.first)), 1e-9)
+    whole = max(rest.cost - min([least, *(one.cost for one in fits)]), 1e-9)
     bounded: dict[str, Fit] = {}
-    for fit in selection.first:
+    for fit in fits:
         part = fit.parts[-1]
         if part.candidate.term not in known and part.candidate.at_limit(part.values):
             bounded.setdefault(part.candidate.term, fit)
     leads = []
     for fit in bounded.values():
-        if selection.base.cost - fit.cost < rules.worth_following * whole:
+        if rest.cost - fit.cost < rules.worth_following * whole:
             continue
         part = fit.parts[-1]
-        free = fit_parts(objective, (Part(part.candidate.unlimited(), dict(part.values)),))
-        saved = selection.base.cost - free.cost
+        free = fit_parts(objective, (*fit.parts[:-1], Part(part.candidate.unlimited(), dict(part.values))))
+        saved = rest.cost - free.cost
         estimates = parameter_estimates(objective, free)[-1] if saved >= rules.greater_part * whole else {}
         if estimates and one_excludes_no_effect(part.candidate.term, estimates):
-            leads.append(_lead(objective, selection, fit, free, estimates, saved / max(saved, whole)))
-    return tuple(sorted(leads, key=lambda one: -one.share)[: rules.most_leads])
+            share = saved / max(saved, whole)
+            leads.append((_lead(objective, rest, fits, fit, free, estimates, share), free))
+    return leads
 
 
 def _lead(
     objective: MarginalLikelihood,
-    selection: Selection,
+    rest: Fit,
+    fits: Sequence[Fit],
     bounded: Fit,
     free: Fit,
     estimates: Mapping[str, ParameterEstimate],
@@ -62,11 +122,10 @@ def _lead(
         if not limit.lower <= part.values[name] <= limit.upper
     }
     sources = tuple(dict.fromkeys(candidate.ranges[name].source for name in limits or candidate.ranges))
-    saved = selection.base.cost - free.cost
-    others = _as_good(objective, selection, saved, candidate.term)
+    others = _as_good(objective, rest, fits, rest.cost - free.cost, candidate.term)
     sentence = lead_sentence(
         candidate.term, candidate.variant, estimates, sources, [(term, variant, p) for term, variant, p in others],
-        objective.evidence[0].vehicle,
+        objective.evidence[0].vehicle, further=bool(rest.parts),
     )  # fmt: skip
     return Lead(
         candidate.term, candidate.variant, estimates, limits, share, tuple(one[0] for one in others), sentence
@@ -74,13 +133,13 @@ def _lead(
 
 
 def _as_good(
-    objective: MarginalLikelihood, selection: Selection, saved: float, but: str
+    objective: MarginalLikelihood, rest: Fit, fits: Sequence[Fit], saved: float, but: str
 ) -> Sequence[tuple[str, str, Mapping[str, ParameterEstimate]]]:
-    """Return terms that alone save nearly as much within their ranges, with their parameters, best first."""
+    """Return terms that save nearly as much within their ranges, with their parameters, best first."""
     rules, out = objective.policy.abstention, {}
-    for fit in selection.first:
+    for fit in fits:
         one = fit.parts[-1].candidate
-        enough = selection.base.cost - fit.cost >= (1.0 - objective.policy.selection.fair_share) * saved
+        enough = rest.cost - fit.cost >= (1.0 - objective.policy.selection.fair_share) * saved
         if enough and one.term not in {but, *out} and not one.at_limit(fit.parts[-1].values):
             out[one.term] = (one.term, one.variant, parameter_estimates(objective, fit)[-1])
     return tuple(out.values())[: rules.most_leads]

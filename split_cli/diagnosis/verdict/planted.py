@@ -5,7 +5,7 @@ With a fault both are others, and so is what the simulation taught at these comm
 its peak hardly pushes back, and the filter believes slow errors less. So faults are put in before whitening.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +28,12 @@ def alters_commands(term: Term) -> bool:
 
 
 def planted_saving(
-    objective: MarginalLikelihood, term: Term, case: DiagnosisCase, reach: float
+    objective: MarginalLikelihood,
+    term: Term,
+    others: Sequence[Term] = (),
+    *,
+    case: DiagnosisCase,
+    reach: float,
 ) -> tuple[float, float]:
     """Return what a term saves of recordings that have it, and its size there over what is allowed.
 
@@ -38,6 +43,8 @@ def planted_saving(
         Of recordings without it.
     term : Term
         One that alters commands, at its true values.
+    others : sequence of Term
+        Beside which it is asked, of these recordings as they are.
     case : DiagnosisCase
         The recordings.
     reach : float
@@ -59,12 +66,12 @@ def planted_saving(
     if objective.posterior is not None:
         columns = there.stack([one.discrepancy for one in planted.real])
         there = replace(there, offset=columns @ objective.posterior.weights)
-    rows = np.stack([there.left_by(terms) for terms in ((), (term,))], axis=1)
+    rows = np.stack([there.left_by(terms) for terms in (others, (*others, term))], axis=1)
     costs = np.sum(rows**2, axis=0)
     if objective.posterior is not None and not objective.fixed_baseline:
         lower = np.linalg.cholesky(objective.posterior.precision + columns.T @ columns)
         costs -= np.sum(solve_triangular(lower, columns.T @ rows, lower=True) ** 2, axis=0)
-    return float(costs[0] - costs[1]), over_allowance(there, (term,), ())
+    return float(costs[0] - costs[1]), over_allowance(there, (*others, term), tuple(others))
 
 
 def faulty(one: Evidence, term: Term) -> Series:

@@ -337,8 +337,9 @@ def _would_show(diagnosis: Diagnosis) -> str:
         for one in diagnosis.detectable
     ]
     words = (
-        "<p>Each effect, alone on these drives, would have been identified from about this size on. Sizes of "
-        "several parameters are each for one parameter alone. A smaller effect stays unnoticed or unexplained, or "
+        "<p>Each effect, beside what is identified or alone, would have been identified from about this size on. "
+        "Sizes of several parameters are each for one parameter alone. A smaller effect stays unnoticed or "
+        "unexplained, or "
         "a similar effect is identified instead.</p>"
     )
     if diagnosis.verdict == "undecided":
