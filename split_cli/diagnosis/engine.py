@@ -182,7 +182,7 @@ def _screened(
     real: Sequence[Drive], vehicle: Vehicle, simulated: Sequence[Drive], holdout: Sequence[Drive], policy: Policy
 ) -> tuple[list[Drive], list[str], Sequence[str], list[str]]:
     """Return what moves of all drives, their roles, what was left out, and why they cannot be diagnosed."""
-    drives, notes = clean_drives([*real, *simulated, *holdout], policy.screening)
+    drives, notes = clean_drives([*real, *simulated, *holdout], policy.screening, vehicle)
     roles = ["real"] * len(real) + ["sim"] * len(simulated) + ["holdout"] * len(holdout)
     taught = drives[len(real) : len(real) + len(simulated)]
     reasons = [

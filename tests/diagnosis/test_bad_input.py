@@ -231,6 +231,13 @@ def test_samples_without_a_number_are_left_out_and_counted(real):
     assert "41 samples without a number in vy" in notes[0]
 
 
+def test_a_jump_of_the_speed_that_no_tyres_make_is_left_out_with_a_fifth_of_a_second_about_it(real):
+    vx = real["vx"] + 60.0 * (np.arange(len(real)) % 1000 == 700)
+    drive, notes = cleaned(altered(real, vx=vx), vehicle=road_car())
+    assert len(real) - len(drive) == pytest.approx(4 * 21, abs=4) and "about jumps of the speed" in notes[0]
+    assert cleaned(real, vehicle=road_car())[1] == ()
+
+
 def jumping(time: np.ndarray) -> np.ndarray:
     return time + 3.0 * (np.arange(len(time)) > 1800) - 40.0 * (np.arange(len(time)) > 3000)
 

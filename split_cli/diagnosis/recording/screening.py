@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.diagnosis.policy import STANDARD, Screening
+from split_cli.logs.checking.jumps import in_jumps
 from split_cli.logs.drive import Drive
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.vehicle.effects import CATALOGUE
@@ -19,14 +20,17 @@ _OUTER_SHARE = 0.02  # of samples at each end that a range leaves out
 _MOVES_WITH = {"vx": ("vy", "r"), "vy": ("r",), "r": ("vy",), "delta": ("r",)}
 
 
-def cleaned(drive: Drive, rules: Screening = STANDARD.screening) -> tuple[Drive, tuple[str, ...]]:
+def cleaned(
+    drive: Drive, rules: Screening = STANDARD.screening, vehicle: Vehicle | None = None
+) -> tuple[Drive, tuple[str, ...]]:
     """Leave out of a drive what is no recording, and say so.
 
     Returns
     -------
     Drive
-        Without rows that are not finite and stretches in which a channel stands still while the car does not; with
-        a new segment wherever the clock jumps; without position where it is not known throughout.
+        Without rows that are not finite, stretches in which a channel stands still while the car does not, and
+        jumps of the speed that no tyre of the vehicle makes; with a new segment wherever the clock jumps; without
+        position where it is not known throughout.
     tuple of str
         What was left out.
     """
@@ -60,15 +64,22 @@ def cleaned(drive: Drive, rules: Screening = STANDARD.screening) -> tuple[Drive,
     moving = ~np.any([rows for name, rows in stuck.items() if np.ptp(drive[name]) > 0.0] or [[False]], axis=0)
     if not moving.all():
         drive = drive.select(np.broadcast_to(moving, (len(drive),)))
+    jumping = in_jumps(drive, vehicle) if vehicle is not None else np.zeros(len(drive), dtype=bool)
+    if jumping.any():
+        notes.append(
+            f"{drive.name}: {jumping.sum() * drive.period:.1f} s about jumps of the speed that no tyres can make, "
+            f"the first at t = {drive['t'][int(np.argmax(jumping))]:.2f} s"
+        )
+        drive = drive.select(~jumping)
     drive, repaired = _with_sound_position(drive, rules)
     return drive, (*notes, *repaired)
 
 
 def clean_drives(
-    drives: Sequence[Drive], rules: Screening = STANDARD.screening
+    drives: Sequence[Drive], rules: Screening, vehicle: Vehicle
 ) -> tuple[list[Drive], tuple[str, ...]]:
     """Clean several drives; return them, and what was left out of all of them."""
-    pairs = [cleaned(drive, rules) for drive in drives]
+    pairs = [cleaned(drive, rules, vehicle) for drive in drives]
     return [drive for drive, _ in pairs], tuple(note for _, notes in pairs for note in notes)
 
 

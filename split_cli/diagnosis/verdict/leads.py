@@ -30,7 +30,7 @@ def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inf
     A term whose fit ended at a bound of what a car can have is followed beyond it: alone, and beside what is
     named. It is reported if it then explains a fair share of what is there, and if its interval leaves out no
     effect: what may as well be of the other sign leads nowhere. Beside names it has to be what a further name has
-    to be, more than their model-form error.
+    to be, more than their model-form error, beyond doubt.
     """
     chosen, known = selection.chosen, {term.id for term in selection.terms}
     explore = Explorer(objective, tuple(fit.parts[-1].candidate for fit in selection.first), variance_inflation)
@@ -63,10 +63,13 @@ def _beside_names(selection: Selection) -> list[tuple[Fit, Sequence[Fit]]]:
 
 
 def _is_believed(explore: Explorer, rest: Fit, free: Fit) -> bool:
-    """Return whether a further term would be named, but for what it needs."""
+    """Return whether a further term would be named, but for what it needs, and is beyond doubt.
+
+    What no car has is likelier to stand for something else than what cars have.
+    """
     objective, last = explore.objective, len(free.parts) - 1
     p_value = term_p(objective, free, last, rest.cost - free.cost, explore.variance_inflation)
-    sure = p_value * len(explore.candidates) < explore.rules.level
+    sure = p_value * len(explore.candidates) < explore.rules.sure_level
     return sure and not refusal(explore, rest, sizes_with_form_error(objective, rest.terms), free)
 
 

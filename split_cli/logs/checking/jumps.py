@@ -5,12 +5,36 @@ import numpy as np
 from split_cli.logs.checking.checks import Checks
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.checking.relations import ConsistencyFinding
+from split_cli.logs.drive import Drive
+from split_cli.vehicle.parameters import Vehicle
 
 _SECONDS = 0.2
 """Over which a change of speed is measured [s]: noise and the steps of an encoder are small beside it."""
 _BEYOND_GRIP = 2.0
 """Of what the vehicle file's tyres carry [1]: slopes, downforce and a file of too little grip stay within it."""
 _SHOWN = 3
+
+
+def in_jumps(drive: Drive, vehicle: Vehicle) -> np.ndarray:
+    """Return rows in or beside jumps of v_x or v_y that twice what tyres carry cannot make, bool, shape (N,)."""
+    rows, found = max(1, round(_SECONDS / drive.period)), np.zeros(len(drive), dtype=bool)
+    most = _largest(vehicle)[0] * rows * drive.period
+    for run in drive.segments():
+        for name in ("vx", "vy"):
+            v = drive[name][run]
+            for first in np.flatnonzero(np.abs(v[rows:] - v[:-rows]) > most):
+                found[run][first : first + rows + 1] = True
+    return found
+
+
+def _largest(car: Vehicle | None) -> tuple[float, str]:
+    """Return the largest change of speed that is believed [m/s^2], and why, in words."""
+    limit, against = NO_CAR_EXCEEDS["ax"][0], "no car does that"
+    if car is not None:
+        carried = _BEYOND_GRIP * (car.front_tire.D + car.rear_tire.D) / car.mass
+        if carried < limit:
+            limit, against = carried, "twice what the tyres of the vehicle file carry"
+    return limit, against
 
 
 def speed_jumps(checks: Checks) -> list[ConsistencyFinding]:
@@ -20,12 +44,7 @@ def speed_jumps(checks: Checks) -> list[ConsistencyFinding]:
     """
     if not checks.usable("vx"):
         return []
-    k, car = checks.k, checks.vehicle
-    limit, against = NO_CAR_EXCEEDS["ax"][0], "no car does that"
-    if car is not None:
-        carried = _BEYOND_GRIP * (car.front_tire.D + car.rear_tire.D) / car.mass
-        if carried < limit:
-            limit, against = carried, "twice what the tyres of the vehicle file carry"
+    k, (limit, against) = checks.k, _largest(checks.vehicle)
     vx, t = k.columns["vx"], k.times()
     rows = max(1, round(_SECONDS / k.period))
     found: list[tuple[float, float, float]] = []  # time, speed before, speed behind
