@@ -278,6 +278,12 @@ _INDEXED = re.compile(r"\S\[\d+\]$")
 _TIME_IN_MS = re.compile(r"(^|.*_)(t|time|utc|epoch|timestamp|stamp|dt|delay|duration|latency|period)_ms$")
 
 
+def symbol_of(stated: str | None) -> str | None:
+    """Return a unit as this module writes it, one that it does not know as stated, None where nothing is."""
+    unit = find_unit(stated) if stated and stated.strip() else None
+    return unit.symbol if unit else (stated or "").strip() or None
+
+
 def split_name_and_unit(header: str) -> tuple[str, str | None]:
     """Split a column header into name and unit.
 
@@ -297,8 +303,7 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
         return text, None
     match = _BARRED.fullmatch(text) or _BRACKETED.match(text)
     if match and match["name"] and match["unit"].strip().lower() not in ("x", "y", "z"):
-        unit = find_unit(match["unit"]) if match["unit"].strip() else None
-        return match["name"].strip(' "'), unit.symbol if unit else (match["unit"].strip() or None)
+        return match["name"].strip(' "'), symbol_of(match["unit"])
     lowered = text.lower()
     for suffix in _SUFFIX_ORDER:
         if lowered.endswith("_" + suffix):

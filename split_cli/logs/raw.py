@@ -9,7 +9,6 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from split_cli.errors import LogError, nearest_names, printable
-from split_cli.signals import split_name_and_unit
 
 TIME_COLUMNS = (
     "t", "time", "timestamp", "timestamps", "elapsed_time", "sec", "seconds", "__time", "%time",
@@ -114,11 +113,7 @@ class TableRecording:
 
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
         """Return the named columns; see `RawRecording.read`."""
-        missing = [name for name in names if name not in self.signals]
-        if missing:
-            advice = nearest_names(missing[0], self.signals)
-            raise LogError(f"no column {missing[0]!r}", where=self.name, advice=advice)
-        return {name: self.signals[name] for name in names}
+        return {name: nearest_column(self.signals, name, self.name) for name in names}
 
 
 @dataclass
@@ -140,10 +135,9 @@ class LazyTableRecording:
 
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
         """Return the named columns; see `RawRecording.read`."""
-        known = {info.name for info in self.infos}
+        known = {info.name: info for info in self.infos}
         for name in names:
-            if name not in known:
-                raise LogError(f"no column {name!r}", where=self.name, advice=nearest_names(name, known))
+            nearest_column(known, name, self.name)
         return self.load(list(dict.fromkeys(names)))
 
 
@@ -220,8 +214,9 @@ def nearest_column(known: Mapping[str, Any], name: str, where: str) -> Any:
     return known[name]
 
 
-def note_once(notes: list[ReadNote], note: ReadNote) -> None:
-    """Add `note`; one about the same thing in the same place is replaced, so that reading twice counts once."""
+def note_once(notes: list[ReadNote], what: str, where: str, count: int = 1) -> None:
+    """Add a note; one about the same thing in the same place is replaced, so that reading twice counts once."""
+    note = ReadNote(what, where, count)
     notes[:] = [other for other in notes if (other.what, other.where) != (note.what, note.where)]
     notes.append(note)
 
@@ -252,10 +247,3 @@ class UniqueNames:
             self._next[name] = number
         self._taken.add(unique)
         return unique
-
-
-def column_name_and_unit(title: str) -> tuple[str, str | None]:
-    """Split a column's title as `split_name_and_unit` does; in ``x[2]`` the bracket holds an index, no unit."""
-    if re.search(r"\[\d+\]$", title.strip()):
-        return title.strip(), None
-    return split_name_and_unit(title)

@@ -3,7 +3,8 @@
 import pytest
 
 from split_cli.logs.drafting.naming import meanings, named_without_source
-from split_cli.logs.raw import RawChannelInfo, column_name_and_unit
+from split_cli.logs.raw import RawChannelInfo
+from split_cli.signals import split_name_and_unit
 
 NAMES = {
     "ax": ("Longitudinal Acceleration (m/s^2)", "LINEALG", "car.longitudinal_acc"),
@@ -38,7 +39,7 @@ NAMES = {
     ("name", "channel"), [(name, channel) for channel, some in NAMES.items() for name in some]
 )
 def test_a_name_means_one_channel_or_none(name, channel):
-    bare, unit = column_name_and_unit(name)
+    bare, unit = split_name_and_unit(name)
     kind = "geometry_msgs/TwistStamped" if "header." in name else "column"
     assert [one.channel for one in meanings(RawChannelInfo(bare, kind, None, unit))] == (
         [channel] if channel else []

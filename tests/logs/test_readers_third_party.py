@@ -9,7 +9,7 @@ from split_cli.errors import LogError, MapError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.readers.can import read_databases
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import open_together
+from split_cli.logs.readers.together import JointRecording
 from tests.logs.planted import UNITS, PlantedDrive, planted_map, write_table
 from tests.optional import needed
 
@@ -252,7 +252,7 @@ def test_files_with_clocks_of_their_own_make_one_drive(tmp_path):
         time = np.arange(0.0, 40.0, 1.0 / rate) + 0.003
         stamps = time * (1e3 if clock == "time_ms" else 1.0)
         write_table(tmp_path / f"{name}.csv", {clock: stamps, **{c: planted.at(c, time) for c in channels}})
-    recording = open_together([open_recording(tmp_path / f"{name}.csv") for name in shares])
+    recording = JointRecording([open_recording(tmp_path / f"{name}.csv") for name in shares])
     assert {info.name for info in recording.channels()} == {"vx", "vy", "T", "r", "delta"}
     made = assemble_drive(recording, planted_map(("vx", "vy", "T", "r", "delta")), planted.vehicle)
     assert made.drive.rate == pytest.approx(50.0) and len(made.drive.metadata.sources) == 2

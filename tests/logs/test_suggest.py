@@ -10,7 +10,7 @@ import pytest
 from split_cli.logs.drafting.draft import in_ranges
 from split_cli.logs.drafting.suggest import Draft, Suggestion, draft_map, render_draft
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import open_together
+from split_cli.logs.readers.together import JointRecording
 from split_cli.logs.signal_map import map_from_mapping, read_map
 from split_cli.signals import find_unit
 from split_cli.workflows.ingesting.init import init_project
@@ -177,7 +177,7 @@ def test_what_decides_in_foreign_recordings(datasets):
     dart = draft_map(open_recording(datasets / "dart" / "free_driving.csv"))
     assert dart.of("delta").status == "open" and "-1..1" in dart.of("delta").reason
     assert "vicon time" in dart.time
-    comma = open_together([open_recording(path) for path in sorted((datasets / "comma2k19").glob("*.csv"))])
+    comma = JointRecording([open_recording(path) for path in sorted((datasets / "comma2k19").glob("*.csv"))])
     assert draft_map(comma).of("course").status == "open"
     bag = datasets / "ros2_db3_no_definitions" / "rosbag2_2023_05_01-19_05_16"
     assert draft_map(open_recording(bag)).undefined

@@ -10,7 +10,7 @@ from split_cli.logs.drafting.draft import quoted
 from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.raw import RawSignal, TableRecording, time_column, unit_of_time
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import open_together
+from split_cli.logs.readers.together import JointRecording
 from split_cli.logs.signal_map import map_from_mapping
 from tests.factories import one_run
 from tests.logs.planted import PlantedDrive, planted_map
@@ -199,7 +199,7 @@ def test_files_with_epochs_in_nanoseconds_are_one_drive(planted, tmp_path):
         rows = np.stack([stamps, *(np.char.mod("%.9g", planted.at(c, t)) for c in channels)], axis=1)
         text = "\n".join([",".join(("timestamp", *channels)), *map(",".join, rows)])
         (tmp_path / f"{name}.csv").write_text(text + "\n")
-    joined = open_together([open_recording(tmp_path / f"{name}.csv") for name in ("imu", "can")])
+    joined = JointRecording([open_recording(tmp_path / f"{name}.csv") for name in ("imu", "can")])
     made = assemble_drive(joined, planted_map(("r", "vx", "vy", "delta", "T")), planted.vehicle)
     assert made.drive.period == pytest.approx(0.01, rel=1e-4)
     assert any("taken as time in ns" in note.what for note in joined.notes)

@@ -10,7 +10,7 @@ from split_cli.logs.drafting.single_channel import read_sideslip
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.dialect import sniff
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import open_together
+from split_cli.logs.readers.together import JointRecording
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.init import init_project
@@ -74,7 +74,7 @@ def test_a_matrix_of_two_rows_whose_first_counts_up_is_a_signal_with_its_time(pl
     t, c = planted
     for name in ("vx", "psi"):
         savemat(tmp_path / f"{name}.mat", {name: np.stack([t, c["vx" if name == "vx" else "yaw"]])})
-    joined = open_together([open_recording(tmp_path / f"{name}.mat") for name in ("vx", "psi")])
+    joined = JointRecording([open_recording(tmp_path / f"{name}.mat") for name in ("vx", "psi")])
     read = joined.read(["vx", "psi"])
     assert np.array_equal(read["psi"].time, t) and np.array_equal(read["psi"].values, c["yaw"])
     assert any("first taken as time" in note.what for note in joined.notes)

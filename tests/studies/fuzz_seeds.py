@@ -25,7 +25,7 @@ from split_cli.logs.drive import read_drive, write_drive
 from split_cli.logs.presets import preset_path
 from split_cli.logs.readers import can as can_reader
 from split_cli.logs.readers import open_recording
-from split_cli.logs.readers.together import open_together
+from split_cli.logs.readers.together import JointRecording
 from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle, write_vehicle
 from split_cli.workflows.info import describe_file
@@ -325,7 +325,7 @@ def tables(folder: Path, planted: support.Planted) -> Iterator[Kind]:
         path.write_text("time,value\n" + "".join(f"{0.01 * k:.2f},{v}\n" for k, v in enumerate(column)))
 
     def joined(path: Path) -> bool:
-        recording = open_together([open_recording(path), open_recording(second)])
+        recording = JointRecording([open_recording(path), open_recording(second)])
         recording.read([info.name for info in recording.channels()])
         return bool(recording.notes)
 

@@ -139,13 +139,13 @@ class Bag1Container:
         except (_BagDamageError, KeyError, struct.error):
             if chunk.whole:
                 where = f"{self.path.name}, chunk at byte {chunk.start}"
-                note_once(self.notes, ReadNote("records cut off or damaged: read up to there", where))
+                note_once(self.notes, "records cut off or damaged: read up to there", where)
 
     def _see(self, time: int) -> None:
         self._first_time = time if self._first_time is None else min(time, self._first_time)
 
     def _note(self, what: str) -> None:
-        note_once(self.notes, ReadNote(what, self.path.name))
+        note_once(self.notes, what, self.path.name)
 
 
 def _records(content: Any, start: int, stop: int) -> Iterator[tuple[dict[bytes, bytes], int, int]]:

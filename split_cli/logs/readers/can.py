@@ -10,7 +10,7 @@ from typing import Any
 
 from split_cli.errors import LogError, damaged, reason_of
 from split_cli.files import refuse_no_regular_file
-from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, nearest_column
+from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote
 from split_cli.logs.readers.blf import is_cut_blf
 from split_cli.logs.readers.frames_csv import frames_of, is_table_of_frames
 from split_cli.logs.readers.probe import probe
@@ -84,31 +84,6 @@ def read_databases(paths: Sequence[Path]) -> Any:
             raise LogError(what, where=str(path), advice=advice) from error
     database.refresh()
     return database
-
-
-class _CanRecording:
-    """Decoded signals, each message with its own clock; see `open_can`."""
-
-    clocks: tuple[Clock, ...] = ("log",)
-
-    def __init__(
-        self,
-        path: Path,
-        origin: float,
-        signals: dict[str, RawSignal],
-        infos: list[RawChannelInfo],
-        notes: list[ReadNote],
-    ) -> None:
-        self.name, self.path, self.origin, self.notes = path.name, path, origin, notes
-        self._signals, self._infos = signals, infos
-
-    def channels(self) -> list[RawChannelInfo]:
-        """Return every signal that occurs, as ``/Message/Signal``."""
-        return self._infos
-
-    def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
-        """Return the named signals; see `split_cli.logs.raw.RawRecording`."""
-        return {name: nearest_column(self._signals, name, self.name) for name in names}
 
 
 def open_can(path: Path, databases: Sequence[Path]) -> RawRecording:
@@ -243,4 +218,8 @@ def _recording(
         time, values = samples.finished()
         signals[name] = RawSignal(name, set_aside(time - origin), values, units.get(name) or None)
     infos = [RawChannelInfo(name, "can", len(s.values), s.unit) for name, s in signals.items()]
-    return _CanRecording(path, origin, signals, infos, notes)
+
+    def load(names: Sequence[str]) -> dict[str, RawSignal]:
+        return {name: signals[name] for name in names}
+
+    return LazyTableRecording(path.name, path, infos, load, origin, ("log",), notes)

@@ -19,13 +19,12 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     UniqueNames,
-    column_name_and_unit,
     note_once,
 )
 from split_cli.logs.readers.clock_of_day import packed_clock
 from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_grouped, sniff, unwrapped
 from split_cli.logs.scratch import GrowingColumn
-from split_cli.signals import find_unit
+from split_cli.signals import split_name_and_unit, symbol_of
 
 _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 #: What is parsed at once [bytes]; with 4 MB a plain file takes a tenth more processor time. A row must fit into
@@ -76,7 +75,7 @@ def open_delimited(path: Path) -> RawRecording:
             clock = packed_clock(values[index]) if unit is None and _CALLED_CLOCK.search(name) else None
             if clock is not None:
                 what = "column of hours, minutes and seconds in one number, read as seconds since midnight"
-                note_once(notes, ReadNote(what, f"{path.name}, column {name}"))
+                note_once(notes, what, f"{path.name}, column {name}")
                 values[index] = clock
         return {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
 
@@ -90,7 +89,7 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
     messages = _messages_of_fields(sniffed)
     repeated = {title for title, count in Counter(sniffed.header).items() if count > 1}
     for index, title in enumerate(sniffed.header):
-        name, unit = column_name_and_unit(title)
+        name, unit = split_name_and_unit(title)
         if title in repeated and name and sniffed.devices:
             # "100: gps" under one speed and "calc" under another tell them apart.
             device = re.sub(r"[^A-Za-z ]", "", sniffed.devices[index]).strip()
@@ -101,21 +100,20 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
             name = f"{messages[title][index]}.{name}"
         stated = sniffed.units[index].strip().strip("[]()") if sniffed.units else ""
         if stated:
-            known = find_unit(stated)
-            unit = known.symbol if known else stated
+            unit = symbol_of(stated)
         if not name and index == 0 and any(sniffed.header) and not _is_text(sniffed, index):
             # The index of a table, which programs write without a title: row numbers, or the time.
             name = FIRST_UNTITLED
-            note_once(notes, ReadNote(f"a first column without a title, called {name}", path.name))
+            note_once(notes, f"a first column without a title, called {name}", path.name)
         if not name:
             continue
         columns[unique.of(name)] = (index, unit)
     if unique.renamed:
-        note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
+        note_once(notes, "column names that occur twice, numbered", path.name, unique.renamed)
     if sniffed.unnamed:
         beside = f" ({sniffed.titles} titles stand before {len(sniffed.header)} columns of values)"
         remark = beside if sniffed.titles else ""
-        note_once(notes, ReadNote(f"no header row{remark}: columns are called column1, column2, ...", path.name))
+        note_once(notes, f"no header row{remark}: columns are called column1, column2, ...", path.name)
     return columns
 
 
@@ -288,11 +286,11 @@ def read_columns(
     except pa.ArrowException as error:
         raise _unreadable(path, error) from error
     if ragged:
-        note_once(notes, ReadNote("rows with too few or too many cells, left out", path.name, ragged))
+        note_once(notes, "rows with too few or too many cells, left out", path.name, ragged)
     for index, title in titles.items():
         if bad[index]:
             what = "cells that are no numbers, read as missing"
-            note_once(notes, ReadNote(what, f"{path.name}, column {title}", bad[index]))
+            note_once(notes, what, f"{path.name}, column {title}", bad[index])
     return values
 
 

@@ -41,9 +41,7 @@ def frames_of(path: Path) -> Iterator[TextFrame | None]:
                 row = next(rows)
             except StopIteration:
                 return
-            except (
-                csv.Error
-            ):  # a cell without an end, or a quote that is never closed: it goes on with the next line
+            except csv.Error:  # a cell without an end, or a quote that is never closed
                 yield None
                 continue
             try:

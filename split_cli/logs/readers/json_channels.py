@@ -16,13 +16,12 @@ from split_cli.logs.raw import (
     ReadNote,
     TableRecording,
     UniqueNames,
-    column_name_and_unit,
     unit_of_time,
 )
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_document import JsonDocument, parsed, plain_number
 from split_cli.logs.scratch import GrowingColumn
-from split_cli.signals import find_unit
+from split_cli.signals import find_unit, split_name_and_unit, symbol_of
 
 _VALUES = ("data", "values", "samples", "value", "y")
 _NAMES = ("name", "channel", "signal", "id", "label", "title")
@@ -60,11 +59,10 @@ def open_json_channels(path: Path) -> RawRecording | None:
     unique, signals = UniqueNames(), {}
     for title, channel in channels:
         time, values = _samples(channel)
-        name, unit = column_name_and_unit(title)
+        name, unit = split_name_and_unit(title)
         name = unique.of(name or title)
         stated = next((str(channel[key]) for key in channel if key.lower() in ("unit", "units")), unit or "")
-        known = find_unit(stated) if stated else None
-        signals[name] = RawSignal(name, time, values, known.symbol if known else stated or None)
+        signals[name] = RawSignal(name, time, values, symbol_of(stated))
     if unique.renamed:
         notes.append(ReadNote("channel names that occur twice, numbered", path.name, unique.renamed))
     return TableRecording(path.name, path, signals, notes=notes)

@@ -19,7 +19,6 @@ from split_cli.logs.raw import (
     ReadNote,
     TableRecording,
     UniqueNames,
-    column_name_and_unit,
     note_once,
 )
 from split_cli.logs.readers.delimited import seconds_of
@@ -27,6 +26,7 @@ from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, is_channel, o
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
+from split_cli.signals import split_name_and_unit
 
 _LISTED_ROWS = 200
 """Rows whose fields are listed: an event writes fields that the first row lacks [1]."""
@@ -82,12 +82,12 @@ def _table(
     units: dict[str, str | None] = {}
     infos, unique = [], UniqueNames()
     for name in known:
-        own, unit = column_name_and_unit(name)
+        own, unit = split_name_and_unit(name)
         own = unique.of(own or name)
         real[own], units[own] = name, unit
         infos.append(RawChannelInfo(own, "column", None, unit))
     if unique.renamed:
-        note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
+        note_once(notes, "column names that occur twice, numbered", path.name, unique.renamed)
 
     listed = set(known)
 
@@ -117,7 +117,7 @@ def _table(
         hand_over(count % len(values))
         if missed:
             shown = ", ".join([*missed][:3]) + (", ..." if len(missed) > 3 else "")
-            note_once(notes, ReadNote(f"fields of few rows, not listed: {shown}", path.name, len(missed)))
+            note_once(notes, f"fields of few rows, not listed: {shown}", path.name, len(missed))
         read = zip(names, columns, strict=True)
         return {name: RawSignal(name, None, column.finished(), units[name]) for name, column in read}
 
@@ -210,7 +210,7 @@ def _columns(path: Path, keys: Sequence[str], length: int, notes: list[ReadNote]
         numbers = map(_number, itertools.islice(elements, length))
         while len(piece := np.fromiter(itertools.islice(numbers, _ROWS_AT_ONCE), dtype=float)):
             column.append(piece)
-        own, unit = column_name_and_unit(key)
+        own, unit = split_name_and_unit(key)
         own = unique.of(own or key)
         signals[own] = RawSignal(own, None, column.finished(), unit)
     if unique.renamed:
@@ -231,7 +231,7 @@ def _rows(path: Path, notes: list[ReadNote]) -> Iterator[dict[str, Any]]:
             else:
                 damaged += 1
     if damaged:
-        note_once(notes, ReadNote("lines that hold no object, left out", path.name, damaged))
+        note_once(notes, "lines that hold no object, left out", path.name, damaged)
 
 
 def _rows_of_places(path: Path) -> Iterator[dict[str, Any]]:

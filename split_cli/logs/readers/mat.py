@@ -285,7 +285,7 @@ def _recording(
                 "In MATLAB, store their numbers: S.t = x.Time; S.vx = x.Data; save('log.mat', '-struct', 'S')."
             )
             raise LogError(f"holds only {what}", where=path.name, advice=advice)
-        note_once(notes, ReadNote(what, path.name, len(objects)))
+        note_once(notes, what, path.name, len(objects))
     return recording_of_vectors(
         path, leaves, notes, "Save the signals as vectors: save('log.mat', 't', 'vx', 'vy').", "vector"
     )

@@ -238,7 +238,7 @@ class McapContainer:
             self._note("the checksum of the whole recording does not match")
 
     def _note(self, what: str, count: int = 1) -> None:
-        note_once(self.notes, ReadNote(what, self.path.name, count))
+        note_once(self.notes, what, self.path.name, count)
 
     def _surveyed(self, segment: _Segment, contents: _Contents) -> _Segment:
         """Note a segment's definitions, and which channels have messages in it."""
@@ -265,7 +265,7 @@ class McapContainer:
             self._unfolded.add(segment.start, len(plain))
             return plain
         except _McapDamageError as damage:
-            note_once(self.notes, ReadNote(f"chunk left out: {damage}", f"{self.path.name}, byte {segment.start}"))
+            note_once(self.notes, f"chunk left out: {damage}", f"{self.path.name}, byte {segment.start}")
             return b""
 
     def _messages(
@@ -294,7 +294,7 @@ class McapContainer:
                     contents.add(_parse(opcode, bytes(content[start:stop])))
         except _McapDamageError:
             where = f"{self.path.name}, {'chunk at ' if segment.chunk else ''}byte {segment.start}"
-            note_once(self.notes, ReadNote("records cut off or damaged: read up to there", where))
+            note_once(self.notes, "records cut off or damaged: read up to there", where)
 
 
 def _walk_records(content: Any, start: int, stop: int) -> Iterator[tuple[int, int, int]]:

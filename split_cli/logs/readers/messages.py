@@ -120,7 +120,7 @@ class MessageRecording:
                     for path in self._decoder(stream).paths():
                         seen.setdefault(path, stream.type_name)
                 except LogError as error:
-                    note_once(self.notes, ReadNote(f"not readable: {error}", topic))
+                    note_once(self.notes, f"not readable: {error}", topic)
             if [*seen] == [FILLER]:
                 continue  # std_msgs/Empty holds nothing that could be mapped
             if not seen:
@@ -202,7 +202,7 @@ class MessageRecording:
             try:
                 columns = self._decoder(stream).decode(payloads, wanted[stream.topic])
             except LogError as error:
-                note_once(self.notes, ReadNote(f"not readable: {error}", stream.topic, len(payloads)))
+                note_once(self.notes, f"not readable: {error}", stream.topic, len(payloads))
                 continue
             samples[stream.topic].add(log, publish, columns)
         pending.clear()
@@ -211,7 +211,7 @@ class MessageRecording:
         """Return time and the columns of a topic, shapes (N,), without the messages that could not be decoded."""
         if samples.lost:
             what = "messages that do not fit their definition, left out"
-            note_once(self.notes, ReadNote(what, topic, samples.lost))
+            note_once(self.notes, what, topic, samples.lost)
         if samples.lost and not samples.kept:
             raise LogError(
                 f"none of the {samples.lost} messages of topic {topic} fits the definition of "
@@ -232,15 +232,11 @@ class MessageRecording:
 
     def _header_times(self, topic: str, samples: _Samples, log: np.ndarray) -> np.ndarray:
         if not samples.all_stamped:
-            note_once(
-                self.notes, ReadNote("messages without a time stamp of their own: log time used", topic, len(log))
-            )
+            note_once(self.notes, "messages without a time stamp of their own: log time used", topic, len(log))
             return log
         stamps = samples.stamps.finished()
         if not stamps.any():
-            note_once(
-                self.notes, ReadNote("time stamps that were never set (zero): log time used", topic, len(log))
-            )
+            note_once(self.notes, "time stamps that were never set (zero): log time used", topic, len(log))
             return log
         return stamps
 
@@ -279,7 +275,7 @@ class MessageRecording:
         if stream.encoding == "json":
             decoder = JsonDecoder(stream.schema, self._first_payload(stream.key), self._container.origin)
             if decoder.assumption:
-                note_once(self.notes, ReadNote(decoder.assumption, stream.topic))
+                note_once(self.notes, decoder.assumption, stream.topic)
             return decoder
         raise LogError(
             f"messages are encoded as {stream.encoding[:40] or 'nothing in particular'!r} "

@@ -17,7 +17,7 @@ from split_cli.files import ScratchFolder, refuse_no_regular_file
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote, note_once
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import set_aside
-from split_cli.signals import find_unit
+from split_cli.signals import symbol_of
 
 _BUS_EVENT = re.compile(r"(CAN|LIN|FLX|ETH|MOST|K_LINE)_\w*(Frame|Error|Event|Symbol|PDU)\b")
 
@@ -93,12 +93,8 @@ def _open_within(path: Path, databases: Sequence[Path], copies: str, open_files:
         raise LogError("holds CAN frames: what they mean stands in a DBC file", where=path.name, advice=advice)
     infos = []
     for name, (group, index) in places.items():
-        channel_group = file.groups[group].channel_group
-        infos.append(
-            RawChannelInfo(
-                name, "mdf", int(channel_group.cycles_nr), _unit(file.get_channel_unit(group=group, index=index))
-            )
-        )
+        rows, unit = file.groups[group].channel_group.cycles_nr, file.get_channel_unit(group=group, index=index)
+        infos.append(RawChannelInfo(name, "mdf", int(rows), symbol_of(unit)))
     if not any(info.count for info in infos):
         raise LogError("holds no samples", where=path.name, advice="Export it again.")
     notes: list[ReadNote] = []
@@ -129,12 +125,8 @@ def _signal(
         if values.dtype.kind not in "biuf":
             # A conversion to text hides the number that was recorded.
             values = file.get(group=group, index=index, raw=True, ignore_invalidation_bits=True).samples
-            note_once(
-                notes,
-                ReadNote(
-                    "values with names, read as the numbers behind them", f"{path.name}, {name}", len(values)
-                ),
-            )
+            what = "values with names, read as the numbers behind them"
+            note_once(notes, what, f"{path.name}, {name}", len(values))
     except Exception as error:  # see open_mf4
         raise damaged(path, error, "Record it again.") from error
     if values.dtype.kind not in "biuf" or values.ndim != 1:
@@ -145,10 +137,7 @@ def _signal(
         invalid = np.asarray(found.invalidation_bits, dtype=bool)
         values[invalid] = np.nan
         if invalid.any():
-            note_once(
-                notes,
-                ReadNote("samples marked invalid, read as missing", f"{path.name}, {name}", int(invalid.sum())),
-            )
+            note_once(notes, "samples marked invalid, read as missing", f"{path.name}, {name}", int(invalid.sum()))
     if group not in clocks:
         clocks[group] = set_aside(np.array(found.timestamps, dtype=np.float64))
     return RawSignal(name, clocks[group], set_aside(values), unit)
@@ -194,9 +183,3 @@ def _mark_closed(error: Exception) -> None:
             with suppress(AttributeError, OSError):
                 half_open._tempfile.close()
         frame = frame.tb_next
-
-
-def _unit(text: str | None) -> str | None:
-    stated = (text or "").strip()
-    known = find_unit(stated) if stated else None
-    return known.symbol if known else stated or None

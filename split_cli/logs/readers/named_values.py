@@ -21,14 +21,13 @@ from split_cli.logs.raw import (
     ReadNote,
     TableRecording,
     UniqueNames,
-    column_name_and_unit,
     unit_of_time,
 )
 from split_cli.logs.readers.delimited import number_of
 from split_cli.logs.readers.dialect import LONGEST_LINE, decoded
 from split_cli.logs.readers.json_document import plain_number
 from split_cli.logs.scratch import GrowingSignal
-from split_cli.signals import find_unit
+from split_cli.signals import find_unit, split_name_and_unit, symbol_of
 
 NAMES = ("signal", "signal_name", "channel", "name", "variable", "parameter", "topic", "key", "field", "_field",
           "metric", "sensor")  # fmt: skip
@@ -63,7 +62,7 @@ class Places:
 
 def places_in(titles: Sequence[str]) -> Places | None:
     """Return where a row of these titles holds time, name and value, by position; None if one is missing."""
-    parted = [column_name_and_unit(title) for title in titles]
+    parted = [split_name_and_unit(title) for title in titles]
     bare = ["_".join(name.strip().lower().split()) for name, _ in parted]
 
     def first(known: Sequence[str], *but: int | None) -> int | None:
@@ -192,10 +191,9 @@ def _recording(path: Path, at: Places, found: dict[tuple[str, str], _Signal], ba
         if signal.others > len(values) or not len(values):
             words.append(name)
             continue
-        own, unit = column_name_and_unit(name)
+        own, unit = split_name_and_unit(name)
         own = unique.of(f"{group}.{own or name}" if shared[name] > 1 and group else own or name)
-        stated = find_unit(signal.unit) if signal.unit else None
-        signals[own] = RawSignal(own, time * scale, values, stated.symbol if stated else signal.unit or unit)
+        signals[own] = RawSignal(own, time * scale, values, symbol_of(signal.unit) or unit)
     if words:
         shown = ", ".join(words[:3]) + (", ..." if len(words) > 3 else "")
         notes.append(ReadNote(f"names whose values are no numbers, left out: {shown}", path.name, len(words)))

@@ -16,11 +16,11 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     UniqueNames,
-    column_name_and_unit,
     note_once,
 )
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import set_aside
+from split_cli.signals import split_name_and_unit
 
 
 def open_parquet(path: Path) -> RawRecording:
@@ -90,7 +90,7 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
     leaves = list(itertools.islice(_leaves(schema), MOST_FIELDS + 1))
     refuse_many_columns(len(leaves), path.name)
     for path_of, column in leaves:
-        name, unit = column_name_and_unit(".".join(path_of))
+        name, unit = split_name_and_unit(".".join(path_of))
         stated = (column.metadata or {}).get(b"unit")
         name = unique.of(name)
         columns[name] = path_of
@@ -99,7 +99,7 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             unit = "s"  # `column_values` gives seconds, whatever the name or the field says
         infos.append(RawChannelInfo(name, "text" if _is_text(column.type) else str(column.type), rows, unit))
     if unique.renamed:
-        note_once(notes, ReadNote("column names that occur twice, numbered", path.name, unique.renamed))
+        note_once(notes, "column names that occur twice, numbered", path.name, unique.renamed)
     units = {info.name: info.unit for info in infos}
     types = {name: column.type for name, (_, column) in zip(columns, leaves, strict=True)}
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.budget import refuse_many_columns
-from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, UniqueNames, column_name_and_unit
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, UniqueNames
 from split_cli.logs.readers.delimited import read_columns
 from split_cli.logs.readers.dialect import LONGEST_LINE, Dialect, decoded
-from split_cli.signals import find_unit
+from split_cli.signals import find_unit, split_name_and_unit, symbol_of
 
 _BLOCK, _BRACE = b"{channelblock}", ord("{")
 
@@ -45,19 +45,16 @@ def open_pi_toolbox(path: Path) -> RawRecording:
         lost.update({(note.what, note.where): note.count for note in found})
         if not timed.any():
             continue
-        clock, unit = column_name_and_unit(block.titles[0])
+        clock, unit = split_name_and_unit(block.titles[0])
         known = find_unit(unit or "s")
         factor = known.factor if known is not None and known.si == "s" else 1.0
         time = columns[0] if factor == 1.0 else columns[0] * factor
         if alone:
             signals[unique.of(clock)] = RawSignal(clock, None, time, "s")
         for place, title in enumerate(block.titles[1:], 1):
-            name, unit = column_name_and_unit(title)
+            name, unit = split_name_and_unit(title)
             name = unique.of(name or f"column{place + 1}")
-            known = find_unit(unit) if unit else None
-            signals[name] = RawSignal(
-                name, None if alone else time, columns[place], known.symbol if known else unit
-            )
+            signals[name] = RawSignal(name, None if alone else time, columns[place], symbol_of(unit))
     if not signals:
         raise LogError("holds no rows of numbers", where=path.name, advice="Export the outing again.")
     notes = [ReadNote(what, where, count) for (what, where), count in lost.items()]

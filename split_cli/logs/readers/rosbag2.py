@@ -2,8 +2,7 @@
 
 import re
 import sqlite3
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,9 @@ from split_cli.files import ScratchFolder, read_text, refuse_no_regular_file
 from split_cli.logs.budget import most_bytes_out
 from split_cli.logs.raw import ReadNote, note_once
 from split_cli.logs.readers.mcap import McapContainer
-from split_cli.logs.readers.messages import Container, MessageBatch, Stream
+from split_cli.logs.readers.messages import Container, MessageBatch, Stream, in_batches
 from split_cli.yaml_file import parse_yaml
 
-_ROWS_AT_ONCE = 2048
 _LARGEST_METADATA = 16 << 20
 """Of metadata.yaml [bytes]; judgement: one file of a thousand parts and a thousand topics has 1 MB."""
 _UNPACKED_AT_ONCE = 1 << 22
@@ -32,7 +30,6 @@ _MOST_RATIO = 60
 FREE_STEPS, _STEPS_A_BYTE, _STEPS_AT_ONCE = 1_000_000, 4, 10_000
 """Steps of SQLite's machine that a query may take [1], and for a byte of the file; judgement: a message takes 12
 steps and 20 bytes at least. A bound of work holds on a busy disk, too, where one of time refuses sound files."""
-_BYTES_AT_ONCE = 1 << 22
 PACKED_SUFFIXES = (".mcap.zstd", ".db3.zstd")
 _STORAGE_SUFFIXES = (".mcap", ".db3", *PACKED_SUFFIXES)
 
@@ -122,37 +119,22 @@ class SqliteContainer:
             cursor = self._database.execute(
                 f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({chosen})"
             )
-            while rows := _some(cursor):
-                yield from self._sorted(rows)
+            yield from in_batches(self._sound(cursor))
         except sqlite3.Error as error:
-            note_once(self.notes, ReadNote(f"the database is damaged ({error}): read up to there", self.path.name))
+            note_once(self.notes, f"the database is damaged ({error}): read up to there", self.path.name)
 
-    def _sorted(self, rows: list[tuple[Any, Any, Any]]) -> Iterator[MessageBatch]:
-        found: dict[int, MessageBatch] = defaultdict(lambda: MessageBatch(0, [], [], []))
+    def _sound(self, rows: Iterable[tuple[Any, Any, Any]]) -> Iterator[tuple[int, int, int, bytes]]:
+        """Yield stream, both times and payload of each message, and count the rows that hold none."""
         odd = 0
-        for key, time, payload in rows:
-            if not isinstance(time, int) or time < 0 or not isinstance(payload, bytes):
-                odd += 1
-                continue
-            batch = found[key]
-            batch.log_times.append(time)
-            batch.publish_times.append(time)
-            batch.payloads.append(payload)
-        if odd:
-            note_once(self.notes, ReadNote("rows that hold no message, left out", self.path.name, odd))
-        yield from (replace(batch, key=key) for key, batch in found.items())
-
-
-def _some(cursor: sqlite3.Cursor) -> list[tuple[Any, Any, Any]]:
-    """Return the next rows of a query, some megabytes of messages at most or a single one."""
-    rows: list[tuple[Any, Any, Any]] = []
-    size = 0
-    for row in cursor:
-        rows.append(row)
-        size += len(row[2]) if isinstance(row[2], bytes | str) else 0
-        if len(rows) == _ROWS_AT_ONCE or size > _BYTES_AT_ONCE:
-            break
-    return rows
+        try:
+            for key, time, payload in rows:
+                if isinstance(time, int) and time >= 0 and isinstance(payload, bytes):
+                    yield key, time, time, payload
+                else:
+                    odd += 1
+        finally:
+            if odd:
+                note_once(self.notes, "rows that hold no message, left out", self.path.name, odd)
 
 
 class ConcatenatedContainer:
@@ -192,7 +174,7 @@ class ConcatenatedContainer:
                 payloads = [_unpacked(payload) for payload in batch.payloads] if self._packed else batch.payloads
                 yield replace(batch, key=own_keys[batch.key], payloads=payloads)
             for note in part.notes:
-                note_once(self.notes, note)
+                note_once(self.notes, note.what, note.where, note.count)
 
 
 def open_rosbag2_folder(path: Path) -> Container:
@@ -232,7 +214,7 @@ def _opened(path: Path, files: Sequence[Path], packed: bool, notes: list[ReadNot
             parts.append(McapContainer(file) if file.suffix == ".mcap" else SqliteContainer(file))
         except LogError as error:
             problem = error
-            note_once(notes, ReadNote(f"file left out: {error}", path.name))
+            note_once(notes, f"file left out: {error}", path.name)
     if not parts:
         advice = "Give the folder that holds metadata.yaml and the .db3 or .mcap, or name the file."
         raise problem or NoRecordingError("is a folder without a recording in it", where=str(path), advice=advice)
@@ -246,7 +228,7 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
     present.sort(key=lambda file: [int(n) if n.isdigit() else n for n in re.split(r"(\d+)", file.name)])
     if not metadata.exists():
         if present:
-            note_once(notes, ReadNote("no metadata.yaml: files taken in the order of their numbers", path.name))
+            note_once(notes, "no metadata.yaml: files taken in the order of their numbers", path.name)
         return present, False
     try:
         described = parse_yaml(read_text(metadata, _LARGEST_METADATA))["rosbag2_bagfile_information"]
@@ -254,9 +236,7 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
         names = list(dict.fromkeys(Path(str(name)).name for name in described["relative_file_paths"]))
         mode = str(described.get("compression_mode") or "").lower()
     except (yaml.YAMLError, RecursionError, ValueError, KeyError, TypeError, AttributeError, SplitError) as error:
-        note_once(
-            notes, ReadNote("metadata.yaml cannot be read: files taken in the order of their numbers", path.name)
-        )
+        note_once(notes, "metadata.yaml cannot be read: files taken in the order of their numbers", path.name)
         if not present:
             advice = "Put the .db3 or .mcap of the recording beside it."
             what = "cannot be read, and there is no storage file"
@@ -264,10 +244,7 @@ def _listed_files(path: Path, notes: list[ReadNote]) -> tuple[list[Path], bool]:
         return present, False
     missing = [name for name in names if not (path / name).exists()]
     if missing:
-        note_once(
-            notes,
-            ReadNote(f"files of the recording that are missing: {', '.join(missing)}", path.name, len(missing)),
-        )
+        note_once(notes, f"files of the recording that are missing: {', '.join(missing)}", path.name, len(missing))
     return [path / name for name in names if (path / name).exists()], mode == "message"
 
 

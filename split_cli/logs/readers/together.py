@@ -122,14 +122,3 @@ def _own_clock(part: RawRecording, infos: Sequence[RawChannelInfo]) -> bool:
     vectors = [info.name for info in infos if info.type_name == "vector"][:1]
     read = part.read(vectors) if vectors else {}
     return any(signal.time is not None for signal in read.values())
-
-
-def open_together(parts: Sequence[RawRecording]) -> JointRecording:
-    """Join recordings.
-
-    Raises
-    ------
-    LogError
-        If one has no column of time.
-    """
-    return JointRecording(parts)

@@ -7,7 +7,7 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording
 from split_cli.logs.readers.clock_of_day import seconds_of_day
-from split_cli.signals import find_unit
+from split_cli.signals import symbol_of
 
 # Units of the columns that every VBOX writes. Positions are converted while reading: no unit says "west positive".
 _STANDARD_UNITS = {
@@ -101,7 +101,7 @@ def _units(
         notes.append(ReadNote("units in the file, more than columns: not used", path.name, len(listed)))
         listed = []
     units: list[str | None] = [None] * (len(names) - len(listed))
-    units += [_unit(text) for text in listed]
+    units += [symbol_of(_SPELLINGS.get(text.strip().lower(), text)) for text in listed]
     titles = sections.get("header", [])
     for index, name in enumerate(names):
         standard = _STANDARD_UNITS.get(name)
@@ -109,12 +109,6 @@ def _units(
             standard = "m/s"
         units[index] = units[index] or standard
     return units
-
-
-def _unit(text: str) -> str | None:
-    bare = text.strip()
-    known = find_unit(_SPELLINGS.get(bare.lower(), bare)) if bare else None
-    return known.symbol if known else bare or None
 
 
 def _without_stray_end(signals: dict[str, RawSignal], path: Path, notes: list[ReadNote]) -> dict[str, RawSignal]:

@@ -12,12 +12,11 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     TableRecording,
-    column_name_and_unit,
     note_once,
     unit_of_time,
 )
 from split_cli.logs.scratch import set_aside
-from split_cli.signals import STANDARD_GRAVITY
+from split_cli.signals import STANDARD_GRAVITY, split_name_and_unit
 
 _MOST_COLUMNS = 64
 """Of a matrix, that become channels [1]; judgement: a state of a car has fewer."""
@@ -71,25 +70,25 @@ def recording_of_vectors(
         if len(values) == 2 and values.ndim == 2 and name not in clocks and _rises_evenly(values[0]):
             # Simulink's To File: the first of two rows is the time.
             signals[name] = RawSignal(name, values[0].astype(np.float64), values[1].astype(np.float64), None)
-            note_once(notes, ReadNote("matrices of two rows, the first taken as time in s", path.name))
+            note_once(notes, "matrices of two rows, the first taken as time in s", path.name)
             continue
         if name in titles and titles[name] is None:
             continue
         for column_name, column in _columns(titles.get(name) or name, values):
-            bare, unit = column_name_and_unit(column_name)
+            bare, unit = split_name_and_unit(column_name)
             time = clocks.get(name)
             if time is not None and len(time) != len(column):
                 time = None
             signals[bare] = RawSignal(bare, time, column, unit)
     scalars = sum(values.size <= 1 for _, values in leaves)
     if scalars:
-        note_once(notes, ReadNote("variables of a single value, not listed", path.name, scalars))
+        note_once(notes, "variables of a single value, not listed", path.name, scalars)
     deep = sum(values.size > 1 and values.ndim > 2 for _, values in leaves)
     if deep:
-        note_once(notes, ReadNote("arrays of three dimensions or more, left out", path.name, deep))
+        note_once(notes, "arrays of three dimensions or more, left out", path.name, deep)
     wide = sum(max(min(values.shape) - _MOST_COLUMNS, 0) for values in arrays.values() if values.ndim == 2)
     if wide:
-        note_once(notes, ReadNote(f"columns beyond {_MOST_COLUMNS} of a matrix, left out", path.name, wide))
+        note_once(notes, f"columns beyond {_MOST_COLUMNS} of a matrix, left out", path.name, wide)
     if not signals:
         raise LogError("holds no vector of numbers", where=path.name, advice=empty)
     return TableRecording(path.name, path, signals, type_name=kind, notes=notes)

@@ -17,7 +17,7 @@ from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.presets import preset_abouts
 from split_cli.logs.raw import RawChannelInfo, RawRecording
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import open_together
+from split_cli.logs.readers.together import JointRecording
 from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
@@ -304,7 +304,7 @@ def open_logs(log: str | Path | Sequence[str | Path], message_paths: Sequence[st
     """Open a recording, or several files that are one: clocks that do not meet are brought together."""
     if isinstance(log, str | Path):
         return open_recording(log, message_paths=message_paths)
-    joined = open_together([open_recording(path, message_paths=message_paths) for path in log])
+    joined = JointRecording([open_recording(path, message_paths=message_paths) for path in log])
     let_clocks_meet(joined)
     return joined
 
