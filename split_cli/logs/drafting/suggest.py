@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -269,12 +270,13 @@ def _read(
         names |= {info.name for info in listed if getattr(find_unit(stated_unit(info) or ""), "si", "") == "s"}
     text = {info.name for info in listed if info.type_name == "text"}
     known = {info.name for info in listed}
+    wanted = sorted(names & known - text)
+    with suppress(SplitError):
+        return recording.read(wanted)
     signals: dict[str, RawSignal] = {}
-    for name in sorted(names & known - text):
-        try:
+    for name in wanted:
+        with suppress(SplitError):
             signals |= recording.read([name])
-        except SplitError:
-            continue
     return signals
 
 
