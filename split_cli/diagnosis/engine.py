@@ -129,10 +129,17 @@ def diagnose(
         tuple(filter(is_witness_of_position, several)) for several in (case.kinematics, case.simulated_kinematics)
     ]
     if kept < settings.least_rows:
-        reasons = [
+        lacking = (
             f"The simulation has only {100.0 * share:.0f} % of the real drive's operating points "
-            f"({kept} rows of 0.04 s); "
-            "drive both over the same speeds, torques and turns.",
+            f"({kept} rows of 0.04 s); drive both over the same speeds, torques and turns."
+        )
+        short = (
+            f"Only {kept} rows of 0.04 s move fast enough to be compared, and {settings.least_rows} are needed. "
+            "Record a minute or more, or pass several drives."
+        )
+        is_short = sum(len(one.at) for one in case.real) < settings.least_rows
+        reasons = [
+            short if is_short or not simulated else lacking,
             *in_sentences(out_of_scale(*positions, rules=policy.screening)),
         ]
         return _undecided(reasons, share, record)

@@ -285,7 +285,7 @@ def _tire(key: str, content: Any, source: _Values) -> MagicFormula:
 # What any vehicle on wheels can have, from a model on a desk to a loaded mining truck. A value outside is a unit
 # gone wrong (g for kg, mm for m), not a choice.
 _VALUES_OF_CARS = {
-    "mass": (0.05, 1e6, "kg"), "yaw_inertia": (1e-6, 1e8, "kg m^2"),
+    "mass": (0.01, 1e6, "kg"), "yaw_inertia": (1e-6, 1e8, "kg m^2"),
     "cg_to_front_axle": (5e-3, 50.0, "m"), "cg_to_rear_axle": (5e-3, 50.0, "m"),
     "wheel_radius": (2e-3, 5.0, "m"), "max_torque": (1e-4, 1e7, "N m"), "max_brake_torque": (1e-4, 1e7, "N m"),
     "cg_height": (1e-3, 20.0, "m"), "friction_coefficient": (1e-3, 10.0, ""),

@@ -1,5 +1,7 @@
 """MAT files of either kind whose structures have clocks of their own become one drive."""
 
+import struct
+
 import h5py
 import numpy as np
 import pytest
@@ -93,6 +95,23 @@ def test_objects_of_matlab_are_named_and_what_to_save_instead(tmp_path):
     recording = open_recording(path)
     assert [info.name for info in recording.channels()] == ["vx"]
     assert any("logsout" in note.what for note in recording.notes)
+
+
+def test_an_object_of_a_class_beside_the_signals_is_named(tmp_path):
+    """SciPy reads it, but cannot list it: a simulation's results with its track were called damaged."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+    savemat(tmp_path / "log.mat", {"t": np.arange(40.0), "vx": np.arange(40.0)})
+    number = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<ii", 1, 1)) + element(1, b"")
+    number = element(14, number + element(9, struct.pack("<d", 1.0)))
+    texts = b"".join(element(1, text) for text in (b"track", b"MCOS", b"Track"))
+    with (tmp_path / "log.mat").open("ab") as stream:
+        stream.write(element(14, element(6, struct.pack("<II", 17, 0)) + texts + number))
+    recording = open_recording(tmp_path / "log.mat")
+    assert [info.name for info in recording.channels()] == ["t", "vx"]
+    assert any(note.what.endswith("outside it: track") for note in recording.notes)
 
 
 def test_what_scipy_only_warns_of_is_counted_or_refused(tmp_path, recwarn):

@@ -63,6 +63,29 @@ def test_columns_without_names_are_known_by_the_motion_that_ties_them(tmp_path):
     assert draft.of("delta").sources == ("inputs[1]",)
 
 
+@pytest.mark.parametrize("filler", [0.0, np.nan])
+def test_a_simulation_that_ends_early_with_its_rates_and_one_input_less_is_a_drive(filler, tmp_path):
+    """States, their rates and inputs in matrices of the longest run; the rate of yaw was called steering."""
+    c = cornering(200.0, 0.02)
+    yaw, r, v = c["yaw"], c["r"], c["v"] + 4.0 * np.sin(0.3 * c["t"])
+    vy, mid = -0.3 * r * np.cos(0.1 * c["t"]), yaw - 0.01 * r
+    place = np.cumsum((v + 1j * vy) * np.exp(1j * mid)) * 0.02
+    states = np.stack([place.real, place.imag, yaw, v, vy, r])
+    rates = np.gradient(states, 0.02, axis=1)
+    rates[2] = r
+    inputs = np.stack([np.cos(c["t"]), 0.06 * np.roll(r / v, -5)])[:, :-1]
+    states[:, -300:] = rates[:, -300:] = filler
+    np.savez(tmp_path / "a.npz", time=c["t"], states=states, rates=rates, inputs=inputs)
+    recording = open_recording(tmp_path / "a.npz")
+    draft = draft_map(recording)
+    found = {s.channel: s.sources[0] for s in draft.suggestions if s.status != "open"}
+    names = dict(zip(("X", "Y", "yaw", "vx", "vy", "r"), (f"states[{k}]" for k in range(6)), strict=True))
+    assert found == names | {"delta": "inputs[1]"} and draft.of("delta").command
+    assert recording.read(["inputs[1]"])["inputs[1]"].values[-1] == inputs[1, -1]
+    assert np.isnan(recording.read(["states[3]"])["states[3]"].values).sum() == 300
+    assert any("not filled" in note.what and note.count == 300 for note in recording.notes) == (filler == 0.0)
+
+
 def test_columns_without_names_that_are_no_motion_stay_without_one(tmp_path):
     noise = np.cumsum(np.random.default_rng(1).normal(size=(4000, 9)), axis=0)
     np.savez(tmp_path / "a.npz", x=noise)

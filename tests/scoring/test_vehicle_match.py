@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.errors import DriveError
+from split_cli.logs.drive import Drive
 from split_cli.scoring.vehicle_match import belonging, share_beyond
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.workflows.recordings import vehicle_warnings
@@ -43,9 +44,8 @@ def test_another_grip_is_told_by_its_size():
         rear_tire=replace(car.rear_tire, D=0.45 * car.rear_tire.D),
     )
     shown = belonging(make_drive(6, segments=40, vehicle=slippery, knot=1.0), car)
-    # v_x r holds a transient part beside the tyres' force: some tenths of a ratio, far from 1.
-    assert shown.grip == pytest.approx(0.45, abs=0.15)
-    assert shown.contradictions() == () and "they carry 0.5" in shown.doubts()[0]
+    assert shown.grip == pytest.approx(0.45, abs=0.03)
+    assert shown.contradictions() == () and "they carry 0.45" in shown.doubts()[0]
 
 
 def test_a_drive_that_hardly_moves_shows_nothing(drive):
@@ -63,3 +63,23 @@ def test_the_share_of_features_beyond_the_points_is_that_of_what_was_moved_away(
     last = int(np.argmax(s.z[:, 0]))
     near = [s.z[last] + np.array([share, 0.0, 0.0]) * s.kernel.length_scales for share in (0.99, 1.01)]
     assert share_beyond(s, np.array(near)) == 0.5
+
+
+def test_a_car_that_slides_carries_what_its_tyres_do_not_what_it_turns_by():
+    """v_x r of a slide was told as 1.5 times the grip: the path bends by v_x r + dv_y/dt, here by nothing."""
+    car = road_car()
+    t = 0.01 * np.arange(4000)
+    r = 2.0 * np.sin(2.0 * t)
+    columns = {
+        "t": t,
+        "vx": np.full_like(t, 15.0),
+        "vy": 15.0 * np.cos(2.0 * t),
+        "r": r,
+        "T": 0.0 * t,
+        "delta": 0.0 * t,
+    }
+    drive = Drive("sliding", columns, np.zeros(len(t), np.int32), 0.01)
+    assert belonging(drive, car).peak < 0.05
+    without = Drive("turning", columns | {"vy": 0.0 * t}, np.zeros(len(t), np.int32), 0.01)
+    carried = (car.front_tire.D + car.rear_tire.D) / car.mass
+    assert belonging(without, car).peak == pytest.approx(30.0 / carried, rel=0.01)

@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.raw import RawChannelInfo, RawRecording
 
 _NAMELESS = re.compile(r"(column|col|field[._]?data|data|value|.*\[)_?\d+\]?", re.IGNORECASE)
+_OF_INPUTS = re.compile(r"(.*\.)?(u|inputs?|controls?|actions?)\[\d+\]", re.IGNORECASE)
 # All numbers below are judgement, tried on public matrices of states (docs/ingest.md). Where one is wrong nothing
 # is named, or the checks of the draft leave the name open.
 _NEEDED = ("X", "Y", "yaw", "vx", "r")
@@ -26,6 +27,8 @@ _TIED = 0.9
 """Correlation of a change with the sum of what it should be the integral of, from which on it counts [1]."""
 _STEERS = 0.8
 """The same of steering with the bend of the path, less by lags and slip angles [1]."""
+_HALF = 0.5
+"""Of what the bend of the path leaves of a column, below which what the yaw rate leaves makes it one too [1]."""
 _SAME_STEP = 1.2
 """Ratio of the steps between rows that yaw and the path tell, up to which they tell the same [1]."""
 _MOVES = 0.2
@@ -39,7 +42,7 @@ sideslip, 0 where nothing ties them."""
 class _Found:
     """A set of columns that is one car's motion."""
 
-    score: float
+    score: tuple[bool, float]  # whether all are of one matrix, and how well they go together
     names: Mapping[str, str]  # channel to recorded name
 
 
@@ -49,10 +52,14 @@ def has_no_name(name: str) -> bool:
 
 
 def is_of_a_state(info: RawChannelInfo, infos: Sequence[RawChannelInfo]) -> bool:
-    """Whether a column is one of four or more of a matrix called by one letter: the first of x is no position."""
-    return re.fullmatch(r"(?:.*\.)?[A-Za-z]\[\d+\]", info.name) is not None and any(
-        other.name == info.name.rpartition("[")[0] + "[3]" for other in infos
-    )
+    """Whether a column is one of four or more of a matrix called by one letter, or of u, the inputs of a state.
+
+    The first of x is no position, and that of u no velocity.
+    """
+    match = re.fullmatch(r"(?:.*\.)?([A-Za-z])\[\d+\]", info.name)
+    if match is None:
+        return False
+    return match[1] == "u" or any(other.name == info.name.rpartition("[")[0] + "[3]" for other in infos)
 
 
 def named_by_motion(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:
@@ -70,16 +77,23 @@ def named_by_motion(recording: RawRecording, infos: Sequence[RawChannelInfo]) ->
     read = recording.read(names)
     longest = max(len(read[name].values) for name in names)
     columns = {n: read[n].values for n in names if len(read[n].values) == longest}
-    columns = {n: v for n, v in columns.items() if np.isfinite(v).all() and np.ptp(v) > 0.0}
+    known = {n: np.isfinite(v) for n, v in columns.items()}
+    columns = {n: v for n, v in columns.items() if known[n].any() and np.ptp(v[known[n]]) > 0.0}
     columns = dict(itertools.islice(columns.items(), _MOST_COLUMNS))
     if len(columns) < len(_NEEDED):
         return []
+    # A matrix that was not filled to its end counts up to there.
+    whole = np.logical_and.reduce([known[n] for n in columns])
+    columns, longest = {n: v[whole] for n, v in columns.items()}, int(np.count_nonzero(whole))
     found = [_tied(columns, rows) for rows in _ROWS if longest > _FEWEST_CHANGES * rows]
     best = max((f for f in found if f is not None), key=lambda f: f.score, default=None)
     if best is None:
         return []
     note = "has no name; found by the motion of the others"
-    return [TrialCandidate(channel, (name,), 2, None, note=note) for channel, name in best.names.items()]
+    return [
+        TrialCandidate(channel, (name,), 2, None, note=note, asked=_OF_INPUTS.fullmatch(name) is not None)
+        for channel, name in best.names.items()
+    ]
 
 
 def _tied(columns: Mapping[str, np.ndarray], rows: int) -> _Found | None:
@@ -111,25 +125,38 @@ def _tied(columns: Mapping[str, np.ndarray], rows: int) -> _Found | None:
                 across = np.exp(1j * (np.arctan2(change[y], change[x]) - mean[yaw]))
                 moving = lengths[pair] > _MOVES * np.quantile(lengths[pair], 0.95)
                 along = float(np.real(np.mean(across[moving])))
-                score = along * float(of_yaw[yaw, rate]) * float(of_path[pair, speed])
+                # An estimate and a prediction of a state stand beside it: columns of one matrix go first.
+                of_one = len({names[k].partition("[")[0] for k in (x, y, yaw, speed, rate)}) == 1
+                score = of_one, along * float(of_yaw[yaw, rate]) * float(of_path[pair, speed])
                 if along < _ALONG or (best is not None and score <= best.score):
                     continue
                 chosen = dict(zip(_NEEDED, (x, y, yaw, speed, rate), strict=True))
                 side = change[y] * np.cos(mean[yaw]) - change[x] * np.sin(mean[yaw])
                 left = [k for k in range(len(names)) if k not in chosen.values()]
-                chosen |= _rest(left, mean, side, steps[1], mean[rate] / np.where(moving, mean[speed], np.nan))
+                siblings = {k for k in left if names[k].partition("[")[0] == names[speed].partition("[")[0]}
+                bend = mean[rate] / np.where(moving, mean[speed], np.nan)
+                chosen |= _rest(left, siblings, mean, side, steps[1], bend, mean[rate])
                 best = _Found(score, {channel: names[k] for channel, k in chosen.items()})
     return best
 
 
 def _rest(
-    left: Sequence[int], mean: np.ndarray, side: np.ndarray, step: float, bend: np.ndarray
+    left: Sequence[int],
+    siblings: Set[int],
+    mean: np.ndarray,
+    side: np.ndarray,
+    step: float,
+    bend: np.ndarray,
+    rate: np.ndarray,
 ) -> dict[str, int]:
-    """Return which of the columns left are v_y, in size, and what steers: it goes with the bend of the path."""
+    """Return which of the columns left are v_y, in size, and what steers: it goes with the bend of the path.
+
+    A column that goes with the yaw rate alone is another one of it, as the rate of change of a state is.
+    """
     known = np.isfinite(bend)
     found: dict[str, int] = {}
     sideways = {k: float(_correlations(side[None], mean[k][None])[0, 0]) for k in left}
-    vy = max(sideways, key=lambda k: abs(sideways[k]), default=None)
+    vy = max(sideways, key=lambda k: (abs(sideways[k]) > _TIED and k in siblings, abs(sideways[k])), default=None)
     if (
         vy is not None
         and abs(sideways[vy]) > _TIED
@@ -137,6 +164,8 @@ def _rest(
     ):
         found["vy"] = vy
     steers = {k: float(_correlations(bend[None, known], mean[k][None, known])[0, 0]) for k in left if k != vy}
+    turns = {k: float(_correlations(rate[None, known], mean[k][None, known])[0, 0]) for k in steers}
+    steers = {k: c for k, c in steers.items() if 1.0 - turns[k] ** 2 > _HALF**2 * (1.0 - c**2)}
     delta = max(steers, key=lambda k: abs(steers[k]), default=None)
     if delta is not None and abs(steers[delta]) > _STEERS:
         found["delta"] = delta

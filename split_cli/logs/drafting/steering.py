@@ -20,6 +20,8 @@ _LONGEST_CAR = 4.0
 """Wheelbase of the longest car, 3.9 m, with margin [m]."""
 _SHORTEST_RACER = 1.5
 """Wheelbase of the smallest car that is as fast as a full-size one [m]: formula cars of students have 1.525."""
+_COPY = 0.9999
+"""Correlation with the yaw rate, from which on a signal is the yaw rate again [1]."""
 _OUTLIERS = 6.0
 """Robust deviations beyond which a sample is no part of the steady relation [1]."""
 _LARGEST_ERROR = 0.15
@@ -57,12 +59,18 @@ def apparent_wheelbase(delta: np.ndarray, columns: Mapping[str, np.ndarray]) -> 
     else:
         return None
     slope = fit_slope(delta, curvature, moving)
-    if slope is None:
+    if slope is None or ("r" in columns and _is_yaw_rate(delta, columns["r"], moving)):
         return None
     without_understeer = _at_rest(delta, curvature, vx, moving)
     if without_understeer is not None and without_understeer * slope.slope > 0.0:
         return without_understeer
     return None if abs(slope.correlation) < 0.85 else slope.slope
+
+
+def _is_yaw_rate(delta: np.ndarray, r: np.ndarray, mask: np.ndarray) -> bool:
+    """Whether a signal is the yaw rate itself: no tyres answer a steering without delay."""
+    copy = fit_slope(delta, r, mask)
+    return copy is not None and abs(copy.correlation) > _COPY
 
 
 def _at_rest(delta: np.ndarray, curvature: np.ndarray, vx: np.ndarray, mask: np.ndarray) -> float | None:

@@ -45,7 +45,8 @@ def open_mat(path: Path) -> RawRecording:
             warnings.simplefilter("always")
             for key, value in _variables(path):
                 if isinstance(value, MatlabOpaque):
-                    objects.append(key)
+                    # SciPy calls each of them None; the first of its texts is the name.
+                    objects.append(bytes(np.ravel(value)[0]["s0"]).decode("ascii", "replace"))
                 else:
                     leaves += [(name, _aside(values)) for name, values in _leaves(key, value, 0)]
     except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
@@ -61,7 +62,10 @@ def _variables(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield the variables, of a long recording some at a time: all at once would take its whole size in memory."""
     from scipy.io import loadmat, whosmat
 
-    listed = [(name, math.prod(shape)) for name, shape, _ in whosmat(path)]
+    try:
+        listed = [(name, math.prod(shape)) for name, shape, _ in whosmat(path)]
+    except TypeError:  # SciPy reads objects of a class, but gives them no shape to list
+        listed = []
     batches: list[list[str] | None] = [None]
     if sum(size for _, size in listed) >= scratch.LONG and len(dict(listed)) == len(listed):
         batches, room = [], 0

@@ -30,6 +30,9 @@ _NEAR_GRAVITY = 0.25
 """Of gravity, by which half of the sizes of three accelerations may be off [1]; judgement: a car mostly rolls."""
 _FEWEST_ROWS = 20
 """From which on the layout of a matrix is looked for [1]; judgement."""
+_STATE = 4
+"""Columns of a matrix, all of which are 0 together only where nothing was written [1]; judgement: with three a car
+may stand at its origin."""
 _VALUE_NAMES = ("signals.values", "values", "data", "Data")
 
 
@@ -65,7 +68,9 @@ def recording_of_vectors(
     arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
     clocks = _clocks_of_lengths(arrays) | _own_clocks(arrays)
     titles = _of_one_value(arrays, clocks)
+    rows = max((v.size for n, v in arrays.items() if _is_clock(n, v)), default=0)
     signals: dict[str, RawSignal] = {}
+    unwritten = 0
     for name, values in arrays.items():
         if len(values) == 2 and values.ndim == 2 and name not in clocks and _rises_evenly(values[0]):
             # Simulink's To File: the first of two rows is the time.
@@ -74,12 +79,22 @@ def recording_of_vectors(
             continue
         if name in titles and titles[name] is None:
             continue
+        if (blank := _rows_not_written(values)) is not None:
+            unwritten = max(unwritten, int(np.count_nonzero(blank)))
         for column_name, column in _columns(titles.get(name) or name, values):
             bare, unit = split_name_and_unit(column_name)
+            if blank is not None:
+                column[blank] = np.nan
             time = clocks.get(name)
             if time is not None and len(time) != len(column):
                 time = None
+            if len(column) == rows - 1:
+                # A simulation has one state more than inputs: each of these lasts until the next state.
+                column = np.append(column, column[-1])
             signals[bare] = RawSignal(bare, time, column, unit)
+    if unwritten:
+        what = "rows at the end of a matrix that hold 0 alone, which was not filled: left out"
+        note_once(notes, what, path.name, unwritten)
     scalars = sum(values.size <= 1 for _, values in leaves)
     if scalars:
         note_once(notes, "variables of a single value, not listed", path.name, scalars)
@@ -107,6 +122,25 @@ def _of_one_value(arrays: dict[str, np.ndarray], clocks: dict[str, np.ndarray]) 
             titles |= {name: f"{structure} [{unit}" if unit and name == value else None for name in names}
             titles[value] = titles[value] or structure
     return titles
+
+
+def _is_clock(name: str, values: np.ndarray) -> bool:
+    """Whether an array is a vector called a time, in a structure or not."""
+    return is_time(name.split(" [")[0].rpartition(".")[2]) and min(values.shape, default=0) == 1
+
+
+def _rows_not_written(values: np.ndarray) -> np.ndarray | None:
+    """Return which rows, shape (N,), of a state are 0 in every column up to the end; None where there are none.
+
+    Programs make their matrices as long as the longest run may get, and a run may end early.
+    """
+    if values.ndim != 2 or min(values.shape) < _STATE:
+        return None
+    along = values if values.shape[0] >= values.shape[1] else values.T
+    written = np.flatnonzero(np.any(along != 0.0, axis=1))
+    if not len(written) or written[-1] == len(along) - 1:
+        return None
+    return np.arange(len(along)) > written[-1]
 
 
 def _rises_evenly(row: np.ndarray) -> bool:
