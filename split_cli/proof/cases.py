@@ -294,7 +294,9 @@ def _parameters(
         [effect.variant]
         if effect.variant
         else [
-            v for v in kind.variants if set(known) <= set(kind.parameter_units(v)) and v not in ("wave", "stretch")
+            v
+            for v in kind.variants
+            if set(known) <= set(kind.parameter_units(v)) and v not in ("wave", "stretch", "frame")
         ]
     )
     best: tuple[dict[str, float], str, float] | None = None

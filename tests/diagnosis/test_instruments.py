@@ -189,12 +189,16 @@ def test_velocities_of_position_are_late_only_where_they_were_shifted_since():
     assert not late_against_position(prepared(sound)) and late_against_position(prepared(shifted))
     kinds = {name: "derived: from X, Y, yaw" for name in ("vx", "vy", "r")}
 
-    def offered(drive: Drive) -> set[str]:
+    def offered(drive: Drive, kinds: dict[str, str] = kinds) -> set[str]:
         series = prepared(replace(drive, metadata=replace(drive.metadata, kinds=kinds)))
         told = identifiable(build_candidates(road_car(), series), [series], road_car())
-        return {one.variant for one in told if one.term == "channel_delay"}
+        return {one.label for one in told}
 
-    assert "r" not in offered(sound) and "r" in offered(shifted)
+    frames = {"sensor_lever_arm (frame)", "sensor_misalignment (frame)"}
+    assert "channel_delay (r)" not in offered(sound) >= frames
+    assert "channel_delay (r)" in offered(shifted) and not frames & offered(shifted)
+    # A sensor of its own is no frame.
+    assert not frames & offered(sound, {})
 
 
 def test_half_a_degree_of_a_sensor_is_no_fault_where_no_position_tells_it_from_the_car():
@@ -226,7 +230,8 @@ def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error
 
     def excess(kinematics) -> float:
         objective = replace(bare_objective(evidence, kinematics=kinematics), form_error_inflation=150.0)
-        candidates = tuple(candidates_of(objective, "sensor_lever_arm"))
+        sensors = candidates_of(objective, "sensor_lever_arm")
+        candidates = tuple(one for one in sensors if one.variant != "frame")
         (unit,) = (one for one in candidates if one.variant == "unit")
         chosen = fit_parts(objective, (Part(unit, dict(unit.starts[0])),))
         _, (sibling,) = rivals_of(Explorer(objective, candidates, 1.5), chosen, 0, nothing(objective))

@@ -49,6 +49,23 @@ def test_a_sensor_that_is_right_contradicts_nothing(nominal_drive):
     assert np.sqrt(np.mean(kinematics.rows(()) ** 2)) == pytest.approx(1.0, abs=0.25)
 
 
+def test_a_tracked_frame_that_is_off_moves_position_with_velocity_and_contradicts_nothing(nominal_drive):
+    """A whole drive in the frame of a point 0.3 m ahead with its axis turned by 0.02 rad, by hand."""
+    ahead, turned = 0.3, 0.02
+    columns = faulty(nominal_drive, angle=turned, dx=ahead).columns
+    x, y, yaw = (columns[name] for name in ("X", "Y", "yaw"))
+    columns = {**columns, "X": x + ahead * np.cos(yaw), "Y": y + ahead * np.sin(yaw), "yaw": yaw + turned}
+    kinematics = build_kinematics(prepared(noisy(replace(nominal_drive, columns=columns), 3, position=POSITION)))
+    values, errors = solved(kinematics, "sensor_misalignment", "sensor_lever_arm")
+    assert np.all(np.abs(values) < 3.0 * errors)
+    kinds = ("sensor_misalignment", {"angle": turned}), ("sensor_lever_arm", {"dx": ahead})
+    frame, sensor = ([CATALOGUE[term](p, variant) for term, p in kinds] for variant in ("frame", ""))
+    np.testing.assert_array_equal(kinematics.rows(frame), kinematics.rows(()))
+    assert np.std(kinematics.rows(sensor)) > 3.0 * np.std(kinematics.rows(()))
+    # Both are the same to the velocities.
+    np.testing.assert_array_equal(kinematics.series.corrected(frame)[1], kinematics.series.corrected(sensor)[1])
+
+
 def test_a_simulation_that_contradicts_itself_is_no_fault_of_reality(nominal_drive):
     """Velocities of a point 0.3 m ahead in both: what is usual in the simulation, taken off reality's rows."""
     usual = usual_part([build_kinematics(series_of(nominal_drive, 4, dx=0.3))])

@@ -90,7 +90,7 @@ class KinematicResiduals:
 
     def _travelled(self, terms: Sequence[Term], averaged: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements ahead and to the left at mid-window, from velocities [m], shape (W,) each."""
-        _, velocity = self.series.corrected(terms)
+        _, velocity = self.series.corrected([term for term in terms if not term.moves_position])
         middle = self.angle[(self.begin + self.end) // 2]
         sine, cosine = self._direction
         # In the world frame once, then into the car's frame of each window.

@@ -106,8 +106,9 @@ def identifiable(
     car moved, and what comes of the torque only where that changes. A lateral velocity integrated from a_y shows
     no sensor of velocity, and not what tilts a_y. Grip that takes the stiffness with it shows where tyres are
     bent; up to there it is a stiffness, which has a name and a range of its own. Without position, what a sound
-    car does to a sensor is no fault of it. Speed and yaw rate are out of scale against a_y only where the
-    simulation tells which scale that has: the roll of the body is part of it.
+    car does to a sensor is no fault of it. Where velocities were derived from position, no position tells of the
+    frame that was tracked, and a simulation recorded with it has the same. Speed and yaw rate are out of scale
+    against a_y only where the simulation tells which scale that has: the roll of the body is part of it.
     """
     lacking = set()
     drives = [one.drive for one in real]
@@ -121,8 +122,9 @@ def identifiable(
     felt = simulated and all(measures(one.drive, "ay") for one in (*real, *simulated))
     if "measured position" in lacking and not felt:
         lacking.add("scale witness")
-    if any(velocity_is_from_position(one.drive) and not late_against_position(one, policy) for one in real):
-        lacking.add("measured velocities")
+    derived = [velocity_is_from_position(one.drive) and not late_against_position(one, policy) for one in real]
+    lacking |= {"measured velocities"} if any(derived) else set()
+    lacking |= set() if all(derived) and not simulated else {"derived velocities"}
     if any(drive.metadata.lateral_velocity_is_integrated for drive in drives):
         lacking.add("lateral velocity")
     if any(drive.metadata.torque_follows_motion for drive in drives):

@@ -18,6 +18,8 @@ __all__ = ["SensorDelay", "SensorLeverArm", "SensorMisalignment", "SteerSignalDe
 _COMMANDS = ("t", "T", "delta", "s")
 # Overhangs of a body before the front axle and behind the rear one, in wheelbases.
 _NOSE, _TAIL = 0.35, 0.45
+_FRAME = "frame"
+"""Variant of a sensor whose position and yaw are wrong with it, since it makes the velocities of them."""
 _INSIDE = "a velocity sensor sits within the body: overhangs of up to 0.35 and 0.45 wheelbases, judgement"
 _TURNED = "judgement: a mounting that is off by more than eleven degrees is seen"
 _POSITION = ("X", "Y", "yaw")
@@ -27,22 +29,34 @@ _V_Y = "position and yaw, from which v_y follows"
 _CRABS = 0.0087
 
 
-class SensorLeverArm(Term):
+class _Frame(Term):
+    """A sensor of velocities; in the variant `_FRAME` the tracked frame that they are derived from is off."""
+
+    variant_needs: ClassVar = {_FRAME: frozenset({"derived velocities"})}
+    needs: ClassVar = frozenset({"lateral velocity"})
+    family = "measurement"
+    exported = False
+
+    @property
+    def moves_position(self) -> bool:
+        """Whether position and yaw are off with the velocities, and say nothing of them."""
+        return self.variant == _FRAME
+
+
+class SensorLeverArm(_Frame):
     """The velocity sensor is mounted dx ahead of its stated position: recorded v_y = v_y + dx r.
 
     Variant ``unit``: the accelerometers sit there with it, as in an inertial unit whose place or centre of gravity
     was entered wrongly. Then a_x - dx r^2 and a_y + dx r' are recorded. Source: rigid body.
+    Variant ``frame``: velocities were derived from position, and the tracked point sits there.
     Witnesses: position and yaw for v_y; a_y = v_y' + v_x r tells the variants apart.
     """
 
     id = "sensor_lever_arm"
-    variants: ClassVar = ("", "unit")
-    needs: ClassVar = frozenset({"lateral velocity"})
-    variant_needs: ClassVar = {"unit": frozenset({"ay"})}
+    variants: ClassVar = ("", "unit", _FRAME)
+    variant_needs: ClassVar = {**_Frame.variant_needs, "unit": frozenset({"ay"})}
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}
-    family = "measurement"
-    exported = False
     mimics: ClassVar = (
         Mimic("cg_shift+tire_stiffness", "without position and yaw", _V_Y, without=_POSITION),
         Mimic("tire_stiffness", "without position and yaw: a v_y that turns bring", _V_Y, without=_POSITION),
@@ -60,8 +74,12 @@ class SensorLeverArm(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        sits = "sensor sits" if not variant else "sensor and the accelerometers sit"
-        return f"the velocity {sits} {amount(p['dx'], more='further forward', less='further back')} than stated"
+        sits = {
+            "": "the velocity sensor sits",
+            "unit": "the velocity sensor and the accelerometers sit",
+            _FRAME: "the tracked point sits",
+        }[variant]
+        return f"{sits} {amount(p['dx'], more='further forward', less='further back')} than stated"
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
         """Take dx r off."""
@@ -74,9 +92,9 @@ class SensorLeverArm(Term):
     def _moved(self, columns: Mapping[str, np.ndarray], recording: Recording, dx: float) -> dict[str, np.ndarray]:
         r = columns["r"]
         moved = {**columns, "vy": columns["vy"] + dx * r}
-        if self.variant and "ax" in columns:
+        if self.variant == "unit" and "ax" in columns:
             moved["ax"] = columns["ax"] - dx * r * r
-        if self.variant and "ay" in columns:
+        if self.variant == "unit" and "ay" in columns:
             slope = np.zeros(len(r))
             for first, end in recording.segments:
                 if end - first > 1:
@@ -85,15 +103,16 @@ class SensorLeverArm(Term):
         return moved
 
 
-class SensorMisalignment(Term):
-    """The velocity sensor is turned counter-clockwise by `angle`: it records R(-angle) (v_x, v_y)."""
+class SensorMisalignment(_Frame):
+    """The velocity sensor is turned counter-clockwise by `angle`: it records R(-angle) (v_x, v_y).
+
+    Variant ``frame``: velocities were derived from position and yaw, and the tracked axis is turned by `angle`.
+    """
 
     id = "sensor_misalignment"
+    variants: ClassVar = ("", _FRAME)
     units: ClassVar = {"angle": "rad"}
     neutral: ClassVar = {"angle": 0.0}
-    needs: ClassVar = frozenset({"lateral velocity"})
-    family = "measurement"
-    exported = False
     mimics: ClassVar = (
         Mimic("velocity_bias", "a constant angle gives the same recording", exact=True),
         Mimic("road_bank+steer_offset", "constant speed, without position", "position and yaw"),
@@ -105,7 +124,8 @@ class SensorMisalignment(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        return f"the velocity sensor is turned {amount(p['angle'], more='counter-clockwise', less='clockwise')}"
+        what = "the tracked axis" if variant == _FRAME else "the velocity sensor"
+        return f"{what} is turned {amount(p['angle'], more='counter-clockwise', less='clockwise')}"
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
         """Turn the velocity back."""

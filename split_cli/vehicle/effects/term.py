@@ -100,8 +100,8 @@ class Term:
         ``along`` (forces along the car), ``steering``, ``place``, ``time``, ``air``, ``measurement``, ``clock``.
     needs : frozenset of str
         What a recording has to have, to show the term: ``position`` (with yaw), ``measured position``
-        (not derived from velocities), ``measured velocities`` (not derived from position), ``torque`` (logged, not
-        derived from how the car moved), ``torque changes``,
+        (not derived from velocities), ``measured velocities`` (not derived from position), ``derived velocities``
+        (from position), ``torque`` (logged, not derived from how the car moved), ``torque changes``,
         ``lateral velocity`` (not integrated from a_y), ``hard turns`` (beyond the nearly linear part of the tyres'
         curves), ``ax`` or ``ay`` (measured), ``witness`` (measured position or acceleration to the left),
         ``scale witness`` (measured position, or acceleration to the left in simulation and reality).
@@ -148,6 +148,11 @@ class Term:
     def __init__(self, parameters: Mapping[str, float], variant: str = "") -> None:
         self.parameters: dict[str, float] = dict(parameters)
         self.variant = variant
+
+    @property
+    def moves_position(self) -> bool:
+        """Whether a fault of the measurement moves position and yaw with the velocities: they are no witnesses."""
+        return False
 
     @classmethod
     def parameter_units(cls, variant: str = "") -> Mapping[str, str]:
