@@ -2,9 +2,11 @@
 
 Example: ``python -m tests.studies.true_model small true base margin=0,kept=0``. The controller plans with the
 simulated car's own equations and knows their hidden states. In place of ``true``, the file of a trained set drives
-the same lap with what was learned. All else is as in the last laps of SPLIT: margin, share of the peak, learned
-peaks, weights, sensor noise and delay. Each further word is one lap; it names what is changed there, joined by
-commas: a setting of the controller and its value, ``exact`` (sensors without noise), or ``nodelay``.
+the same lap with what was learned. With ``own`` the car is the controller's single track with learned peaks, so
+that what the lap lacks to the whole-lap optimum of `fastest_lap` is the controller's own. All else is as in the
+last laps of SPLIT: margin, share of the peak, learned peaks, weights, sensor noise and delay. Each further word is
+one lap; it names what is changed there, joined by commas: a setting of the controller and its value, ``exact``
+(sensors without noise), or ``nodelay``.
 """
 
 import sys
@@ -22,6 +24,7 @@ from split_cli.plant._numbers import as_numbers
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.dynamics import Surroundings
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
+from split_cli.workflows.racing.closed_loop import SAMPLE_PERIOD, World
 from split_cli.workflows.racing.driving import Race
 from split_cli.workflows.racing.settings import LEARNING, RaceSettings
 
@@ -47,7 +50,8 @@ SMALL_STEPS = np.array([1e-3, 1e-3, 1e-4, 1.0, 1e-5, 1e-5, 1e-5, 1.0, 1e-5, 1e-3
 SAMPLES, PARTS, SLOPE_PARTS = 5, 2, 1
 """Ramps of an interval of 50 ms, and Runge-Kutta steps of each: for what follows, and for its slopes."""
 
-_TORQUE, _RATES = _compiled.TORQUE, slice(_compiled.TORQUE, _compiled.STATE_SIZE)
+MOTION = (_compiled.X, _compiled.Y, _compiled.YAW, _compiled.VX, _compiled.VY, _compiled.R)
+"""Places of what a controller's state begins with in the plant's."""
 
 
 @njit
@@ -188,6 +192,43 @@ class TrueRace(Race):
         return super()._interval(record)
 
 
+class OwnWorld(World):
+    """A world in which the car is a controller's model, without sensor noise."""
+
+    model: ControlModel
+
+    def drive(self, rates: np.ndarray, duration: float) -> None:
+        """Let the commands run with `rates` [N m/s], [rad/s] for `duration` [s]."""
+        for _ in range(int(round(duration / SAMPLE_PERIOD))):
+            before = self.exact
+            x = self.model.linearize(before[None], rates[None]).following[0]
+            self.state[list(MOTION)], (self.torque, self.steer) = x[:6], x[6:]
+            self.t += SAMPLE_PERIOD
+            rate = (x[3:5] - before[3:5]) / SAMPLE_PERIOD
+            self._record(rate + before[5] * np.array([-before[4], before[3]]))
+
+
+class OwnRace(Race):
+    """A race of a controller with its own model."""
+
+    def begin(self) -> None:
+        """Put the model on the run-up, and plan with it."""
+        super().begin()
+        grip, before = TRACKS[self.settings.track][1], self.controller
+        front, rear = (
+            replace(tire, B=tire.B / s, D=s * tire.D)
+            for tire, s in zip((self.vehicle.front_tire, self.vehicle.rear_tire), grip, strict=True)
+        )
+        self.vehicle = replace(self.vehicle, front_tire=front, rear_tire=rear)
+        self.model = ControlModel(self.vehicle, NoResidual(), self.mpcc.step)
+        self.world = OwnWorld(self.car, self.path, self.world.speed, self.start, seed=None)
+        self.world.model = ControlModel(self.vehicle, NoResidual(), SAMPLE_PERIOD)
+        self.controller = Mpcc(self.model, self.path, self.actuators, self.mpcc, self.width)
+        self.controller.deviation = before.deviation
+        self.controller.begin(self.world.measured, self.start)
+        self.rates = self.controller.plan.u[0, :2].copy()
+
+
 def changed(words: list[str], track: str) -> RaceSettings:
     """Return settings of a race with the changes that `words` name."""
     values = dict(word.partition("=")[::2] for word in words)
@@ -213,9 +254,9 @@ def main(track: str, model: str, *changes: str) -> None:
     """Run from the command line."""
     for change in changes or ("base",):
         settings = changed([word for word in change.split(",") if word != "base"], track)
-        kind = TrueRace
-        if model != "true":
-            kind, settings = Race, replace(settings, start_set=model, learn_grip=True)
+        kind = {"true": TrueRace, "own": OwnRace}.get(model, Race)
+        if kind is Race:
+            settings = replace(settings, start_set=model, learn_grip=True)
         began = time.process_time()
         race = kind(settings, read_vehicle(VEHICLE), None, lambda text: None)
         race.begin()
