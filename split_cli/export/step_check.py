@@ -82,7 +82,7 @@ def make_step_oracle(
     model.require_slopes(x, place_time)
     exact, recorded = model.one_step(x, u, place_time)
     first, _ = model.arrivals(x, u)
-    acting = np.column_stack([x[:, :6], first, x[:, 8 : model.memory.continuous]])
+    acting = model.acting(x, first)
     z = model.features(acting, x[:, 6:8], u)[0]
     rates = model.rates(acting, u, place_time)
     rates[:, 3:6] += reference.predict(z).mean

@@ -68,6 +68,10 @@ class SteppedModel:
                 first[k, c], last[k, c] = np.interp([-delay, h - delay], times, row)
         return first, last
 
+    def acting(self, x: np.ndarray, arrived: np.ndarray) -> np.ndarray:
+        """Return what acts, shape (N, 8 + S), of whole states (N, n) and what arrives (N, 2)."""
+        return np.column_stack([x[:, :6], arrived, x[:, 8 : self.memory.continuous]])
+
     def dragged(self, acting: np.ndarray, command: np.ndarray) -> np.ndarray:
         """Return where commands (N, 2) drag the plays, shape (N, P), of what acts (N, 8 + S)."""
         names = self.memory.names
@@ -158,7 +162,7 @@ class SteppedModel:
         The second has shape (N, 3, 3): a row a velocity, a column a correction.
         """
         first, last = self.arrivals(x, u)
-        acting = np.column_stack([x[:, :6], first, x[:, 8 : self.memory.continuous]])
+        acting = self.acting(x, first)
         _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), place_time)
         added, phi = self.residual(acting, x[:, 6:8], u, A)
         mean = self.reference.predict(self.features(acting, x[:, 6:8], u)[0]).mean
@@ -168,7 +172,7 @@ class SteppedModel:
     def one_step(self, x: np.ndarray, u: np.ndarray, place_time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whole states after a step of either kind, shape (N, n)."""
         first, last = self.arrivals(x, u)
-        acting = np.column_stack([x[:, :6], first, x[:, 8 : self.memory.continuous]])
+        acting = self.acting(x, first)
         driven = (last - first) / self.step
         if self.memory.plays:
             plays = [8 + k for k in self.memory.plays]
@@ -192,7 +196,7 @@ class SteppedModel:
         count, n = x.shape
         size, plays = self.memory.continuous, self.memory.plays
         first, last = self.arrivals(x, u)
-        acting = np.column_stack([x[:, :6], first, x[:, 8:size]])
+        acting = self.acting(x, first)
         f, A = self.linear(acting, np.zeros((count, 2 + len(plays))), place_time)
         augmented = np.zeros((count, 2 * size, 2 * size))
         augmented[:, :size, :size], augmented[:, :size, size:] = A, np.eye(size)
@@ -243,7 +247,7 @@ class SteppedModel:
         """
         size = self.memory.continuous
         first, _ = self.arrivals(x, np.zeros((len(x), 2)))
-        acting = np.column_stack([x[:, :6], first, x[:, 8:size]])
+        acting = self.acting(x, first)
         found = self.graph.rates.map(len(x))(acting[:, 2:].T, place_time.T)[1]
         found = np.asarray(found).reshape(size - 5, len(x), size - 2).transpose(1, 0, 2)
 
@@ -300,7 +304,7 @@ def roll_drives(memory_model: SteppedModel) -> Drives:
     for k in range(_STEPS):
         for path, kind in ((exact, 0), (recorded, 1)):
             x = path[-1]
-            acting = np.column_stack([x[:, :6], late[k], x[:, 8 : m.memory.continuous]])
+            acting = m.acting(x, late[k])
             given = (nodes[k], u[k], place_time[k])
             after = m.advance(acting, driven[k], *given) if kind == 0 else m.integrate(acting, late[k + 1], *given)
             line = _line(m, nodes, k + 1)
@@ -372,7 +376,7 @@ def _require_features(m: SteppedModel, drives: Drives, late: np.ndarray) -> None
         columns["t"] = drives.place_time[:, drive, 0]
         recorded = Drive("check", columns, np.zeros(len(x), dtype=np.int32), m.step)
         expected = m.training_set.features.compute(m.model, recorded)[:, followed]
-        acting = np.column_stack([x[:, :6], late[:-1, drive], x[:, 8 : m.memory.continuous]])
+        acting = m.acting(x, late[:-1, drive])
         found = m.features(acting, x[:, 6:8], drives.u[:, drive])[0][:, followed]
         if not np.allclose(found, expected, rtol=1e-9, atol=1e-9):
             what = "features along a drive are not those of training; nothing was written"

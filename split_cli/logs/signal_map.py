@@ -8,7 +8,7 @@ from typing import Any
 from split_cli.errors import MapError, nearest_names
 from split_cli.logs.map_entries import CONVERSIONS, ChannelMap, Position, SignalMap, SignalSource, TimeBase
 from split_cli.logs.presets import preset_names, preset_path
-from split_cli.signals import CHANNELS, find_unit
+from split_cli.signals import CHANNELS, UNITS, find_unit
 from split_cli.yaml_file import read_yaml_mapping
 
 _MAP_KEYS = (
@@ -176,7 +176,8 @@ def _source(entry: Mapping[str, Any], where: str) -> SignalSource:
         raise MapError("scale is 0, the channel would be constant", where=where, advice=advice)
     unit = entry.get("unit")
     if unit is not None and find_unit(str(unit)) is None:
-        raise MapError(f"unknown unit {unit!r}", where=where, advice=nearest_names(str(unit), _unit_symbols()))
+        advice = nearest_names(str(unit), [known.symbol for known in UNITS])
+        raise MapError(f"unknown unit {unit!r}", where=where, advice=advice)
     return SignalSource(
         names=names,
         convert=convert,
@@ -295,9 +296,3 @@ def _number(value: Any, where: str, what: str) -> float:
         advice = "Write a number such as 0.5, or a quotient such as 1/15.3, without a unit."
         raise MapError(f"{what} is {value!r}, a finite number was expected", where=where, advice=advice)
     return float(value)
-
-
-def _unit_symbols() -> list[str]:
-    from split_cli.signals import _UNIT_TABLE
-
-    return [unit.symbol for unit, _ in _UNIT_TABLE]

@@ -196,9 +196,9 @@ def hard_drive(
     return _drive(columns, name, rng if noisy else None)
 
 
-def circle_drive(car: MultiBody, lateral: float, seconds: float, seed: int, side: float = 1.0) -> Drive:
-    """Return an ever faster turn of growing steer angle up to so many m/s^2 at 20 m/s."""
-    wheelbase = float(car.parameters.a + car.parameters.b)
+def _turn(car: MultiBody, seed: int, side: float) -> Drive:
+    """Return a turn at 20 m/s in which the steer angle grows up to 5 m/s^2; `side` is 1 to the left."""
+    lateral, seconds, wheelbase = 5.0, 25.0, float(car.parameters.a + car.parameters.b)
     last = side * (wheelbase * lateral / 400.0 + 0.001 * lateral)
 
     def inputs(x: list[float], t: float) -> tuple[float, float]:
@@ -209,7 +209,7 @@ def circle_drive(car: MultiBody, lateral: float, seconds: float, seed: int, side
 
 def gentle_drives(car: MultiBody, seed: int) -> list[Drive]:
     """Return gentle tests: turns to either side, a slalom, driving and braking straight ahead."""
-    drives = [circle_drive(car, 5.0, 25.0, seed, 1.0), circle_drive(car, 5.0, 25.0, seed + 1, -1.0)]
+    drives = [_turn(car, seed, 1.0), _turn(car, seed + 1, -1.0)]
     rng = np.random.default_rng([seed, 8])
 
     def slalom(x: list[float], t: float) -> tuple[float, float]:

@@ -30,8 +30,9 @@ from split_cli.logs.assembling.synchronize import (
 )
 from split_cli.logs.assembling.trim import trim
 from split_cli.logs.checking.channel_delays import DelayEstimate, estimate_delays
+from split_cli.logs.checking.checks import NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
-from split_cli.logs.checking.copies import copied_channels, without_copies
+from split_cli.logs.checking.copies import copied_channels
 from split_cli.logs.checking.late_channels import late_channels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
 from split_cli.logs.map_entries import SignalMap, TimeBase
@@ -229,7 +230,8 @@ def _checked(
         minutes = len(checked) * drive.period / 60.0
         warnings.append(f"channels were checked against each other on the middle {minutes:.3g} minutes")
     copied = copied_channels(checked, kinds)
-    measured = without_copies(kinds, copied)
+    # A copy was not measured and contradicts nobody.
+    measured = {**kinds, **{finding.channel: NOT_RECORDED for finding in copied}}
     consistency = check_consistency(checked, vehicle, measured, _certain(signal_map))
     consistency = replace(consistency, findings=(*copied, *consistency.findings))
     if settings.estimate_delays:

@@ -147,7 +147,9 @@ def _converted(
     maps: dict[str, ChannelMap] = {}
     for channel, names_of_sources in found.items():
         entry = converter.map.channel(channel)
-        name = _world_name(channel, entry.sources[0].world or converter.map.world)
+        # North-east-down logs name north X; here X is east.
+        is_ned = (entry.sources[0].world or converter.map.world) == "ned"
+        name = {"X": "Y", "Y": "X"}.get(channel, channel) if is_ned else channel
         maps[name] = replace(entry, channel=name)
         series[name] = tuple(
             converter.convert(name, source, [use(n) for n in names], common)
@@ -186,11 +188,6 @@ def fitting_presets(recording: RawRecording, still: Collection[str] = ()) -> tup
 @cache
 def _preset(name: str) -> SignalMap:
     return read_map(name)
-
-
-def _world_name(channel: str, world: str) -> str:
-    """North-east-down logs name north X; here X is east."""
-    return {"X": "Y", "Y": "X"}.get(channel, channel) if world == "ned" else channel
 
 
 class _Resolver:
@@ -253,7 +250,8 @@ class _Resolver:
         if len(source.names) == 1 and suffixes:
             base = source.names[0]
             tail = base.rsplit("/", 1)[-1] if base.startswith("/") else base.rsplit(":", 1)[-1]
-            joint = "." if "." in tail or base in self._field_groups() else "/" if base.startswith("/") else "."
+            groups = {name.rsplit(".", 1)[0] for name in self.infos if "." in name}
+            joint = "." if "." in tail or base in groups or not base.startswith("/") else "/"
             if ":" in base and not base.startswith("/") and not tail:
                 joint = ""
             return [f"{base}{joint}{suffix}" for suffix in suffixes]
@@ -262,9 +260,6 @@ class _Resolver:
             advice = "Name them in this order, or only what stands before their last letter."
             raise MapError(what, where=self.where, advice=advice)
         return list(source.names)
-
-    def _field_groups(self) -> set[str]:
-        return {name.rsplit(".", 1)[0] for name in self.infos if "." in name}
 
     def _resolve(self, name: str) -> str:
         """Return the address with its type or topic replaced as the map's `topics` says, or by the only one."""

@@ -110,6 +110,7 @@ def render_quality(report: QualityReport) -> str:
         )
     if beyond:
         lines.append(f"and {len(beyond)} further columns, kept as recorded: {_few([c.source for c in beyond])}")
+    skipped = ", ".join(text.split(":")[0] for text in report.skipped)
     dropped: dict[str, list[str]] = {}
     for drop in dict.fromkeys(d for c in report.channels for d in c.drops):
         dropped.setdefault(f"{drop.count} {drop.reason}", []).append(drop.source)
@@ -117,7 +118,7 @@ def render_quality(report: QualityReport) -> str:
         ("dropped or moved", [f"{what} in {_few(sources)}" for what, sources in dropped.items()]),
         ("assumed", _assumed(report.assumed)),
         ("file and map disagree", report.contradictions),
-        ("not in this recording", _skipped(report.skipped)),
+        ("not in this recording", [f"{skipped}, which the map calls optional"] if skipped else []),
         ("delays", [estimate.statement for estimate in report.delays]),
         ("could not be judged", [f"{u.check}: {u.reason}" for u in report.consistency.unjudged]),
         ("note", [*report.warnings, *([report.unverified] if report.unverified else [])]),
@@ -163,7 +164,3 @@ def _assumed(texts: Sequence[str]) -> list[str]:
     units = [text.removesuffix(tail) for text in texts if text.endswith(tail)]
     rest = [text for text in texts if not text.endswith(tail)]
     return [*rest, *([", ".join(units) + tail] if units else [])]
-
-
-def _skipped(texts: Sequence[str]) -> list[str]:
-    return [", ".join(text.split(":")[0] for text in texts) + ", which the map calls optional"] if texts else []

@@ -150,12 +150,12 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
             edges.append(made)
 
     c = k.columns
-    turning = lambda: k.of("vx r", lambda: c["vx"] * c["r"])  # noqa: E731
     forced = lambda: c["vx"] * np.nan_to_num(k.rate("vx"))  # noqa: E731
     inertial_x = lambda: k.rate("vx") - k.of("vy r", lambda: c["vy"] * c["r"])  # noqa: E731
     add("dyaw/dt = r", "yaw", "r", set(), lambda: k.rate("yaw"), lambda: k.signal("r"))
     add("a_x = dv_x/dt - v_y r", "ax", "vx", {"vy", "r"}, lambda: k.signal("ax"), inertial_x)
-    add("a_y = v_x r + dv_y/dt", "ay", "r", {"vx", "vy"}, lambda: k.signal("ay"), lambda: turning() + k.rate("vy"))
+    across = lambda: k.turning() + k.rate("vy")  # noqa: E731
+    add("a_y = v_x r + dv_y/dt", "ay", "r", {"vx", "vy"}, lambda: k.signal("ay"), across)
     for wheel in [name for name in c if name.startswith("wheel_speed")]:
         # A driven wheel slips by its force: v_x (1 + k a_x) looks like v_x a little earlier.
         slip = [lambda: k.of("vx ax", forced, 1)] if _is_driven(wheel, vehicle) else []
@@ -210,7 +210,7 @@ def _steer_regressors(k: Kinematics, car: Vehicle) -> tuple[Callable, Callable]:
         return k.of("front", lambda: (c["vy"] + car.cg_to_front_axle * c["r"]) / vx)
 
     def force() -> np.ndarray:
-        lateral = k.rate("vy") + k.of("vx r", lambda: c["vx"] * c["r"])
+        lateral = k.rate("vy") + k.turning()
         return (car.mass * car.cg_to_rear_axle * lateral + car.yaw_inertia * k.rate("r")) / car.wheelbase
 
     return direction, force

@@ -8,7 +8,7 @@ import numpy as np
 from split_cli.logs.checking.kinematics import (
     Kinematics,
     Slope,
-    block_interval,
+    fit_linear,
     fit_slope,
     median_of,
     scaled_parts,
@@ -127,9 +127,8 @@ class Checks:
             if self.usable(channel):
                 add(channel, k.signal(channel), k.columns[channel], {channel: 1}, high, unit)
         if self.usable("vx", "r"):
-            turning = k.columns["vx"] * k.columns["r"]
-            high = NO_CAR_EXCEEDS["ay"][0]
-            add("v_x r", k.of("vx r", lambda: turning), turning, {"vx": 1, "r": 1}, high, "m/s^2")
+            raw, high = k.columns["vx"] * k.columns["r"], NO_CAR_EXCEEDS["ay"][0]
+            add("v_x r", k.turning(), raw, {"vx": 1, "r": 1}, high, "m/s^2")
         if self.usable("vx", "vy"):
             sideways = k.signal("vy")[k.moving] / k.signal("vx")[k.moving]
             add("v_y/v_x", sideways, sideways, {"vy": 1, "vx": -1}, _MOST_SIDEWAYS, "")
@@ -222,8 +221,7 @@ class Checks:
             inertial = k.rate("vx") - self.carried()
             self.relate("a_x against dv_x/dt - v_y r", k.signal("ax"), inertial, {"ax": 1, "vx": -1}, 0.12)
         if self.usable("ay") and self.known("r"):
-            turning = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
-            self.relate("a_y against v_x r", k.signal("ay"), turning, {"ay": 1, "vx": -1, "r": -1}, 0.15)
+            self.relate("a_y against v_x r", k.signal("ay"), k.turning(), {"ay": 1, "vx": -1, "r": -1}, 0.15)
 
     def carried(self) -> np.ndarray | float:
         """Return v_y r, what turning takes from dv_x/dt [m/s^2]; 0 where v_y or r is not known."""
@@ -258,7 +256,7 @@ class Checks:
         vx = np.where(k.moving, k.columns["vx"], np.nan)
         parts = (
             k.of("L r/vx", lambda: car.wheelbase * k.columns["r"] / np.where(np.abs(vx) > 0, vx, 1.0)),
-            gradient * k.of("vx r", lambda: k.columns["vx"] * k.columns["r"]),
+            gradient * k.turning(),
         )
         if np.nanstd(np.where(k.moving, parts[0], np.nan)) < 1e-4:
             self.unjudged.append(Unjudged(name, "the car hardly turns"))
@@ -299,7 +297,7 @@ class Checks:
             found += steering_zero(k, self.vehicle, straight)
         if self.usable("ay"):
             plain = float(np.nanmedian(k.signal("ay")[straight]))
-            rest = k.signal("ay") - k.of("vx r", lambda: k.columns["vx"] * k.columns["r"])
+            rest = k.signal("ay") - k.turning()
             bias, error = median_of(rest[straight])
             tilt = np.degrees(np.arcsin(np.clip(bias / STANDARD_GRAVITY, -1.0, 1.0)))
             if abs(bias) > 0.25 and abs(bias) > 4.0 * error:
@@ -354,7 +352,7 @@ class Checks:
         if car is None or not self.usable("vx", "vy", "r"):
             return []
         # Of the path, whatever a_y's sensor adds; a car that slides turns faster than its path.
-        lateral = np.abs(k.of("vx r", lambda: k.columns["vx"] * k.columns["r"]) + k.rate("vy"))
+        lateral = np.abs(k.turning() + k.rate("vy"))
         carried = (car.front_tire.D + car.rear_tire.D) / car.mass
         rows = k.moving & (lateral > _GRIP_MARGIN * carried)
         seconds = float(np.count_nonzero(rows)) * k.period
@@ -382,7 +380,7 @@ class Checks:
         if self._sideslip is None:
             k = self.k
             vx, vy, r = k.signal("vx"), k.signal("vy"), k.signal("r")
-            path = k.of("vx r", lambda: k.columns["vx"] * k.columns["r"]) + k.rate("vy")
+            path = k.turning() + k.rate("vy")
             turning = k.rate("r")
             use = k.moving & np.isfinite(vy * path * turning) & (np.abs(vx * r) < 4.0)
             if np.count_nonzero(use) < 300:
@@ -395,9 +393,7 @@ class Checks:
             ]
             left = [np.var(target - law @ np.linalg.lstsq(law, target, rcond=None)[0]) for law in laws]
             design = laws[int(left[1] < _BY_SLIP_SPEED * left[0])]
-            self._sideslip = block_interval(
-                lambda rows: np.linalg.lstsq(design[rows], target[rows], rcond=None)[0], len(target)
-            )
+            self._sideslip = fit_linear(design, target)
             p, p_error = self._sideslip[0][0], self._sideslip[1][0]
             if 3.0 * p_error > 0.5 * self.vehicle.cg_to_rear_axle:
                 side = "ahead of" if p > 0.0 else "behind"

@@ -1,11 +1,10 @@
 """Channels that were copied or computed from others: nothing that is compared with them is a check."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
 
-from split_cli.logs.checking.checks import NOT_RECORDED
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
@@ -59,11 +58,6 @@ def copied_channels(drive: Drive, kinds: Mapping[str, str]) -> list[ConsistencyF
             )
             found.append(ConsistencyFinding("copied", "r", text, factor))
     return found
-
-
-def without_copies(kinds: Mapping[str, str], copied: Sequence[ConsistencyFinding]) -> dict[str, str]:
-    """Return the kinds of channels as the checks take them: what was not measured contradicts nobody."""
-    return {**kinds, **{finding.channel: NOT_RECORDED for finding in copied}}
 
 
 def _factor(y: np.ndarray, x: np.ndarray, left: float) -> float | None:

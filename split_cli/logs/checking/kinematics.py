@@ -73,6 +73,10 @@ class Kinematics:
         key = (name, order)
         return self._known[key] if key in self._known else self._filtered(name, values(), order)
 
+    def turning(self) -> np.ndarray:
+        """Return v_x r, what turning takes across the car [m/s^2], shape (N,)."""
+        return self.of("vx r", lambda: self.columns["vx"] * self.columns["r"])
+
     def ground_speed(self) -> np.ndarray:
         """Return the speed of X, Y over ground [m/s], shape (N,).
 
@@ -166,7 +170,7 @@ def fit_slope(y: np.ndarray, x: np.ndarray, mask: np.ndarray, *, zeroed: bool = 
         clipped = [np.clip(v, *b) for v, b in zip((y, x), bounds, strict=True)] if attempt == 0 else (y, x)
         slope, offset, _ = _line(*clipped, zeroed)
         residual = y - slope * x - offset
-        scale = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+        scale = robust_spread(residual)
         near = np.abs(residual) <= max(6.0 * scale, 1e-12)
         if np.count_nonzero(near) < 50 or np.std(x[near]) == 0.0 or np.std(y[near]) == 0.0:
             break
@@ -197,6 +201,22 @@ def block_interval(estimate: Callable[[np.ndarray], np.ndarray], count: int) -> 
     left_out = np.stack([estimate(np.delete(rows, block)) for block in np.array_split(rows, _BLOCKS)])
     spread = left_out - left_out.mean(axis=0)
     return full, np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2, axis=0))
+
+
+def fit_linear(design: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least-squares coefficients of y (N,) over a design (N, P), and their errors."""
+    return block_interval(lambda rows: np.linalg.lstsq(design[rows], y[rows], rcond=None)[0], len(y))
+
+
+def has_dependent_columns(design: np.ndarray) -> bool:
+    """Tell a design (N, P) whose columns, whatever their units, do not determine P coefficients."""
+    scaled = design / np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    return bool(np.linalg.matrix_rank(scaled) < design.shape[1])
+
+
+def robust_spread(values: np.ndarray) -> float:
+    """Return the deviation of a normal law that has the median absolute deviation of finite values, shape (N,)."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def scaled_parts(

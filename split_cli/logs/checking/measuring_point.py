@@ -3,7 +3,7 @@
 import numpy as np
 
 from split_cli.logs.checking.checks import Checks, Unjudged
-from split_cli.logs.checking.kinematics import block_interval
+from split_cli.logs.checking.kinematics import fit_linear, has_dependent_columns
 from split_cli.logs.checking.relations import ConsistencyFinding
 
 PLACE_IN_DOUBT = "place of v_y"
@@ -95,7 +95,7 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     if not (checks.of_pose or checks.usable("vy")):
         return []
     lateral, turning = k.signal("ay"), k.rate("r")
-    rest = lateral - k.of("vx r", lambda: k.columns["vx"] * k.columns["r"]) - k.rate("vy")
+    rest = lateral - k.turning() - k.rate("vy")
     delayed = k.rate("ay")
     use = k.moving & np.isfinite(rest * turning * delayed)
     if np.count_nonzero(use) < 300:
@@ -103,9 +103,9 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     late = k.signal("vx") * turning
     design = np.stack([part[use] for part in (turning, late, delayed, lateral, np.ones(k.count))], axis=1)
     y = rest[use]
-    if np.linalg.matrix_rank(design / np.maximum(np.linalg.norm(design, axis=0), 1e-300)) < design.shape[1]:
+    if has_dependent_columns(design):
         return []
-    fitted, errors = block_interval(lambda rows: np.linalg.lstsq(design[rows], y[rows], rcond=None)[0], len(y))
+    fitted, errors = fit_linear(design, y)
     x, error = float(fitted[0]), float(errors[0])
     checks.beside_accelerometer = abs(x) + _SURE * error < _NEAR * min(car.cg_to_front_axle, car.cg_to_rear_axle)
     # A delay acts as a place does at one speed; of a large one, the first derivative is not all.

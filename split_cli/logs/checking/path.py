@@ -3,7 +3,14 @@
 import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION, Checks, Unjudged
-from split_cli.logs.checking.kinematics import Kinematics, around_mean, block_interval, fit_slope
+from split_cli.logs.checking.kinematics import (
+    Kinematics,
+    around_mean,
+    fit_linear,
+    fit_slope,
+    has_dependent_columns,
+    robust_spread,
+)
 from split_cli.logs.checking.relations import ConsistencyFinding
 
 _LEAST_DIRECTION = 0.05
@@ -32,7 +39,7 @@ def direction_of_travel(checks: Checks, with_velocity: bool = True) -> list[Cons
     quarter = 0.5 * np.pi * round(centre / (0.5 * np.pi))
     if abs(centre - quarter) < max(_SURELY * error, _LEAST_ZERO):
         centre = quarter
-    spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    spread = robust_spread(off)
     if abs(centre) < _LEAST_DIRECTION or abs(centre) < 2.0 * spread:
         if spread > 0.3 and checks.of_pose:
             text = (
@@ -64,7 +71,7 @@ def _without_turning(k: Kinematics, off: np.ndarray, slips: bool) -> tuple[float
     if slips and np.any(r[use] != 0.0):
         parts += [r[use] / v[use], v[use] * r[use]]
     design, y = np.stack(parts, axis=1), off[use]
-    fitted, errors = block_interval(lambda rows: np.linalg.lstsq(design[rows], y[rows], rcond=None)[0], len(y))
+    fitted, errors = fit_linear(design, y)
     return float(fitted[0]), float(errors[0])
 
 
@@ -126,16 +133,14 @@ def yaw_is_course(checks: Checks) -> list[ConsistencyFinding]:
         return []
     k = checks.k
     vx, r = k.signal("vx"), k.signal("r")
-    path = (k.path_across() * vx)[:, None]
-    use = k.moving & np.isfinite(path[:, 0] * vx * r)
+    path = k.path_across() * vx
+    use = k.moving & np.isfinite(path * vx * r)
     if np.count_nonzero(use) < 300:
         return []
     design = np.stack([r[use], -(vx[use] ** 2) * r[use], np.ones(np.count_nonzero(use))], axis=1)
-    if np.linalg.matrix_rank(design / np.maximum(np.linalg.norm(design, axis=0), 1e-300)) < design.shape[1]:
+    if has_dependent_columns(design):
         return []  # straight ahead, or round one circle at one speed, as a simulation can
-    (_, q, _), (_, q_error, _) = block_interval(
-        lambda rows: np.linalg.lstsq(design[rows], path[use][rows, 0], rcond=None)[0], np.count_nonzero(use)
-    )
+    (_, q, _), (_, q_error, _) = fit_linear(design, path[use])
     if abs(q) + 4.0 * q_error > _LEAST_REAR_SLIP:
         return []
     text = (
@@ -147,5 +152,4 @@ def yaw_is_course(checks: Checks) -> list[ConsistencyFinding]:
 
 
 def _spread_of(values: np.ndarray) -> float:
-    values = values[np.isfinite(values)]
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    return robust_spread(values[np.isfinite(values)])

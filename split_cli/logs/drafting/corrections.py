@@ -113,8 +113,8 @@ def _other_hand(chosen: dict[str, Suggestion], trial: Trial) -> dict[str, Sugges
     yaw = chosen.get("yaw")
     if not path_is_certain(chosen) and not (yaw is not None and is_heading(yaw, trial.signals)):
         remark = "exchanged with the other, or the car's channels are right-positive: nothing recorded decides"
-        return {**chosen, "X": replace(chosen["Y"], channel="X", reason=remark),
-                "Y": replace(chosen["X"], channel="Y", reason=remark)}  # fmt: skip
+        pair = (("X", chosen["Y"]), ("Y", chosen["X"]))
+        return {**chosen, **{c: replace(s, channel=c, reason=remark) for c, s in pair}}
     if yaw is not None and yaw.world != "ned":
         turned["yaw"] = _as_compass(yaw)
     return {**chosen, **turned}

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.logs.checking.kinematics import block_interval, fit_slope
+from split_cli.logs.checking.kinematics import fit_linear, fit_slope, robust_spread
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
@@ -88,12 +88,11 @@ def _at_rest(delta: np.ndarray, curvature: np.ndarray, vx: np.ndarray, mask: np.
     for _ in range(3):
         fitted = terms @ np.linalg.lstsq(terms[near], d[near], rcond=None)[0]
         residual = d - fitted
-        scale = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-        near = np.abs(residual - np.median(residual)) <= max(_OUTLIERS * scale, 1e-12)
+        near = np.abs(residual - np.median(residual)) <= max(_OUTLIERS * robust_spread(residual), 1e-12)
     if np.count_nonzero(near) < 200 or np.std(d[near]) == 0.0 or np.std(residual[near]) > 0.5 * np.std(d[near]):
         return None
     d, terms = d[near], terms[near]
-    value, error = block_interval(lambda rows: np.linalg.lstsq(terms[rows], d[rows], rcond=None)[0][:1], len(d))
+    value, error = fit_linear(terms, d)
     return float(value[0]) if error[0] < _LARGEST_ERROR * abs(value[0]) else None
 
 

@@ -269,7 +269,8 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
         n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)
     ]
     if not titles:
-        most = max((len(row) for row in rows[:first] if _looks_like_titles(row)), default=0)
+        worded = [row for row in rows[:first] if sum(_WORD.search(cell) is not None for cell in row) > 1]
+        most = max(map(len, worded), default=0)
         return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, most)
     chosen = _row_of_names(above, titles, width)
     below = [_filled_up(row, width) for row in above[:chosen]]
@@ -321,10 +322,6 @@ def _units_of_labview(rows: list[list[str]], width: int) -> list[str] | None:
     """Return the units that LabVIEW writes above the titles, behind a word of its own; the time is in seconds."""
     row = next((row for row in rows if row and row[0].strip() == "Y_Unit_Label"), None)
     return None if row is None else _filled_up(["s", *row[1:]], width)
-
-
-def _looks_like_titles(row: list[str]) -> bool:
-    return len([cell for cell in row if _WORD.search(cell)]) > 1
 
 
 def _rejoined(row: list[str], width: int) -> list[str]:

@@ -42,6 +42,12 @@ def guarded(path: Path, step: Callable[[], _T]) -> _T:
         raise LogError(what, where=path.name, advice=advice) from error
 
 
+def _printable(info: RawChannelInfo) -> RawChannelInfo:
+    texts = {"name": info.name, "type_name": info.type_name, "unit": info.unit or ""}
+    shown = {field: printable(text) for field, text in texts.items() if not text.isprintable()}
+    return replace(info, **shown) if shown else info
+
+
 class GuardedRecording:
     """A recording whose names can be printed and whose reader fails with `LogError` only; see `RawRecording`.
 
@@ -68,12 +74,7 @@ class GuardedRecording:
         """Return every addressable channel; see `Recording.channels`."""
         found = guarded(self.path, self._inner.channels)
         self._real = {shown: info.name for info in found if (shown := printable(info.name)) != info.name}
-        return [
-            info if info.name.isprintable() and info.type_name.isprintable() and (info.unit or "").isprintable()
-            else replace(info, name=printable(info.name), type_name=printable(info.type_name),
-                         unit=None if info.unit is None else printable(info.unit))
-            for info in found
-        ]  # fmt: skip
+        return [_printable(info) for info in found]
 
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
         """Return the named signals; see `Recording.read`."""

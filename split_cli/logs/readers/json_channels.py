@@ -92,7 +92,8 @@ def _groups_of_lists(path: Path, notes: list[ReadNote]) -> _Named | None:
             elif own in (*_VALUES, *_TIMES) and not any(isinstance(one, dict) for one in first):
                 found.setdefault(place[:-1], {})[place[-1]] = _grown(rest, (None,))[0]
             elif isinstance(first[0] if first else None, dict) and is_channel(first[0]):
-                found |= {(*place, f"[{k}]"): _with_arrays(one) for k, one in enumerate(rest) if _is_object(one)}
+                whole = ((k, one) for k, one in enumerate(rest) if isinstance(one, dict) and _holds_numbers(one))
+                found |= {(*place, f"[{k}]"): _with_arrays(one) for k, one in whole}
     except (ValueError, RecursionError):
         notes.append(ReadNote("the document is cut off or damaged: only channels before that are read", path.name))
     held = {place: one for place, one in found.items() if place and _key(one, _VALUES) is not None}
@@ -103,17 +104,13 @@ def _groups_of_lists(path: Path, notes: list[ReadNote]) -> _Named | None:
     return channels if len(channels) > 1 else None
 
 
-def _is_object(one: Any) -> bool:
-    return isinstance(one, dict) and _holds_numbers(one)
-
-
 def _with_arrays(channel: Mapping[str, Any]) -> dict[str, Any]:
     """Return a channel with arrays for its values and times, which take a tenth of the memory."""
     if is_series(channel[_key(channel, _VALUES)]):
         time, values = _samples(channel)
         return {**channel, _key(channel, _VALUES): values, _TIMES[0]: time}
-    return {key: _numbers(one) if isinstance(one, list) and key.lower() in (*_VALUES, *_TIMES) else one
-            for key, one in channel.items()}  # fmt: skip
+    arrays = {key for key, one in channel.items() if isinstance(one, list) and key.lower() in (*_VALUES, *_TIMES)}
+    return {**channel, **{key: _numbers(channel[key]) for key in arrays}}
 
 
 def _grown(elements: Iterator[Any], places: Sequence[int | None]) -> list[np.ndarray]:

@@ -10,12 +10,10 @@ from split_cli.files import refuse_no_regular_file, sha256_of_file
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.verifying.relabelled import points_against_drives
-from split_cli.workflows.verifying.verification import Verification, VerifiedItem
-from split_cli.workflows.verifying.verification import item as _item
+from split_cli.workflows.verifying.verification import Verification, VerifiedItem, item
 from split_cli.workflows.verifying.verify_files import verify_page, verify_parquet, verify_yaml
 from split_cli.workflows.verifying.verify_folders import (
     in_one_line,
-    is_diagnosis,
     verify_diagnosis,
     verify_drives_folder,
     verify_pages_folder,
@@ -64,7 +62,7 @@ def verify(path: str | Path) -> Verification:
 def _folder(path: Path) -> Verification:
     if not _is_one_output(path):
         return _several(path)
-    if is_diagnosis(path):
+    if (path / "diagnosis.json").is_file():
         return Verification(str(path), "diagnosis", verify_diagnosis(path))
     if not (path / "manifest.json").is_file():
         return Verification(str(path), *verify_pages_folder(path))
@@ -115,8 +113,8 @@ def _set_of_export(folder: Path, whole: bool) -> tuple[VerifiedItem, ...]:
         return ()
     same = [path for path in beside if sha256_of_file(path) == digest]
     good = f"{name} beside it is the one that was exported"
-    item = _item("trained set", bool(same), good, f"{name} beside it is another one: export it again")
-    return (item, *(verify_against_set(folder, read_set(same[0])) if same and whole else ()))
+    compared = item("trained set", bool(same), good, f"{name} beside it is another one: export it again")
+    return (compared, *(verify_against_set(folder, read_set(same[0])) if same and whole else ()))
 
 
 def _is_arrow(path: Path) -> bool:
@@ -144,4 +142,4 @@ def _sources(s: TrainingSet) -> VerifiedItem:
     last = s.sources[-1] if s.sources else None
     counted = last is None or (last.points == s.size and last.cells == s.cell_count)
     good = f"{len(s.sources)} drives, their counts are those of the set"
-    return _item("sources", counted, good, "the counts of its drives are not those of the set")
+    return item("sources", counted, good, "the counts of its drives are not those of the set")

@@ -21,11 +21,6 @@ _VERDICTS = ("match", "mismatch", "undecided")
 _TABLE = "compare.csv"
 
 
-def is_diagnosis(folder: Path) -> bool:
-    """Tell the folder of a diagnosis by its main file."""
-    return (folder / "diagnosis.json").is_file()
-
-
 def verify_diagnosis(folder: Path) -> tuple[VerifiedItem, ...]:
     """Check a diagnosis: its document, the report against it, the vehicles and the gap beside it.
 
