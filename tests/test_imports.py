@@ -269,7 +269,7 @@ def test_the_reader_of_arrows_sees_an_upward_one(file, text, expected):
         ("diagnosis/verdict/findings.py", "from split_cli.diagnosis.search.fitting import Fit", False),
         ("diagnosis/parallel.py", "from split_cli.diagnosis.statement.result import Diagnosis", True),
         ("diagnosis/recording/series.py", "from split_cli.diagnosis.engine import diagnose", True),
-        ("logs/checking/channel_delays.py", "from split_cli.logs.assembling.derive import derive", True),
+        ("logs/checking/channel_delays.py", "from split_cli.logs.assembling.derivations import derive", True),
         ("logs/drafting/trial.py", "from split_cli.logs.checking.checks import Check", False),
         ("logs/drive.py", "from split_cli.logs.checking.checks import Check", True),
     ],

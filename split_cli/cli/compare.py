@@ -71,9 +71,8 @@ def command(models, drives, horizons, exit_code, limits, output, held, as_json) 
     from split_cli.workflows.compare import compare_files
     from split_cli.workflows.comparison_report import write_comparison
 
-    progress = StepBar(len(drives))
-    compared, read, recordings = compare_files(models, drives, horizons, held, progress=progress)
-    progress.close()
+    with StepBar(len(drives)) as progress:
+        compared, read, recordings = compare_files(models, drives, horizons, held, progress=progress)
     if output is not None:
         write_comparison(compared, read, recordings, output)
         click.echo(f"split: report in {Path(output) / 'report.html'}", err=True)

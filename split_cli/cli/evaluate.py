@@ -142,11 +142,10 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
 
     asked = EvaluationSettings(**settings)
     # Labels, each predictor trusted and believed in full, rollouts and noise: no more steps than this.
-    progress = StepBar(len(asked.features) * (1 + 2 * len(asked.predictors)) + 2)
+    steps = len(asked.features) * (1 + 2 * len(asked.predictors)) + 2
     engine, scheduler, jobs = worked
-    with open_engine(engine, jobs=jobs, scheduler=scheduler) as where:
+    with open_engine(engine, jobs=jobs, scheduler=scheduler) as where, StepBar(steps) as progress:
         run = evaluate_files(drives, vehicle_path, asked, set_path, progress=progress, engine=where)
-    progress.close()
     if output is not None:
         from split_cli.workflows.pages import write_evaluation
 

@@ -137,8 +137,8 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
     if output is None:
         raise click.UsageError("Missing option '-o'.")
     settings = IngestSettings(**{one.name: options[one.name] for one in fields(IngestSettings)})
-    progress = StepBar()
-    with open_engine(options["engine"], jobs=options["jobs"], scheduler=options["scheduler"]) as engine:
+    opened = open_engine(options["engine"], jobs=options["jobs"], scheduler=options["scheduler"])
+    with opened as engine, StepBar() as progress:
         run = ingest_logs(
             logs,
             output,
@@ -152,7 +152,6 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
             progress=progress,
             engine=engine,
         )
-    progress.close()
     if options["report"] is not None:
         _write_report(run, vehicle_path, options["report"])
     _tell_what_was_left(logs, output)

@@ -10,7 +10,7 @@ from split_cli.logs.assembling import dead_reckoning
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.assembling.dead_reckoning import lateral_velocity_from_accelerations
 from split_cli.logs.assembling.derivation import DerivationInputs
-from split_cli.logs.assembling.derive import derivation_named
+from split_cli.logs.assembling.derivations import derivation_named
 from tests.factories import road_car
 from tests.logs.planted import PlantedDrive, planted_map
 

@@ -7,7 +7,7 @@ import pytest
 
 from split_cli.errors import MapError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
-from split_cli.logs.assembling.derive import derivation_named
+from split_cli.logs.assembling.derivations import derivation_named
 from split_cli.logs.assembling.derived_motion import velocity_from_pose
 from split_cli.logs.assembling.derived_torque import (
     torque_from_acceleration,

@@ -9,8 +9,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import tests.logs.readers_support as support
 from split_cli.errors import LogError
+from split_cli.logs.readers.cdr_and_ros1 import SerializedDecoder
 from split_cli.logs.readers.definitions import Definitions
-from split_cli.logs.readers.serialized import SerializedDecoder
 
 INTEGERS = {"int8": 8, "uint8": 8, "int16": 16, "uint16": 16, "int32": 32, "uint32": 32, "int64": 64, "uint64": 64}
 KINDS = [*INTEGERS, "float32", "float64", "bool", "string"]

@@ -8,8 +8,8 @@ import pytest
 from split_cli.errors import LogError, MapError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.readers.can import read_databases
+from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import JointRecording
 from tests.logs.planted import UNITS, PlantedDrive, planted_map, write_table
 from tests.optional import needed
 

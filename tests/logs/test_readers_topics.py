@@ -70,7 +70,7 @@ def test_topics_of_cars(tmp_path, storage):
 
 
 def test_only_the_topics_asked_for_are_decoded(tmp_path, monkeypatch):
-    from split_cli.logs.readers.serialized import SerializedDecoder
+    from split_cli.logs.readers.cdr_and_ros1 import SerializedDecoder
 
     planted = support.plant(count=COUNT)
     store = support.ros2_store()

@@ -9,8 +9,8 @@ import pytest
 
 from split_cli.logs.drafting.draft import in_ranges
 from split_cli.logs.drafting.suggest import Draft, Suggestion, draft_map, render_draft
+from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import JointRecording
 from split_cli.logs.signal_map import map_from_mapping, read_map
 from split_cli.signals import find_unit
 from split_cli.workflows.ingesting.init import init_project

@@ -9,8 +9,8 @@ from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.drafting.draft import quoted
 from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.raw import RawSignal, TableRecording, time_column, unit_of_time
+from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import JointRecording
 from split_cli.logs.signal_map import map_from_mapping
 from tests.factories import one_run
 from tests.logs.planted import PlantedDrive, planted_map

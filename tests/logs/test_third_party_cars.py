@@ -7,7 +7,7 @@ from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.assembling.clean import clean_series, isolated_spikes
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.derivation import DerivationInputs
-from split_cli.logs.assembling.derive import DERIVATIONS
+from split_cli.logs.assembling.derivations import DERIVATIONS
 from split_cli.logs.assembling.gather import row_rate_from_path
 from split_cli.logs.checking.checks import NOT_RECORDED
 from split_cli.logs.checking.consistency import check_consistency

@@ -9,8 +9,8 @@ from split_cli.logs.drafting.draft import Draft, Suggestion
 from split_cli.logs.drafting.single_channel import read_sideslip
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.dialect import sniff
+from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import JointRecording
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.init import init_project

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.errors import LogError
-from split_cli.logs.drafting.fields import field_candidates
+from split_cli.logs.drafting.message_fields import field_candidates
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawChannelInfo, RawSignal, TableRecording
 from split_cli.logs.readers.opening import open_recording

@@ -25,7 +25,7 @@ from split_cli.logs.drive import read_drive, write_drive
 from split_cli.logs.presets import preset_path
 from split_cli.logs.readers import can as can_reader
 from split_cli.logs.readers import open_recording
-from split_cli.logs.readers.together import JointRecording
+from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle, write_vehicle
 from split_cli.workflows.info import describe_file

@@ -11,7 +11,7 @@ import numpy as np
 
 from split_cli.errors import MapError
 from split_cli.logs.assembling.derivation import DerivationInputs
-from split_cli.logs.assembling.derive import derivation_named
+from split_cli.logs.assembling.derivations import derivation_named
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 

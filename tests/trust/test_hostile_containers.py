@@ -15,9 +15,9 @@ import zstandard
 from split_cli.errors import LogError, SplitError
 from split_cli.logs.budget import Unfolded
 from split_cli.logs.readers import messages
+from split_cli.logs.readers.cdr_and_ros1 import SerializedDecoder
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.serialized import SerializedDecoder
 from split_cli.workflows.info import describe_file
 from split_cli.workflows.sources import find_sources
 from split_cli.workflows.verifying.verify import verify

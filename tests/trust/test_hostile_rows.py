@@ -18,8 +18,8 @@ from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.frames_csv import frames_of
 from split_cli.logs.readers.guard import GuardedRecording
 from split_cli.logs.readers.json_document import JsonDocument
-from split_cli.logs.readers.objects import JsonDecoder
 from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.readers.protobuf_and_json import JsonDecoder
 
 
 def any_value(rng: random.Random, depth: int = 0):

@@ -12,7 +12,7 @@ from split_cli.files import sha256_of_file
 from split_cli.logs.assembling.clean import USUAL_GAP, join_clock_resets, resumptions
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.derivation import DerivationInputs, Derived
-from split_cli.logs.assembling.derive import DERIVATIONS, can_derive, derivation_named, reachable
+from split_cli.logs.assembling.derivations import DERIVATIONS, can_derive, derivation_named, reachable
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.moving_to_cg import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport

@@ -17,7 +17,7 @@ from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
 from split_cli.logs.checking.relations import ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
-from split_cli.logs.checking.wheels import AXLES, outer_wheels, without_turning
+from split_cli.logs.checking.wheel_speeds import AXLES, outer_wheels, without_turning
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived
 from split_cli.signals import REQUIRED_CHANNELS, STANDARD_GRAVITY

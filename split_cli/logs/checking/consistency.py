@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from split_cli.logs.checking.changed_clock import changed_clock
 from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudged
-from split_cli.logs.checking.clock import changed_clock
 from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
 from split_cli.logs.checking.jumps import speed_jumps

@@ -6,7 +6,12 @@ from dataclasses import replace
 
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.drafting.draft import UNITS_OF
-from split_cli.logs.drafting.fields import asks_by_type, field_candidates, is_no_measurement, is_of_a_command
+from split_cli.logs.drafting.message_fields import (
+    asks_by_type,
+    field_candidates,
+    is_no_measurement,
+    is_of_a_command,
+)
 from split_cli.logs.drafting.nameless import is_of_a_state
 from split_cli.logs.drafting.naming import (
     COMMANDED,
@@ -20,7 +25,7 @@ from split_cli.logs.drafting.naming import (
 )
 from split_cli.logs.drafting.trial import TrialCandidate, names_of
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.drafting.wheels import sums_of_torques
+from split_cli.logs.drafting.wheel_torques import sums_of_torques
 from split_cli.logs.raw import RawChannelInfo, RawRecording, time_column
 from split_cli.signals import find_unit
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.checking.consistency import Consistency
-from split_cli.logs.checking.wheels import AXLES
+from split_cli.logs.checking.wheel_speeds import AXLES
 from split_cli.logs.drafting.draft import UNITS_OF, Suggestion
 from split_cli.logs.drafting.handedness import HANDED, is_heading, path_is_certain
 from split_cli.logs.drafting.trial import Trial

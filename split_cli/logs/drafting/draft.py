@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from split_cli.logs.assembling.conversion import expected_unit
-from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
+from split_cli.logs.assembling.derivations import DERIVATIONS, derivations_for
 from split_cli.signals import REQUIRED_CHANNELS
 
 UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad",

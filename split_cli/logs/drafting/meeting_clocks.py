@@ -6,7 +6,7 @@ import numpy as np
 
 from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.raw import RawSignal, ReadNote
-from split_cli.logs.readers.together import JointRecording
+from split_cli.logs.readers.joint import JointRecording
 
 _RATE = 20.0
 """Of the common grid, ten times what the speed of a car follows [Hz]."""

@@ -10,7 +10,7 @@ from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.steering import is_full_size
-from split_cli.logs.drafting.wheels import note_on_part
+from split_cli.logs.drafting.wheel_torques import note_on_part
 
 _LEAST_OF_A_CAR = 50.0
 """Mass times wheel radius of the lightest car that a person drives: 250 kg on wheels of 0.2 m [kg m]."""

@@ -13,7 +13,6 @@ from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.gather import fitting_presets
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
-from split_cli.logs.drafting.axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.candidates import candidates_of
 from split_cli.logs.drafting.clock import clock_of_rows
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
@@ -33,6 +32,7 @@ from split_cli.logs.drafting.naming import (
     stated_unit,
     words_of,
 )
+from split_cli.logs.drafting.other_axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.single_channel import (
     read_acceleration,
     read_pedal,
@@ -48,7 +48,7 @@ from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity, unit_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.drafting.wheels import PARTS, note_on_engine, torques_alike
+from split_cli.logs.drafting.wheel_torques import PARTS, note_on_engine, torques_alike
 from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, time_column, turned
 from split_cli.logs.readers.named_values import NAMES, VALUES
 from split_cli.signals import find_unit

@@ -11,7 +11,7 @@ from split_cli.logs.checking.checks import LEAST_CORRELATION, NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
-from split_cli.logs.checking.wheels import outer_wheels
+from split_cli.logs.checking.wheel_speeds import outer_wheels
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.handedness import certain_of
 from split_cli.logs.drive import Drive

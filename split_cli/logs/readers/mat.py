@@ -14,7 +14,7 @@ from split_cli.logs import scratch
 from split_cli.logs.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
 from split_cli.logs.readers.mat5_structure import check_mat5
-from split_cli.logs.readers.vectors import VALUE_FIELDS, recording_of_vectors
+from split_cli.logs.readers.named_arrays import VALUE_FIELDS, recording_of_vectors
 from split_cli.logs.scratch import set_aside
 
 _DEEPEST = 8

@@ -12,10 +12,10 @@ import numpy as np
 
 from split_cli.errors import LogError, nearest_names
 from split_cli.logs.raw import Clock, RawChannelInfo, RawSignal, ReadNote, note_once
+from split_cli.logs.readers.cdr_and_ros1 import SerializedDecoder
 from split_cli.logs.readers.definitions import FILLER, Definitions
-from split_cli.logs.readers.objects import JsonDecoder, ProtobufDecoder
 from split_cli.logs.readers.payloads import Columns, PayloadDecoder
-from split_cli.logs.readers.serialized import SerializedDecoder
+from split_cli.logs.readers.protobuf_and_json import JsonDecoder, ProtobufDecoder
 from split_cli.logs.scratch import GrowingColumn, let_go, set_aside
 
 _FLUSH_BYTES = 32 << 20

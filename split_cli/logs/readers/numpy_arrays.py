@@ -12,7 +12,7 @@ import numpy as np
 from split_cli.errors import damaged
 from split_cli.logs.budget import Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote
-from split_cli.logs.readers.vectors import is_time, recording_of_vectors
+from split_cli.logs.readers.named_arrays import is_time, recording_of_vectors
 
 _MAGIC = b"\x93NUMPY"
 _MOST_FILES = 20_000

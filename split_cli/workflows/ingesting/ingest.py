@@ -16,8 +16,8 @@ from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.presets import preset_abouts
 from split_cli.logs.raw import RawChannelInfo, RawRecording
+from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.readers.opening import open_recording
-from split_cli.logs.readers.together import JointRecording
 from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine

@@ -8,10 +8,10 @@ from typing import Any
 
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
-from split_cli.logs.assembling.derive import DERIVATIONS, derivations_for
+from split_cli.logs.assembling.derivations import DERIVATIONS, derivations_for
 from split_cli.logs.drafting.draft import in_ranges, lines_on_presets
 from split_cli.logs.drafting.nameless import has_no_name
-from split_cli.logs.drafting.several import agreed_draft
+from split_cli.logs.drafting.several_logs import agreed_draft
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
