@@ -111,11 +111,14 @@ def tape_with_angles_of_rubber(datasets: Path, folder: Path) -> Drive:
     return replace(tape, columns=columns)
 
 
-def kth_drive(datasets: Path, run: str, folder: Path, *, yaw_rate: str = "can") -> Drive:
-    """Return a run of the Volvo S90 as a drive, with the yaw rate of the CAN bus or of the IMU."""
-    path = folder / f"kth_{run}_{yaw_rate}.parquet"
+def kth_drive(datasets: Path, run: str, folder: Path, *layers: str) -> Drive:
+    """Return a run of the Volvo S90 as a drive, with the yaw rate of the CAN bus.
+
+    Other layers of the map have the yaw rate of the IMU (``imu``), or position and heading (``antennas``).
+    """
+    path = folder / f"{'_'.join(['kth', run, *layers])}.parquet"
     if not path.exists():
-        maps = [MAPS / "kth_s90.yaml", *([MAPS / "kth_imu.yaml"] if yaw_rate == "imu" else [])]
+        maps = [MAPS / "kth_s90.yaml", *(MAPS / f"kth_{layer}.yaml" for layer in layers)]
         ingest_logs([datasets / "kth_s90" / f"S90__{run}.VBO"], path, maps=maps, vehicle_path=KTH_CAR)
     return read_drive(path)
 
@@ -211,13 +214,18 @@ EXPERIMENTS = {
         "the same slalom twice: the yaw rate of the CAN bus is some 40 ms later than the IMU's",
         lambda datasets, folder: (
             kth_drive(datasets, "038", folder),
-            kth_drive(datasets, "038", folder, yaw_rate="imu"),
+            kth_drive(datasets, "038", folder, "imu"),
         ),
         KTH_CAR,
     ),
     "kth-nominal": Experiment(
         "a brochure's car: steering ratio within some 10 %, yaw rate of the CAN bus 40 ms late",
         lambda datasets, folder: (kth_drive(datasets, "038", folder), None),
+        KTH_CAR,
+    ),
+    "kth-antennas": Experiment(
+        "the same with position and heading of two antennas, after which the yaw rate comes 50 ms late",
+        lambda datasets, folder: (kth_drive(datasets, "038", folder, "antennas"), None),
         KTH_CAR,
     ),
     "free-halves": Experiment("nothing: one floor, one car", _halves("free_driving"), DART_CAR),

@@ -51,6 +51,6 @@ def test_halves_of_one_floor_have_no_name(datasets, work):
 
 def test_the_can_yaw_rate_is_some_40_ms_later_than_the_imus(datasets, work):
     """The truth apart from the diagnosis: the shift at which the two yaw rates of one slalom agree best."""
-    can, imu = (kth_drive(datasets, "038", work, yaw_rate=name)["r"] for name in ("can", "imu"))
+    can, imu = (kth_drive(datasets, "038", work, *layers)["r"] for layers in ((), ("imu",)))
     misfit = [np.std(can[20 + k : len(can) - 20 + k] - imu[20 : len(imu) - 20]) for k in range(-10, 11)]
     assert (int(np.argmin(misfit)) - 10) * 10 == pytest.approx(40, abs=10)

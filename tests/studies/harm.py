@@ -256,7 +256,9 @@ def natural_pairs(datasets: Path, folder: Path) -> Iterator[Pair]:
         return written(f"dart_{name}", dart_drive(datasets, name, work))
 
     def kth(run: str, yaw_rate: str) -> Path:
-        return written(f"kth_{run}_{yaw_rate}", kth_drive(datasets, run, work, yaw_rate=yaw_rate))
+        return written(
+            f"kth_{run}_{yaw_rate}", kth_drive(datasets, run, work, *(() if yaw_rate == "can" else (yaw_rate,)))
+        )
 
     for first, second in DART:
         yield Pair(f"DART, {first} → {second}", dart(first), dart(second), str(DART_CAR))
