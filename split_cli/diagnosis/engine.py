@@ -78,6 +78,10 @@ _MUCH_FORM_ERROR = (
     "small effects: halves of the simulation differ by far more than noise, and smaller effects are not "
     "identified; calibrate the vehicle file (split calibrate), or drive both more alike"
 )
+_TAUGHT_LITTLE = (
+    "The simulation has {rows} rows of 0.04 s of driving; {least} are needed to tell what the vehicle file gets "
+    "wrong and by how much two drives of one car differ. Simulate a longer drive."
+)
 _TESTS = 5  # of whether there is a difference, see `_compare`
 
 
@@ -143,6 +147,9 @@ def diagnose(
             *in_sentences(out_of_scale(*positions, rules=policy.screening)),
         ]
         return _undecided(reasons, share, record)
+    taught = sum(len(one.at) for one in case.simulated)
+    if 0 < taught < settings.least_rows:
+        return _undecided([_TAUGHT_LITTLE.format(rows=taught, least=settings.least_rows)], share, record)
     candidates = identifiable(
         build_candidates(vehicle, case.real[0].series),
         [one.series for one in case.real],
@@ -301,11 +308,7 @@ def _compare(
     A sensor that contradicts position or yaw is one, however small the rest.
     """
     policy = outcome.structure.objective.policy
-    structure, selection, usual_autocorrelation = (
-        outcome.structure,
-        outcome.selection,
-        outcome.self_test.autocorrelation,
-    )
+    structure, selection = outcome.structure, outcome.selection
     unnamed = outcome.gap
     if selection.chosen.parts and not any(selection.named):
         # Physics that has a name, and is too small to be called by it, is no difference.
@@ -313,13 +316,14 @@ def _compare(
     line = strongest_line(structure.objective, selection.terms, case.simulated)
     line = line if line is not None and line.effect_to_noise > policy.allowances.unnamed else None
     autocorrelation = residual_autocorrelation(structure, selection.chosen.residuals)
+    usual = outcome.self_test.usual_autocorrelation(autocorrelation.rows)
     ways = [
         unnamed.p_value,
         selection.first_p if any(selection.named) or ends_beyond(selection, policy) else 1.0,
         1.0 if any(selection.named) else _p_of_a_part(selection),
         line.p_value if line else 1.0,
-        autocorrelation.p_value(usual_autocorrelation, policy.self_test)
-        if is_autocorrelated(autocorrelation, usual_autocorrelation, policy)
+        autocorrelation.p_value(usual, policy.self_test)
+        if is_autocorrelated(autocorrelation, usual, policy)
         else 1.0,
     ]
     p_value = 0.0 if contradictions else min(1.0, _TESTS * min(ways))

@@ -238,6 +238,11 @@ def test_a_jump_of_the_speed_that_no_tyres_make_is_left_out_with_a_fifth_of_a_se
     assert cleaned(real, vehicle=road_car())[1] == ()
 
 
+def test_a_simulation_of_less_than_ten_seconds_tells_nothing(real):
+    said = diagnose([real], road_car(), [recorded(2, runs=1).select(np.arange(450))])
+    assert said.verdict == "undecided" and "250 are needed" in said.summary
+
+
 def jumping(time: np.ndarray) -> np.ndarray:
     return time + 3.0 * (np.arange(len(time)) > 1800) - 40.0 * (np.arange(len(time)) > 3000)
 

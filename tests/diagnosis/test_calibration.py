@@ -121,3 +121,10 @@ def test_form_error_is_what_the_halves_show_and_reality_does_not_rule_out():
     assert halves.form_error_inflation_of(gap(80_000.0)) == pytest.approx(1.5 * 20.0)
     # Without a simulation to ask, none is known.
     assert SelfTest().form_error_inflation_of(gap(80_000.0)) == pytest.approx(1.5)
+
+
+def test_of_more_rows_a_flexible_fit_takes_less_of_what_varies_together():
+    assert SelfTest(rows=800, autocorrelation=1.7).usual_autocorrelation(3200) == pytest.approx(2.4)
+    assert SelfTest(rows=800, autocorrelation=1.7).usual_autocorrelation(400) == pytest.approx(1.7)
+    # Where the simulation is white, or nothing is known of it, nothing more is forgiven.
+    assert SelfTest(rows=800).usual_autocorrelation(3200) == SelfTest().usual_autocorrelation(3200) == 1.0

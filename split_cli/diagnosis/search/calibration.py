@@ -60,9 +60,7 @@ class SelfTest:
         """
         if not self.rows:
             return objective
-        rules = objective.policy.self_test
-        rows = sum(int(mask.sum()) for mask in objective.keep)
-        scale = float(np.sqrt(max(rows / self.rows, 1.0)))
+        rules, scale = objective.policy.self_test, self._scale(sum(int(mask.sum()) for mask in objective.keep))
         most = max(self.terms.values(), default=0.0)
         return replace(
             objective,
@@ -75,6 +73,18 @@ class SelfTest:
             witness_floors={term: rules.term_margin * scale * saved for term, saved in self.witnessed.items()},
             part_floors={term: rules.term_margin * scale * saved for term, saved in self.partly.items()},
         )
+
+    def usual_autocorrelation(self, rows: int) -> float:
+        """Return how much so many rows of the simulation vary together beyond a flexible fit, at least 1.
+
+        A flexible fit takes slow parts with it, and of more rows it takes less. What is more than white grows as
+        what is forgiven does: where the simulation is white, nothing does.
+        """
+        return 1.0 + (max(self.autocorrelation, 1.0) - 1.0) * (self._scale(rows) if self.rows else 1.0)
+
+    def _scale(self, rows: int) -> float:
+        """Return by how much more than the judged half so many rows may show: the root, see `allow`."""
+        return float(np.sqrt(max(rows / self.rows, 1.0)))
 
     def form_error_inflation_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
         """Return the variance inflation factor by model-form error: that between the halves, within limits.

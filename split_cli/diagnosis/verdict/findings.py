@@ -276,10 +276,8 @@ def _is_unexplained(
         policy.allowances.large,
         min(selection.form_error_share * outcome.gap.effect_to_noise, selection.above_noise),
     )
-    if (
-        is_autocorrelated(autocorrelation, outcome.self_test.autocorrelation, policy)
-        and autocorrelation.effect_to_noise > large
-    ):
+    usual = outcome.self_test.usual_autocorrelation(autocorrelation.rows)
+    if is_autocorrelated(autocorrelation, usual, policy) and autocorrelation.effect_to_noise > large:
         return True
     if remainder.p_value >= selection.level or remainder.effect_to_noise < least:
         return False
