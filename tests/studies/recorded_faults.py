@@ -136,10 +136,6 @@ class Study:
         lines = self.path.read_text(encoding="utf-8").splitlines() if self.path.exists() else []
         self.rows = [Told(**json.loads(line)) for line in lines]
 
-    def clean(self, pair: str) -> Told:
-        """Return the row of a pair without a fault, with what it promises."""
-        return self.row(Row(pair, "none"))
-
     def row(self, row: Row) -> Told:
         """Return a row, from the file or computed now."""
         for one in self.rows:
@@ -197,8 +193,8 @@ class Study:
         """Return the faults of a row, none for a clean pair; None if one of them cannot be put in."""
         if row.fault == "none":
             return []
-        found = []
-        for one in row.fault.split(" + "):
+        found, parts = [], row.fault.split(" + ")
+        for one in parts:
             name, _, size = one.partition("=")
             value = float(size) if size else row.value
             kinds = faults_for(drive, vehicle, [name])[1:2]
@@ -207,7 +203,8 @@ class Study:
                     replace(one, parameters=tuple((each, value) for each, _ in one.parameters)) for one in kinds
                 ]
             else:
-                promised = {tuple(key.split(":")): least for key, least in self.clean(row.pair).promised.items()}
+                beside = self.row(Row(row.pair, " + ".join(each for each in parts if "=" in each) or "none"))
+                promised = {tuple(key.split(":")): least for key, least in beside.promised.items()}
                 kinds = faults_of_sizes(kinds, promised, [row.multiple])
             if not kinds:
                 return None

@@ -15,7 +15,7 @@ class Row:
         Of `proof.injection.FAULTS`, or ``none``. Several are joined by a plus sign, and are put in in that order:
         what changes the car, then commands, then sensors. ``name=size`` is one of that size.
     multiple : float or None
-        Size over the one that the pair without a fault promises to name.
+        Size over the one that the pair promises to name, with those faults of the row whose size is given.
     value : float or None
         Size, in the unit of the fault, instead.
     """
@@ -81,6 +81,15 @@ LISTS: dict[str, list[Row]] = {
         *_twice("av21, blocks 20", "speed scaled", "steering scaled"),
         *_twice("genesis, halves", "yaw rate scaled", "lateral velocity late"),
     ],
+    "beside": [
+        Row("slippery, blocks", "steering scaled + velocity moved=0.04", 1.5),
+        Row("slippery, blocks", "torque late + velocity moved=0.04", 1.5),
+        Row("free, blocks", "steering late=0.15 + torque scaled", 1.5),
+        Row("free, blocks", "steering late=0.15 + velocity rotated", 1.5),
+        Row("rubber, blocks", "torque scaled=0.6 + steering scaled", 1.5),
+        Row("kth, halves", "steering late=0.16 + velocity rotated", 1.5),
+        Row("tum, blocks", "steering scaled=0.75 + yaw rate late", 1.5),
+    ],
     "several": [
         *_rows(
             "rubber, blocks", ("steering late + yaw rate scaled", 2.0), ("torque scaled + steering scaled", 2.0)
@@ -140,6 +149,7 @@ LISTS: dict[str, list[Row]] = {
 }
 """By name. ``first`` are the 42 faults of docs/records/recorded_faults.md at today's sizes.
 ``second`` has parts and faults that no search had seen when the list was fixed, on 25 November 2026;
-``third`` has recordings, parts and faults of no list before, fixed on 26 November 2026.
+``third`` has recordings, parts and faults of no list before, fixed on 26 November 2026, and ``beside`` faults of
+1.5 times what is promised beside another fault, fixed the same day.
 ``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed,
 and ``several again`` other parts with round sizes, fixed the same day after ``several`` had been run once."""
