@@ -252,7 +252,7 @@ def write_forged_set(training_set: TrainingSet, path: Path, change: Callable[[di
         change(described)
         described["content_sha256"] = content_digest(described, training_set)
         schema = reader.schema.with_metadata({b"split": json.dumps(described).encode()})
-        batches = [reader.get_batch(number) for number in range(reader.num_record_batches)]
+        batches = [reader.get_batch_with_custom_metadata(number) for number in range(reader.num_record_batches)]
     with pa.ipc.new_file(str(path), schema) as writer:
-        for batch in batches:
-            writer.write_batch(batch.replace_schema_metadata(schema.metadata))
+        for batch, beside in batches:
+            writer.write_batch(batch.replace_schema_metadata(schema.metadata), custom_metadata=beside)

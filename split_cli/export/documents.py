@@ -20,9 +20,10 @@ from split_cli.export.provenance import Provenance
 from split_cli.export.tables import Constants, TableData
 from split_cli.files import parse_json
 from split_cli.learning.kernel import Kernel
+from split_cli.learning.label_sums import SUMS
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import kept_share
-from split_cli.prediction.projected import learning_order, process_of_labels
+from split_cli.prediction.projected import learning_order, process_of_labels, sums_over_labels
 
 DOCUMENT_FORMAT = "split-export/2"
 ARRAYS = (
@@ -35,6 +36,8 @@ TABLE_ARRAYS = ("origin", "spacing", "least", "unit", "coefficients")
 _PREFIX = "projected_"
 #: In which order a projected process learned the points; exports of before have none.
 _ORDER = f"{_PREFIX}order"
+#: What all labels of a set told of its points; absent where the set absorbed none.
+_SUMS = tuple(_PREFIX + name for name in (*SUMS, "open_share"))
 _INTEGERS = {"cell_numbers": np.int64, "offsets": np.int64, _ORDER: np.int64, "coefficients": np.int16}
 
 
@@ -108,6 +111,9 @@ def document_of(training_set: TrainingSet, provenance: Provenance, constants: Co
         sources |= {_PREFIX + name: getattr(constants, name) for name in PROJECTION_ARRAYS}
         sources[_ORDER] = learning_order(training_set).astype(np.int64)
         names += (*(_PREFIX + name for name in PROJECTION_ARRAYS), _ORDER)
+        if training_set.information is not None:
+            sources |= dict(zip(_SUMS, sums_over_labels(training_set), strict=True))
+            names += _SUMS
     return Document({name: np.ascontiguousarray(sources[name]) for name in names}, metadata)
 
 
@@ -169,7 +175,8 @@ def _names(metadata: dict[str, Any], present: Container[str]) -> tuple[str, ...]
         return (*ARRAYS, *TABLE_ARRAYS)
     if metadata["predictor"] != "projected":
         return ARRAYS
-    return (*ARRAYS, *(_PREFIX + name for name in PROJECTION_ARRAYS), *([_ORDER] if _ORDER in present else []))
+    later = (name for name in (_ORDER, *_SUMS) if name in present)
+    return (*ARRAYS, *(_PREFIX + name for name in PROJECTION_ARRAYS), *later)
 
 
 def _checked(document: Document, path: Path) -> Document:
@@ -184,6 +191,9 @@ def _checked(document: Document, path: Path) -> Document:
     fits = fits and a["doubt"].shape == (3,)
     fits = fits and a["offsets"].shape == (cells + 1,) and a["offsets"][0] == 0 and a["offsets"][-1] == points
     fits = fits and np.array_equal(np.sort(a.get(_ORDER, np.arange(points))), np.arange(points))
+    if any(name in a for name in _SUMS):
+        expected = [(np.square(np.diff(a["offsets"])).sum(),), (points, 3), (cells,)]
+        fits = fits and [a[name].shape if name in a else None for name in _SUMS] == expected
     if not (fits and (np.diff(a["offsets"]) > 0).all()):
         advice = "Export the set again."
         raise ExportError(f"is not a whole export of format {DOCUMENT_FORMAT}", where=str(path), advice=advice)
@@ -254,6 +264,8 @@ def relearned_error(document: Document, queries: np.ndarray) -> float | None:
     order = a[_ORDER]
     kernel = Kernel(a["length_scales"], a["signal_variance"], a["noise_variance"])
     process = process_of_labels(kernel, a["z"][order], a["y"][order])
+    if _SUMS[0] in a:
+        process.inform(a["z"], a["offsets"], *(a[name] for name in _SUMS))
     own = a | {name: a[_PREFIX + name] for name in PROJECTION_ARRAYS}
     worst = [0.0]
     everywhere = np.concatenate([a["z"], queries])

@@ -90,31 +90,75 @@ def _least(gamma: ndarray, clock: ndarray, n: int, now: float, forgetting: float
 
 
 @compiled(cache=True)
-def _exceeds(
+def _spanned_by(
     z: ndarray, points: ndarray, n: int, inverse_scales: ndarray, inverse: ndarray, k: ndarray, bound: float
-) -> bool:
-    """Return whether 1 - |L^-1 k|^2 exceeds `bound`.
+) -> int:
+    """Return how many of the first of n points leave at most `bound` of 1 - |L^-1 k|^2; n + 1 if none do.
 
     The sum of squares only grows, also in floating point, so a sample is turned away as soon as the partial sum
-    decides; most need two or three of the n points.
+    decides; most need two or three of the n points. `k` (2, M) receives correlations and, below, L^-1 k.
     """
     total = 0.0
     for i in range(n):
-        k[i] = _correlation(points[i], z, inverse_scales)
+        k[0, i] = _correlation(points[i], z, inverse_scales)
         value = 0.0
         for j in range(i + 1):
-            value += inverse[i, j] * k[j]
+            value += inverse[i, j] * k[0, j]
+        k[1, i] = value
         total += value * value
         if 1.0 - total <= bound:
-            return False
-    return 1.0 - total > bound
+            return i + 1
+    return n + 1 if 1.0 - total > bound else n
+
+
+@compiled(cache=True)
+def _span(m: int, inverse: ndarray, k: ndarray) -> None:
+    """Write K^-1 k of the first m points into the first row of `k`, from L^-1 k in the second."""
+    for j in range(m):
+        value = 0.0
+        for i in range(j, m):
+            value += inverse[i, j] * k[1, i]
+        k[0, j] = value
+
+
+@compiled(cache=True)
+def _absorb(m: int, share: ndarray, y: ndarray, information: ndarray, absorbed: ndarray) -> None:
+    """Add a label of the first m points' `share` to the sums of a cell."""
+    for i in range(m):
+        for j in range(m):
+            information[i, j] += share[i] * share[j]
+        for output in range(3):
+            absorbed[i, output] += share[i] * y[output]
+
+
+@compiled(cache=True)
+def _hand_over(slot: int, n: int, share: ndarray, information: ndarray, absorbed: ndarray) -> None:
+    """Give what a cell's sums tell of a point that left `slot` to its n points now, of which it is a `share`."""
+    own = information[slot, slot]
+    for i in range(n):
+        for j in range(i + 1):
+            if i != slot and j != slot:
+                information[i, j] += (
+                    share[i] * information[slot, j] + information[i, slot] * share[j] + own * share[i] * share[j]
+                )
+                information[j, i] = information[i, j]
+    for j in range(n):
+        if j != slot:
+            both = share[slot] * (information[slot, j] + own * share[j])
+            information[slot, j], information[j, slot] = both, both
+    information[slot, slot] = own * share[slot] * share[slot]
+    for output in range(3):
+        left = absorbed[slot, output]
+        absorbed[slot, output] = 0.0
+        for i in range(n):
+            absorbed[i, output] += share[i] * left
 
 
 @compiled(cache=True)
 def update_cells(
-    groups: ndarray, cell_of_group: ndarray, order: ndarray, z_new: ndarray, clock_new: ndarray,
+    groups: ndarray, cell_of_group: ndarray, order: ndarray, z_new: ndarray, y_new: ndarray, clock_new: ndarray,
     inverse_scales: ndarray, threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray,
-    clock: ndarray, origin: ndarray,
+    clock: ndarray, information: ndarray, absorbed: ndarray, origin: ndarray,
 ) -> tuple[ndarray, int, int]:  # fmt: skip
     """Offer samples to their cells, cell by cell, each cell's samples in their order.
 
@@ -124,13 +168,15 @@ def update_cells(
         Samples of group g are ``order[groups[g]:groups[g + 1]]``.
     cell_of_group : ndarray of int64, shape (G,)
     order : ndarray of int64, shape (N,)
-    z_new, clock_new : ndarray, shape (N, D), (N,)
+    z_new, y_new, clock_new : ndarray, shape (N, D), (N, 3), (N,)
     inverse_scales : ndarray, shape (D,)
         Reciprocal length scales.
     threshold, forgetting : float
         Forgetting 0 is off.
     count, z, gamma, clock, origin : ndarray, shape (C,), (C, M, D), (C, M), (C, M), (C, M)
         The cells, altered in place; `origin` receives the sample that fills a slot.
+    information, absorbed : ndarray, shape (C, M, M), (C, M, 3)
+        Sums over all labels, see `TrainingSet`; of shape (C, 0, 0) and (C, 0, 3) where they are not kept.
 
     Returns
     -------
@@ -141,7 +187,8 @@ def update_cells(
     outcome = np.zeros(len(z_new), dtype=np.int8)
     # Only triangles that were written are read; filling the rest costs more than a small cell's update.
     low, inverse = np.empty((capacity, capacity)), np.empty((capacity, capacity))
-    k = np.empty(capacity)
+    k, absorbs = np.empty((2, capacity)), information.shape[1] > 0
+    left = np.empty(z.shape[2])
     repairs = 0
     for group in range(len(cell_of_group)):
         c = cell_of_group[group]
@@ -156,10 +203,14 @@ def update_cells(
                 bound = least if n == capacity else min(threshold, least)
             else:
                 bound = least if n == capacity else threshold
-            if not _exceeds(z_new[sample], z[c], n, inverse_scales, inverse, k, bound):
+            spans = _spanned_by(z_new[sample], z[c], n, inverse_scales, inverse, k, bound)
+            if spans <= n:
+                if absorbs:
+                    _span(spans, inverse, k)
+                    _absorb(spans, k[0], y_new[sample], information[c], absorbed[c])
                 continue
             if n < capacity and (
-                forgetting <= 0.0 or _exceeds(z_new[sample], z[c], n, inverse_scales, inverse, k, threshold)
+                forgetting <= 0.0 or _spanned_by(z_new[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
             ):
                 slot = n
                 count[c] = n + 1
@@ -167,6 +218,7 @@ def update_cells(
             else:
                 outcome[sample] = _REPLACED
             for feature in range(z.shape[2]):  # a row put into another would compile the words of an error
+                left[feature] = z[c, slot, feature]
                 z[c, slot, feature] = z_new[sample, feature]
             clock[c, slot] = clock_new[sample]
             origin[c, slot] = sample
@@ -176,16 +228,25 @@ def update_cells(
                 return outcome, repairs, c
             if jitter > 0:
                 repairs += 1
+            if absorbs:
+                if outcome[sample] == _REPLACED:
+                    _spanned_by(left, z[c], n, inverse_scales, inverse, k, -1.0)
+                    _span(n, inverse, k)
+                    _hand_over(slot, n, k[0], information[c], absorbed[c])
+                information[c, slot, slot] += 1.0
+                for output in range(3):
+                    absorbed[c, slot, output] += y_new[sample, output]
             slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
     return outcome, repairs, -1
 
 
 @compiled(cache=True)
 def update_cell(
-    cell: int, sample: int, time: float, z_new: ndarray, inverse_scales: ndarray, threshold: float,
-    forgetting: float, count: ndarray, z: ndarray, gamma: ndarray, clock: ndarray,
+    cell: int, sample: int, time: float, z_new: ndarray, y_new: ndarray, inverse_scales: ndarray,
+    threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray, clock: ndarray,
+    information: ndarray, absorbed: ndarray,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Offer row `sample` of `z_new` to one cell: `update_cells` for a label alone, to the bit.
+    """Offer row `sample` of `z_new` and `y_new` to one cell: `update_cells` for a label alone, to the bit.
 
     Every array that Python hands over costs some 50 ns, as much as a sixth of the update. So those that only sort
     samples into cells are made here. Returns what became of the sample, the slot of one that was taken, and the
@@ -195,8 +256,9 @@ def update_cell(
     origin = np.full((1, z.shape[1]), -1, dtype=np.int64)
     one = slice(cell, cell + 1)
     outcome, repairs, broken = update_cells(
-        np.arange(2), first, first, z_new[sample : sample + 1], np.full(1, time), inverse_scales, threshold,
-        forgetting, count[one], z[one], gamma[one], clock[one], origin,
+        np.arange(2), first, first, z_new[sample : sample + 1], y_new[sample : sample + 1], np.full(1, time),
+        inverse_scales, threshold, forgetting, count[one], z[one], gamma[one], clock[one], information[one],
+        absorbed[one], origin,
     )  # fmt: skip
     return outcome[0], int(np.argmax(origin[0])), repairs if broken < 0 else -1
 

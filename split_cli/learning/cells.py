@@ -9,6 +9,7 @@ import numpy as np
 from split_cli.errors import NumericalRepairWarning, SetError
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import Kernel
+from split_cli.learning.label_sums import SUMS
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.training_set import SetSource, TrainingSet
@@ -177,11 +178,11 @@ def warm_up() -> None:
 
     whole, one = np.zeros(1, dtype=np.int64), np.ones(2)
     window_errors(one, one, one, one, one, whole, 1, 1.0, np.ones(16), False, one)
-    cells = np.zeros((1, 1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1), dtype=np.int64)
-    update_cells(
-        np.arange(2), whole, whole, np.zeros((1, 1)), np.zeros(1), one[:1], 0.5, 0.0, whole.copy(), *cells
-    )
-    update_cell(0, 0, 0.0, np.zeros((1, 1)), one[:1], 0.5, 0.0, whole.copy(), *cells[:3])
+    z, y = np.zeros((1, 1)), np.zeros((1, 3))
+    cells = np.zeros((1, 1, 1)), z.copy(), z.copy(), np.zeros((1, 1, 1)), np.zeros((1, 1, 3))
+    origin = np.zeros((1, 1), dtype=np.int64)
+    update_cells(np.arange(2), whole, whole, z, y, z[0], one[:1], 0.5, 0.0, whole.copy(), *cells, origin)
+    update_cell(0, 0, 0.0, z, y, one[:1], 0.5, 0.0, whole.copy(), *cells)
     cell_number(np.zeros(1), one, np.ones((5, 1)), 62)
 
 
@@ -218,8 +219,11 @@ class _Cells:
 
         self.set = training_set
         self.update_cell = update_cell
-        #: What `offer_sample` offers, shape (1, D) and (3,): always the same arrays, of one type to the compiler.
-        self.sample, self.label = np.zeros((1, len(training_set.features.names))), np.zeros(3)
+        #: What `offer_sample` offers, (1, D) and (1, 3): always the same arrays, of one type to the compiler.
+        self.sample, self._labels = np.zeros((1, len(training_set.features.names))), np.zeros((1, 3))
+        self.label = self._labels[0]
+        #: Sums over all labels would not forget those that a point outlives.
+        self.absorbs = training_set.forgetting is None
         self.inverse_scales = 1.0 / training_set.kernel.length_scales
         self.base = [0.0]  # clock of learning at which each source begins, and at last where the next will
         for source in training_set.sources:
@@ -227,7 +231,8 @@ class _Cells:
         self.numbers = training_set.cell_numbers.tolist()
         self.position = {number: index for index, number in enumerate(self.numbers)}
         self.count = np.diff(training_set.offsets).astype(np.int64)
-        self.slots = {name: self._blank(name, len(self.numbers)) for name in (*_POINT_ARRAYS, "clock")}
+        names = (*_POINT_ARRAYS, "clock", *SUMS)
+        self.slots = {name: self._blank(name, len(self.numbers)) for name in names}
         #: Which of the samples offered together each slot was written from; -1 between offers.
         self.origin = np.full((len(self.numbers), training_set.capacity), -1, dtype=np.int64)
         filled = self._filled()
@@ -236,8 +241,14 @@ class _Cells:
         starts = np.array([source.start_time for source in training_set.sources])
         begin = np.array(self.base[:-1]) - starts
         self.slots["clock"][filled] = begin[training_set.source] + training_set.t
+        if self.absorbs:
+            information, absorbed = training_set.sums()
+            self.slots["information"][_pairs(filled)], self.slots["absorbed"][filled] = information, absorbed
 
     def _blank(self, name: str, cells: int) -> np.ndarray:
+        if name in SUMS:
+            room = self.set.capacity if self.absorbs else 0
+            return np.zeros((cells, room, 3 if name == "absorbed" else room))
         like = self.set.t if name == "clock" else getattr(self.set, name)
         return np.zeros((cells, self.set.capacity, *like.shape[1:]), dtype=like.dtype)
 
@@ -296,6 +307,7 @@ class _Cells:
             cells,
             order,
             z,
+            labels.y[rows],
             begin + t,
             self.inverse_scales,
             self.set.threshold,
@@ -304,6 +316,8 @@ class _Cells:
             self.slots["z"],
             self.slots["gamma"],
             self.slots["clock"],
+            self.slots["information"],
+            self.slots["absorbed"],
             self.origin,
         )
         # Only cells that were offered something can have changed.
@@ -330,8 +344,9 @@ class _Cells:
             position = self._new_cell(number)
         slots = self.slots
         became, slot, repairs = self.update_cell(
-            position, 0, begin + t, self.sample, self.inverse_scales, self.set.threshold,
+            position, 0, begin + t, self.sample, self._labels, self.inverse_scales, self.set.threshold,
             self.set.forgetting or 0.0, self.count, slots["z"], slots["gamma"], slots["clock"],
+            slots["information"], slots["absorbed"],
         )  # fmt: skip
         if repairs:
             self._check(drive, max(repairs, 0), -1 if repairs > 0 else position)
@@ -385,5 +400,14 @@ class _Cells:
         order = np.argsort(numbers)
         filled = self._filled()[order]
         arrays = {name: self.slots[name][order][filled] for name in _POINT_ARRAYS}
+        if self.absorbs:
+            arrays["information"] = self.slots["information"][order][_pairs(filled)]
+            arrays["absorbed"] = self.slots["absorbed"][order][filled]
         offsets = np.concatenate([[0], np.cumsum(self.count[order])])
         return replace(self.set, cell_numbers=numbers[order], offsets=offsets, sources=sources, **arrays)
+
+
+def _pairs(filled: np.ndarray) -> np.ndarray:
+    """Return which pairs of slots are filled, shape (C, M, M), of filled slots (C, M)."""
+    both: np.ndarray = filled[:, :, None] & filled[:, None, :]
+    return both

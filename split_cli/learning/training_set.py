@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,16 @@ from split_cli.errors import SetError, VehicleError
 from split_cli.files import atomic_path, parse_json
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
+from split_cli.learning.label_sums import SUMS, read_sums, sums_by_cell
 from split_cli.learning.region import Grid, Region, valid_cells
 from split_cli.learning.set_limits import FOUND, check_header, check_points
 from split_cli.learning.trust import Trust
 from split_cli.vehicle.parameters import EffectSpec, Vehicle, vehicle_from_mapping, vehicle_to_mapping
 
-SET_FORMAT = "split-set/2"
-_READABLE = (SET_FORMAT, "split-set/1")  # the first one knew no trust: all of it
+SET_FORMAT = "split-set/3"
+_WITHOUT_SUMS = "split-set/2"  # written where nothing was absorbed, and by versions that absorbed nothing
+_WITHOUT_TRUST = "split-set/1"  # all of it
+_READABLE = (SET_FORMAT, _WITHOUT_SUMS, _WITHOUT_TRUST)
 _RETRAIN = "Train it again with `split train`."
 _GAIN_TOLERANCE = 1e-9  # of gains between 0 and 1: LAPACK's inverse against the factors that learning keeps
 _JITTER = 1e-10  # the largest that learning adds to a kernel matrix
@@ -110,6 +114,12 @@ class TrainingSet:
         How far each output is believed; every predictor and every export applies it.
     found_effects : int
         How many effects, the last of `vehicle`, training found beyond the vehicle file (scoring/torque_lag.py).
+    information : ndarray, shape (sum of n^2,), or None
+        Sums of e e^T over the labels of each cell of n points, the matrices of its cells one after another: a
+        label at z tells of e.f, with f the process at the points and e = K^-1 k(z) [1]. None where a set absorbs
+        no label beyond its points: with forgetting, by `iol`, and in files of before.
+    absorbed : ndarray, shape (P, 3), or None
+        Sums of e y^T over the same labels, in the units of y.
     """
 
     vehicle: Vehicle
@@ -134,6 +144,8 @@ class TrainingSet:
     learner: str = "split"
     trust: Trust = field(default_factory=Trust.full)
     found_effects: int = 0
+    information: np.ndarray | None = None
+    absorbed: np.ndarray | None = None
 
     @property
     def nominal_vehicle(self) -> Vehicle:
@@ -159,8 +171,15 @@ class TrainingSet:
     @property
     def nbytes(self) -> int:
         """Memory of the points and cells [bytes]."""
-        names = ("cell_numbers", "offsets", *_POINT_FIELDS)
-        return sum(getattr(self, name).nbytes for name in names)
+        names = ("cell_numbers", "offsets", *_POINT_FIELDS, *SUMS)
+        return sum(values.nbytes for name in names if (values := getattr(self, name)) is not None)
+
+    def sums(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return `information` and `absorbed`; where there are none, those of the points' own labels."""
+        if self.information is not None and self.absorbed is not None:
+            return self.information, self.absorbed
+        counts = np.diff(self.offsets).tolist()
+        return np.concatenate([np.zeros(0), *(np.eye(n).ravel() for n in counts)]), self.y
 
     def valid_share(self) -> float | None:
         """Return the share of the valid region's cells that hold points; None for features other than z2."""
@@ -183,11 +202,12 @@ def write_set(training_set: TrainingSet, path: str | Path) -> None:
     metadata = {b"split": json.dumps(described, sort_keys=True, allow_nan=False).encode()}
     schema = _schema(training_set.features).with_metadata(metadata)
     columns = _columns(training_set)
-    table = pa.table([pa.array(columns[name]) for name in schema.names], schema=schema)
+    batch = pa.record_batch([pa.array(columns[name]) for name in schema.names], schema=schema)
+    beside = sums_by_cell(training_set.information, training_set.absorbed, training_set.offsets)
     offsets = training_set.offsets.tolist()
     with atomic_path(path) as temporary, pa.ipc.new_file(str(temporary), schema) as writer:
-        for first, last in zip(offsets[:-1], offsets[1:], strict=True):
-            writer.write_table(table.slice(first, last - first))
+        for cell, (first, last) in enumerate(pairwise(offsets)):
+            writer.write_batch(batch.slice(first, last - first), custom_metadata=beside[cell] if beside else None)
 
 
 def read_set(path: str | Path, *, kernel_numbers: float = NUMBERS_WHEN_READ) -> TrainingSet:
@@ -274,6 +294,8 @@ class SetFile:
         if not all(lengths) or not np.array_equal(np.repeat(numbers[first], lengths), numbers):
             raise self._damaged("a batch is not one cell")
         try:
+            if self._described["format"] == SET_FORMAT:
+                points |= read_sums(self._reader, lengths)
             check_points(self._described, lengths, points, len(self.header.sources))
         except ValueError as error:
             raise self._damaged(str(error)) from error
@@ -343,7 +365,7 @@ def _describe(training_set: TrainingSet) -> dict[str, Any]:
     """Return everything but the points, as the file's metadata holds it; infinite bounds as null."""
     s = training_set
     return {
-        "format": SET_FORMAT,
+        "format": _WITHOUT_SUMS if s.information is None else SET_FORMAT,
         "vehicle": vehicle_to_mapping(s.vehicle),
         "vehicle_digest": s.vehicle.digest(),
         "features": list(s.features.names),
@@ -417,7 +439,7 @@ def _header_from(described: Mapping[str, Any]) -> TrainingSet:
         source=np.empty(0, dtype=np.int16),
         row=np.empty(0, dtype=np.int64),
         sources=tuple(_source_from(source) for source in described["sources"]),
-        trust=Trust(**described["trust"]) if described["format"] == SET_FORMAT else Trust.full(),
+        trust=Trust.full() if described["format"] == _WITHOUT_TRUST else Trust(**described["trust"]),
     )
 
 
@@ -470,7 +492,8 @@ def wrong_gains(training_set: TrainingSet, kernel_numbers: float = np.inf) -> in
 def content_digest(described: Mapping[str, Any], training_set: TrainingSet) -> str:
     """Return the SHA-256 that a set's file keeps of its header, without the digest itself, and of its points."""
     digest = hashlib.sha256(json.dumps(described, sort_keys=True, allow_nan=False).encode())
-    for name, values in _columns(training_set).items():
+    sums = {name: values for name in SUMS if (values := getattr(training_set, name)) is not None}
+    for name, values in (_columns(training_set) | sums).items():
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(values).tobytes())
     return digest.hexdigest()

@@ -50,4 +50,5 @@ def _reduced(s: TrainingSet, capacity: int) -> TrainingSet:
     offsets = np.array([0, len(dictionary)], dtype=np.int64)
     # The dense process reads points, labels and kernel only.
     z, y = dictionary.z.copy(), dictionary.y.copy()
-    return replace(s, offsets=offsets, cell_numbers=np.zeros(1, dtype=np.int64), z=z, y=y)
+    cell = np.zeros(1, dtype=np.int64)
+    return replace(s, offsets=offsets, cell_numbers=cell, z=z, y=y, information=None, absorbed=None)

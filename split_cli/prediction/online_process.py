@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.online import OnlineSet
@@ -138,6 +140,51 @@ class OnlineProcess:
                 at, label, self.count, self._signal, self._ratio, self._threshold, self._points, self._inverse,
                 self._weights, self._learned, self._unspanned,
             )  # fmt: skip
+
+    def inform(
+        self,
+        z: np.ndarray,
+        offsets: np.ndarray,
+        information: np.ndarray,
+        absorbed: np.ndarray,
+        open_share: np.ndarray,
+    ) -> None:
+        """Know what all labels of a set tell, in place of the labels learned so far; the points stay.
+
+        Parameters
+        ----------
+        z, offsets, information, absorbed : ndarray
+            As of a `TrainingSet` that absorbs.
+        open_share : ndarray, shape (C,)
+            Of each cell, the gain up to which labels were rejected [1]. It counts as their noise.
+
+        Notes
+        -----
+        A label of a cell tells of e.f, with f the process at the cell's points. By the points that span, f is
+        C Q f_u, with C its correlations with them. With K = L L^T of the points, X = L^-1 C^T, A and B the cell's
+        sums of e e^T and e y^T, and rho its noise, H is the sum of X A X^T/rho and h that of X B/rho. Then the
+        weights are L^-T (1 + H)^-1 h and T is L^-T ((1 + H)^-1 - 1) L^-1: the projected process of Seeger,
+        Williams and Lawrence (AISTATS 2003), each label projected on its cell first.
+        """
+        n, begin = self.count, 0
+        points, scaled = self._points[:n], z / self._scales
+        lower = np.linalg.cholesky(np.exp(-0.5 * np.square(points[:, None] - points).sum(axis=2)))
+        known, right = np.zeros((3, n, n)), np.zeros((3, n))
+        for cell, (first, last) in enumerate(pairwise(offsets.tolist())):
+            end = begin + (last - first) ** 2
+            own, begin = information[begin:end].reshape(last - first, -1), end
+            cross = np.exp(-0.5 * np.square(points[:, None] - scaled[first:last]).sum(axis=2))
+            x, noise = solve_triangular(lower, cross, lower=True), self._ratio + open_share[cell]
+            known += (x @ own @ x.T) / noise[:, None, None]
+            right += (x @ absorbed[first:last]).T / noise[:, None]
+        white = solve_triangular(lower, np.eye(n), lower=True)
+        self._inverse[:n, :n] = np.tril(white.T @ white)
+        for output in range(3):
+            values, vectors = np.linalg.eigh(known[output])
+            values = np.maximum(values, 0.0)  # sums of squares: below zero is rounding
+            turned = white.T @ vectors
+            self._learned[output, :n, :n] = np.tril(-(turned * (values / (1.0 + values))) @ turned.T)
+            self._weights[output, :n] = turned @ (vectors.T @ right[output] / (1.0 + values))
 
     def along(self, z: np.ndarray, certainty: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mean (N, 3), latent variance (N, 3) and the mean's Jacobian (N, 3, D) at `z`, shape (N, D).

@@ -12,9 +12,27 @@ from split_cli.prediction.predictor import Prediction, Predictor
 def process_of(
     training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None
 ) -> OnlineProcess:
-    """Return the online process after the points of a set, in order of time; parameters as of `OnlineProcess`."""
+    """Return the online process after all labels of a set; parameters as of `OnlineProcess`.
+
+    The points learned in order of time tell which of them span the process. What it knows are then the sums that
+    cells keep over all their labels, where they keep them.
+    """
     order = learning_order(training_set)
-    return process_of_labels(training_set.kernel, training_set.z[order], training_set.y[order], most, threshold)
+    process = process_of_labels(training_set.kernel, training_set.z[order], training_set.y[order], most, threshold)
+    if training_set.information is not None and training_set.size:
+        process.inform(training_set.z, training_set.offsets, *sums_over_labels(training_set))
+    return process
+
+
+def sums_over_labels(training_set: TrainingSet) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the sums over a set's labels, and of each cell (C,) the gain up to which it rejects a label [1].
+
+    That is the threshold where a cell has room, and its least gain where it has none: more has been kept.
+    """
+    s = training_set
+    counts = np.diff(s.offsets)
+    least = np.minimum.reduceat(s.gamma, s.offsets[:-1]) if s.size else np.zeros(0)
+    return *s.sums(), np.where(counts < s.capacity, s.threshold, np.maximum(least, s.threshold))
 
 
 def learning_order(training_set: TrainingSet) -> np.ndarray:

@@ -115,8 +115,11 @@ def our_update(stream: Stream) -> Row:
     numbers = s.grid.pack(s.grid.index(stream.z)[0])
     cells = np.unique(numbers, return_inverse=True)[1].tolist()
     shape = (max(cells) + 1, s.capacity)
-    settings = (stream.z, 1.0 / s.kernel.length_scales, s.threshold, 0.0)
-    state = (np.zeros(shape[0], dtype=np.int64), np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape))
+    settings = (stream.z, stream.y, 1.0 / s.kernel.length_scales, s.threshold, 0.0)
+    state = (
+        np.zeros(shape[0], dtype=np.int64), np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape),
+        np.zeros((*shape, s.capacity)), np.zeros((*shape, 3)),
+    )  # fmt: skip
     times = []
     for sample, cell in enumerate(cells):
         became: list[int] = []

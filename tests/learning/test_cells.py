@@ -43,7 +43,50 @@ def random_walk(count: int, dimension: int, seed: int) -> np.ndarray:
 
 def same_sets(a: TrainingSet, b: TrainingSet) -> bool:
     names = ("cell_numbers", "offsets", "z", "y", "gamma", "t", "source", "row")
-    return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in names)
+    alike = all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in names)
+    return alike and all(one.tobytes() == other.tobytes() for one, other in zip(a.sums(), b.sums(), strict=True))
+
+
+def plain_sums(
+    z: np.ndarray, y: np.ndarray, scales: np.ndarray, capacity: int, threshold: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the sums of one cell as `TrainingSet` defines them, by dense solves at every label: the slow way."""
+    points, information, absorbed = np.zeros((0, z.shape[1])), np.zeros((0, 0)), np.zeros((0, 3))
+    for at, label in zip(z, y, strict=True):
+        n, k = len(points), correlation(points, at[None], scales)[:, 0]
+        kernel = correlation(points, points, scales)
+        gains = 1.0 / np.diag(np.linalg.inv(kernel))
+        bound = gains.min() if n == capacity else threshold
+        shares = [np.linalg.solve(kernel[:i, :i], k[:i]) for i in range(1, n + 1)]
+        spans = next((e for e in shares if 1.0 - k[: len(e)] @ e <= bound), None)
+        if spans is not None:
+            e = np.pad(spans, (0, n - len(spans)))
+        elif n < capacity:
+            points, e = np.vstack([points, at]), np.append(np.zeros(n), 1.0)
+            information, absorbed = np.pad(information, (0, 1)), np.pad(absorbed, ((0, 1), (0, 0)))
+        else:
+            slot = int(np.argmin(gains))
+            old, points[slot] = points[slot].copy(), at
+            kernel, left = correlation(points, points, scales), correlation(points, old[None], scales)[:, 0]
+            told, e = np.eye(n), np.eye(n)[slot]
+            told[slot] = np.linalg.solve(kernel, left)
+            information, absorbed = told.T @ information @ told, told.T @ absorbed
+        information, absorbed = information + np.outer(e, e), absorbed + np.outer(e, label)
+    return information, absorbed
+
+
+def test_a_cell_absorbs_every_label_as_the_plain_sums_do():
+    """Also those that it rejects, and what a point knew that was replaced."""
+    rng = np.random.default_rng(4)
+    z, y, grid = rng.uniform(0.0, 1.0, (300, 2)), rng.normal(size=(300, 3)), unbounded_grid((1.0, 1.0))
+    kernel = Kernel(np.full(2, 0.6), np.ones(3), np.full(3, 0.01))
+    features = FeatureSet(("vx", "vy"))
+    labels = [make_labels(z, y, CAR, features=features)]
+    trained = learn(labels, vehicle=CAR, grid=grid, kernel=kernel, capacity=6, threshold=1e-2)
+    assert trained.sources[0].replacements >= 5 and trained.sources[0].rejected["gain"] > 200
+    information, absorbed = plain_sums(z, y, kernel.length_scales, 6, 1e-2)
+    np.testing.assert_allclose(trained.information.reshape(6, 6), information, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(trained.absorbed, absorbed, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize(

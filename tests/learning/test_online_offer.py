@@ -8,6 +8,7 @@ import pytest
 from split_cli.errors import SetError
 from split_cli.learning._compiled import cell_number
 from split_cli.learning.cells import extend, without_points
+from split_cli.learning.label_sums import SUMS
 from split_cli.learning.labels import Reason
 from split_cli.learning.online import OnlineSet
 from tests.factories import make_labels, make_training_set, valid_features
@@ -39,7 +40,7 @@ def test_numbers_alone_make_the_set_that_the_labels_make(empty, labels):
     offline = extend(empty, [labels])
     for online in (alone, by_label):
         made = online.end_drive(labels.duration)
-        for name in ("cell_numbers", "offsets", "z", "y", "gamma", "t", "row", "source"):
+        for name in ("cell_numbers", "offsets", "z", "y", "gamma", "t", "row", "source", *SUMS):
             assert np.array_equal(getattr(made, name), getattr(offline, name)), name
         for name in ("samples", "accepted", "rejected", "insertions", "replacements"):
             assert getattr(made.sources[0], name) == getattr(offline.sources[0], name), name

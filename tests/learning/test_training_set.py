@@ -136,10 +136,10 @@ def test_another_version_and_other_files_are_refused_with_advice(trained, tmp_pa
             writer.write_table(changed)
 
     for change, message in (
-        ({"format": "split-set/9"}, r"format 'split-set/9', this version reads 'split-set/2'.*split train"),
+        ({"format": "split-set/9"}, r"format 'split-set/9', this version reads 'split-set/3'.*split train"),
         ({"region": {"p": 1}}, "header is damaged"),
         ({"features": ["alpha_f"]}, "header is damaged"),
-        ({"threshold": 0.5}, "a batch is not one cell|does not match the digest"),
+        ({"threshold": 0.5}, "a batch is not one cell|lacks its sums"),
     ):
         rewrite(change)
         with pytest.raises(SetError, match=message):
