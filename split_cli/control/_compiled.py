@@ -3,13 +3,14 @@
 import numba
 import numpy as np
 
-_TERMS = 10
-#: The Taylor series of 10 terms leaves 1e-12 where the scaled matrix has this norm.
-_NORM = 0.25
+_TERMS = 14
+#: The Taylor series of 14 terms leaves 1e-13 where the scaled matrix has this norm.
+_NORM = 1.0
 
 
 @numba.njit(cache=True)
 def _multiply(a, b, out):
+    """Write a b into out; zeros of a cost nothing."""
     n = a.shape[0]
     for i in range(n):
         for j in range(n):
@@ -22,10 +23,19 @@ def _multiply(a, b, out):
 
 
 @numba.njit(cache=True)
+def _with_identity(a, g, e):
+    """Write E = I + A G into e."""
+    _multiply(a, g, e)
+    for row in range(a.shape[0]):
+        e[row, row] += 1.0
+
+
+@numba.njit(cache=True)
 def discretize(A, step):
     """Return exp(A h), shape (N, n, n), and int_0^h exp(A s) ds, shape (N, n, n), by scaling and squaring.
 
-    With G(t) = int_0^t exp(A s) ds and E = I + A G: G(2 t) = G(t) + E(t) G(t).
+    With G(t) = int_0^t exp(A s) ds and E = I + A G: G(2 t) = G(t) + E(t) G(t). Most of A is zero, and so it is the
+    left factor wherever it may be.
     """
     count, n = A.shape[0], A.shape[1]
     E, G = np.empty_like(A), np.empty_like(A)
@@ -43,7 +53,7 @@ def discretize(A, step):
             halvings += 1
         t = step / 2.0**halvings
         M[:] = A[i] * t
-        g = G[i]
+        g, e = G[i], E[i]
         # G/t = I + M/2! + M^2/3! + ...
         power[:] = 0.0
         g[:] = 0.0
@@ -51,7 +61,7 @@ def discretize(A, step):
             power[row, row] = 1.0
             g[row, row] = 1.0
         for term in range(2, _TERMS + 2):
-            _multiply(power, M, work)
+            _multiply(M, power, work)
             for row in range(n):
                 for column in range(n):
                     power[row, column] = work[row, column] / term
@@ -59,15 +69,11 @@ def discretize(A, step):
         for row in range(n):
             for column in range(n):
                 g[row, column] *= t
-        e = E[i]
-        _multiply(A[i], g, e)
-        for row in range(n):
-            e[row, row] += 1.0
         for _ in range(halvings):
+            _with_identity(A[i], g, e)
             _multiply(e, g, work)
             for row in range(n):
                 for column in range(n):
                     g[row, column] += work[row, column]
-            _multiply(e, e, work)
-            e[:] = work
+        _with_identity(A[i], g, e)
     return E, G

@@ -61,6 +61,12 @@ class ControlModel:
     VehicleError
         If a term has a delay or a play, which this controller does not follow, or reads time or track position.
 
+    Attributes
+    ----------
+    scale : ndarray, shape (n,)
+        Size of the states on a drive, in their units. In these units the rates of a state are alike, and an
+        exponential takes few squarings.
+
     Notes
     -----
     x' = f(x, u) + B_d g(z(x)) is linearised, A = df/dx + B_d dg/dz dz/dx, and solved exactly over h with the
@@ -86,6 +92,11 @@ class ControlModel:
         if compile_c:
             self._stage, self.not_compiled = compiled(self._stage)
         self._batches: dict[int, Batch] = {}
+        torque = max(vehicle.max_torque, vehicle.max_brake_torque)
+        # Terms' states are torques, angles and forces; the size each takes on a drive is not known before.
+        size = np.abs(self.steady_states(np.array([0, 0, 0, 10.0, 0.1, 0.1, 0.3 * torque, 0.05])))[8:]
+        self.scale = np.concatenate([[1.0, 1.0, 0.1, 1.0, 1.0, 1.0, torque, 0.1], np.maximum(size, 1e-2)])
+        self._units = self.scale / self.scale[:, None]
 
     def steady_states(self, x: np.ndarray) -> np.ndarray:
         """Return the state, shape (n,), whose first eight entries are `x`, with the terms' states settled."""
@@ -105,7 +116,8 @@ class ControlModel:
         f[:, 6:8] = u
         f[:, 3:6] += found.mean
         A[:, 3:6, :] += np.einsum("kij,kjn->kin", found.slope, z_slope)
-        E, G = discretize(A, self.step)
+        E, G = discretize(A * self._units, self.step)
+        E, G = E / self._units, G / self._units
         x[:, 3] = kept
         following = x + np.einsum("kij,kj->ki", G, f)
         B, curve = np.ascontiguousarray(G[:, :, 6:8]), curve.reshape(-1, 2, 3)

@@ -6,7 +6,7 @@ has one signed slack s with the cost w s^2: lower <= C x + s <= upper.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi
@@ -89,9 +89,8 @@ class StageQP:
         N.
     states, inputs, rows : int
         n, m, g.
-    attempts : sequence of (str, int)
-        HPIPM's modes, tried one after the other until an answer is accepted, each with the most iterations of the
-        interior point method; the paper's are 40.
+    attempts : sequence of mapping
+        Settings of HPIPM, tried one after the other until an answer is accepted.
 
     Notes
     -----
@@ -102,12 +101,12 @@ class StageQP:
     """
 
     def __init__(
-        self, horizon: int, states: int, inputs: int, rows: int, attempts: Sequence[tuple[str, int]] = ATTEMPTS
+        self, horizon: int, states: int, inputs: int, rows: int, attempts: Sequence[Mapping] = ATTEMPTS
     ) -> None:
         self.horizon, self.states, self.inputs, self.rows = horizon, states, inputs, rows
         self._layout()
         self._pattern_of_programme()
-        self._solvers = [_Bound(self._build_solver(*one), self._h, self._a) for one in attempts]
+        self._solvers = [_Bound(self._build_solver(one), self._h, self._a) for one in attempts]
 
     def _layout(self) -> None:
         """Number the variables and rows of the whole programme."""
@@ -150,7 +149,7 @@ class StageQP:
         self._a[minus], self._a[plus] = -1.0, 1.0
         self._sparsity = {"h": h, "a": a}
 
-    def _build_solver(self, mode: str, iterations: int) -> casadi.Function:
+    def _build_solver(self, settings: Mapping) -> casadi.Function:
         N, n, m, g = self.horizon, self.states, self.inputs, self.rows
         options = {
             "N": N,
@@ -160,7 +159,7 @@ class StageQP:
             "inf": FREE,
             "error_on_fail": False,
             "print_time": False,
-            "hpipm": {"iter_max": iterations, "mode": mode},
+            "hpipm": dict(settings),
         }
         return casadi.conic("programme", "hpipm", self._sparsity, options)
 

@@ -131,15 +131,9 @@ class RecedingController(ABC):
         self.n_model = model.states
         self.n = model.states + self.EXTRA_STATES
         self.m = 2 + self.EXTRA_INPUTS
-        torque = max(actuators.max_torque, actuators.max_brake_torque)
-        self.x_scale = np.ones(self.n)
-        self.x_scale[[2, 6, 7]] = 0.1, torque, 0.1
-        if model.memory:
-            # Terms' states are torques, angles and forces; the size each takes on a drive is not known before.
-            size = np.abs(model.steady_states(np.array([0, 0, 0, 10.0, 0.1, 0.1, 0.3 * torque, 0.05])))[8:]
-            self.x_scale[8 : self.n_model] = np.maximum(size, 1e-2)
+        self.x_scale = np.concatenate([model.scale, np.ones(self.EXTRA_STATES)])
         self.u_scale = np.ones(self.m)
-        self.u_scale[0] = torque
+        self.u_scale[0] = max(actuators.max_torque, actuators.max_brake_torque)
         self.programme = StageQP(horizon, self.n, self.m, 1 + SLIP_ROWS)
         self.grip = np.ones(2)
         self.load_shift = load_shift(model.vehicle)

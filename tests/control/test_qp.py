@@ -108,7 +108,8 @@ def test_the_fast_mode_answers_as_the_safe_one(seed):
 
 def test_the_safe_mode_answers_where_the_fast_one_does_not():
     """Without any iteration there is no answer."""
-    data, ((fast, _), safe) = programme(5), ATTEMPTS
-    assert not StageQP(4, 3, 2, 2, attempts=[(fast, 0)]).solve(data).solved
-    found, expected = StageQP(4, 3, 2, 2, attempts=[(fast, 0), safe]).solve(data), StageQP(4, 3, 2, 2).solve(data)
+    data, (fast, safe) = programme(5), ATTEMPTS
+    none = {**fast, "iter_max": 0}
+    assert not StageQP(4, 3, 2, 2, attempts=[none]).solve(data).solved
+    found, expected = StageQP(4, 3, 2, 2, attempts=[none, safe]).solve(data), StageQP(4, 3, 2, 2).solve(data)
     assert found.solved and found.u == pytest.approx(expected.u, abs=1e-4)

@@ -139,6 +139,7 @@ class TrueModel:
         self.observed: np.ndarray | None = None
         self.begin = self.end = np.zeros(_compiled.STATE_SIZE)
         self.residual = self.file.residual
+        self.scale = np.concatenate([self.file.scale, SCALE])
 
     def steady_states(self, x: np.ndarray) -> np.ndarray:
         """Return the reduced state about [X, Y, yaw, v_x, v_y, r, T, delta] with tyres and suspension settled."""
@@ -176,7 +177,6 @@ class TrueRace(Race):
         s, before = self.settings, self.controller
         self.model = TrueModel(self.vehicle, self.car, self.mpcc.horizon, self.mpcc.step, s.grip)
         self.controller = Mpcc(self.model, self.path, self.actuators, self.mpcc, self.width)
-        self.controller.x_scale[8:SIZE] = SCALE
         self.controller.deviation = before.deviation
         self._take_grip(np.array(TRACKS[s.track][1]))
         self.model.begin = self.world.state.copy()
