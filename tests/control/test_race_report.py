@@ -51,7 +51,7 @@ def test_the_page_holds_the_laps_and_loads_nothing():
     assert not re.search(r"""(src|href)=["']?(?!data:)[a-z]+:""", page)
 
 
-def test_gaps_are_to_the_first_lap_at_the_same_place():
+def test_gaps_are_to_the_first_shown_lap_at_the_same_place():
     """A car of 12.5 m/s is a fourth of its time ahead of one of 10 m/s, wherever it is."""
     gap = race_charts([race()])[0]
     assert gap.title == "Time gap to lap 0 (negative: ahead)"
@@ -87,6 +87,10 @@ def test_the_best_clean_lap_of_each_learner_is_shown_at_first():
         for chart in race_charts(given):
             assert [k for k, line in enumerate(chart.series) if line.shown] == shown
     assert numbers["laps"][0]["name"] == "nominal, lap 0"
+    # The track has the colours of the charts, and what is shown at first has colours of its own.
+    roles = [lap["role"] for lap in numbers["laps"]]
+    assert roles == [line.role for line in chart.series] and len({roles[k] for k in shown}) == 3
+    assert race_charts([learned, races[0]])[0].title == "Time gap to split, lap 1 (negative: ahead)"
 
 
 def test_one_lap_of_two_learners_is_called_no_comparison():

@@ -1,19 +1,17 @@
 /* The track with the cars of chosen laps, played. */
 (() => {
   const race = JSON.parse(document.getElementById("numbers").textContent);
-  const roles = ["measured", "simulated", "corrected", "learned", "nominal", "other"]; // as the charts below
   const named = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const find = (id) => document.getElementById(id);
   const slider = find("time"), clock = find("clock"), play = find("play"), pace = find("pace"), view = find("view"), status = find("status");
   const chosen = new Set([...race.laps.keys()].filter((k) => race.laps[k].shown));
-  const role = (k) => roles[k % roles.length];
-  const colour = (k) => named(role(k));
-  const dashes = (k) => (k < roles.length ? [] : [8, 4]); // a colour that comes again is dashed
+  const colour = (k) => named(race.laps[k].role); // and dashes, as in the charts below
+  const dashes = (k) => (race.laps[k].dash ? race.laps[k].dash.split(" ").map(Number) : []);
   let now = 0, running = false, before = 0;
 
   race.laps.forEach((lap, k) => {
     const label = document.createElement("label"), box = document.createElement("input"), { shape } = Charts;
-    const swatch = shape("svg", { width: 22, height: 8, "aria-hidden": "true" }, shape("line", { x1: 0, x2: 22, y1: 4, y2: 4, "stroke-width": 5, "stroke-dasharray": dashes(k).join(" "), stroke: `var(--${role(k)})` }));
+    const swatch = shape("svg", { width: 22, height: 8, "aria-hidden": "true" }, shape("line", { x1: 0, x2: 22, y1: 4, y2: 4, "stroke-width": 5, "stroke-dasharray": dashes(k).join(" "), stroke: `var(--${lap.role})` }));
     box.type = "checkbox";
     box.checked = chosen.has(k);
     box.dataset.lap = String(k);
@@ -65,22 +63,38 @@
   }
 
   const track = find("track"), ground = race.left.concat(race.right);
-  const whole = frame(track, ground.map((p) => p[0]), ground.map((p) => p[1]), true, 16);
+  const growth = () => Math.max(1, track.width / (track.clientWidth || track.width)); // in a narrow window
+  const whole = () => frame(track, ground.map((p) => p[0]), ground.map((p) => p[1]), true, 14 + 20 * growth());
   const road = Math.hypot(race.left[0][0] - race.right[0][0], race.left[0][1] - race.right[0][1]);
 
   /* The whole track, or six of its widths about the first chosen car. */
   function frameNow() {
     const [k] = laps();
-    if (view.value === "whole" || k === undefined) return whole;
+    if (view.value === "whole" || k === undefined) return whole();
     const lap = race.laps[k], place = at(lap, now), size = track.height / (6 * road);
     const [x0, y0] = [value(lap.x, place), value(lap.y, place)];
     return (x, y) => [track.width / 2 + (x - x0) * size, track.height / 2 - (y - y0) * size];
   }
+  /* The line of start and finish, and distances along the centre line. */
+  function marks(pen, onTrack, grown) {
+    const step = [20, 50, 100, 200, 500, 1000].find((one) => race.length / one < 12) || 2000;
+    pen.font = `${12 * grown}px sans-serif`;
+    pen.fillStyle = named("soft");
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    for (let s = 0; s < race.length - 0.4 * step; s += step) {
+      const i = Math.round((s / race.length) * race.left.length) % race.left.length;
+      const [[x0, y0], [x1, y1]] = [onTrack(...race.left[i]), onTrack(...race.right[i])], far = (15 * grown) / Math.hypot(x1 - x0, y1 - y0);
+      line(pen, [[x0, y0], [x1, y1]], named(s ? "soft" : "ink"), (s ? 0.7 : 3) * grown, false);
+      pen.fillText(s ? `${s}` : "0 m", x1 + far * (x1 - x0), y1 + far * (y1 - y0));
+    }
+  }
   function drawTrack() {
     const onTrack = frameNow();
-    const pen = track.getContext("2d"), grown = Math.max(1, track.width / (track.clientWidth || track.width)); // in a narrow window
+    const pen = track.getContext("2d"), grown = growth();
     pen.clearRect(0, 0, track.width, track.height);
     for (const border of [race.left, race.right]) line(pen, border.map(([x, y]) => onTrack(x, y)), named("soft"), 1.5 * grown, true);
+    marks(pen, onTrack, grown);
     for (const k of laps()) {
       const lap = race.laps[k];
       line(pen, lap.x.map((x, i) => onTrack(x, lap.y[i])), colour(k), 1.4 * grown, false, dashes(k));

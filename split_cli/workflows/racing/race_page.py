@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.control.path import Path
 from split_cli.plots.chart import Chart, ChartLine, thinned
-from split_cli.plots.palette import ROLES
+from split_cli.plots.palette import DASHED, ROLES
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.report.markup import charts_block, plain_table
 from split_cli.workflows.report.shell import page
@@ -59,19 +59,22 @@ def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
     """Return what an engineer compares along the lap and over time, and the accelerations, a series a lap.
 
     Of several learners the best clean lap of each is shown at first; of one, its first lap and its best. Gaps are
-    to the first lap, at the same place.
+    to the first of these, at the same place.
     """
-    laps = _laps(races)
-    first = _first(races)
+    laps, first, roles = _laps(races), _first(races), _roles(races)
+    gap = ""
+    if laps:
+        name, _, trace = laps[min(first)]
+        gap = f"Time gap to {name} (negative: ahead)"
+        part = thinned(len(trace))
+        places, passed = np.maximum.accumulate(trace[part, 1] - trace[0, 1]), trace[part, 0] - trace[0, 0]
     series: dict[str, list[ChartLine]] = {name: [] for name in ("gap", *_ALONG, "gg")}
     for k, (name, _, trace) in enumerate(laps):
-        role, shown = ROLES[k % len(ROLES)], k in first
+        role, shown = roles[k], k in first
         part = thinned(len(trace))
         t, s = trace[part, 0] - trace[0, 0], trace[part, 1] - trace[0, 1]
-        if k == 0:
-            places, passed = np.maximum.accumulate(s), t
-        gap = np.where(s <= places[-1], t - np.interp(s, places, passed), np.nan)
-        series["gap"].append(ChartLine(name, t, gap, role, along=s, shown=shown))
+        behind = np.where(s <= places[-1], t - np.interp(s, places, passed), np.nan)
+        series["gap"].append(ChartLine(name, t, behind, role, along=s, shown=shown))
         for key, (_, _, column, factor) in _ALONG.items():
             series[key].append(ChartLine(name, t, factor * trace[part, column], role, along=s, shown=shown))
         series["gg"].append(ChartLine(name, trace[part, 11], trace[part, 10], role, "points", shown=shown))
@@ -83,7 +86,6 @@ def race_charts(races: Sequence[RaceResult]) -> list[Chart]:
         "group": "strips",
     }
     plane = "a_y, left positive [m/s²]", "a_x [m/s²]"
-    gap = f"Time gap to {laps[0][0]} (negative: ahead)" if laps else ""
     return [
         Chart("gap", gap, y="gap [s]", series=tuple(series["gap"]), **along),
         *(Chart(key, title, y=y, series=tuple(series[key]), **along) for key, (title, y, _, _) in _ALONG.items()),
@@ -122,6 +124,13 @@ def _first(races: Sequence[RaceResult]) -> set[int]:
             found.add(begin + (min(clean, key=lambda k: laps[k][1].time) if clean else len(laps) - 1))
         begin += len(laps)
     return found if len(races) > 1 else found | {0}
+
+
+def _roles(races: Sequence[RaceResult]) -> list[str]:
+    """Return the colour of each of `_laps`: those that are shown at first have colours of their own."""
+    first, count = _first(races), len(_laps(races))
+    order = [*sorted(first), *(k for k in range(count) if k not in first)]
+    return [ROLES[order.index(k) % len(ROLES)] for k in range(count)]
 
 
 def _headline(races: Sequence[RaceResult]) -> str:
@@ -169,7 +178,8 @@ def _table(races: Sequence[RaceResult]) -> str:
         errors = [f"{a:.3f} / {b:.3f}" for a, b in zip(lap.error_after, lap.error_before, strict=True)]
         speeds = f"{lap.mean_speed:.2f}", f"{lap.max_lateral:.2f}"
         at = "" if lap.outside_at is None else f" at {lap.outside_at:.0f} m"
-        learned = str(lap.updates), str(lap.size), str(lap.cells)
+        learned = [str(n) if lap.size else "–" for n in (lap.updates, lap.size)]
+        learned.append(str(lap.cells) if lap.cells else "–")
         rows.append((name, time, *speeds, *learned, *errors, f"{lap.outside:.2f}{at}"))
     return plain_table(header, rows, "table-laps")
 
@@ -184,16 +194,17 @@ def _timing(races: Sequence[RaceResult]) -> str:
 
 
 def _numbers(races: Sequence[RaceResult], path: Path) -> dict[str, Any]:
-    """Return what the script reads: borders, and of each lap t, s, X, Y, yaw, speed, a_x, a_y."""
+    """Return what the script reads: borders, and of each lap its looks, t, s, X, Y, yaw, speed, a_x, a_y."""
     every = max(1, len(path.x) // _BORDER_POINTS)
     sine, cosine = np.sin(path.direction), np.cos(path.direction)
     left = np.stack([path.x - path.left * sine, path.y + path.left * cosine], axis=1)[::every]
     right = np.stack([path.x + path.right * sine, path.y - path.right * cosine], axis=1)[::every]
-    laps, first = [], _first(races)
+    laps, first, roles = [], _first(races), _roles(races)
     for k, (name, lap, trace) in enumerate(_laps(races)):
         s = trace[:, 1] - np.floor((trace[0, 1] + 0.5 * path.length * 0.01) / path.length) * path.length
         laps.append({
             "name": name, "time": lap.time, "outside": round(lap.outside, 2), "shown": k in first,
+            "role": roles[k], "dash": DASHED.get(roles[k], ""),
             "t": _rounded(trace[:, 0] - trace[0, 0], 2), "s": _rounded(s, 1),
             "x": _rounded(trace[:, 2], 2), "y": _rounded(trace[:, 3], 2), "yaw": _rounded(trace[:, 4], 3),
             "v": _rounded(trace[:, 5], 2), "ax": _rounded(trace[:, 10], 2), "ay": _rounded(trace[:, 11], 2),
