@@ -154,13 +154,13 @@ def verdict(comparisons: Sequence[Comparison], running: Sequence[Comparison] = (
     Notes
     -----
     What is no harm by `does_harm` is told all the same, beside what the state gains at
-    other horizons or with other predictors.
+    other horizons or with other predictors. A state without comparisons is left out.
     """
     judged = [c for c in comparisons if c.to_nominal[1] == c.to_nominal[1]]
     if not judged:
         return "verdict: too few blocks of time to tell whether the correction helps"
     parts = []
-    for state in STATES:
+    for state in [state for state in STATES if any(c.state == state for c in comparisons)]:
         own = [c for c in judged if c.state == state]
         worse = [c for c in own if c.to_nominal[1] > 1.0]
         better = [c for c in own if c.to_nominal[2] < 1.0]

@@ -59,6 +59,7 @@ from split_cli.workflows.evaluation_notes import (
     notes_of,
     own_sets,
     same_interval,
+    says_something,
 )
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_warnings
 
@@ -176,7 +177,7 @@ def evaluate(
                 for text in ingest_found(s.name, (*s.faults, *s.remarks))
             ),
             *(lag_note(own) for *_, own in labelled_sets if found_lag(own) is not None),
-            *warnings_of([c for c in comparisons if c.name in settings.predictors]),
+            *warnings_of(says_something([c for c in comparisons if c.name in settings.predictors], drives)),
             *(interval_warnings(shown, intervals) if trained else ()),
         ),
     )
@@ -458,9 +459,10 @@ def _comparisons(
             if len(starts)
         ]
         found[key] = compare(*key, parts)
+    told = {key: says_something(own, [held.drive for held in nominal]) for key, own in found.items()}
     verdicts = tuple(
-        f"{name} {features} {verdict(own, found.get((name + RUNNING, features), ()))}"
-        for (name, features), own in found.items()
+        f"{name} {features} {verdict(own, told.get((name + RUNNING, features), ()))}"
+        for (name, features), own in told.items()
     )
     return tuple(comparison for own in found.values() for comparison in own), verdicts
 

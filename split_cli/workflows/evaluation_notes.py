@@ -1,12 +1,12 @@
 """What an evaluation says beside its scores: facts of each drive, and what to know before scores are believed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from split_cli.learning.shared_rows import shared_sources
 from split_cli.learning.training_set import TrainingSet
-from split_cli.logs.drive import Drive, unstated_inputs
+from split_cli.logs.drive import Drive, DriveMetadata, unstated_inputs
 from split_cli.prediction import PREDICTORS
 from split_cli.scoring.evaluation import HeldOutSamples, pooled_noise_floor
 from split_cli.scoring.evidence import MOST_ROWS
@@ -15,6 +15,7 @@ from split_cli.scoring.noise import fast_motion
 from split_cli.scoring.report import DriveFacts, EvaluationSettings
 from split_cli.scoring.run import DRAWN_ROWS
 from split_cli.scoring.vehicle_match import share_beyond
+from split_cli.scoring.verdict import Comparison
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.label import drive_notes
 
@@ -22,6 +23,21 @@ from split_cli.workflows.label import drive_notes
 def same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
     """Tell whether a drive's label interval is the first drive's, so that rollouts of both have the same steps."""
     return abs(held.labels.horizon - first.labels.horizon) < 1e-9
+
+
+def derived_states(drives: Iterable[DriveMetadata]) -> dict[str, str]:
+    """Return the states whose error says nothing, since an input was made of the motion itself, and why."""
+    if not any(one.torque_follows_motion for one in drives):
+        return {}
+    return {
+        "v_x": "T was derived from the acceleration, so the error of v_x says nothing. The headline leaves it out"
+    }
+
+
+def says_something(comparisons: Sequence[Comparison], drives: Sequence[Drive]) -> list[Comparison]:
+    """Return the comparisons without those of v_x where T was derived from its acceleration."""
+    unsaid = derived_states(drive.metadata for drive in drives)
+    return [c for c in comparisons if c.state not in unsaid]
 
 
 def drive_facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:

@@ -156,6 +156,8 @@ def test_a_torque_derived_from_acceleration_is_noted(garage, tmp_path):
     write_drive(drive, tmp_path / "derived.parquet")
     outcome = run("evaluate", tmp_path / "derived.parquet", "--set", garage / "a.split", "--rollout", "")
     assert "the longitudinal label then says nothing" in outcome.stderr
+    told = [line for line in outcome.output.splitlines() if "verdict:" in line or "WARNING" in line]
+    assert told and not any("v_x" in line for line in told)
 
 
 def test_drives_of_another_label_interval_have_no_common_rollouts(garage, tmp_path):

@@ -272,3 +272,20 @@ def test_east_and_north_tell_no_side_of_a_yaw_rate_that_does_not_follow_them(tmp
     assert marked.left == "east and north" and marked.of("r").status in ("assumed", "open")
     followed = drafted_table({**table, "gyro_z [rad/s]": -planted.at("r", t)}, tmp_path)
     assert followed.of("r").status == "judged" and followed.of("r").scale == -1.0
+
+
+def test_a_quick_slalom_judges_accelerations_by_what_v_y_adds(tmp_path):
+    """In a multi-body program's sines of 1 Hz a_y beside the CG was taken for a_y, and m/s for mph."""
+    t = np.arange(0.0, 60.0, 0.01)
+    vx, r = 7.0 + 0.05 * np.sin(0.2 * t), 0.3 * np.sin(2.0 * np.pi * t) * (0.3 + 0.2 * np.sin(0.11 * t))
+    dr = np.gradient(r, t)
+    vy = 0.9 * r + 0.12 * dr
+    lateral = np.gradient(vy, t) + vx * r
+    table = {"time [s]": t, "Car.vx [m/s]": vx, "Car.vy [m/s]": vy, "Car.YawRate [rad/s]": r}
+    table |= {"Body.PoI.ay [m/s^2]": 0.9 * lateral - 0.3 * dr, "Car.ay [m/s^2]": lateral}
+    draft = drafted_table(table, tmp_path)
+    assert draft.of("ay").sources == ("Car.ay",) and draft.of("vx").status != "open"
+    assert "v_x r + dv_y/dt 1" in draft.of("ay").reason
+    # A v_y of the other hand goes worse with a_y than none.
+    draft = drafted_table(table | {"Car.vy [m/s]": -vy}, tmp_path)
+    assert "dv_y/dt" not in draft.of("r").reason

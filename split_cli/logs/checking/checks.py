@@ -221,7 +221,16 @@ class Checks:
             inertial = k.rate("vx") - self.carried()
             self.relate("a_x against dv_x/dt - v_y r", k.signal("ax"), inertial, {"ax": 1, "vx": -1}, 0.12)
         if self.usable("ay") and self.known("r"):
-            self.relate("a_y against v_x r", k.signal("ay"), k.turning(), {"ay": 1, "vx": -1, "r": -1}, 0.15)
+            turning = k.turning()
+            name, lateral = "a_y against v_x r", k.signal("ay")
+            if self.usable("vy"):
+                # In a quick slalom dv_y/dt is a third of it: v_x r alone read km/h as mph. A v_y that is wrong or
+                # mostly noise goes worse with a_y than none.
+                with_slide = turning + k.rate("vy")
+                alone, both = (fit_slope(lateral, x, k.moving) for x in (turning, with_slide))
+                if alone is not None and both is not None and both.correlation > abs(alone.correlation):
+                    name, turning = "a_y against v_x r + dv_y/dt", with_slide
+            self.relate(name, lateral, turning, {"ay": 1, "vx": -1, "r": -1}, 0.15)
 
     def carried(self) -> np.ndarray | float:
         """Return v_y r, what turning takes from dv_x/dt [m/s^2]; 0 where v_y or r is not known."""

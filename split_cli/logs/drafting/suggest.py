@@ -218,7 +218,7 @@ def _with_sideslip(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
     agrees = slip is not None and "sign is turned" not in slip.reason
     return [
         replace(s, status="judged", reason="v_y/v_x is the side-slip angle")
-        if agrees and s.channel == "vy" and s.status == "assumed"
+        if agrees and s.channel == "vy" and s.status in ("assumed", "stated")
         else s
         for s in suggestions
     ]

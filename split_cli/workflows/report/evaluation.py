@@ -4,7 +4,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from split_cli.logs.drive_metadata import DriveMetadata
 from split_cli.plots.chart import Chart, ChartLine
 from split_cli.plots.charts import (
     Subject,
@@ -26,6 +25,7 @@ from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.verdict import Comparison, does_harm
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.drive_charts import gathered
+from split_cli.workflows.evaluation_notes import derived_states
 from split_cli.workflows.report.chart_sections import chart_sections
 from split_cli.workflows.report.markup import (
     charts_block,
@@ -64,15 +64,6 @@ def evaluation_page(run: EvaluationRun, charts: Sequence[Chart] | None = None) -
         f"{notes_section([_sentence(note) for note in report.notes if not note.startswith(_WARNING)], 'Notes')}"
     )
     return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)} {names}", body, charts)
-
-
-def derived_states(drives: Iterable[DriveMetadata]) -> dict[str, str]:
-    """Return the states whose error says nothing, since an input was made of the motion itself, and why."""
-    if not any(one.torque_follows_motion for one in drives):
-        return {}
-    return {
-        "v_x": "T was derived from the acceleration, so the error of v_x says nothing. The headline leaves it out"
-    }
 
 
 def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:

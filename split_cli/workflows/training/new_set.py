@@ -58,7 +58,10 @@ def create_set(
 
         chosen = decide(prepared(), None if dictionary or settings.lag == "none" else prepared, drives.progress)
         empty, (fit, drives) = chosen.empty, chosen.made
-        drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust))
+        follows = all(part.drive.metadata.torque_follows_motion for part in chosen.drives)
+        if follows and empty.trust.share[0] > 0.0:
+            empty = replace(empty, trust=replace(empty.trust, share=(0.0, *empty.trust.share[1:])))
+        drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust, follows))
         if chosen.needed is not None:
             seconds = sum(len(part.drive) * part.drive.period for part in chosen.drives)
             drives.note(
@@ -197,17 +200,28 @@ def parse_trust(text: str) -> Trust:
         raise SetError(f"the trust {text!r} cannot be read", advice=advice) from None
 
 
-def trust_notes(trust: Trust) -> list[str]:
-    """Return what the reader of a training must know of its trust."""
+def trust_notes(trust: Trust, torque_follows_motion: bool = False) -> list[str]:
+    """Return what the reader of a training must know of its trust.
+
+    Parameters
+    ----------
+    torque_follows_motion : bool
+        T was derived from the acceleration: what v_x lacks is what the derivation got wrong, and is not applied.
+    """
     if trust.origin == "unjudged":
         return [
             "the drives are too short to judge the correction on held-out blocks, so none of it is applied; "
             "record more driving, or pass --trust full"
         ]
     left_out = [n for n, share in zip(("v_x", "v_y", "r"), trust.share, strict=True) if share == 0.0]
+    notes = []
+    if torque_follows_motion and left_out[:1] == ["v_x"]:
+        left_out = left_out[1:]
+        notes.append("no correction of v_x is applied: T was derived from its acceleration")
     if not left_out:
-        return []
+        return notes
     return [
+        *notes,
         f"no correction of {', '.join(left_out)} is applied: on held-out blocks it did not help beyond chance, or "
-        "made some of the driving worse"
+        "made some of the driving worse",
     ]
