@@ -59,8 +59,9 @@ def test_late_sensors_do_not_stand_for_two_lags(explore):
     (delay,) = (one for one in explore.candidates if one.term == "sensor_delay")
     late = fit_parts(explore.objective, [Part(delay, {"delay": 0.05})])
     assert base.cost - late.cost > 0.2 * base.cost
-    whole, history = explanation_of_every_car(explore, base, late, lambda fit: True)
+    found = physics_of_every_car(explore, base)
+    whole, history = explanation_of_every_car(explore, lambda: found, late, lambda fit: True)
     assert set(whole.names) >= set(TRUE) and not {"sensor_delay", "yaw_inertia"} & set(whole.names)
     assert "steer_lag" in history[0] and len(history) == 1
     # Where an explanation leaves noise alone there is no model-form error, and it stays.
-    assert explanation_of_every_car(explore, base, late, lambda fit: False) is None
+    assert explanation_of_every_car(explore, lambda: found, late, lambda fit: False) is None

@@ -20,14 +20,16 @@ from split_cli.vehicle.effects import CATALOGUE
 
 
 def explanation_of_every_car(
-    explore: Explorer, nothing: Fit, found: Fit, leaves_more_than_noise: Callable[[Fit], bool]
+    explore: Explorer, physics: Callable[[], Fit], found: Fit, leaves_more_than_noise: Callable[[Fit], bool]
 ) -> tuple[Fit, tuple[str, ...]] | None:
     """Return what every car has and what is believed beside it, and that in words; None where `found` stays.
 
     Parameters
     ----------
-    nothing, found : Fit
-        The explanation without any term, and what the search forward ended with.
+    physics : callable
+        Returns what every car has, see `physics_of_every_car`.
+    found : Fit
+        What the search forward ended with, or all of the search.
     leaves_more_than_noise : callable
         Whether an explanation does.
 
@@ -38,7 +40,7 @@ def explanation_of_every_car(
     """
     if explore.objective.posterior is not None or not found.parts or not leaves_more_than_noise(found):
         return None
-    whole = physics_of_every_car(explore, nothing)
+    whole = physics()
     if not _costs_less(explore, whole, found):
         return None
     grown, history = _with_further_terms(explore, whole)

@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.every_car import explanation_of_every_car, is_shown
+from split_cli.diagnosis.search.every_car import explanation_of_every_car, is_shown, physics_of_every_car
 from split_cli.diagnosis.search.exchange import (
     alone,
     inverted_stretch,
@@ -128,11 +128,16 @@ def select_terms(
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
     partly = cache(lambda: strongest_part(objective, explore.tangents(), base.residuals, variance_inflation))
-    whole = explanation_of_every_car(explore, base, found.with_what_matters(base, rules), leaves_more_than_noise)
+    physics = cache(lambda: physics_of_every_car(explore, base))
+
+    def as_every_car(found: Fit) -> Selection | None:
+        whole = explanation_of_every_car(explore, physics, found, leaves_more_than_noise)
+        return None if whole is None else replace(_named_of_every_car(explore, base, whole[0]), history=whole[1])
+
+    whole = as_every_car(found.with_what_matters(base, rules))
     if whole is not None:
-        selection = _named_of_every_car(explore, base, whole[0])
         explore.close()
-        return replace(selection, history=whole[1], first_p=found.first_p, first=tuple(first), partly=partly)
+        return replace(whole, first_p=found.first_p, first=tuple(first), partly=partly)
     jointly = None
     many = found.names > rules.few_names
     if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
@@ -170,10 +175,12 @@ def select_terms(
     if single is not None:
         history.append(move_in_words(selection.chosen, single))
         selection = _examined(explore, base, single)
+    # What the search gave up on its way may have been all that cost less than what every car has.
+    selection = as_every_car(selection.chosen) or replace(selection, history=tuple(history))
     if any(selection.named):
         selection = replace(selection, further=tuple(explore(selection.chosen)))
     explore.close()
-    return replace(selection, history=tuple(history), first_p=found.first_p, first=tuple(first), partly=partly)
+    return replace(selection, first_p=found.first_p, first=tuple(first), partly=partly)
 
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
@@ -365,14 +372,14 @@ def _with_rivals(explore: Explorer, selection: Selection, *, better: bool = Fals
 
 def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selection:
     """Return a selection with another explanation in the place of the chosen one, compared afresh."""
-    found = _examined(explore, selection.base, chosen)
+    found, known = _examined(explore, selection.base, chosen), selection
     return replace(
-        selection,
-        chosen=found.chosen,
-        without=found.without,
-        rivals=found.rivals,
-        siblings=found.siblings,
-        named=found.named,
+        found,
+        history=known.history,
+        first_p=known.first_p,
+        first=known.first,
+        further=known.further,
+        partly=known.partly,
     )
 
 
