@@ -135,9 +135,9 @@ def memory_of(model: SingleTrack, plays: tuple[int, ...], step: float) -> Memory
         what = f"a delay of {max(late):g} s takes {max(lengths)} past commands at a step of {step:g} s"
         raise ExportError(what, where=where, advice="Export for a longer --step.")
     units = tuple(
-        getattr(term, "state_units", {}).get(name, "?")
+        getattr(term, "state_units", {}).get(name.rpartition(".")[2], "?")
         for term in model.terms
-        for name in getattr(term, "states", ())
+        for name in getattr(term, "state_names", ())
     )
     return Memory(model.state_names, units, plays, late, lengths, step, _rates(model, step, where))
 

@@ -17,7 +17,7 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import Term
-from split_cli.vehicle.integration import Situation, integrate_recorded
+from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import make_drive, remembered, road_car
 
@@ -84,13 +84,13 @@ def driven(
     place = rng.uniform(0.0, LAP, runs)
     zero = np.zeros(runs)
     state = np.stack([zero, zero, rng.uniform(-3.0, 3.0, runs), speed, zero, zero], axis=1)
-    states, places = [state], [place]
+    states, places, memory = [state], [place], None
     for k in range(0, len(fine) - 1, 4):
         window = slice(k, k + 5)
         before = state
-        state = integrate_recorded(
+        state, memory = integrate_with_memory(
             model, state, arrived[0][:, window], arrived[1][:, window], step,
-            situation=Situation(t=spaced * np.arange(runs) + k * step, s=places[-1]),
+            situation=Situation(t=spaced * np.arange(runs) + k * step, s=places[-1], states=memory),
         )  # fmt: skip
         places.append(np.mod(places[-1] + 0.5 * 0.01 * (before[:, 3] + state[:, 3]), LAP))
         states.append(state)

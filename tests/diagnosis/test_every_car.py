@@ -14,7 +14,7 @@ from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
 VARIANCE_INFLATION = 1.5
 TRUE = {
     "drive_lag": {"tau": 0.05},
-    "load_transfer": {"cg_height": 0.5},
+    "load_transfer": {"cg_height": 0.5, "tau": 0.06},
     "rotating_mass": {"mass": 150.0},
     "steer_lag": {"tau": 0.04},
 }
@@ -31,7 +31,10 @@ def lagging(inputs: np.ndarray, step: float, tau: float) -> np.ndarray:
 def explore() -> Explorer:
     drive = driven(
         71,
-        [CATALOGUE[term](TRUE[term]) for term in ("load_transfer", "rotating_mass")],
+        [
+            CATALOGUE["load_transfer"](TRUE["load_transfer"], "late"),
+            CATALOGUE["rotating_mass"](TRUE["rotating_mass"]),
+        ],
         steer=lambda inputs, step: lagging(inputs, step, TRUE["steer_lag"]["tau"]),
         torque=lambda inputs, step: lagging(inputs, step, TRUE["drive_lag"]["tau"]),
     )

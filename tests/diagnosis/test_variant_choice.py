@@ -35,7 +35,8 @@ def structure(objective) -> Structure:
 def variants(objective) -> list:
     """With room for all the height that the wrong one wants: at the end of its search it would have no name."""
     wide = Range(0.0, 20.0, 0.01)
-    return [replace(one, ranges={"cg_height": wide}) for one in candidates_of(objective, "load_transfer")]
+    several = candidates_of(objective, "load_transfer")
+    return [replace(one, ranges={"cg_height": wide}) for one in several if "tau" not in one.ranges]
 
 
 @pytest.fixture(scope="module")

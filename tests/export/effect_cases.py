@@ -56,7 +56,7 @@ CASES: dict[str, tuple[EffectSpec, ...]] = {
 REMEMBERING = [
     name
     for name, effects in CASES.items()
-    if any(CATALOGUE[e.term].states or e.term.endswith("_delay") for e in effects)
+    if any(CATALOGUE[e.term](e.parameters, e.variant).state_names or e.term.endswith("_delay") for e in effects)
 ]
 
 

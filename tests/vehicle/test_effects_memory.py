@@ -20,6 +20,9 @@ def term(name: str, variant: str = "", **parameters: float):
     return CATALOGUE[name](parameters, variant)
 
 
+LATE_LOAD = term("load_transfer", "late", cg_height=0.5, tau=0.08)
+
+
 def inputs(t):
     return 600.0 + 500.0 * np.sin(1.7 * t), 0.03 * np.sin(2.1 * t) + 0.02 * np.sin(5.3 * t)
 
@@ -71,6 +74,7 @@ def test_play_keeps_still_until_pushed():
         term("steer_lag", tau=0.08),
         term("drive_lag", tau=0.15),
         term("tire_relaxation", length=0.6),
+        LATE_LOAD,
         term("steer_backlash", width=0.015),
         term("feature_lag", tau=0.08),
     ],
@@ -132,6 +136,22 @@ def test_relaxation_is_a_lag_in_distance():
         force = flow.front.lateral_force
         reached = np.flatnonzero(force >= (1 - np.exp(-1)) * force[-1])[0] - 100
         assert reached == pytest.approx(1200.0 / speed, abs=2)
+
+
+def test_late_load_builds_up_to_what_moves_at_once():
+    """A step of the force along the car moves F h/L (1 - exp(-t/tau)), and tyres in proportion follow the load."""
+    t = np.arange(400) * 0.001
+    steps = np.where(t < 0.1, 0.0, 400.0)
+    zero = np.zeros(len(t))
+    clock = Recording.single(0.001, len(t))
+    late, at_once = (
+        SingleTrack(CAR, [one]).flow(zero + 20.0, zero, zero, steps, zero, recording=clock)
+        for one in (LATE_LOAD, term("load_transfer", cg_height=0.5))
+    )
+    share = np.where(t < 0.1, 0.0, 1.0 - np.exp(-(t - 0.1) / 0.08))
+    for axle in ("front", "rear"):
+        begin, end, found = getattr(at_once, axle).D[0], getattr(at_once, axle).D[-1], getattr(late, axle).D
+        np.testing.assert_allclose(found, begin + share * (end - begin), atol=0.02 * abs(end - begin))
 
 
 def test_sensor_delay_reads_as_both_actuators_late():

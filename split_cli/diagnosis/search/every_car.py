@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, fit_with_prior
 from split_cli.diagnosis.search.form_error import costs_beside_form_error
@@ -66,17 +67,20 @@ def _in_best_variants(explore: Explorer, fit: Fit) -> Fit:
     """Return a fit with another variant of a part in its place while one saves more than a tie."""
     while True:
         others = [
-            fit_parts(explore.objective, (*fit.parts[:k], Part(one, part.values), *fit.parts[k + 1 :]), known=fit)
+            fit_parts(explore.objective, (*fit.parts[:k], _as_variant(part, one), *fit.parts[k + 1 :]), known=fit)
             for k, part in enumerate(fit.parts)
             for one in explore.candidates
-            if one.term == part.candidate.term
-            and one.variant != part.candidate.variant
-            and set(one.ranges) == set(part.candidate.ranges)
+            if one.term == part.candidate.term and one.variant != part.candidate.variant
         ]
         best = min(others, key=explore.price, default=fit)
         if explore.price(best) > explore.price(fit) - explore.rules.tie:
             return fit
         fit = best
+
+
+def _as_variant(part: Part, other: Candidate) -> Part:
+    """Return a part in another variant; parameters that it has not itself begin where their search does."""
+    return Part(other, {name: part.values.get(name, begin) for name, begin in other.starts[0].items()})
 
 
 def _costs_less(explore: Explorer, fit: Fit, than: Fit) -> bool:

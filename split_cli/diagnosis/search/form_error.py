@@ -222,8 +222,7 @@ def _moved_by_refits(objective: MarginalLikelihood, fit: Fit, values: np.ndarray
             known=fit,
         )
         for k, part in enumerate(fit.parts)
-        for variant in (type(part.term).variants if part.term.loads_tires else ())
-        if variant != part.candidate.variant
+        for variant in (type(part.term).laws(part.candidate.variant) if part.term.loads_tires else ())
     ]
     best = min(fits, key=lambda one: one.cost)
     return np.array([value for part in best.parts for value in part.values.values()]) - values
@@ -310,10 +309,9 @@ def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     """Return what other variants of terms that load tyres would do instead, same values, shape (R, V)."""
     here, columns = objective.left_by(fit.terms), []
     for k, term in enumerate(fit.terms):
-        for variant in type(term).variants if term.loads_tires else ():
-            if variant != term.variant:
-                other = type(term)(term.parameters, variant)
-                columns.append(here - objective.left_by((*fit.terms[:k], other, *fit.terms[k + 1 :])))
+        for variant in type(term).laws(term.variant) if term.loads_tires else ():
+            other = type(term)(term.parameters, variant)
+            columns.append(here - objective.left_by((*fit.terms[:k], other, *fit.terms[k + 1 :])))
     if not columns:
         return np.empty((len(here), 0))
     columns = objective.whiten(np.stack(columns, axis=1))

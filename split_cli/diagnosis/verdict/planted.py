@@ -85,8 +85,8 @@ def faulty(one: Evidence, term: Term) -> Series:
     states, as a lag or a play, has no such values. If it makes A u of commands u, it is undone by u + (1 - A) u +
     (1 - A)^2 u + ...: what is left falls with each power where commands are slower than the lag.
     """
-    series, model = one.series, SingleTrack(one.vehicle, (term if term.states else _turned(term),))
-    if not term.states:
+    series, model = one.series, SingleTrack(one.vehicle, (term if term.state_names else _turned(term),))
+    if not term.state_names:
         torque, steer_angle = series.inputs(model, series.smooth)
         return replace(series, torque=torque, steer_angle=steer_angle)
     asked = series

@@ -15,6 +15,11 @@ _SHORTEST = 1e-4
 """Time constant below which an input arrives at once [s]: a hundredth of a sample of the fastest drive, 100 Hz."""
 
 
+def rate_of(tau: Any) -> Any:
+    """Return 1/tau [1/s]; infinite for a tau [s] that is too short to be seen, which 0 is."""
+    return math.inf if isinstance(tau, int | float) and tau < _SHORTEST else 1.0 / tau
+
+
 class Delayed(Term):
     """Inputs as they were `delay` [s] before: u(t - delay)."""
 
@@ -58,8 +63,7 @@ class Lagging(Term):
     @property
     def rate(self) -> Any:
         """1/tau [1/s]; infinite for a tau that is too short to be seen, which the neutral 0 is."""
-        tau = self.parameters["tau"]
-        return math.inf if isinstance(tau, int | float) and tau < _SHORTEST else 1.0 / tau
+        return rate_of(self.parameters["tau"])
 
     def fastest_rate(self, speed: float) -> float:
         """1/tau; what follows at once is not stepped."""

@@ -160,6 +160,12 @@ class Term:
         return cls.variant_units.get(variant, cls.units)
 
     @classmethod
+    def laws(cls, variant: str = "") -> tuple[str, ...]:
+        """Return the other variants that have the parameters of this one."""
+        own = set(cls.parameter_units(variant))
+        return tuple(one for one in cls.variants if one != variant and set(cls.parameter_units(one)) == own)
+
+    @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
         """Return for a parameter the size that matters for a vehicle: what 1 means in `search`; 1 if not named."""
         return {}

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from split_cli.signals import STANDARD_GRAVITY
+from split_cli.vehicle.effects.late import rate_of
 from split_cli.vehicle.effects.place import PLACE_COMPLEXITY, inside_stretch, place_ranges, stretch_in_words
-from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit
+from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit, time_unit
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number, percent, scaled
 from split_cli.vehicle.flow import AxleFlow, Flow
@@ -36,6 +37,9 @@ _ROLLED = (
 _HEIGHT = (
     "Heydinger et al. (1999), SAE 1999-01-1336: 0.17 to 0.3 wheelbases for cars and light trucks; judgement: 0.5"
 )
+_PITCH = (
+    "Gillespie (1992), chapter 5: cars pitch at 1 to 2 Hz, damped by 0.2 to 0.5 of the critical; judgement: 0.2 s"
+)
 _BENT = {"curve": frozenset({"hard turns"})}
 _STIFF = "judgement: make, pressure and wear change a tyre's stiffness by less than a factor of 1.8"
 _LOADED = (
@@ -63,7 +67,7 @@ def scale_load(axle: AxleFlow, ratio: Any, variant: str) -> None:
     """
     if variant == "peak":
         _scale_grip(axle, ratio, False)
-    elif variant == "degressive":
+    elif variant.startswith("degressive"):
         axle.D = axle.D * ratio**0.9
         axle.B = axle.B * ratio**-0.4
     else:
@@ -315,37 +319,62 @@ class LoadTransfer(Term):
     same model. The lateral forces in it are those before the transfer. Variants: ``peak`` keeps the stiffness
     and scales the peak only; ``degressive`` scales the peak by the power 0.9 of the load and the stiffness by
     the power 0.5. Source: Rajamani (2012), section 4.1.5 (longitudinal tyre load).
+
+    The variants ``late`` and ``degressive late`` let the body pitch on its springs first. The load is a state of
+    the model there: tau dF_z' = m a_x h/L - dF_z, steady at each start. An oscillator of natural frequency w and
+    damping ratio zeta follows slow changes by 2 zeta/w late. Source: Gillespie (1992), chapter 5.
     """
 
     id = "load_transfer"
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"cg_height": "m"}
+    variant_units: ClassVar = dict.fromkeys(("late", "degressive late"), {"cg_height": "m", "tau": "s"})
     neutral: ClassVar = {"cg_height": 0.0}
     discrepancy: ClassVar = (("", "cg_height", 0.2), ("peak", "cg_height", 0.2))
-    variants: ClassVar = ("", "peak", "degressive")
+    variants: ClassVar = ("", "peak", "degressive", "late", "degressive late")
     loads_tires: ClassVar = True
+    state_units: ClassVar = {"moved": "N"}
     mimics: ClassVar = (
         Mimic("combined_slip", "braking in turns only", "driving and braking in turns: the two differ in sign"),
     )
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        return {"cg_height": vehicle.wheelbase}
+        return {"cg_height": vehicle.wheelbase, "tau": time_unit(vehicle)}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"cg_height": Range(0.0, 0.5, 0.005, _HEIGHT)}, ({"cg_height": 0.05},))
+        ranges, start = {"cg_height": Range(0.0, 0.5, 0.005, _HEIGHT)}, {"cg_height": 0.05}
+        if variant in cls.variant_units:
+            ranges["tau"], start["tau"] = Range(0.0, 0.2, 0.001, _PITCH), 0.05
+        return Search(ranges, (start,))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         height = amount(p["cg_height"], one_sided=True, more="high", less="high")
-        return f"accelerating and braking move axle load as a centre of gravity {height} does"
+        late = f", with a time constant of {amount(p['tau'], one_sided=True)}" if "tau" in p else ""
+        return f"accelerating and braking move axle load as a centre of gravity {height} does{late}"
 
     @classmethod
     def example(cls, p: Estimates, vehicle: Vehicle) -> str:
         """Return the load that an acceleration moves."""
         return f": {number(vehicle.mass * p['cg_height'].value / vehicle.wheelbase)} N for each m/s^2"
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Name of the load that has moved, where it follows late."""
+        return (f"{self.id}.moved",) if "tau" in self.parameters else ()
+
+    @property
+    def rate(self) -> Any:
+        """1/tau [1/s]; infinite for a tau that is too short to be seen."""
+        return rate_of(self.parameters["tau"])
+
+    def fastest_rate(self, speed: float) -> float:
+        """1/tau; what follows at once is not stepped."""
+        rate = float(self.rate) if "tau" in self.parameters else math.inf
+        return rate if math.isfinite(rate) else 0.0
 
     def tire(self, flow: Flow) -> None:
         """Move capacity between the axles."""
@@ -358,6 +387,8 @@ class LoadTransfer(Term):
             - car.drag_coefficient * flow.vx * flow.vx
         )
         moved = force_x * self.parameters["cg_height"] / car.wheelbase
+        if "tau" in self.parameters:
+            moved = self.first_order(flow, "moved", moved, self.rate)
         for axle, change in ((front, -moved / car.static_load_front), (rear, moved / car.static_load_rear)):
             scale_load(axle, ops.maximum(1.0 + change, _LEAST_CAPACITY), self.variant)
 
@@ -397,8 +428,8 @@ class TireStiffness(Term):
 class AeroDownforce(Term):
     """The axle load grows with speed: D (1 + c v_x^2/F_z,static), with c `front` and `rear`.
 
-    The rolling resistance grows likewise. The variants are those of `load_transfer`. Source: Milliken and
-    Milliken (1995), chapter 15.
+    The rolling resistance grows likewise. The variants are laws of load as in `load_transfer`. Source: Milliken
+    and Milliken (1995), chapter 15.
     """
 
     id = "aero_downforce"
