@@ -23,8 +23,16 @@ _AT_ONCE = 0.75
 #: Gain of a point where slopes are asked [1]. A mean may be wrong by a share of the noise; a slope is a difference
 #: of means. After a race it is then wrong by 1 to 5 %, and by 34 to 67 % with points at the noise (decision 0034).
 _SLOPE_GAIN = 1e-3
+#: Gain at one length scale from a lone point [1]. Whatever is driven farther from all points becomes one, however
+#: noisy a label is: noise averages out over many, and one point alone learns next to nothing.
+_NEAR = 1.0 - np.exp(-1.0)
 #: Points that span the variances at most [1]. Their cost goes with the square, and they need no slope.
 _MOST_OF_VARIANCES = 300
+
+
+def noise_to_signal(kernel: Kernel) -> float:
+    """Return the smallest ratio of noise to signal variance over the outputs [1]."""
+    return float((kernel.noise_variance / kernel.signal_variance).min())
 
 
 @dataclass(frozen=True)
@@ -48,8 +56,8 @@ class OnlineProcess:
         Largest number U of points.
     threshold : float or None
         Gain, as a share of the signal variance, from which a label's place becomes a point. By default the
-        smallest ratio of noise to signal variance: what the points do not span is then below a label's noise. The
-        first label is always a point.
+        smallest ratio of noise to signal variance, so that what the points do not span is below a label's noise,
+        and at most the gain at one length scale from a lone point. The first label is always a point.
 
     Attributes
     ----------
@@ -78,7 +86,7 @@ class OnlineProcess:
         self.kernel = kernel
         self._scales = np.ascontiguousarray(kernel.length_scales, dtype=float)
         self._ratio = np.ascontiguousarray(kernel.noise_variance / kernel.signal_variance)
-        self._threshold = max(float(self._ratio.min()) if threshold is None else threshold, _REDUNDANT)
+        self._threshold = max(min(noise_to_signal(kernel), _NEAR) if threshold is None else threshold, _REDUNDANT)
         self.count = 0
         self._points = np.zeros((most, len(self._scales)))
         self._inverse, self._learned = np.zeros((most, most)), np.zeros((3, most, most))

@@ -5,7 +5,7 @@ import numpy as np
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction.factorization import queries
-from split_cli.prediction.online_process import MOST_SPANNING, OnlineProcess
+from split_cli.prediction.online_process import MOST_SPANNING, OnlineProcess, noise_to_signal
 from split_cli.prediction.predictor import Prediction, Predictor
 
 
@@ -46,8 +46,10 @@ def process_of_labels(
     """Return the online process after labels `y` at `z`, one after the other.
 
     Where its room is used up on the way, whatever is driven last would find none. The most informative points are
-    then chosen first, from the whole set.
+    then chosen first, from the whole set. The threshold is the ratio of noise to signal, also where that exceeds
+    1: a set is asked on other drives, and where all labels are mostly noise few points do less harm there.
     """
+    threshold = noise_to_signal(kernel) if threshold is None else threshold
     process = OnlineProcess(kernel, most, threshold)
     process.learn(z, y)
     if process.count == most < len(z):
@@ -65,7 +67,7 @@ class ProjectedPredictor(Predictor):
     most : int
         Largest number of points that span the process.
     threshold : float or None
-        As of `OnlineProcess`.
+        As of `OnlineProcess`; by default the smallest ratio of noise to signal variance.
     """
 
     name: str = "projected"

@@ -1,16 +1,21 @@
 """Every predictor against the dense Gaussian process, in the limits where they must agree, and its derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from split_cli.errors import NumericalRepairWarning, SetError, SplitError
+from split_cli.learning.cells import learn
 from split_cli.learning.kernel import Kernel
+from split_cli.learning.region import Grid
 from split_cli.prediction import PREDICTORS, make_predictor
 from split_cli.prediction.bcm import BcmPredictor
 from split_cli.prediction.factorization import cholesky
 from split_cli.prediction.fitc import FitcPredictor
 from split_cli.prediction.full import FullPredictor
 from split_cli.prediction.online_process import OnlineProcess
+from tests.factories import make_labels, road_car
 
 
 def dense(kernel, points, labels, z):
@@ -432,3 +437,39 @@ def test_points_chosen_at_once_leave_room_for_places_that_tell_more():
     process.learn(far, np.ones((2, 3)))
     assert process.count == 14
     np.testing.assert_allclose(process.along(far)[0], 1.0 / 1.1, rtol=1e-6)
+
+
+def test_noise_above_the_signal_averages_out_over_many_labels():
+    """Points are a length scale apart at most, where those of the noise alone would be one."""
+    random = np.random.default_rng(35)
+    kernel = Kernel(np.ones(1), np.ones(3), np.full(3, 2.0))
+    z = random.uniform(0.0, 6.0, (4000, 1))
+    truth = np.sin(z) * [1.0, -0.5, 1.5]
+    y = truth + np.sqrt(2.0) * random.normal(size=truth.shape)
+    errors = {}
+    for threshold in (None, 2.0):
+        process = OnlineProcess(kernel, threshold=threshold)
+        process.learn(z, y)
+        errors[threshold] = process.count, np.sqrt(np.mean((process.along(z)[0] - truth) ** 2))
+    assert errors[2.0][0] == 1 and errors[2.0][1] > 0.5
+    assert 3 < errors[None][0] < 10 and errors[None][1] < 0.15
+
+
+def test_labels_that_cells_reject_count_as_in_the_dense_process():
+    """Twenty labels at each point: the paper keeps one of them, the process knows all."""
+    random = np.random.default_rng(36)
+    points = 2.0 * np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), -1).reshape(-1, 3) + 1.0
+    kernel = Kernel(np.full(3, 1.5), np.array([0.5, 1.0, 2.0]), np.array([0.05, 0.4, 0.1]))
+    z = np.repeat(points, 20, axis=0)
+    y = random.normal(size=(len(z), 3))
+    grid = Grid((4.0,) * 3, (-np.inf,) * 3, (np.inf,) * 3)
+    labels = make_labels(z, y, features="vx,vy,r")
+    trained = learn([labels], vehicle=road_car(), grid=grid, kernel=kernel, threshold=1e-9)
+    assert trained.size == 27 and trained.cell_count == 8 and trained.sources[0].rejected == {"gain": 513}
+    predictor = make_predictor("projected", trained, threshold=0.0)
+    asked = random.uniform(-1.0, 7.0, (80, 3))
+    mean, variance = fitc_at_once(kernel, points, z, y, asked)
+    np.testing.assert_allclose(predictor.mean(asked), mean, atol=1e-6)
+    np.testing.assert_allclose(predictor.predict(asked).variance, variance, atol=1e-4)
+    alone = make_predictor("projected", replace(trained, information=None, absorbed=None), threshold=0.0)
+    assert np.abs(alone.mean(asked) - mean).max() > 0.2
