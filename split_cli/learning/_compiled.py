@@ -122,43 +122,42 @@ def _span(m: int, inverse: ndarray, k: ndarray) -> None:
 
 
 @compiled(cache=True)
-def _absorb(m: int, share: ndarray, y: ndarray, information: ndarray, absorbed: ndarray) -> None:
+def _absorb(m: int, share: ndarray, y: ndarray, sums: ndarray) -> None:
     """Add a label of the first m points' `share` to the sums of a cell."""
+    capacity = len(sums)
     for i in range(m):
         for j in range(m):
-            information[i, j] += share[i] * share[j]
+            sums[i, j] += share[i] * share[j]
         for output in range(3):
-            absorbed[i, output] += share[i] * y[output]
+            sums[i, capacity + output] += share[i] * y[output]
 
 
 @compiled(cache=True)
-def _hand_over(slot: int, n: int, share: ndarray, information: ndarray, absorbed: ndarray) -> None:
+def _hand_over(slot: int, n: int, share: ndarray, sums: ndarray) -> None:
     """Give what a cell's sums tell of a point that left `slot` to its n points now, of which it is a `share`."""
-    own = information[slot, slot]
+    own = sums[slot, slot]
     for i in range(n):
         for j in range(i + 1):
             if i != slot and j != slot:
-                information[i, j] += (
-                    share[i] * information[slot, j] + information[i, slot] * share[j] + own * share[i] * share[j]
-                )
-                information[j, i] = information[i, j]
+                sums[i, j] += share[i] * sums[slot, j] + sums[i, slot] * share[j] + own * share[i] * share[j]
+                sums[j, i] = sums[i, j]
     for j in range(n):
         if j != slot:
-            both = share[slot] * (information[slot, j] + own * share[j])
-            information[slot, j], information[j, slot] = both, both
-    information[slot, slot] = own * share[slot] * share[slot]
-    for output in range(3):
-        left = absorbed[slot, output]
-        absorbed[slot, output] = 0.0
+            both = share[slot] * (sums[slot, j] + own * share[j])
+            sums[slot, j], sums[j, slot] = both, both
+    sums[slot, slot] = own * share[slot] * share[slot]
+    for output in range(len(sums), len(sums) + 3):
+        left = sums[slot, output]
+        sums[slot, output] = 0.0
         for i in range(n):
-            absorbed[i, output] += share[i] * left
+            sums[i, output] += share[i] * left
 
 
 @compiled(cache=True)
 def update_cells(
     groups: ndarray, cell_of_group: ndarray, order: ndarray, z_new: ndarray, y_new: ndarray, clock_new: ndarray,
     inverse_scales: ndarray, threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray,
-    clock: ndarray, information: ndarray, absorbed: ndarray, origin: ndarray,
+    clock: ndarray, sums: ndarray, origin: ndarray,
 ) -> tuple[ndarray, int, int]:  # fmt: skip
     """Offer samples to their cells, cell by cell, each cell's samples in their order.
 
@@ -175,8 +174,9 @@ def update_cells(
         Forgetting 0 is off.
     count, z, gamma, clock, origin : ndarray, shape (C,), (C, M, D), (C, M), (C, M), (C, M)
         The cells, altered in place; `origin` receives the sample that fills a slot.
-    information, absorbed : ndarray, shape (C, M, M), (C, M, 3)
-        Sums over all labels, see `TrainingSet`; of shape (C, 0, 0) and (C, 0, 3) where they are not kept.
+    sums : ndarray, shape (C, M, M + 3)
+        Over all labels: `information`, and behind its columns `absorbed` of `TrainingSet`. Of shape (C, 0, 0)
+        where they are not kept.
 
     Returns
     -------
@@ -187,8 +187,7 @@ def update_cells(
     outcome = np.zeros(len(z_new), dtype=np.int8)
     # Only triangles that were written are read; filling the rest costs more than a small cell's update.
     low, inverse = np.empty((capacity, capacity)), np.empty((capacity, capacity))
-    k, absorbs = np.empty((2, capacity)), information.shape[1] > 0
-    left = np.empty(z.shape[2])
+    k, absorbs = np.empty((3, max(capacity, z.shape[2]))), sums.shape[1] > 0
     repairs = 0
     for group in range(len(cell_of_group)):
         c = cell_of_group[group]
@@ -207,7 +206,7 @@ def update_cells(
             if spans <= n:
                 if absorbs:
                     _span(spans, inverse, k)
-                    _absorb(spans, k[0], y_new[sample], information[c], absorbed[c])
+                    _absorb(spans, k[0], y_new[sample], sums[c])
                 continue
             if n < capacity and (
                 forgetting <= 0.0 or _spanned_by(z_new[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
@@ -218,7 +217,7 @@ def update_cells(
             else:
                 outcome[sample] = _REPLACED
             for feature in range(z.shape[2]):  # a row put into another would compile the words of an error
-                left[feature] = z[c, slot, feature]
+                k[2, feature] = z[c, slot, feature]
                 z[c, slot, feature] = z_new[sample, feature]
             clock[c, slot] = clock_new[sample]
             origin[c, slot] = sample
@@ -230,12 +229,12 @@ def update_cells(
                 repairs += 1
             if absorbs:
                 if outcome[sample] == _REPLACED:
-                    _spanned_by(left, z[c], n, inverse_scales, inverse, k, -1.0)
+                    _spanned_by(k[2], z[c], n, inverse_scales, inverse, k, -1.0)
                     _span(n, inverse, k)
-                    _hand_over(slot, n, k[0], information[c], absorbed[c])
-                information[c, slot, slot] += 1.0
+                    _hand_over(slot, n, k[0], sums[c])
+                sums[c, slot, slot] += 1.0
                 for output in range(3):
-                    absorbed[c, slot, output] += y_new[sample, output]
+                    sums[c, slot, capacity + output] += y_new[sample, output]
             slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
     return outcome, repairs, -1
 
@@ -243,8 +242,7 @@ def update_cells(
 @compiled(cache=True)
 def update_cell(
     cell: int, sample: int, time: float, z_new: ndarray, y_new: ndarray, inverse_scales: ndarray,
-    threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray, clock: ndarray,
-    information: ndarray, absorbed: ndarray,
+    threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray, clock: ndarray, sums: ndarray,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Offer row `sample` of `z_new` and `y_new` to one cell: `update_cells` for a label alone, to the bit.
 
@@ -257,8 +255,8 @@ def update_cell(
     one = slice(cell, cell + 1)
     outcome, repairs, broken = update_cells(
         np.arange(2), first, first, z_new[sample : sample + 1], y_new[sample : sample + 1], np.full(1, time),
-        inverse_scales, threshold, forgetting, count[one], z[one], gamma[one], clock[one], information[one],
-        absorbed[one], origin,
+        inverse_scales, threshold, forgetting, count[one], z[one], gamma[one], clock[one], sums[one],
+        origin,
     )  # fmt: skip
     return outcome[0], int(np.argmax(origin[0])), repairs if broken < 0 else -1
 

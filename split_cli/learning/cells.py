@@ -9,7 +9,6 @@ import numpy as np
 from split_cli.errors import NumericalRepairWarning, SetError
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import Kernel
-from split_cli.learning.label_sums import SUMS
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.training_set import SetSource, TrainingSet
@@ -179,7 +178,7 @@ def warm_up() -> None:
     whole, one = np.zeros(1, dtype=np.int64), np.ones(2)
     window_errors(one, one, one, one, one, whole, 1, 1.0, np.ones(16), False, one)
     z, y = np.zeros((1, 1)), np.zeros((1, 3))
-    cells = np.zeros((1, 1, 1)), z.copy(), z.copy(), np.zeros((1, 1, 1)), np.zeros((1, 1, 3))
+    cells = np.zeros((1, 1, 1)), z.copy(), z.copy(), np.zeros((1, 1, 4))
     origin = np.zeros((1, 1), dtype=np.int64)
     update_cells(np.arange(2), whole, whole, z, y, z[0], one[:1], 0.5, 0.0, whole.copy(), *cells, origin)
     update_cell(0, 0, 0.0, z, y, one[:1], 0.5, 0.0, whole.copy(), *cells)
@@ -231,7 +230,7 @@ class _Cells:
         self.numbers = training_set.cell_numbers.tolist()
         self.position = {number: index for index, number in enumerate(self.numbers)}
         self.count = np.diff(training_set.offsets).astype(np.int64)
-        names = (*_POINT_ARRAYS, "clock", *SUMS)
+        names = (*_POINT_ARRAYS, "clock", "sums")
         self.slots = {name: self._blank(name, len(self.numbers)) for name in names}
         #: Which of the samples offered together each slot was written from; -1 between offers.
         self.origin = np.full((len(self.numbers), training_set.capacity), -1, dtype=np.int64)
@@ -242,13 +241,13 @@ class _Cells:
         begin = np.array(self.base[:-1]) - starts
         self.slots["clock"][filled] = begin[training_set.source] + training_set.t
         if self.absorbs:
-            information, absorbed = training_set.sums()
-            self.slots["information"][_pairs(filled)], self.slots["absorbed"][filled] = information, absorbed
+            sums, room = self.slots["sums"], training_set.capacity
+            sums[:, :, :room][_pairs(filled)], sums[:, :, room:][filled] = training_set.sums()
 
     def _blank(self, name: str, cells: int) -> np.ndarray:
-        if name in SUMS:
-            room = self.set.capacity if self.absorbs else 0
-            return np.zeros((cells, room, 3 if name == "absorbed" else room))
+        if name == "sums":
+            room = self.set.capacity
+            return np.zeros((cells, room, room + 3) if self.absorbs else (cells, 0, 0))
         like = self.set.t if name == "clock" else getattr(self.set, name)
         return np.zeros((cells, self.set.capacity, *like.shape[1:]), dtype=like.dtype)
 
@@ -316,8 +315,7 @@ class _Cells:
             self.slots["z"],
             self.slots["gamma"],
             self.slots["clock"],
-            self.slots["information"],
-            self.slots["absorbed"],
+            self.slots["sums"],
             self.origin,
         )
         # Only cells that were offered something can have changed.
@@ -346,7 +344,7 @@ class _Cells:
         became, slot, repairs = self.update_cell(
             position, 0, begin + t, self.sample, self._labels, self.inverse_scales, self.set.threshold,
             self.set.forgetting or 0.0, self.count, slots["z"], slots["gamma"], slots["clock"],
-            slots["information"], slots["absorbed"],
+            slots["sums"],
         )  # fmt: skip
         if repairs:
             self._check(drive, max(repairs, 0), -1 if repairs > 0 else position)
@@ -401,8 +399,11 @@ class _Cells:
         filled = self._filled()[order]
         arrays = {name: self.slots[name][order][filled] for name in _POINT_ARRAYS}
         if self.absorbs:
-            arrays["information"] = self.slots["information"][order][_pairs(filled)]
-            arrays["absorbed"] = self.slots["absorbed"][order][filled]
+            sums, room = self.slots["sums"][order], self.set.capacity
+            arrays["information"], arrays["absorbed"] = (
+                sums[:, :, :room][_pairs(filled)],
+                sums[:, :, room:][filled],
+            )
         offsets = np.concatenate([[0], np.cumsum(self.count[order])])
         return replace(self.set, cell_numbers=numbers[order], offsets=offsets, sources=sources, **arrays)
 

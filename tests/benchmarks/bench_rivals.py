@@ -118,7 +118,7 @@ def our_update(stream: Stream) -> Row:
     settings = (stream.z, stream.y, 1.0 / s.kernel.length_scales, s.threshold, 0.0)
     state = (
         np.zeros(shape[0], dtype=np.int64), np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape),
-        np.zeros((*shape, s.capacity)), np.zeros((*shape, 3)),
+        np.zeros((*shape, s.capacity + 3)),
     )  # fmt: skip
     times = []
     for sample, cell in enumerate(cells):
