@@ -23,7 +23,7 @@ class RacePicture:
     updates: np.ndarray
     size: np.ndarray
     cells: np.ndarray
-    # before, after: (L, 3): errors of the nominal model and with the residual.
+    # before, after: (L, 3): errors of the exact motion, of the nominal model and with the residual.
     before: np.ndarray
     after: np.ndarray
     # Of the best lap, a row an interval: s [m], X, Y [m], v_x [m/s], a_x, a_y [m/s^2], front and rear slip angle
@@ -122,7 +122,7 @@ def draw_learning(races: Mapping[str, RacePicture]) -> Figure:
 
 
 def draw_maneuvers(pictures: Sequence[ManeuverPicture]) -> Figure:
-    """Draw trajectories between cones, one axes a manoeuvre; a cone that a model hit is filled in its colour."""
+    """Draw trajectories between cones, one axes a manoeuvre; a cross in a model's colour is a cone it hit."""
     figure = new_figure(2.3 * len(pictures) + 0.3)
     for axis, picture in zip(figure.subplots(len(pictures), 1, squeeze=False)[:, 0], pictures, strict=True):
         axis.plot(*picture.line.T, color="0.75", linewidth=1.0, label="line")

@@ -252,7 +252,7 @@ def _picture(race: dict, vehicle: Vehicle) -> RacePicture:
     best = np.stack([s, t[:, 2], t[:, 3], t[:, 5], t[:, 10], t[:, 11], *alpha], axis=1)[order]
     return RacePicture(
         column("number"), time, column("mean_speed"), column("updates"), column("size"), column("cells"),
-        column("error_before"), column("error_after"), best,
+        column("motion_before"), column("motion_after"), best,
     )  # fmt: skip
 
 
