@@ -72,7 +72,7 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     rows, vx, vy, r, torque, delta = (values[moving] for values in (rows, vx, vy, r, torque, delta))
     car, carried = vehicle, (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
     # A car that slides turns more than its path bends: v_x r alone was 1.5 times what its tyres carry.
-    half = step // 2
+    half = max(1, step // 2)
     sides = [np.clip(rows + k, 0, len(drive) - 1) for k in (-half, half)]
     same = (drive.segment[sides[0]] == drive.segment[rows]) & (sides[0] < sides[1])
     rising = np.diff([drive.at("vy", side) for side in sides], axis=0)[0]

@@ -103,14 +103,19 @@ def test_an_object_of_a_class_beside_the_signals_is_named(tmp_path):
     def element(kind: int, data: bytes) -> bytes:
         return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
 
-    savemat(tmp_path / "log.mat", {"t": np.arange(40.0), "vx": np.arange(40.0)})
+    content = {"t": np.arange(40.0), "x": np.arange(80.0).reshape(2, 40), "u": np.arange(78.0).reshape(2, 39)}
+    savemat(tmp_path / "log.mat", {"out": content})
     number = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<ii", 1, 1)) + element(1, b"")
     number = element(14, number + element(9, struct.pack("<d", 1.0)))
     texts = b"".join(element(1, text) for text in (b"track", b"MCOS", b"Track"))
     with (tmp_path / "log.mat").open("ab") as stream:
         stream.write(element(14, element(6, struct.pack("<II", 17, 0)) + texts + number))
     recording = open_recording(tmp_path / "log.mat")
-    assert [info.name for info in recording.channels()] == ["t", "vx"]
+    names = ["out.x[0]", "out.x[1]", "out.u[0]", "out.u[1]"]
+    assert [info.name for info in recording.channels()] == ["out.t", *names]
+    # Inputs, one less than the states, have their clock; the last lasts as long as it.
+    assert {len(s.values) for s in recording.read(names).values()} == {40}
+    assert all(s.time is not None for s in recording.read(names).values())
     assert any(note.what.endswith("outside it: track") for note in recording.notes)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import Stretch, course_of
@@ -84,8 +85,18 @@ def test_friction_beyond_the_file_is_told_with_what_the_recording_shows(planted)
     t = made.drive["t"]
     lateral = np.abs(planted.at("ay", t))
     carried = (weak.front_tire.D + weak.rear_tire.D) / weak.mass
-    assert told and told[0].measured == pytest.approx(np.median(lateral[lateral > 1.1 * carried]), rel=0.02)
+    assert told and np.sum(lateral > 1.1 * carried) > 200
+    # For a second at 100 Hz; smoothing over 0.2 s takes 3 % off the peaks.
+    assert told[0].measured == pytest.approx(np.sort(lateral)[-100], rel=0.05)
     assert f"a friction of at least {told[0].measured / 9.80665:.2f}" in told[0].text
+    # The advice is enough: with tyres so scaled nothing is told.
+    by = told[0].measured / carried
+    strong = replace(
+        weak,
+        front_tire=replace(weak.front_tire, D=by * weak.front_tire.D),
+        rear_tire=replace(weak.rear_tire, D=by * weak.rear_tire.D),
+    )
+    assert not [f for f in check_consistency(made.drive, strong, {}).findings if f.check == "grip"]
     sound = assemble_drive(recording, planted_map(), car)
     assert not [f for f in sound.quality.consistency.findings if f.check == "grip"]
 

@@ -32,6 +32,7 @@ ACROSS = "v_y/v_x against the path across yaw"
 _GRIP_MARGIN = 1.1
 """Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
 _GRIP_SECONDS = 1.0
+"""Over which a lateral acceleration is reached, all together, to be believed [s]."""
 _FAR_BETTER = 0.25
 """Variance that a place of v_y leaves, of what a factor leaves, from which on it is a place [1]."""
 _BY_SLIP_SPEED = 0.5
@@ -367,12 +368,14 @@ class Checks:
         seconds = float(np.count_nonzero(rows)) * k.period
         if seconds < _GRIP_SECONDS:
             return []
-        reached = float(np.nanmedian(lateral[rows]))
+        # What is reached for a second does not depend on the file: the next file is told nothing more.
+        reached = float(np.sort(lateral[rows])[-round(_GRIP_SECONDS / k.period)])
         text = (
-            f"the tyres of the vehicle file carry {carried:.2f} m/s^2, and the car corners at {reached:.2f} "
-            f"(v_x r + dv_y/dt, for {seconds:.1f} s): the recording shows a friction of at least "
-            f"{reached / STANDARD_GRAVITY:.2f}, the file has {carried / STANDARD_GRAVITY:.2f}. "
-            f"Scale D of both tyres by {reached / carried:.2f} or more, or check the mass."
+            f"the tyres of the vehicle file carry {carried:.2f} m/s^2, and the car corners at more for "
+            f"{seconds:.1f} s, at {reached:.2f} for {_GRIP_SECONDS:.0f} s (v_x r + dv_y/dt): the recording "
+            f"shows a friction of at least {reached / STANDARD_GRAVITY:.2f}, the file has "
+            f"{carried / STANDARD_GRAVITY:.2f}. Scale D of both tyres by {reached / carried:.2f} or more, or "
+            "check the mass."
         )
         return [ConsistencyFinding("grip", "r", text, reached, None)]
 

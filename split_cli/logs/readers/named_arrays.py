@@ -86,11 +86,11 @@ def recording_of_vectors(
             if blank is not None:
                 column[blank] = np.nan
             time = clocks.get(name)
-            if time is not None and len(time) != len(column):
-                time = None
-            if len(column) == rows - 1:
+            if len(column) == (rows if time is None else len(time)) - 1:
                 # A simulation has one state more than inputs: each of these lasts until the next state.
                 column = np.append(column, column[-1])
+            if time is not None and len(time) != len(column):
+                time = None
             signals[bare] = RawSignal(bare, time, column, unit)
     if unwritten:
         what = "rows at the end of a matrix that hold 0 alone, which was not filled: left out"
@@ -178,7 +178,7 @@ def _clocks_of_structures(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray
     clocks = {}
     for name, values in arrays.items():
         time = times.get(name.split(" [")[0].rpartition(".")[0])
-        if time is not None and len(time) in values.shape:
+        if time is not None and {len(time), len(time) - 1} & set(values.shape):
             clocks[name] = time
     return clocks
 
