@@ -70,7 +70,7 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     if moving.sum() < _FEWEST:
         return Belonging(None, None, None, None)
     rows, vx, vy, r, torque, delta = (values[moving] for values in (rows, vx, vy, r, torque, delta))
-    car, carried = vehicle, (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+    car, carried = vehicle, vehicle.lateral_grip
     # A car that slides turns more than its path bends: v_x r alone was 1.5 times what its tyres carry.
     half = max(1, step // 2)
     sides = [np.clip(rows + k, 0, len(drive) - 1) for k in (-half, half)]
@@ -79,9 +79,7 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     sliding = rising / (np.maximum(sides[1] - sides[0], 1) * drive.period)
     lateral = vx * r + np.where(same & np.isfinite(sliding), sliding, 0.0)
     gentle = np.abs(lateral) < 0.5 * carried
-    front, rear = car.front_tire.cornering_stiffness, car.rear_tire.cornering_stiffness
-    understeer = car.mass * (car.cg_to_rear_axle / front - car.cg_to_front_axle / rear) / car.wheelbase
-    expected = vx * delta / np.maximum(car.wheelbase + understeer * vx**2, 0.3 * car.wheelbase)
+    expected = vx * delta / np.maximum(car.wheelbase + car.understeer_gradient * vx**2, 0.3 * car.wheelbase)
     flow = model.flow(vx, vy, r, torque, delta)
     front_force, rear_force = flow.front.lateral_force, flow.rear.lateral_force
     nominal = (front_force + rear_force) / car.mass

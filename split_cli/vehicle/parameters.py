@@ -122,6 +122,17 @@ class Vehicle:
         """Speed below which samples are not used, 5 sqrt(wheelbase/2.7) [m/s]."""
         return 5.0 * float(np.sqrt(self.wheelbase / 2.7))
 
+    @property
+    def lateral_grip(self) -> float:
+        """Lateral acceleration that the peaks D of both axles carry [m/s^2]."""
+        return (self.front_tire.D + self.rear_tire.D) / self.mass
+
+    @property
+    def understeer_gradient(self) -> float:
+        """K = m/L (l_r/C_f - l_f/C_r) without the effects [rad/(m/s^2)]: steer angle is L r/v_x + K a_y."""
+        front, rear = self.front_tire.cornering_stiffness, self.rear_tire.cornering_stiffness
+        return self.mass / self.wheelbase * (self.cg_to_rear_axle / front - self.cg_to_front_axle / rear)
+
     def force_matrix(self) -> np.ndarray:
         """Return the invariant matrix, shape (3, 3): forces to rates at small steer angles.
 

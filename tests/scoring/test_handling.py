@@ -9,7 +9,7 @@ from split_cli.logs.drive import Drive
 from split_cli.scoring.handling.axles import axle_forces, binned
 from split_cli.scoring.handling.motion import free_run, measured_motion
 from split_cli.scoring.handling.steering_response import steering_response
-from split_cli.scoring.handling.understeer import nominal_understeer, understeer_of
+from split_cli.scoring.handling.understeer import understeer_of
 from split_cli.scoring.handling.whiteness import autocorrelation
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
@@ -53,7 +53,7 @@ class TestUndersteer:
     def test_the_gradient_of_a_linear_car_is_that_of_its_file(self, weaving):
         """At 0.006 rad the tyres' curves bend by (B alpha)^2/3, below 1 % of the stiffness."""
         found = understeer_of(weaving, CAR)
-        assert found.gradient == pytest.approx(nominal_understeer(CAR), rel=0.03)
+        assert found.gradient == pytest.approx(CAR.understeer_gradient, rel=0.03)
         assert found.interval[0] < found.gradient < found.interval[1]
 
     def test_a_wrong_ratio_is_told_from_understeer(self, weaving):

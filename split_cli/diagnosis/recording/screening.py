@@ -348,10 +348,7 @@ def _ratios(drive: Drive, vehicle: Vehicle, rules: Screening) -> tuple[float | N
     sound = _inner(drive) & (v["vx"] > vehicle.minimum_speed)
     if sound.sum() < rules.fewest_rows:
         return None, None
-    front, rear = (tire.B * tire.C * tire.D for tire in (vehicle.front_tire, vehicle.rear_tire))
-    l_f, l_r = vehicle.cg_to_front_axle, vehicle.cg_to_rear_axle
-    understeer = vehicle.mass / vehicle.wheelbase * (l_r / front - l_f / rear)
-    grip = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+    understeer, grip = vehicle.understeer_gradient, vehicle.lateral_grip
     across = np.abs(v["vx"] * v["r"])
     gentle = sound & (across < rules.gentle_to * grip) & (across > rules.gentle_from * grip)
     expected = v["r"] / np.maximum(v["vx"], 1e-3) * (vehicle.wheelbase + understeer * v["vx"] ** 2)

@@ -53,7 +53,7 @@ def angle_of_straights(
     more (Rajamani, 2012, equation 2.31 with the steady-state single track). An accelerometer feels it as the mean
     of a_y - v_x r; without one, any road may have a crossfall.
     """
-    grip = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+    grip = vehicle.lateral_grip
     columns, angles, blocks, felt = [], [], [], []
     for number, one in enumerate(several):
         v_x, _, r = one.smooth.T

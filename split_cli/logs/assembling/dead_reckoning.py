@@ -169,7 +169,7 @@ def _gentle(
     k = Kinematics(columns, period, list(segments))
     across = k.signal("vx") * k.signal("r")
     swing = vehicle.cg_to_rear_axle * k.rate("r")
-    limit = _GENTLE * (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+    limit = _GENTLE * vehicle.lateral_grip
     gentle = (np.abs(across) < limit) & (np.abs(swing) < limit)
     return gentle, np.where(gentle, across - swing, 0.0)
 

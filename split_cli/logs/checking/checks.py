@@ -255,18 +255,10 @@ class Checks:
         if not self.usable("delta") or self.vehicle is None:
             return
         k, car, name = self.k, self.vehicle, "delta against the steady steer angle"
-        gradient = (
-            car.mass
-            / car.wheelbase
-            * (
-                car.cg_to_rear_axle / car.front_tire.cornering_stiffness
-                - car.cg_to_front_axle / car.rear_tire.cornering_stiffness
-            )
-        )
         vx = np.where(k.moving, k.columns["vx"], np.nan)
         parts = (
             k.of("L r/vx", lambda: car.wheelbase * k.columns["r"] / np.where(np.abs(vx) > 0, vx, 1.0)),
-            gradient * k.turning(),
+            car.understeer_gradient * k.turning(),
         )
         if np.nanstd(np.where(k.moving, parts[0], np.nan)) < 1e-4:
             self.unjudged.append(Unjudged(name, "the car hardly turns"))
@@ -363,7 +355,7 @@ class Checks:
             return []
         # Of the path, whatever a_y's sensor adds; a car that slides turns faster than its path.
         lateral = np.abs(k.turning() + k.rate("vy"))
-        carried = (car.front_tire.D + car.rear_tire.D) / car.mass
+        carried = car.lateral_grip
         rows = k.moving & (lateral > _GRIP_MARGIN * carried)
         seconds = float(np.count_nonzero(rows)) * k.period
         if seconds < _GRIP_SECONDS:

@@ -31,7 +31,7 @@ def _largest(car: Vehicle | None) -> tuple[float, str]:
     """Return the largest change of speed that is believed [m/s^2], and why, in words."""
     limit, against = NO_CAR_EXCEEDS["ax"][0], "no car does that"
     if car is not None:
-        carried = _BEYOND_GRIP * (car.front_tire.D + car.rear_tire.D) / car.mass
+        carried = _BEYOND_GRIP * car.lateral_grip
         if carried < limit:
             limit, against = carried, "twice what the tyres of the vehicle file carry"
     return limit, against

@@ -100,7 +100,7 @@ def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | N
     note = ""
     if vehicle is not None:
         angle = np.linspace(0.0, 2.0 * np.pi, 121)
-        most = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+        most = vehicle.lateral_grip
         x, y = most * np.cos(angle), most * np.sin(angle)
         series.append(ChartLine("friction ellipse of the vehicle file", x, y, "other"))
         note = "The ellipse is (D_f + D_r)/m: the peak forces of both axles together."

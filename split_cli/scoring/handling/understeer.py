@@ -56,13 +56,6 @@ class Understeer:
     limit: float
 
 
-def nominal_understeer(vehicle: Vehicle) -> float:
-    """Return K = m/L (l_r/C_f - l_f/C_r) [rad/(m/s^2)] of a vehicle file without its effects."""
-    front, rear = vehicle.front_tire.cornering_stiffness, vehicle.rear_tire.cornering_stiffness
-    balance = vehicle.cg_to_rear_axle / front - vehicle.cg_to_front_axle / rear
-    return vehicle.mass / vehicle.wheelbase * balance
-
-
 def understeer_of(drive: Drive, vehicle: Vehicle) -> Understeer | None:
     """Return the understeer gradient that a drive shows, None where it holds too little gentle cornering.
 
@@ -77,12 +70,12 @@ def understeer_of(drive: Drive, vehicle: Vehicle) -> Understeer | None:
     Notes
     -----
     With linear tyres, F_yf = (m a_y l_r + I_z r')/L and F_yr = (m a_y l_f - I_z r')/L, so
-    alpha_f - alpha_r = K a_y + K_r r' holds in transients as well, with K as in `nominal_understeer` and
+    alpha_f - alpha_r = K a_y + K_r r' holds in transients as well, with K as in `Vehicle.understeer_gradient` and
     K_r = I_z/L (1/C_f + 1/C_r). Both are found by least squares with an offset, K_r as a nuisance. A wrong v_y
     drops out of the difference to first order. The ratio comes from delta = c + q L r/v_x + K a_y + K_r r': over
     several speeds q and K part, since a_y = v_x r.
     """
-    grip = (vehicle.front_tire.D + vehicle.rear_tire.D) / vehicle.mass
+    grip = vehicle.lateral_grip
     limit = min(_LINEAR, _OF_GRIP * grip)
     vx, vy, r, delta = (drive[name] for name in ("vx", "vy", "r", "delta"))
     with np.errstate(divide="ignore", invalid="ignore"):
