@@ -7,6 +7,7 @@ import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.checking.consistency import Consistency, check_consistency
+from split_cli.logs.checking.kinematics import block_interval, fit_slope
 from tests.factories import one_run
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
@@ -329,3 +330,20 @@ def test_a_clock_that_is_wrong_throughout_is_told_as_one_mistake(drive):
 @pytest.mark.parametrize("altered", [("vx",), ("r", "vy"), ("vx", "wheel_speed_fl")])
 def test_channels_that_are_wrong_for_a_while_are_no_clock(drive, altered):
     assert "time" not in {finding.channel for finding in of_a_clock(drive, 1.3, 60.0, 120.0, altered).findings}
+
+
+@pytest.mark.parametrize("zeroed", [False, True])
+def test_the_error_of_a_slope_is_that_of_slopes_with_a_block_left_out(zeroed):
+    rng = np.random.default_rng(5)
+    x = 3.0 + np.cumsum(rng.normal(size=1003))
+    y = -1.7 * x + rng.normal(size=1003)
+
+    def slope_of(rows):
+        a, b = (y[rows], x[rows]) if zeroed else (y[rows] - y[rows].mean(), x[rows] - x[rows].mean())
+        return np.array([-np.sqrt(np.sum(a * a) / np.sum(b * b))])
+
+    fitted = fit_slope(y, x, np.ones(1003, dtype=bool), zeroed=zeroed)
+    slope, error = block_interval(slope_of, 1003)
+    assert fitted.count == 1003
+    assert fitted.slope == pytest.approx(slope[0], rel=1e-12)
+    assert fitted.error == pytest.approx(error[0], rel=1e-9)

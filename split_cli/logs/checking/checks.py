@@ -469,7 +469,7 @@ class Checks:
         for sign in (1.0, -1.0):
             if sign * p > 4.0 * p_error and sign * q > 4.0 * q_error:
                 length = self.vehicle.cg_to_rear_axle
-                slope = Slope(float(p / length), float(p_error / length), 0.0, 0.0, sign, 0)
+                slope = Slope(float(p / length), float(p_error / length), sign, 0)
                 self.relations.append(
                     Relation("v_y against the sideslip of the rear axle", {"vy": 1, "r": -1}, slope, _SIGN_ONLY)
                 )
