@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
@@ -244,9 +245,9 @@ def test_derivatives_of_another_fit_lead_to_the_same_optimum_for_less(pushed, mo
     alone = fit_parts(pushed, [Part(drag, dict(drag.starts[0]))])
     parts = (*alone.parts, Part(resistance, dict(resistance.starts[0])))
     evaluated = []
-    whole = MarginalLikelihood.residual
+    whole = Evidence.defects
     monkeypatch.setattr(
-        MarginalLikelihood, "residual", lambda self, terms: evaluated.append(terms) or whole(self, terms)
+        Evidence, "defects", lambda self, terms, rates: evaluated.append(terms) or whole(self, terms, rates)
     )
     fresh = fit_parts(pushed, parts)
     needed, evaluated[:] = len(evaluated), []

@@ -344,6 +344,26 @@ def test_a_term_is_one_where_it_saves_twice_what_halves_of_the_simulation_differ
     assert exceeds_simulation_scatter(late_yaw_rate, one, 1.0)
 
 
+def test_rows_of_lists_that_differ_little_are_those_of_each_list():
+    """To the bit, with each instrument's fault moved in turn, a lean of the road and a drag."""
+    series = prepared(recording(5, share=0.1, seconds=3.0))
+    objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series))
+    values = [*PLANTED, ("road_bank", "", {"angle": 0.02}), ("aero_drag", "", {"drag": 0.1})]
+    terms = [CATALOGUE[name](dict.fromkeys(at, 0.0) | at, variant) for name, variant, at in values]
+    moved = [
+        [
+            *terms[:k],
+            type(one)({key: 1.1 * value for key, value in one.parameters.items()}, one.variant),
+            *terms[k + 1 :],
+        ]
+        for k, one in enumerate(terms)
+    ]
+    found = objective.left_by_each(moved, terms, objective.left_by(terms))
+    for several, rows in zip(moved, found, strict=True):
+        bare = replace(objective, memo={})
+        np.testing.assert_array_equal(rows, bare.left_by(several))
+
+
 def without_a_name(objective) -> Selection:
     base = nothing(objective)
     return Selection(base, base, (), (), (), ())

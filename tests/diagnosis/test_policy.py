@@ -74,7 +74,13 @@ BESIDE_THEIR_ALGORITHM = {
     "baseline/discrepancy.py": {"_SMOOTH_DEVIATION", "_AT_ONCE"},
     "innovations/autocovariance.py": {"LAG_ROWS"},
     "innovations/evidence.py": {"ROW_SECONDS", "_TUNING_ROWS", "_KEPT_BYTES"},
-    "innovations/objective.py": {"_BLOCK_SECONDS", "_LEAST_INFORMED", "_REMEMBERED", "_SHIFTS"},
+    "innovations/objective.py": {
+        "_BLOCK_SECONDS",
+        "_FILTERED_AT_ONCE",
+        "_LEAST_INFORMED",
+        "_REMEMBERED",
+        "_SHIFTS",
+    },  # fmt: skip
     "innovations/projection.py": {"_FEW"},
     "innovations/rollouts.py": {"_STEP_SECONDS", "_MOST_STARTS", "_FEWEST_STARTS"},
     "innovations/effect_to_noise.py": {"_HORIZON", "_ROWS_AT_ONCE"},

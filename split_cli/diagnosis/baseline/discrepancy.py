@@ -6,7 +6,7 @@ simulation; reality is judged with what the simulation leaves uncertain about th
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -15,8 +15,9 @@ import numpy as np
 
 from split_cli.diagnosis.baseline._functions_numba import weighted_functions
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
-from split_cli.diagnosis.baseline.tires import at_other_tires
-from split_cli.diagnosis.recording.series import Series, extended_model
+from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_ratios
+from split_cli.diagnosis.cache import Recent
+from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, values_of
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
@@ -44,6 +45,10 @@ class SharedDiscrepancy:
     # center, width: (4,): of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
     center: np.ndarray
     width: np.ndarray
+    # Made anew for a copy with another vehicle.
+    _ratios_before: Recent[tuple[Ratios, Series]] = field(
+        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    )
 
     @property
     def _peak(self) -> float:
@@ -92,8 +97,17 @@ class SharedDiscrepancy:
         Where terms move axles, the rates are those at the axles' slips there, see `rates`.
         """
         there = moved_axles(self.vehicle, terms)
-        some = series if there is self.vehicle else replace(series)  # a series keeps a flow of every vehicle
-        return at_another_body(at_other_tires(rates, some, there, terms), there, terms)
+        return at_another_body(at_other_tires(rates, series, there, terms, self._tire_ratios), there, terms)
+
+    def _tire_ratios(self, series: Series, there: Vehicle, altering: Sequence[Term]) -> Ratios:
+        """Return `tire_ratios`, as they were before for the same values of terms and place of the axles."""
+
+        def made() -> tuple[Ratios, Series]:
+            some = series if there is self.vehicle else replace(series)  # a series keeps a flow of every vehicle
+            # The series is kept beside it, so that no other can come to have its id.
+            return tire_ratios(some, there, altering), series
+
+        return self._ratios_before((id(series), there.cg_to_front_axle, values_of(altering)), made)[0]
 
     def _weighted(self, series: Series, weights: np.ndarray) -> np.ndarray:
         """Return the sum of the smooth functions times weights by force, shape (3, N), without making each."""

@@ -5,7 +5,7 @@ of it. Were it left as it is, the correction that a drive on rubber taught would
 the whole axle, and would take from a grip what that should explain.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -23,7 +23,24 @@ def alters_tires(term: Term) -> bool:
     return type(term).tire is not Term.tire and not alters_body(term)
 
 
-def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
+#: Forces of one curve over those of another, (N,) each [1], by the number of the force: 1 in front, 2 behind.
+Ratios = Mapping[int, np.ndarray]
+
+
+def tire_ratios(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> Ratios:
+    """Return by how much terms that alter tyres scale the lateral forces of the axles; none for an equal curve."""
+    old, new = (series.flow(extended_model(vehicle, some)) for some in ((), terms))
+    axles = {1: (old.front, new.front), 2: (old.rear, new.rear)}
+    return {k: _ratio(*pair) for k, pair in axles.items() if not same_curve(*pair)}
+
+
+def at_other_tires(
+    rates: np.ndarray,
+    series: Series,
+    vehicle: Vehicle,
+    terms: Sequence[Term],
+    ratios_of: Callable[[Series, Vehicle, Sequence[Term]], Ratios] = tire_ratios,
+) -> np.ndarray:
     """Return rates whose lateral axle forces are scaled as terms scale those of the axles' tyres.
 
     Parameters
@@ -32,6 +49,8 @@ def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: S
         Of v_x, v_y [m/s^2] and r [rad/s^2], in the middle of the samples of `series`.
     terms : sequence of Term
         Those that alter no tyre are passed over.
+    ratios_of : callable
+        What returns `tire_ratios`, which serve other rates as well.
 
     Notes
     -----
@@ -43,13 +62,10 @@ def at_other_tires(rates: np.ndarray, series: Series, vehicle: Vehicle, terms: S
     altering = [term for term in terms if alters_tires(term)]
     if not altering:
         return rates
-    old, new = (series.flow(extended_model(vehicle, some)) for some in ((), altering))
     matrix = vehicle.force_matrix()
     forces = rates @ np.linalg.inv(matrix).T
-    for k, axle in ((1, "front"), (2, "rear")):
-        before, after = getattr(old, axle), getattr(new, axle)
-        if not same_curve(before, after):
-            forces[:, k] *= _ratio(before, after)
+    for k, ratio in ratios_of(series, vehicle, altering).items():
+        forces[:, k] *= ratio
     return forces @ matrix.T
 
 

@@ -45,6 +45,15 @@ class Evidence:
         """Return whitened rows, shape (G, 3), of what `defects` returns."""
         return self.whitener(self.defects(terms, discrepancy_rates))
 
+    def rows_of_each(
+        self, several: Sequence[Sequence[Term]], discrepancy_rates: Sequence[np.ndarray | None]
+    ) -> np.ndarray:
+        """Return `rows` of lists of terms with rates, filtered together, shape (G, 3, number of lists)."""
+        defects = np.empty((len(self.series) - 1, 3, len(several)))
+        for k, (terms, rates) in enumerate(zip(several, discrepancy_rates, strict=True)):
+            defects[:, :, k] = self.defects(terms, rates)
+        return self.whitener(defects)
+
     def defects(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
         """Return the defects that the nominal model with `terms` leaves, shape (N - 1, 3); 0 over gaps.
 

@@ -7,7 +7,7 @@ integrated out (a marginalised baseline), or taken for what they are (a fixed ba
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ _LEAST_INFORMED = 2e-3
 _REMEMBERED = 64
 #: Shifts of the CG in wheelbases between which the shared discrepancy runs in straight lines.
 _SHIFTS = 0.02
+#: Lists of terms whose rows are filtered together [1]; decides time and memory alone.
+_FILTERED_AT_ONCE = 8
 #: Length [s] of stretches over which rows count as one, for errors of sums. Judgement: longer than transients.
 _BLOCK_SECONDS = 2.0
 
@@ -159,6 +161,10 @@ class MarginalLikelihood:
     def residual(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms and the simulation's shared discrepancy leave, shape (R,)."""
         rows = self.stack([one.rows(terms, self.carried(one, terms)) for one in self.evidence]) - self.offset
+        return self._with_witnesses(rows, terms)
+
+    def _with_witnesses(self, rows: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+        """Return rows (R,) with those of what a recording knows twice in their places, the last ones."""
         first = len(rows)
         for one in reversed(self.kinematics):
             rows[first - len(one.begin) : first] = self._kinematic_rows(one, terms)
@@ -167,7 +173,7 @@ class MarginalLikelihood:
 
     def _kinematic_rows(self, one: KinematicResiduals, terms: Sequence[Term]) -> np.ndarray:
         """Return the rows of a witness, shape (W,); only terms that it feels can change them."""
-        felt = [term for term in terms if not term.exported or term.is_felt]
+        felt = [term for term in terms if one.feels(term)]
         return self._remembered(("kinematics", id(one)), felt, lambda: one.rows(felt))
 
     def _remembered(
@@ -234,8 +240,9 @@ class MarginalLikelihood:
 
         Zero unless one of them does.
         """
-        altering = [term for term in terms if alters_inputs(term)]
-        if self.posterior is None or not altering:
+        altering = [term for term in terms if alters_inputs(term)] if self.posterior is not None else []
+        altering = self._moving(altering)
+        if not altering:
             return np.zeros(len(self.weight))
         others = [term for term in terms if alters_car(term)]
         moving = [term for term in others if moves_axles(self.discrepancy.vehicle, term)]
@@ -243,9 +250,9 @@ class MarginalLikelihood:
         def rows() -> np.ndarray:
             moved = []
             for one in self.evidence:
-                rates = [self._rates(one, [*some, *moving]) for some in ((), altering)]
-                here, there = (self.discrepancy.at_another_car(some, one.series, others) for some in rates)
-                moved.append(one.whitener(integrated(one.series, there - here)))
+                here, there = (self._rates(one, [*some, *moving]) for some in ((), altering))
+                rates = self.discrepancy.at_another_car(there - here, one.series, others)
+                moved.append(one.whitener(integrated(one.series, rates)))
             return self.stack(moved)
 
         return self._remembered(("shift", bool(others)), [*altering, *others], rows, for_good=not others)
@@ -287,6 +294,32 @@ class MarginalLikelihood:
     def left_by(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms leave, the shared discrepancy moved along with the inputs they alter, shape (R,)."""
         return self.residual(terms) - self.shift(terms)
+
+    def left_by_each(
+        self, several: Sequence[Sequence[Term]], beside: Sequence[Term], here: np.ndarray
+    ) -> Iterator[np.ndarray]:
+        """Yield `left_by` of lists of terms that differ little from one whose result `here`, (R,), is known.
+
+        Their rows are filtered some at a time, and not at all where witnesses alone feel what differs.
+        """
+        known = values_of(self._moving(beside))
+        for begin in range(0, len(several), _FILTERED_AT_ONCE):
+            some = several[begin : begin + _FILTERED_AT_ONCE]
+            moved = [terms for terms in some if values_of(self._moving(terms)) != known]
+            carried = [[self.carried(one, terms) for terms in moved] for one in self.evidence]
+            rows = [one.rows_of_each(moved, rates) for one, rates in zip(self.evidence, carried, strict=True)]
+            columns = iter(range(len(moved)))
+            for terms in some:
+                if not any(terms is one for one in moved):
+                    yield self._with_witnesses(here.copy(), terms)
+                    continue
+                k = next(columns)
+                left = self.stack([one[:, :, k] for one in rows]) - self.offset
+                yield self._with_witnesses(left, terms) - self.shift(terms)
+
+    def _moving(self, terms: Sequence[Term]) -> list[Term]:
+        """Return the terms without sensors' faults that leave the velocities as they are: witnesses feel those."""
+        return [term for term in terms if any(one.series.is_moved_by(term) for one in self.evidence)]
 
     def whiten(self, rows: np.ndarray) -> np.ndarray:
         """Return residuals from which the still free part of the shared discrepancy is taken out, shape as given.

@@ -201,17 +201,18 @@ def _whiten(z, gain, root, carry, begins, group, rows, estimate):
                 )
         g = group[k]
         if g >= 0:
-            for i in range(3):
-                for j in range(i + 1):
-                    w = W[i, j]
-                    for c in range(columns):
-                        out[g, i, c] += w * innovation[j, c]
+            for c in range(columns):
+                out[g, 0, c] += W[0, 0] * innovation[0, c]
+                out[g, 1, c] += W[1, 0] * innovation[0, c] + W[1, 1] * innovation[1, c]
+                out[g, 2, c] += (
+                    W[2, 0] * innovation[0, c] + W[2, 1] * innovation[1, c] + W[2, 2] * innovation[2, c]
+                )
     return out
 
 
 @njit(cache=True, nogil=True)
 def _whiten_one(z, gain, root, carry, begins, group, rows):
-    """The same for one column, (n, 3), which is what a search for parameters asks for again and again."""
+    """The same to the bit for one column, (n, 3), which a search for parameters asks for again and again."""
     out = np.zeros((rows, 3))
     x = y = w = 0.0
     for k in range(z.shape[0]):

@@ -53,6 +53,10 @@ class KinematicResiduals:
         """Name among the witnesses of a recording."""
         return "across"
 
+    def feels(self, term: Term) -> bool:
+        """Return whether a term can change the rows: a fault of the velocities."""
+        return term.corrects and self.series.is_moved_by(term)
+
     def ahead(self, terms: Sequence[Term]) -> np.ndarray:
         """Return the displacement ahead by velocities [m], averaged as positions are, shape (W,)."""
         return self._travelled(terms, averaged=True)[0]

@@ -53,8 +53,13 @@ class Series:
     place_reference: str = "dead_reckoned"
     # Made anew for a copy with other arrays.
     _nominal_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _turned_by: dict[tuple[str, str], bool] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _changed_by: dict[tuple[str, str], frozenset[str]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
     _corrected_before: Recent[tuple[np.ndarray, np.ndarray]] = field(
+        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    )
+    _read_before: Recent[dict[str, np.ndarray]] = field(
         default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
     )
     _accelerations_before: Recent[dict[str, np.ndarray]] = field(
@@ -100,28 +105,51 @@ class Series:
     def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""
         # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
-        correcting = [term for term in terms if term.corrects and self._is_turned_by(term)]
+        correcting = [term for term in terms if term.corrects and self.is_moved_by(term)]
         if not correcting:
             return self.measured, self.smooth
         # One explanation is asked for by the model and by every witness in turn, and while others are fitted.
         return self._corrected_before(values_of(correcting), lambda: self._corrected(correcting))
 
-    def _is_turned_by(self, term: Term) -> bool:
-        """Return whether a sensor's fault is one of velocities: the bias of an accelerometer leaves them alone."""
+    def is_moved_by(self, term: Term) -> bool:
+        """Return whether a term changes the model or the velocities: an accelerometer's bias leaves both alone."""
+        return not term.corrects or self._changes(term, ("vx", "vy", "r"))
+
+    def _changes(self, term: Term, channels: Sequence[str]) -> bool:
+        """Return whether a sensor's fault is one of some channels, by its term and variant."""
         kind = (term.id, term.variant)
-        if term.moves_samples:
-            return True
-        if kind not in self._turned_by:
-            self._turned_by[kind] = self._apply(term, self.smooth) is not self.smooth
-        return self._turned_by[kind]
+        if kind not in self._changed_by:
+            before = self._readings
+            after = term.correct(before, self.recording)
+            self._changed_by[kind] = frozenset(name for name, one in before.items() if after[name] is not one)
+        return term.moves_samples or not self._changed_by[kind].isdisjoint(channels)
 
     def _corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
-        measured, smooth = self.measured, self.smooth
+        measured, smooth = self._channels
         for term in terms:
-            noise = measured - smooth
-            smooth = self._apply(term, smooth)
-            measured = smooth + noise if term.moves_samples else self._apply(term, measured)
+            good = self._put_right(term, smooth)
+            if term.moves_samples:
+                measured = {name: good[name] + (measured[name] - smooth[name]) for name in good}
+            else:
+                measured = self._put_right(term, measured)
+            smooth = good
+        stays = all(smooth[name] is column for name, column in self._channels[1].items())
+        columns = [np.stack(list(one.values()), axis=1) for one in (measured, smooth)]
+        return columns[0], self.smooth if stays else columns[1]
+
+    @cached_property
+    def _channels(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return measured and smooth velocities channel by channel, shape (N,) each."""
+        measured, smooth = (
+            dict(zip(("vx", "vy", "r"), map(np.ascontiguousarray, velocity.T), strict=True))
+            for velocity in (self.measured, self.smooth)
+        )
         return measured, smooth
+
+    def _put_right(self, term: Term, velocity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return velocities with a sensor's fault taken off, channel by channel."""
+        good = term.correct({**velocity, "t": self.t}, self.recording)
+        return {name: good[name] for name in velocity}
 
     def accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
         """Return ``ax`` and ``ay`` [m/s^2] without sensors' faults and weight on inclined roads, shape (N,) each.
@@ -135,24 +163,29 @@ class Series:
         return self._accelerations_before(values_of(telling), lambda: self._accelerations(telling))
 
     def _accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
-        names = [name for name in ("ax", "ay") if name in self.drive]
-        columns = {name: _filled(self.drive[name]) for name in names} | {"t": self.t}
-        for term in terms:
-            if term.corrects:
-                velocity = dict(zip(("vx", "vy", "r"), self.smooth.T, strict=True))
-                columns = term.correct({**velocity, **columns}, self.recording)
+        correcting = [term for term in terms if term.corrects]
+        # What comes after the last fault of an accelerometer changes none of them.
+        own = [k for k, term in enumerate(correcting) if self._changes(term, ("ax", "ay"))]
+        correcting = correcting[: max(own, default=-1) + 1]
+        out = self._read_before(values_of(correcting), lambda: self._read_right(correcting))
         for term in terms:
             if term.is_felt:
-                felt = dict(zip(("ax", "ay"), term.weight_felt(self.s), strict=True))
-                columns = {**columns, **{name: columns[name] - felt[name] for name in names}}
-        return {name: columns[name] for name in names}
+                weight = dict(zip(("ax", "ay"), term.weight_felt(self.s), strict=True))
+                out = {name: column - weight[name] for name, column in out.items()}
+        return out
 
-    def _apply(self, term: Term, velocity: np.ndarray) -> np.ndarray:
-        columns = dict(zip(("vx", "vy", "r"), velocity.T, strict=True))
-        good = term.correct({**columns, "t": self.t}, self.recording)
-        if all(good[name] is column for name, column in columns.items()):
-            return velocity
-        return np.stack([good["vx"], good["vy"], good["r"]], axis=1)
+    def _read_right(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
+        """Return ``ax`` and ``ay`` [m/s^2] without sensors' faults, shape (N,) each."""
+        columns = self._readings
+        for term in terms:
+            columns = term.correct(columns, self.recording)
+        return {name: columns[name] for name in ("ax", "ay") if name in columns}
+
+    @cached_property
+    def _readings(self) -> dict[str, np.ndarray]:
+        """Return smoothed velocities and accelerations, samples without a number filled, and time, (N,) each."""
+        accelerations = {name: _filled(self.drive[name]) for name in ("ax", "ay") if name in self.drive}
+        return {**self._channels[1], **accelerations, "t": self.t}
 
     def flow(self, model: SingleTrack, velocity: np.ndarray | None = None) -> Flow:
         """Evaluate a model in the middle of every sample, at the smoothed states unless others are given.

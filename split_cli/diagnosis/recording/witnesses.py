@@ -56,6 +56,12 @@ class Witness:
         said, made, _ = self._compared(terms)
         return said - made
 
+    def feels(self, term: Term) -> bool:
+        """Return whether a term can change the rows: a sensor's fault, or a lean that accelerometers feel."""
+        if self.position is not None:
+            return self.position.feels(term)
+        return term.corrects or term.is_felt
+
     @cached_property
     def causes(self) -> np.ndarray:
         """Return the patterns of an error of scale, of a bias and of a delay of the instrument, shape (W, 3)."""

@@ -186,15 +186,11 @@ def _fit(
     upper = np.array([limit.upper for limit in limits]) / steps
     x = np.clip(np.array([parts[k].values[name] for k, name in names]) / steps, lower, upper)
 
-    terms_at = _terms_of(parts)
-
-    def residual_at(x: np.ndarray) -> np.ndarray:
-        return objective.left_by(terms_at(x * steps))
-
+    terms_at = _terms_of(parts, steps)
     mean, precision = pulls if pulls is not None else (np.zeros(len(x)), np.zeros(len(x)))
 
     def evaluate(x: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
-        here = residual_at(x)
+        here = objective.left_by(terms_at(x))
         residuals = objective.whiten(here)
         return float(residuals @ residuals) + float(precision @ (x - mean) ** 2), (here, residuals)
 
@@ -207,13 +203,15 @@ def _fit(
     def linearise(x: np.ndarray, state: tuple, shared: Mapping[int, np.ndarray] = MappingProxyType({})) -> Slopes:
         here, _ = state
         if len(x) and not shared:
-            return slopes_of(objective.whiten(_slopes(residual_at, here, x, upper, range(len(x)))), x, state)
+            return slopes_of(
+                objective.whiten(_slopes(objective, terms_at, here, x, upper, range(len(x)))), x, state
+            )
         jacobian = np.empty((len(here), len(x)))
         for p, column in shared.items():
             jacobian[:, p] = column
         own = [p for p in range(len(x)) if p not in shared]
         if own:
-            jacobian[:, own] = objective.whiten(_slopes(residual_at, here, x, upper, own))
+            jacobian[:, own] = objective.whiten(_slopes(objective, terms_at, here, x, upper, own))
         return slopes_of(jacobian, x, state)
 
     def follow(slopes: Slopes, before: tuple[np.ndarray, tuple], after: tuple[np.ndarray, tuple]) -> Slopes | None:
@@ -255,12 +253,8 @@ def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarr
     steps = np.array([limit.step for limit in limits])
     upper = np.array([limit.upper for limit in limits]) / steps
     x = np.array([parts[k].values[name] for k, name in names]) / steps
-    terms_at = _terms_of(parts)
-
-    def residual_at(x: np.ndarray) -> np.ndarray:
-        return objective.left_by(terms_at(x * steps))
-
-    return _slopes(residual_at, residual_at(x), x, upper, range(len(x)))
+    terms_at = _terms_of(parts, steps)
+    return _slopes(objective, terms_at, objective.left_by(terms_at(x)), x, upper, range(len(x)))
 
 
 def _shared_slopes(
@@ -284,19 +278,27 @@ def _shared_slopes(
 
 
 def _slopes(
-    residual_at: Callable, here: np.ndarray, x: np.ndarray, upper: np.ndarray, own: Sequence[int]
+    objective: MarginalLikelihood,
+    terms_at: Callable[[np.ndarray], list[Term]],
+    here: np.ndarray,
+    x: np.ndarray,
+    upper: np.ndarray,
+    own: Sequence[int],
 ) -> np.ndarray:
-    """Return derivatives of a residual by `own` of x, shape (R, len(own)), by differences of one step.
+    """Return derivatives of what terms leave by `own` of x, shape (R, len(own)), by differences of one step.
 
-    `here` is the residual at x.
+    `here` is what they leave at x.
     """
-    out = np.empty((len(here), len(own)))
-    for column, p in zip(out.T, own, strict=True):
+    out, directions, moved = np.empty((len(here), len(own))), [], []
+    for p in own:
         # Away from a bound; one step is small against what matters, large against rounding.
-        direction = -1.0 if x[p] + 1.0 > upper[p] else 1.0
-        moved = x.copy()
-        moved[p] += direction
-        np.multiply(residual_at(moved) - here, direction, out=column)
+        directions.append(-1.0 if x[p] + 1.0 > upper[p] else 1.0)
+        ahead = x.copy()
+        ahead[p] += directions[-1]
+        moved.append(terms_at(ahead))
+    left = objective.left_by_each(moved, terms_at(x), here)
+    for column, one, direction in zip(out.T, left, directions, strict=True):
+        np.multiply(one - here, direction, out=column)
     return out
 
 
@@ -339,24 +341,22 @@ def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside:
     beside : tuple of Term
         Others that act.
     """
-    steps, terms_at = np.array([part.candidate.ranges[name].step for name in part.values]), _terms_of((part,))
-    x = np.array(list(part.values.values())) / steps
-
-    def at(values: np.ndarray) -> np.ndarray:
-        return objective.left_by([*beside, *terms_at(values * steps)])
-
-    here = at(x)
-    columns = [here - base, *(at(x + unit) - here for unit in np.eye(len(x)))]
+    steps = np.array([part.candidate.ranges[name].step for name in part.values])
+    x, terms_at = np.array(list(part.values.values())) / steps, _terms_of((part,), steps)
+    terms = [*beside, *terms_at(x)]
+    here = objective.left_by(terms)
+    moved = [[*beside, *terms_at(x + unit)] for unit in np.eye(len(x))]
+    columns = [here - base, *(one - here for one in objective.left_by_each(moved, terms, here))]
     lines = objective.whiten(np.stack(columns, axis=1))
     return Tangent(part, np.ascontiguousarray(lines[:, 0]), np.ascontiguousarray(lines[:, 1:]))
 
 
-def _terms_of(parts: Sequence[Part]) -> Callable[[np.ndarray], list[Term]]:
-    """Return what makes the terms of parts at other values (P,), over the parts in order; each is made once."""
+def _terms_of(parts: Sequence[Part], steps: np.ndarray) -> Callable[[np.ndarray], list[Term]]:
+    """Return what makes the terms of parts at values in steps (P,), over the parts in order; each made once."""
     known: list[dict[tuple[float, ...], Term]] = [{} for _ in parts]
 
-    def terms_at(values: np.ndarray) -> list[Term]:
-        out, left = [], iter(values.tolist())
+    def terms_at(x: np.ndarray) -> list[Term]:
+        out, left = [], iter((x * steps).tolist())
         for part, made in zip(parts, known, strict=True):
             own = dict(zip(part.values, left, strict=False))
             key = tuple(own.values())
