@@ -28,6 +28,10 @@ class Recent(Generic[_Made]):
     def __len__(self) -> int:
         return len(self._known)
 
+    def clear(self) -> None:
+        """Forget all results."""
+        self._known.clear()
+
     def __reduce__(self) -> tuple[type[Recent], tuple[int]]:
         # Keys may hold ids of objects, which another process gives to others.
         return type(self), (self.most,)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from split_cli.diagnosis.innovations.whitening import build_whitener
+from split_cli.diagnosis.innovations.whitening import build_whitener, cost_by_disturbance
 
 PERIOD = 0.01
 NOISE = np.array([0.03, 0.02, 0.004])
@@ -37,7 +37,8 @@ def test_costs_are_those_of_the_dense_gaussian():
     covariance = dense_covariance(A)
     expected = z.ravel() @ np.linalg.solve(covariance, z.ravel()) + np.linalg.slogdet(covariance)[1]
     # Both are sums of some hundred terms of order one; the recursion is exact, not approximate.
-    np.testing.assert_allclose(whitener.cost(z), expected, rtol=1e-10)
+    cost = cost_by_disturbance(z, A, PERIOD, NOISE, begins)(DISTURBANCE)
+    np.testing.assert_allclose(cost, expected, rtol=1e-10)
     rows = whitener(z)
     np.testing.assert_allclose(np.sum(rows**2), z.ravel() @ np.linalg.solve(covariance, z.ravel()), rtol=1e-10)
 

@@ -8,7 +8,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.cache import Recent
-from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener
+from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener, cost_by_disturbance
 from split_cli.diagnosis.policy import STANDARD, Believing
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model
 from split_cli.vehicle.effects import Term
@@ -243,23 +243,18 @@ def _likely_disturbance(series, jacobian, defect, begins, rolls, start) -> np.nd
     used = np.flatnonzero(rolls[1:])[:_TUNING_ROWS]
     begins = begins[used] | (np.diff(used, prepend=used[0]) > 1)
     jacobian = jacobian[np.append(used, used[-1] + 1)]
-    every = np.arange(len(used), dtype=np.int64)
     clipped = defect[used]
     spread = 6.0 * 1.4826 * np.median(np.abs(clipped), axis=0) + 1e-12
     clipped = np.clip(clipped, -spread, spread)
     found = np.log10(np.asarray(start, dtype=float))
-
-    def cost(logs: np.ndarray) -> float:
-        whitener = build_whitener(jacobian, series.period, series.stated_noise, 10.0**logs, begins, every)
-        return whitener.cost(clipped)
-
-    least = cost(found)
+    cost = cost_by_disturbance(clipped, jacobian, series.period, series.stated_noise, begins)
+    least = cost(10.0**found)
     for width in (2.0, 1.0, 0.5, 0.25):
         for channel in range(3):
             trials = [(least, found)]
             for shift in (-width, width):
                 logs = found.copy()
                 logs[channel] += shift
-                trials.append((cost(logs), logs))
+                trials.append((cost(10.0**logs), logs))
             least, found = min(trials, key=lambda trial: trial[0])
     return 10.0 ** np.clip(found, -9.0, 4.0)

@@ -8,7 +8,7 @@ them is prediction-error estimation over every horizon at once.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,6 @@ class Whitener:
     begins: np.ndarray  # bool (N - 1,): transitions at which the filter starts anew
     group: np.ndarray  # int64 (N - 1,): number of the output row a transition is summed into; -1 for none
     count: np.ndarray  # (G,): transitions a row
-    log_determinant: float  # sum of the logarithms of the innovations' covariance determinants
 
     def __call__(self, defect: np.ndarray, estimate: np.ndarray | None = None) -> np.ndarray:
         """Return whitened rows, shape (G, 3, C), of defects (N - 1, 3, C), or (G, 3) of (N - 1, 3).
@@ -71,10 +70,6 @@ class Whitener:
         every = np.arange(len(self.group), dtype=np.int64)
         return replace(self, group=every, count=np.ones(len(every)))
 
-    def cost(self, defect: np.ndarray) -> float:
-        """Return minus twice the log likelihood of defects (N - 1, 3), up to a constant."""
-        return float(np.sum(self.of_every_sample()(defect) ** 2)) + self.log_determinant
-
 
 def build_whitener(
     jacobian: np.ndarray,
@@ -105,14 +100,37 @@ def build_whitener(
     disturbance: a moving average of order one. The estimate of n_k from the past, with covariance S, gives the
     innovation z_k + N n^, its covariance Q + P R P^T + N S N^T, and the next estimate.
     """
-    carry = np.eye(3) + 0.5 * period * jacobian[:-1]
-    onward = np.eye(3) - 0.5 * period * jacobian[1:]
-    R = np.diag(np.asarray(noise, dtype=float) ** 2)
-    Q = np.diag(np.asarray(disturbance, dtype=float) * period)
-    gain, root, log_determinant = _gains(carry, onward, R, Q, begins)
+    carry, onward, R = _moving_average(jacobian, period, noise)
+    gain, root, _ = _gains(carry, onward, R, np.diag(np.asarray(disturbance, dtype=float) * period), begins)
     kept = group[group >= 0]
     count = np.bincount(kept, minlength=(int(kept.max()) + 1) if len(kept) else 0).astype(float)
-    return Whitener(gain, root, carry, begins, group, count, float(log_determinant))
+    return Whitener(gain, root, carry, begins, group, count)
+
+
+def cost_by_disturbance(
+    defect: np.ndarray, jacobian: np.ndarray, period: float, noise: np.ndarray, begins: np.ndarray
+) -> Callable[[np.ndarray], float]:
+    """Return what gives minus twice the log likelihood of defects (N - 1, 3) by disturbance, up to a constant.
+
+    Parameters are those of `build_whitener`; what no disturbance changes is worked out once.
+    """
+    carry, onward, R = _moving_average(jacobian, period, noise)
+    defect, every = np.ascontiguousarray(defect), np.arange(len(begins), dtype=np.int64)
+
+    def cost(disturbance: np.ndarray) -> float:
+        gain, root, log_determinant = _gains(carry, onward, R, np.diag(disturbance * period), begins)
+        rows = _whiten_one(defect, gain, root, carry, begins, every, len(every))
+        return float(np.sum(rows**2)) + float(log_determinant)
+
+    return cost
+
+
+def _moving_average(
+    jacobian: np.ndarray, period: float, noise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return I + period/2 A_k and I - period/2 A_{k+1}, (N - 1, 3, 3), and the noise's covariance (3, 3)."""
+    carry = np.eye(3) + 0.5 * period * jacobian[:-1]
+    return carry, np.eye(3) - 0.5 * period * jacobian[1:], np.diag(np.asarray(noise, dtype=float) ** 2)
 
 
 @njit(cache=True, nogil=True)

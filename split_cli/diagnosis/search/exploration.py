@@ -21,6 +21,7 @@ from split_cli.diagnosis.search.fitting import (
     scan_places,
     sensitivity_of,
     tangent,
+    without_parts,
 )
 from split_cli.diagnosis.search.form_error import (
     forget_form_error,
@@ -47,6 +48,9 @@ class Explorer:
         default_factory=list, init=False, repr=False, compare=False
     )
     _beside: Recent[list[Tangent]] = field(
+        default_factory=lambda: Recent(1), init=False, repr=False, compare=False
+    )
+    _reduced: Recent[tuple[Fit, tuple[Fit, ...]]] = field(
         default_factory=lambda: Recent(1), init=False, repr=False, compare=False
     )
 
@@ -80,9 +84,15 @@ class Explorer:
         release_memory()
         return fits
 
+    def without(self, nothing: Fit, fit: Fit) -> tuple[Fit, ...]:
+        """Return `without_parts` of a fit, as they were if it was the last that was asked for."""
+        made = self._reduced(id(fit), lambda: (fit, without_parts(self.objective, nothing, fit)))
+        return made[1]
+
     def close(self) -> None:
         """Let go of all explanations, where no further one is asked for; straight lines stay."""
         self._explored.clear()
+        self._reduced.clear()
 
     def _forget_oldest(self) -> None:
         """Let go of explanations beyond what is held; what is still in use elsewhere, of its sensitivity."""

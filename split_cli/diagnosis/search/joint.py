@@ -24,7 +24,6 @@ from split_cli.diagnosis.search.fitting import (
     fit_with_prior,
     fits_without,
     sensitivity_of,
-    without_parts,
 )
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -103,7 +102,7 @@ def at_its_least(explore: Explorer, nothing: Fit, fit: Fit) -> tuple[Fit, tuple[
     """
     tie = explore.rules.tie * explore.variance_inflation
     while True:
-        without = without_parts(explore.objective, nothing, fit)
+        without = explore.without(nothing, fit)
         best = min(without, key=lambda one: one.cost, default=fit)
         if best.cost > fit.cost - tie:
             return fit, without
