@@ -134,8 +134,7 @@ def select_terms(
         whole = explanation_of_every_car(explore, physics, found, leaves_more_than_noise)
         return None if whole is None else replace(_named_of_every_car(explore, base, whole[0]), history=whole[1])
 
-    whole = as_every_car(found.with_what_matters(base, rules))
-    if whole is not None:
+    if (whole := as_every_car(found.with_what_matters(base, rules))) is not None:
         explore.close()
         return replace(whole, first_p=found.first_p, first=tuple(first), partly=partly)
     jointly = None
@@ -372,15 +371,9 @@ def _with_rivals(explore: Explorer, selection: Selection, *, better: bool = Fals
 
 def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selection:
     """Return a selection with another explanation in the place of the chosen one, compared afresh."""
-    found, known = _examined(explore, selection.base, chosen), selection
-    return replace(
-        found,
-        history=known.history,
-        first_p=known.first_p,
-        first=known.first,
-        further=known.further,
-        partly=known.partly,
-    )
+    new = _examined(explore, selection.base, chosen)
+    compared = {"without": new.without, "rivals": new.rivals, "siblings": new.siblings}
+    return replace(selection, chosen=new.chosen, named=new.named, **compared)
 
 
 def _believed_together(
