@@ -122,31 +122,31 @@ def _span(m: int, inverse: ndarray, k: ndarray) -> None:
 
 
 @compiled(cache=True)
-def _absorb(m: int, share: ndarray, y: ndarray, sums: ndarray) -> None:
-    """Add a label of the first m points' `share` to the sums of a cell."""
-    capacity = len(sums)
+def _absorb(m: int, k: ndarray, sample: int, samples: ndarray, c: int, sums: ndarray) -> None:
+    """Add a sample's label to the sums of cell `c`: its first m points have the shares in the first row of `k`."""
+    capacity, labels = sums.shape[1], samples.shape[1] - 3
     for i in range(m):
-        for j in range(m):
-            sums[i, j] += share[i] * share[j]
+        own = k[0, i]
+        for j in range(i + 1):
+            sums[c, i, j] += own * k[0, j]
         for output in range(3):
-            sums[i, capacity + output] += share[i] * y[output]
+            sums[c, i, capacity + output] += own * samples[sample, labels + output]
 
 
 @compiled(cache=True)
-def _hand_over(slot: int, n: int, share: ndarray, sums: ndarray) -> None:
-    """Give what a cell's sums tell of a point that left `slot` to its n points now, of which it is a `share`."""
-    own = sums[slot, slot]
+def _hand_over(slot: int, n: int, k: ndarray, sums: ndarray) -> None:
+    """Give what a cell's sums tell of a point that left `slot` to its n points now; `k` as `_span` left it."""
+    share, shared, capacity = k[0], k[1], len(sums)
     for i in range(n):
+        shared[i] = sums[max(i, slot), min(i, slot)]
+    own, shared[slot] = shared[slot], 0.0
+    for i in range(n):
+        sums[max(i, slot), min(i, slot)] = 0.0
+    for i in range(n):
+        row = sums[i]
         for j in range(i + 1):
-            if i != slot and j != slot:
-                sums[i, j] += share[i] * sums[slot, j] + sums[i, slot] * share[j] + own * share[i] * share[j]
-                sums[j, i] = sums[i, j]
-    for j in range(n):
-        if j != slot:
-            both = share[slot] * (sums[slot, j] + own * share[j])
-            sums[slot, j], sums[j, slot] = both, both
-    sums[slot, slot] = own * share[slot] * share[slot]
-    for output in range(len(sums), len(sums) + 3):
+            row[j] += share[i] * shared[j] + shared[i] * share[j] + own * share[i] * share[j]
+    for output in range(capacity, capacity + 3):
         left = sums[slot, output]
         sums[slot, output] = 0.0
         for i in range(n):
@@ -155,7 +155,7 @@ def _hand_over(slot: int, n: int, share: ndarray, sums: ndarray) -> None:
 
 @compiled(cache=True)
 def update_cells(
-    groups: ndarray, cell_of_group: ndarray, order: ndarray, z_new: ndarray, y_new: ndarray, clock_new: ndarray,
+    groups: ndarray, cell_of_group: ndarray, order: ndarray, samples: ndarray, clock_new: ndarray,
     inverse_scales: ndarray, threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray,
     clock: ndarray, sums: ndarray, origin: ndarray,
 ) -> tuple[ndarray, int, int]:  # fmt: skip
@@ -167,7 +167,8 @@ def update_cells(
         Samples of group g are ``order[groups[g]:groups[g + 1]]``.
     cell_of_group : ndarray of int64, shape (G,)
     order : ndarray of int64, shape (N,)
-    z_new, y_new, clock_new : ndarray, shape (N, D), (N, 3), (N,)
+    samples, clock_new : ndarray, shape (N, D + 3), (N,)
+        Features, and behind them the label.
     inverse_scales : ndarray, shape (D,)
         Reciprocal length scales.
     threshold, forgetting : float
@@ -175,8 +176,8 @@ def update_cells(
     count, z, gamma, clock, origin : ndarray, shape (C,), (C, M, D), (C, M), (C, M), (C, M)
         The cells, altered in place; `origin` receives the sample that fills a slot.
     sums : ndarray, shape (C, M, M + 3)
-        Over all labels: `information`, and behind its columns `absorbed` of `TrainingSet`. Of shape (C, 0, 0)
-        where they are not kept.
+        Over all labels: the lower triangle of `information`, and behind its columns `absorbed` of `TrainingSet`.
+        Of shape (C, 0, 0) where they are not kept.
 
     Returns
     -------
@@ -184,7 +185,7 @@ def update_cells(
         What became of each sample, repairs by jitter, and the first cell no jitter could repair or -1.
     """
     capacity = z.shape[1]
-    outcome = np.zeros(len(z_new), dtype=np.int8)
+    outcome = np.zeros(len(samples), dtype=np.int8)
     # Only triangles that were written are read; filling the rest costs more than a small cell's update.
     low, inverse = np.empty((capacity, capacity)), np.empty((capacity, capacity))
     k, absorbs = np.empty((3, max(capacity, z.shape[2]))), sums.shape[1] > 0
@@ -202,14 +203,15 @@ def update_cells(
                 bound = least if n == capacity else min(threshold, least)
             else:
                 bound = least if n == capacity else threshold
-            spans = _spanned_by(z_new[sample], z[c], n, inverse_scales, inverse, k, bound)
+            spans = _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, bound)
             if spans <= n:
                 if absorbs:
                     _span(spans, inverse, k)
-                    _absorb(spans, k[0], y_new[sample], sums[c])
+                    _absorb(spans, k, sample, samples, c, sums)
                 continue
             if n < capacity and (
-                forgetting <= 0.0 or _spanned_by(z_new[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
+                forgetting <= 0.0
+                or _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
             ):
                 slot = n
                 count[c] = n + 1
@@ -218,7 +220,7 @@ def update_cells(
                 outcome[sample] = _REPLACED
             for feature in range(z.shape[2]):  # a row put into another would compile the words of an error
                 k[2, feature] = z[c, slot, feature]
-                z[c, slot, feature] = z_new[sample, feature]
+                z[c, slot, feature] = samples[sample, feature]
             clock[c, slot] = clock_new[sample]
             origin[c, slot] = sample
             same = slot if jitter == 0 else 0
@@ -231,20 +233,20 @@ def update_cells(
                 if outcome[sample] == _REPLACED:
                     _spanned_by(k[2], z[c], n, inverse_scales, inverse, k, -1.0)
                     _span(n, inverse, k)
-                    _hand_over(slot, n, k[0], sums[c])
+                    _hand_over(slot, n, k, sums[c])
                 sums[c, slot, slot] += 1.0
                 for output in range(3):
-                    sums[c, slot, capacity + output] += y_new[sample, output]
+                    sums[c, slot, capacity + output] += samples[sample, z.shape[2] + output]
             slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
     return outcome, repairs, -1
 
 
 @compiled(cache=True)
 def update_cell(
-    cell: int, sample: int, time: float, z_new: ndarray, y_new: ndarray, inverse_scales: ndarray,
-    threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray, clock: ndarray, sums: ndarray,
+    cell: int, sample: int, time: float, samples: ndarray, inverse_scales: ndarray, threshold: float,
+    forgetting: float, count: ndarray, z: ndarray, gamma: ndarray, clock: ndarray, sums: ndarray,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Offer row `sample` of `z_new` and `y_new` to one cell: `update_cells` for a label alone, to the bit.
+    """Offer row `sample` of `samples` to one cell: `update_cells` for a label alone, to the bit.
 
     Every array that Python hands over costs some 50 ns, as much as a sixth of the update. So those that only sort
     samples into cells are made here. Returns what became of the sample, the slot of one that was taken, and the
@@ -254,7 +256,7 @@ def update_cell(
     origin = np.full((1, z.shape[1]), -1, dtype=np.int64)
     one = slice(cell, cell + 1)
     outcome, repairs, broken = update_cells(
-        np.arange(2), first, first, z_new[sample : sample + 1], y_new[sample : sample + 1], np.full(1, time),
+        np.arange(2), first, first, samples[sample : sample + 1], np.full(1, time),
         inverse_scales, threshold, forgetting, count[one], z[one], gamma[one], clock[one], sums[one],
         origin,
     )  # fmt: skip

@@ -177,11 +177,11 @@ def warm_up() -> None:
 
     whole, one = np.zeros(1, dtype=np.int64), np.ones(2)
     window_errors(one, one, one, one, one, whole, 1, 1.0, np.ones(16), False, one)
-    z, y = np.zeros((1, 1)), np.zeros((1, 3))
+    z, sample = np.zeros((1, 1)), np.zeros((1, 4))
     cells = np.zeros((1, 1, 1)), z.copy(), z.copy(), np.zeros((1, 1, 4))
     origin = np.zeros((1, 1), dtype=np.int64)
-    update_cells(np.arange(2), whole, whole, z, y, z[0], one[:1], 0.5, 0.0, whole.copy(), *cells, origin)
-    update_cell(0, 0, 0.0, z, y, one[:1], 0.5, 0.0, whole.copy(), *cells)
+    update_cells(np.arange(2), whole, whole, sample, z[0], one[:1], 0.5, 0.0, whole.copy(), *cells, origin)
+    update_cell(0, 0, 0.0, sample, one[:1], 0.5, 0.0, whole.copy(), *cells)
     cell_number(np.zeros(1), one, np.ones((5, 1)), 62)
 
 
@@ -218,9 +218,9 @@ class _Cells:
 
         self.set = training_set
         self.update_cell = update_cell
-        #: What `offer_sample` offers, (1, D) and (1, 3): always the same arrays, of one type to the compiler.
-        self.sample, self._labels = np.zeros((1, len(training_set.features.names))), np.zeros((1, 3))
-        self.label = self._labels[0]
+        #: What `offer_sample` offers, (D,) and (3,): always of the same array, of one type to the compiler.
+        self._row = np.zeros((1, len(training_set.features.names) + 3))
+        self.sample, self.label = self._row[0, :-3], self._row[0, -3:]
         #: Sums over all labels would not forget those that a point outlives.
         self.absorbs = training_set.forgetting is None
         self.inverse_scales = 1.0 / training_set.kernel.length_scales
@@ -297,7 +297,7 @@ class _Cells:
 
         if len(rows) == 1:
             return self._offer_one(labels, int(rows[0]), int(numbers[0]), source, begin)
-        z, t = labels.z[rows], labels.t[rows]
+        samples, t = np.concatenate([labels.z[rows], labels.y[rows]], axis=1), labels.t[rows]
         order = np.argsort(numbers, kind="stable")
         distinct, first = np.unique(numbers[order], return_index=True)
         cells = self._cells_of(distinct.tolist())
@@ -305,8 +305,7 @@ class _Cells:
             np.append(first, len(order)),
             cells,
             order,
-            z,
-            labels.y[rows],
+            samples,
             begin + t,
             self.inverse_scales,
             self.set.threshold,
@@ -331,7 +330,7 @@ class _Cells:
 
     def _offer_one(self, labels: Labels, row: int, number: int, source: int, begin: float) -> np.ndarray:
         """Offer one label as `_offer` does, at a fraction of its time: nothing needs sorting."""
-        self.sample[0], self.label[:] = labels.z[row], labels.y[row]
+        self.sample[:], self.label[:] = labels.z[row], labels.y[row]
         became = self.offer_sample(number, labels.t[row], labels.row[row], source, begin, labels.drive)
         return np.array([became], dtype=np.int8)
 
@@ -342,7 +341,7 @@ class _Cells:
             position = self._new_cell(number)
         slots = self.slots
         became, slot, repairs = self.update_cell(
-            position, 0, begin + t, self.sample, self._labels, self.inverse_scales, self.set.threshold,
+            position, 0, begin + t, self._row, self.inverse_scales, self.set.threshold,
             self.set.forgetting or 0.0, self.count, slots["z"], slots["gamma"], slots["clock"],
             slots["sums"],
         )  # fmt: skip
@@ -400,10 +399,9 @@ class _Cells:
         arrays = {name: self.slots[name][order][filled] for name in _POINT_ARRAYS}
         if self.absorbs:
             sums, room = self.slots["sums"][order], self.set.capacity
-            arrays["information"], arrays["absorbed"] = (
-                sums[:, :, :room][_pairs(filled)],
-                sums[:, :, room:][filled],
-            )
+            lower = np.tril(sums[:, :, :room])
+            whole = lower + np.tril(lower, -1).transpose(0, 2, 1)
+            arrays["information"], arrays["absorbed"] = whole[_pairs(filled)], sums[:, :, room:][filled]
         offsets = np.concatenate([[0], np.cumsum(self.count[order])])
         return replace(self.set, cell_numbers=numbers[order], offsets=offsets, sources=sources, **arrays)
 

@@ -51,7 +51,7 @@ class OnlineSet:
         if training_set.features.is_z2:
             # A controller's interval must not wait until arrays have grown.
             self._cells.reserve(valid_cell_count(training_set.vehicle, training_set.region, training_set.grid))
-        self._z = self._cells.sample[0]
+        self._z = self._cells.sample
         self._sources = list(training_set.sources)
         self._open: _Tally | None = None
 

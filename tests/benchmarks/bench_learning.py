@@ -157,10 +157,10 @@ def compare(name: str, grid, z: np.ndarray, capacity: int = 10, repeat: int = 5)
         own, own_gains, then, origin, number = (
             np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape), np.full(shape, -1), np.zeros(len(cells), int)
         )  # fmt: skip
-        sums = np.zeros((*shape, capacity + 3))
+        sums, samples = np.zeros((*shape, capacity + 3)), np.concatenate([z, z[::-1]], axis=1)
         begin = time.process_time()
         update_cells(
-            groups, cells, order, z, z, clock, scales, 1e-3, 0.0, number, own, own_gains, then, sums, origin
+            groups, cells, order, samples, clock, scales, 1e-3, 0.0, number, own, own_gains, then, sums, origin
         )
         times["ours"] = min(times["ours"], time.process_time() - begin)
     assert np.array_equal(kept, origin), "the two ways kept different points"

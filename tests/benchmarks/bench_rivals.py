@@ -115,7 +115,7 @@ def our_update(stream: Stream) -> Row:
     numbers = s.grid.pack(s.grid.index(stream.z)[0])
     cells = np.unique(numbers, return_inverse=True)[1].tolist()
     shape = (max(cells) + 1, s.capacity)
-    settings = (stream.z, stream.y, 1.0 / s.kernel.length_scales, s.threshold, 0.0)
+    settings = (np.concatenate([stream.z, stream.y], axis=1), 1.0 / s.kernel.length_scales, s.threshold, 0.0)
     state = (
         np.zeros(shape[0], dtype=np.int64), np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape),
         np.zeros((*shape, s.capacity + 3)),
