@@ -289,3 +289,15 @@ def test_a_quick_slalom_judges_accelerations_by_what_v_y_adds(tmp_path):
     # A v_y of the other hand goes worse with a_y than none.
     draft = drafted_table(table | {"Car.vy [m/s]": -vy}, tmp_path)
     assert "dv_y/dt" not in draft.of("r").reason
+
+
+def test_a_noisy_position_does_not_make_a_yaw_rate_too_small():
+    """A particle filter's position: what its noise turns counted, and r was said to be 0.82 times the turning."""
+    planted = PlantedDrive(seconds=90.0)
+    made = assemble_drive(
+        planted.recording(("X", "Y", "vx", "vy", "r", "T", "delta"), rate=50.0, noise={"X": 0.25, "Y": 0.25}),
+        map_from_mapping({"channels": {c: c for c in ("X", "Y", "vx", "vy", "r", "T", "delta")}}),
+        planted.vehicle,
+    )
+    turning = next(r for r in made.quality.consistency.relations if "turning" in r.name)
+    assert turning.holds and turning.slope.slope == pytest.approx(1.0, abs=0.05)

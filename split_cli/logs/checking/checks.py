@@ -8,6 +8,7 @@ import numpy as np
 from split_cli.logs.checking.kinematics import (
     Kinematics,
     Slope,
+    beside_path,
     fit_linear,
     fit_slope,
     median_of,
@@ -183,7 +184,7 @@ class Checks:
         if self.usable("r", "yaw"):
             self.relate("r against dyaw/dt", k.signal("r"), k.rate("yaw"), {"r": 1, "yaw": -1}, 0.05)
         if self.usable("X", "Y", "r"):
-            self.relate("r against the turning of X, Y", k.signal("r"), k.course_rate(), {"r": 1, "hand": 1}, 0.15)
+            self.relate("r against the turning of X, Y", *beside_path(k, "r", 0), {"r": 1, "hand": 1}, 0.15)
         if self.usable("X", "Y", "vx"):
             self.relate(
                 "v_x against the speed of X, Y",
@@ -194,7 +195,7 @@ class Checks:
                 zeroed=True,
             )
         if self.usable("X", "Y", "yaw") and not self.usable("r"):
-            self.relate("dyaw/dt against the turning of X, Y", k.rate("yaw"), k.course_rate(), {"yaw": 1}, 0.15)
+            self.relate("dyaw/dt against the turning of X, Y", *beside_path(k, "yaw", 1), {"yaw": 1}, 0.15)
             self.pose_fits = all(relation.holds for relation in self.relations if "yaw" in relation.powers)
         if self.known("vx"):
             self._accelerations()

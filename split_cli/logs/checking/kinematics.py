@@ -7,6 +7,8 @@ import numpy as np
 
 _BLOCKS = 10
 _MOST_SAMPLES = 50_000
+_WIDER = 2.5
+"""Times the usual smoothing, that is tried against the noise of a position [1]; judgement."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,25 @@ class Kinematics:
                 result[run] = smooth
             self._known[key] = result
         return self._known[key]
+
+
+def beside_path(k: Kinematics, channel: str, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a channel, or its rate, and the turning of X, Y, smoothed so that they go together best.
+
+    A second derivative makes much of the noise of a position, which counts as turning: of a particle filter's, r
+    was 0.84 times it over 0.2 s, and 0.97 times over 0.5 s.
+
+    Parameters
+    ----------
+    order : int
+        0 for the channel, 1 for its rate.
+    """
+    options = []
+    for smoothed in (k, Kinematics(k.columns, k.period, k.segments, _WIDER * k.width)):
+        own = smoothed.rate(channel) if order else smoothed.signal(channel)
+        slope = fit_slope(own, smoothed.course_rate(), k.moving)
+        options.append((-1.0 if slope is None else abs(slope.correlation), (own, smoothed.course_rate())))
+    return max(options, key=lambda option: option[0])[1]
 
 
 def around_mean(angle: np.ndarray) -> tuple[float, np.ndarray]:

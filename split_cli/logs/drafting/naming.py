@@ -157,8 +157,11 @@ def words_of(name: str) -> list[str]:
 
 
 def _signal_of(name: str) -> str:
-    """Return a signal's name without its device (INCA: ``signal\\device:raster``) or message (CAN: ``M::s``)."""
-    bare = name.split("\\")[0] or name
+    """Return a signal's name without its device, message or number.
+
+    INCA has ``signal\\device:raster``, CAN ``M::s``, a scan tool the number of SAE J1979: ``0D - Vehicle Speed``.
+    """
+    bare = re.sub(r"^[0-9A-F]{2} - ", "", name.split("\\")[0] or name)
     return bare.rpartition("::")[2] or bare
 
 
