@@ -1,6 +1,7 @@
 """Faults first seen in six more public logs: a phone, a lap timer, a student car, a data logger, a simulation."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -301,3 +302,22 @@ def test_a_noisy_position_does_not_make_a_yaw_rate_too_small():
     )
     turning = next(r for r in made.quality.consistency.relations if "turning" in r.name)
     assert turning.holds and turning.slope.slope == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("factor", "ahead", "check"), [(1.47, 0.0, "size"), (3.6, 0.0, "size"), (1.0, -1.45, "place")]
+)
+def test_a_lateral_velocity_of_wrong_size_is_told_from_one_of_another_place_without_a_position(
+    factor, ahead, check
+):
+    """American units made v_y 1.47 times too large; its place, or the delay of delta, was blamed."""
+    planted, channels = PlantedDrive(seconds=90.0), ("vx", "vy", "r", "T", "delta", "ay")
+    recording = planted.recording(channels)
+    vy = recording.signals["vy"]
+    moved = factor * planted.at("vy", vy.time) + ahead * planted.at("r", vy.time)
+    recording.signals["vy"] = replace(vy, values=moved)
+    made = assemble_drive(recording, map_from_mapping({"channels": {c: c for c in channels}}), planted.vehicle)
+    told = [f for f in made.quality.consistency.findings if f.channel in ("vy", "delta")]
+    assert [f.check for f in told] == [check]
+    if check == "size":
+        assert told[0].measured == pytest.approx(factor, rel=0.01)

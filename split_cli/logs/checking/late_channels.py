@@ -62,7 +62,7 @@ def late_channels(
     wrong -= {"X" if channel == "hand" else channel for channel in known.factors}
     if not any("vy" in relation.powers for relation in known.relations):
         wrong.add("vy")  # nothing judged it: an identity that needs it may be off by v_y as well as by a clock
-    if {"vx", "r", "time"} & wrong or any(f.check == "place" for f in known.findings):
+    if {"vx", "r", "time"} & wrong or any(f.check in ("place", "size") for f in known.findings):
         return [], []
     columns, period, segments, holds = _looked_at(drive, kinds, known, wrong, _ROWS)
     if "vx" not in columns:

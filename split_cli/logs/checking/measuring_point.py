@@ -10,6 +10,10 @@ PLACE_IN_DOUBT = "place of v_y"
 """What stands under *could not be judged* where v_y is of no axle, nor of the CG."""
 _SURE = 4.0
 """Standard errors from which on a place differs from another [1]."""
+_FAR_BETTER = 0.5
+"""Of the variance that a place of v_y leaves, below which a factor is told in its stead, and the reverse [1]."""
+_LEAST_FACTOR = 0.15
+"""Natural logarithm of a factor of v_y that is told [1]: less is a place or tyres near their limit."""
 _BETTER = 0.5
 """Variance that a place leaves, of what delays, gain and offset leave without it, from which on it is one [1]: a
 right log of brisk driving leaves 0.98 to 1.00, half the distance to the rear axle 0.02 to 0.35."""
@@ -75,12 +79,29 @@ def _name_and_entry(checks: Checks) -> tuple[str, str]:
     return ("The side-slip angle", " for `sideslip`") if checks.of_sideslip else ("v_y", "")
 
 
+def _as_factor(rising: np.ndarray, others: np.ndarray, rest: np.ndarray) -> tuple[float, float]:
+    """Return the variance that a factor of v_y leaves of a_y - v_x r - dv_y/dt, and the factor.
+
+    Of a v_y recorded F times too large the rest is (1/F - 1) dv_y/dt as recorded.
+    """
+    design = np.column_stack([rising, others])
+    fitted = np.linalg.lstsq(design, rest, rcond=None)[0]
+    factor = 1.0 / (1.0 + fitted[0]) if fitted[0] > -0.9 else np.inf
+    if not _LEAST_FACTOR < abs(np.log(factor)) < np.inf:
+        return np.inf, 1.0
+    left = float(np.var(rest - design @ fitted))
+    # A v_y that is mostly error has another size too; of this one what is left is small beside what it says.
+    is_error = left > _BETTER**2 * float(np.var(rising)) / factor**2
+    return (np.inf, 1.0) if is_error else (left, float(factor))
+
+
 def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     """Tell how far behind the accelerometer v_y is measured, as far as an axle is from the CG.
 
     a_y - v_x r - dv_y/dt = x dr/dt + tau v_x dr/dt + sigma da_y/dt + c a_y + b, with x the distance [m]. Delays
     tau of r and sigma of a_y, a gain c and an offset b are not reported, and where they do as well, no place is. A
-    message of odometry is often of the middle of the rear axle.
+    message of odometry is often of the middle of the rear axle. A factor of v_y looks much the same: its share of
+    dv_y/dt is set against the place.
     """
     k, car = checks.k, checks.vehicle
     if checks.of_pose and not checks.usable("ay"):
@@ -110,8 +131,15 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     checks.beside_accelerometer = abs(x) + _SURE * error < _NEAR * min(car.cg_to_front_axle, car.cg_to_rear_axle)
     # A delay acts as a place does at one speed; of a large one, the first derivative is not all.
     without = np.delete(design, 0, axis=1)
-    rest_without = y - without @ np.linalg.lstsq(without, y, rcond=None)[0]
-    if np.var(y - design @ fitted) > _BETTER * np.var(rest_without):
+    rest_without = float(np.var(y - without @ np.linalg.lstsq(without, y, rcond=None)[0]))
+    of_place = float(np.var(y - design @ fitted))
+    of_factor, factor = (np.inf, 1.0) if checks.of_pose else _as_factor(k.rate("vy")[use], without, y)
+    sized = (
+        f"v_y changes {factor:.2f} times as much as a_y - v_x r says: `scale: {1.0 / factor:.3f}` puts it right"
+    )
+    if of_factor < min(_FAR_BETTER * of_place, _BETTER * rest_without):
+        return [ConsistencyFinding("size", "vy", f"{sized}, or its unit.", factor, None)]
+    if of_place > _BETTER * rest_without:
         return []
     axle, reach = ("rear", car.cg_to_rear_axle) if x > 0.0 else ("front", car.cg_to_front_axle)
     if not max(_SURE * error, _NEAR * reach) < abs(x) < (1.0 + _NEAR) * reach:
@@ -127,4 +155,6 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
         f"{f', it is the {axle} axle' if near else ''}: set `position: {place}` for {entries}. If not, give "
         "`position:` of ax and ay."
     )
+    if _FAR_BETTER * of_factor < of_place:
+        text += f" Or {sized}: these data hardly tell the two apart."
     return [ConsistencyFinding("place", "vy", text, car.cg_to_rear_axle - x, error)]
