@@ -459,10 +459,10 @@ def _comparisons(
             if len(starts)
         ]
         found[key] = compare(*key, parts)
-    told = {key: says_something(own, [held.drive for held in nominal]) for key, own in found.items()}
+    believed = {key: says_something(own, [held.drive for held in nominal]) for key, own in found.items()}
     verdicts = tuple(
-        f"{name} {features} {verdict(own, told.get((name + RUNNING, features), ()))}"
-        for (name, features), own in told.items()
+        f"{name} {features} {verdict(own, believed.get((name + RUNNING, features), ()))}"
+        for (name, features), own in believed.items()
     )
     return tuple(comparison for own in found.values() for comparison in own), verdicts
 
