@@ -23,6 +23,7 @@ from split_cli.diagnosis.verdict.label_errors import in_standard_errors
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.diagnose import write_diagnosis
+from split_cli.workflows.report.page import report_page
 from split_cli.workflows.verifying.verify_folders import verify_diagnosis
 from tests.diagnosis.recordings import recorded
 from tests.factories import road_car
@@ -78,6 +79,9 @@ def test_a_vehicle_that_is_worse_is_marked_in_name_head_json_and_report(tmp_path
     assert [one["worse"] for one in told["states"] if (one["channel"], one["horizon"]) == ("v_x", 2.0)] == [True]
     Draft202012Validator(read_schema()).validate(json.loads(diagnosis_to_text(rejected)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    # Before the summary that ends with it, and not where the file is better.
+    assert 0 < page.index("Do not rely on these names yet") < page.index("Said.")
+    assert "Do not rely on these names" not in report_page(accepted)
     assert "vehicle_rejected.yaml" in page and "vehicle_corrected.yaml" not in page
 
 

@@ -79,7 +79,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     sign, sentence = _HEADLINES[diagnosis.verdict]
     kicker = f'<p class="kicker">{sentence}</p>' if diagnosis.findings else ""
     lead = f'<p class="lead">{escape(_lead(diagnosis))}</p>'
-    body = f"{_chips(diagnosis)}{lead}{facts_list(_facts(diagnosis))}"
+    body = f"{_chips(diagnosis)}{_doubt(diagnosis)}{lead}{facts_list(_facts(diagnosis))}"
     before = f'<span class="sign" aria-hidden="true">{sign}</span>{kicker}'
     return verdict(diagnosis.verdict, headline(diagnosis), body, before)
 
@@ -96,6 +96,17 @@ def _chips(diagnosis: Diagnosis) -> str:
     if diagnosis.findings and len(chips) < 2:  # the headline says the same
         return ""
     return f'<p class="chips"><span>Findings:</span> {" ".join(chips)}</p>' if chips else ""
+
+
+def _doubt(diagnosis: Diagnosis) -> str:
+    """Return what speaks against the names of the headline, before all that speaks for them."""
+    corrected = diagnosis.corrected_vehicle
+    if corrected is None or corrected.accepted or not diagnosis.findings:
+        return ""
+    return (
+        '<p class="lead"><strong>Do not rely on these names yet: held-out data are predicted worse with them than '
+        "with the given file.</strong></p>"
+    )
 
 
 def _lead(diagnosis: Diagnosis) -> str:
