@@ -150,6 +150,8 @@ def test_a_file_that_spins_in_one_place_is_rejected_where_standard_errors_see_no
     assert rejected.runs_away and not rejected.accepted
     assert "v_x after 2 s (3.6 instead of 0.47 m/s)" in not_accepted(rejected)
     assert "velocities held as they are would be nearer (v_x 2.2 m/s" in not_accepted(rejected)
+    nearly = replace(spun, nominal=0.0191, corrected=0.0194, persistence=0.01, change=9.0)
+    assert "(0.0194 instead of 0.0191 m/s)" in not_accepted(CorrectedVehicle((nearly,)))
     # One velocity that is a little beyond the held one does not make a model that runs away.
     assert CorrectedVehicle((replace(spun, corrected=2.2), replace(spun, channel="v_y", corrected=1.0))).accepted
     # Where the given file is beyond the held velocities too, standard errors decide alone.

@@ -337,12 +337,18 @@ def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) 
     return " ".join([*(f"{one}." for one in (text, *others)), *_offsets(last, stage, doubtful, vehicle)])
 
 
+def _apart(one: float, other: float) -> tuple[str, str]:
+    """Return two numbers with as many digits, two or more, as tell them apart."""
+    texts = [(number(one, digits), number(other, digits)) for digits in (2, 3, 4)]
+    return next((pair for pair in texts if pair[0] != pair[1]), texts[-1])
+
+
 def not_accepted(corrected: CorrectedVehicle) -> str:
     """Return why a corrected vehicle is not to be used."""
     worse = [one for one in corrected.states if one.is_worse] or corrected.farthest
     errors = ", ".join(
-        f"{one.channel} after {one.horizon:g} s "
-        f"({number(one.corrected, 2)} instead of {number(one.nominal, 2)} {one.unit})"
+        f"{one.channel} after {one.horizon:g} s ({' instead of '.join(_apart(one.corrected, one.nominal))} "
+        f"{one.unit})"
         for one in worse
     )
     away = ""
