@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+
 from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit
 from split_cli.vehicle.effects.term import Mimic, Term
@@ -188,7 +190,10 @@ class Wind(Term):
     def external(self, flow: Flow) -> None:
         """Replace still-air drag by that of moving air."""
         ops, car = flow.ops, flow.vehicle
-        cosine, sine = ops.cos(flow.yaw), ops.sin(flow.yaw)
+        if flow.recording is None:
+            cosine, sine = ops.cos(flow.yaw), ops.sin(flow.yaw)
+        else:
+            cosine, sine = self.kept(flow.yaw, lambda: (np.cos(flow.yaw), np.sin(flow.yaw)))
         wx, wy = self.parameters["wx"], self.parameters["wy"]
         u_x = flow.vx - (wx * cosine + wy * sine)
         u_y = flow.vy - (wy * cosine - wx * sine)

@@ -75,7 +75,6 @@ class VelocityBias(_Instrument):
     """
 
     id = "velocity_bias"
-    _turned: tuple[np.ndarray, tuple[np.ndarray, np.ndarray]] | None = None
     units: ClassVar = {"angle": "rad", "drift": "rad/s"}
     variants: ClassVar = ("", "step", "offset")
     variant_units: ClassVar = {"step": {"angle": "rad", "step": "rad", "at": "s"}, "offset": {"offset": "m/s"}}
@@ -127,17 +126,15 @@ class VelocityBias(_Instrument):
     ) -> dict[str, np.ndarray]:
         if self.variant == "offset":
             return {**columns, "vy": columns["vy"] + sign * self.parameters["offset"]}
-        cosine, sine = self._direction(columns["t"])
+        t = columns["t"]
+        # Several channels of one recording are turned in a row, and this is most of the work.
+        cosine, sine = self.kept(t, lambda: self._direction(t))
         vx, vy, sine = columns["vx"], columns["vy"], sign * sine
         return {**columns, "vx": cosine * vx - sine * vy, "vy": sine * vx + cosine * vy}
 
     def _direction(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        # Several channels of one recording are turned in a row, and this is most of the work.
-        known = self._turned
-        if known is None or known[0] is not t:
-            angle = self.angle(t)
-            self._turned = known = t, (np.cos(angle), np.sin(angle))
-        return known[1]
+        angle = self.angle(t)
+        return np.cos(angle), np.sin(angle)
 
 
 class AccelerationBias(_Instrument):

@@ -59,9 +59,15 @@ class _Incline(Term):
         text = f"the road {up if p['angle'].value >= 0.0 else down} by {size}"
         return f"{text} {stretch_in_words(p)}" if variant == "stretch" else text
 
-    def angle(self, flow: Flow) -> Any:
-        """Return the angle where the car is [rad]."""
-        return self.profile(flow.ops, flow.s)
+    def sine(self, flow: Flow) -> Any:
+        """Return the sine of the angle where the car is [1]."""
+        if flow.recording is not None:
+            return self._along(flow.s)
+        return flow.ops.sin(self.profile(flow.ops, flow.s))
+
+    def _along(self, s: np.ndarray) -> Any:
+        """Return the sine of the angle at s [m] of a recording, shape (N,) [1]."""
+        return self.kept(s, lambda: np.sin(self.profile(NUMPY, s)))
 
     def profile(self, ops: Operations, s: Any) -> Any:
         """Return the angle at s [m] [rad]."""
@@ -74,7 +80,7 @@ class _Incline(Term):
 
     def specific_weight(self, s: np.ndarray) -> Any:
         """Return the part of gravity along the inclination at s [m], shape (N,), uphill positive [m/s^2]."""
-        return STANDARD_GRAVITY * np.sin(self.profile(NUMPY, s))
+        return STANDARD_GRAVITY * self._along(s)
 
 
 class RoadGrade(_Incline):
@@ -107,7 +113,7 @@ class RoadGrade(_Incline):
 
     def external(self, flow: Flow) -> None:
         """Add the longitudinal part of gravity."""
-        flow.force_x = flow.force_x - flow.mass * STANDARD_GRAVITY * flow.ops.sin(self.angle(flow))
+        flow.force_x = flow.force_x - flow.mass * STANDARD_GRAVITY * self.sine(flow)
 
     def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
         """Return what a_x gains."""
@@ -136,7 +142,7 @@ class RoadBank(_Incline):
 
     def external(self, flow: Flow) -> None:
         """Add the lateral part of gravity."""
-        flow.force_y = flow.force_y - flow.mass * STANDARD_GRAVITY * flow.ops.sin(self.angle(flow))
+        flow.force_y = flow.force_y - flow.mass * STANDARD_GRAVITY * self.sine(flow)
 
     def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
         """Return what a_y gains."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -145,9 +145,21 @@ class Term:
     on_command_clock: ClassVar[bool] = False
     discrepancy: ClassVar[tuple[tuple[str, str, float], ...]] = ()
 
+    _kept: tuple[Any, Any] | None = None
+
     def __init__(self, parameters: Mapping[str, float], variant: str = "") -> None:
         self.parameters: dict[str, float] = dict(parameters)
         self.variant = variant
+
+    def kept(self, along: Any, made: Callable[[], Any]) -> Any:
+        """Return what is made of an array of a recording, which never changes; as it was if that was the last one.
+
+        A search asks for one recording again and again while it moves other terms.
+        """
+        known = self._kept
+        if known is None or known[0] is not along:
+            self._kept = known = along, made()
+        return known[1]
 
     @property
     def moves_position(self) -> bool:
