@@ -44,6 +44,12 @@ def slip_angles(
     return delta - ops.atan2(vy + l_f * r, vx), -ops.atan2(vy - l_r * r, vx)
 
 
+def complete(axle: AxleFlow, ops: Operations = NUMPY) -> None:
+    """Work out the lateral force of an axle where it was left open."""
+    if axle.lateral_force is None:
+        axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)
+
+
 def same_curve(axle: AxleFlow, other: AxleFlow) -> bool:
     """Return whether two axles have the very same coefficients and slip angle, and so one force."""
     return _same_shape(axle, other) and _same(axle.D, other.D)
@@ -119,6 +125,7 @@ class SingleTrack:
         known_axles = (None, None) if bare is None else (bare.front, bare.rear)
         for axle, known in zip((front, rear), known_axles, strict=True):
             if known is not None and _same_shape(axle, known):
+                complete(known)
                 same_peak = _same(axle.D, known.D)
                 axle.lateral_force = known.lateral_force if same_peak else axle.D / known.D * known.lateral_force
             else:
@@ -131,6 +138,20 @@ class SingleTrack:
             flow.force_x = -car.drag_coefficient * vx * vx
         for term in self.terms:
             term.external(flow)
+        return flow
+
+    def turned(self, bare: Flow, vx: Any, vy: Any, r: Any) -> Flow:
+        """Return the flow without terms at other velocities, its lateral forces left open until `complete`.
+
+        `bare` is the same at the recorded ones. Terms that alter tyres have forces of their own.
+        """
+        flow = self.actuated(
+            vx, vy, r, bare.T, bare.delta, yaw=bare.yaw, t=bare.t, s=bare.s, recording=bare.recording
+        )
+        self._turn(flow, bare)
+        flow.force_x = -self.vehicle.drag_coefficient * vx * vx
+        for axle, known in ((flow.front, bare.front), (flow.rear, bare.rear)):
+            axle.longitudinal_force, axle.lateral_force = known.longitudinal_force, None
         return flow
 
     def actuated(

@@ -14,7 +14,7 @@ from split_cli.vehicle.effects import Recording, Term, build_terms
 from split_cli.vehicle.effects.recording import over_samples
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.single_track import SingleTrack
+from split_cli.vehicle.single_track import SingleTrack, complete
 
 #: Corrected velocities of a recording that are kept, with the flow at them [1]. A search moves other parameters
 #: far more often than those of sensors; more than those of four threads and their steps are never asked again.
@@ -201,6 +201,8 @@ class Series:
         else:
             bare = self._without_terms(model.vehicle)
         if not model.terms:
+            complete(bare.front)
+            complete(bare.rear)
             return bare
         acting = tuple(term for term in model.terms if type(term).actuate is not Term.actuate)
         arrived = self._arrived(bare, model.vehicle, acting) if acting else None
@@ -258,7 +260,7 @@ class Series:
             columns = map(np.ascontiguousarray, over_samples(velocity, self.recording).T)
             # Velocities are kept with their flow, so that no others can come to have their id. Wheels point where
             # they do at the recorded velocities.
-            return velocity, self._flow(SingleTrack(vehicle, ()), *columns, bare=self._without_terms(vehicle))
+            return velocity, SingleTrack(vehicle, ()).turned(self._without_terms(vehicle), *columns)
 
         return self._flows_before((id(velocity), id(vehicle)), made)[1]
 
