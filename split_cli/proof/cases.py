@@ -1,5 +1,6 @@
 """A case: drives and a vehicle file that conceal an effect, and the answer that is sealed apart from them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -33,6 +34,8 @@ from split_cli.vehicle.parameters import Vehicle
 
 LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
 """Of the tracks of each of the plant's cars, before it is varied [m]."""
+# Variants that no truth is said in: of waves, stretches, tracked frames, and what follows late.
+_NOT_CONCEALED = ("wave", "stretch", "frame", "late", "degressive late")
 _CARS_OF_A_SEED = 12
 _DRAWS = 24  # of surroundings and drivers, for the same terms
 _SEARCH_SECONDS = 45.0
@@ -290,17 +293,8 @@ def _parameters(
     """Return parameters, variant and removed share of the variant that says the effect best."""
     known = {name: float(value) for name, value in effect.known(without, size).items()}
     kind = CATALOGUE[effect.term]
-    variants = (
-        [effect.variant]
-        if effect.variant
-        else [
-            v
-            for v in kind.variants
-            if set(known) <= set(kind.parameter_units(v)) and v not in ("wave", "stretch", "frame")
-        ]
-    )
     best: tuple[dict[str, float], str, float] | None = None
-    for variant in variants:
+    for variant in variants_of_truth(effect, known):
         given = {**effect.shape, **known}
         parameters = fit_effective(exact, source.vehicle, effect.term, given, source.noise, variant)
         share = removed_share(exact, source.vehicle, [kind(parameters, variant)], source.noise)
@@ -308,6 +302,13 @@ def _parameters(
             best = (parameters, variant, share)
     assert best is not None
     return best
+
+
+def variants_of_truth(effect: Concealed, known: Mapping[str, float]) -> list[str]:
+    """Return the variants of its term in which an effect may be said, some parameters of it known."""
+    kind = CATALOGUE[effect.term]
+    able = [v for v in kind.variants if set(known) <= set(kind.parameter_units(v)) and v not in _NOT_CONCEALED]
+    return [effect.variant] if effect.variant else able
 
 
 def _places(run: Trajectory) -> dict[str, float]:

@@ -12,7 +12,8 @@ from split_cli.proof.windows import window_errors
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
 
-_GUESSES = {
+#: Where the fit of a parameter begins, in SI units; lengths are those of a wheelbase of 2.7 m.
+GUESSES = {
     "strength": 0.5, "scale": 1.0, "final_loss": 0.05, "length": 0.1, "cg_height": 0.2, "front_scale": 1.0,
     "rear_scale": 1.0, "front": 0.0, "rear": 0.0, "force": 0.0, "yaw_damping": 0.0,
 }  # fmt: skip
@@ -167,7 +168,7 @@ def fit_effective(
         "length": vehicle.wheelbase,
     }
     unit = np.array([scale.get(name, 1.0) for name in free])
-    guess = np.array([_GUESSES[name] for name in free])
+    guess = np.array([GUESSES[name] for name in free])
     guess = np.where(np.isin(free, ["length", "cg_height"]), guess * vehicle.wheelbase / 2.7, guess)
     solution = least_squares(residuals, guess, x_scale=0.1 * unit, diff_step=1e-4, max_nfev=40)
     return {**given, **dict(zip(free, (float(v) for v in solution.x), strict=True))}

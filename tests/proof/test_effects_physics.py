@@ -18,11 +18,14 @@ from split_cli.plant.replay import predict, recorded_motion
 from split_cli.plant.simulation import commands_at
 from split_cli.plant.tire import tire_force
 from split_cli.proof.cars import bare
+from split_cli.proof.cases import variants_of_truth
 from split_cli.proof.concealed import CONCEALED, draw_effect
 from split_cli.proof.recordings import exact_motion
 from split_cli.proof.strange import STRANGE, draw_strange
 from split_cli.proof.tracks import random_track
+from split_cli.proof.truth import GUESSES
 from split_cli.proof.world import ProofWorld, Trip, drive
+from split_cli.vehicle.effects import CATALOGUE
 
 WINDOW = 0.01
 SENSORS = ("sensor_lever_arm", "sensor_misalignment", "sensor_delay", "gyro_curve", "gyro_late", "speed_gain")
@@ -227,6 +230,16 @@ def test_an_effect_adds_the_accelerations_that_paper_says(term, world):
         assert left < 0.05, f"{['v_x', 'v_y', 'r'][channel]}: {left:.3f} of the square is left"
         claimed += 1
     assert claimed
+
+
+@pytest.mark.parametrize("term", CONCEALED)
+def test_every_parameter_of_a_truth_is_known_or_has_a_guess(term, world):
+    effect = draw_effect(term, np.random.default_rng(4), world)
+    known = {**effect.shape, **effect.known(effect.neutral(world), effect.start)}
+    variants = variants_of_truth(effect, effect.known(effect.neutral(world), effect.start))
+    assert variants
+    for variant in variants:
+        assert set(CATALOGUE[term].parameter_units(variant)) <= {*known, *GUESSES}, variant
 
 
 def test_sensor_effects_report_what_their_geometry_says(world):
