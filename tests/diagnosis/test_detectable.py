@@ -107,8 +107,10 @@ def test_a_size_that_is_told_has_an_interval_without_no_effect(sound):
     vague = replace(sound, policy=sound.policy.altered("selection", form_error_share=0.45))
     candidates = candidates_of(vague, *NAMES)
     for one in detection_limits((vague,), candidates, VARIANCE_INFLATION, LEVEL):
-        (own,) = (candidate for candidate in candidates if candidate.term == one.term)
         for name, (value, _) in one.parameters.items():
+            own = next(
+                one_way for one_way in candidates if one_way.term == one.term and {*one_way.ranges} == {name}
+            )
             part = Part(own, {name: value})
             slopes = tangent(vague, vague.left_by(()), part).slopes / own.ranges[name].step
             residuals = nothing(vague).residuals

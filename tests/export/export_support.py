@@ -51,7 +51,7 @@ def oracle_of(training_set: TrainingSet, queries: int, real: str = "double", pre
 
 
 def take_cells(training_set: TrainingSet, cells: int, points: int | None = None) -> TrainingSet:
-    """Return a set of the first `cells` cells, with at most `points` points in each."""
+    """Return a set of the first `cells` cells, at most `points` points in each, that has absorbed no label."""
     rows, offsets = [], [0]
     for cell in range(cells):
         first, last = training_set.offsets[cell : cell + 2]
@@ -64,6 +64,8 @@ def take_cells(training_set: TrainingSet, cells: int, points: int | None = None)
         training_set,
         cell_numbers=training_set.cell_numbers[:cells],
         offsets=np.array(offsets, dtype=np.int64),
+        information=None,
+        absorbed=None,
         **arrays,
     )
 

@@ -89,7 +89,7 @@ def test_no_trust_without_the_lag_bounds_that_with_it_only_where_something_was_f
     """Two of seven drives of 22 s had no trust and no lag: v_y and r, bounded by 0, could not make up for it."""
     asked = []
 
-    def judged(drives, empty, say, most=(1.0, 1.0, 1.0)):
+    def judged(drives, empty, progress, most=(1.0, 1.0, 1.0)):
         asked.append(most)
         found = by_file if len(asked) == 1 else (1.0, min(0.8, most[1]), 0.0)
         return Trust(found, "held-out", 5), gain if len(asked) == 1 else 0.5, None

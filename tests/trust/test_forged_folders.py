@@ -176,7 +176,7 @@ def forged_export(folder: Path, change) -> Path:
 
 def test_a_label_of_a_projected_export_that_taught_it_nothing(folder):
     def change(told):
-        told["y"][7][1] += 0.01
+        told["projected_absorbed"][7][1] += 0.01
 
     assert failed(forged_export(folder, change)) == {"json: answers"}
     detail = {i.check: i.detail for i in verify(folder / "export").items}
