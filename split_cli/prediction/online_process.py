@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from split_cli.learning.kernel import Kernel
+from split_cli.learning.kernel import Kernel, correlation
 from split_cli.learning.online import OnlineSet
 from split_cli.prediction._process_numba import absorb, answer
 from split_cli.prediction.factorization import most_informative
@@ -175,13 +175,13 @@ class OnlineProcess:
         Williams and Lawrence (AISTATS 2003), each label projected on its cell first.
         """
         n, begin = self.count, 0
-        points, scaled = self._points[:n], z / self._scales
-        lower = np.linalg.cholesky(np.exp(-0.5 * np.square(points[:, None] - points).sum(axis=2)))
+        points, scaled, unit = self._points[:n], z / self._scales, np.ones_like(self._scales)
+        lower = np.linalg.cholesky(correlation(points, points, unit))
         known, right = np.zeros((3, n, n)), np.zeros((3, n))
         for cell, (first, last) in enumerate(pairwise(offsets.tolist())):
             end = begin + (last - first) ** 2
             own, begin = information[begin:end].reshape(last - first, -1), end
-            cross = np.exp(-0.5 * np.square(points[:, None] - scaled[first:last]).sum(axis=2))
+            cross = correlation(points, scaled[first:last], unit)
             x, noise = solve_triangular(lower, cross, lower=True), self._ratio + open_share[cell]
             known += (x @ own @ x.T) / noise[:, None, None]
             right += (x @ absorbed[first:last]).T / noise[:, None]
