@@ -5,6 +5,7 @@ import pytest
 
 from split_cli.proof.injection import FAULTS
 from tests.factories import make_drive
+from tests.studies.changing_faults import CHANGING
 from tests.studies.recorded_faults import DRIVES, dealt
 from tests.studies.recorded_faults_lists import LISTS
 
@@ -25,6 +26,10 @@ def test_thirds_leave_the_middle_out():
 
 def test_each_row_of_a_list_names_a_recording_and_a_fault():
     for rows in LISTS.values():
-        assert {one.split("=")[0] for row in rows for one in row.fault.split(" + ")} <= {"none", *FAULTS}
+        assert {one.split("=")[0] for row in rows for one in row.fault.split(" + ")} <= {
+            "none",
+            *FAULTS,
+            *CHANGING,
+        }
         assert {row.pair.split(", ")[0] for row in rows} <= set(DRIVES)
         assert len(set(rows)) == len(rows)

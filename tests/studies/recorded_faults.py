@@ -23,7 +23,7 @@ from split_cli.errors import SplitError
 from split_cli.logs.assembling.assemble import IngestSettings
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.proof.injection import InjectedFault, faults_for, faults_of_sizes, inject
-from split_cli.proof.outcome import judge
+from split_cli.proof.outcome import Statement, judge
 from split_cli.proof.scoring import statement_of
 from split_cli.vehicle.parameters import Vehicle, read_vehicle, vehicle_file
 from split_cli.workflows.ingesting.ingest import ingest_logs
@@ -38,6 +38,7 @@ from tests.foreign.natural import (
     dart_drive,
     kth_drive,
 )
+from tests.studies.changing_faults import CHANGING
 from tests.studies.recorded_faults_lists import LISTS, Row
 
 Prepared = Callable[[Path, Path], Drive]
@@ -160,7 +161,8 @@ class Study:
         faulty = drive
         try:
             for fault in faults:
-                faulty = inject(faulty, fault, vehicle)
+                changing = CHANGING.get(fault.name)
+                faulty = changing.put(faulty, fault.value, vehicle) if changing else inject(faulty, fault, vehicle)
         except SplitError as error:
             return replace(empty, said=str(error))
         begun = time.process_time()
@@ -171,7 +173,7 @@ class Study:
             fault=row.fault,
             multiple=row.multiple,
             values=tuple(fault.value for fault in faults),
-            outcome=judge([fault.term for fault in faults], statement_of(mapping)),
+            outcome=_outcome(faults, statement_of(mapping)),
             said=in_words(mapping),
             inside=tuple(
                 bool(interval[0] <= fault.value <= interval[1])
@@ -197,7 +199,11 @@ class Study:
         for one in parts:
             name, _, size = one.partition("=")
             value = float(size) if size else row.value
-            kinds = faults_for(drive, vehicle, [name])[1:2]
+            changing = CHANGING.get(name)
+            if changing:
+                kinds = [InjectedFault(name, changing.term, ((changing.parameter, np.nan),))]
+            else:
+                kinds = faults_for(drive, vehicle, [name])[1:2]
             if value is not None:
                 kinds = [
                     replace(one, parameters=tuple((each, value) for each, _ in one.parameters)) for one in kinds
@@ -210,6 +216,13 @@ class Study:
                 return None
             found += kinds
         return found
+
+
+def _outcome(faults: Sequence[InjectedFault], said: Statement) -> str:
+    """Return how a statement fares. A fault that changes has a term's name, or is rightly called unexplained."""
+    outcome = judge([fault.term for fault in faults if fault.term], said)
+    changing = any(fault.name in CHANGING for fault in faults)
+    return outcome if outcome in ("exact", "class") and said.findings or not changing else judge([""], said)
 
 
 def _of_the_true(mapping: dict[str, Any], fault: InjectedFault) -> list[tuple[float, float]]:
@@ -233,6 +246,7 @@ def in_words(mapping: dict[str, Any]) -> str:
         words.append(f"{one['term']} {values}{others}")
     if mapping["unexplained"]:
         words.append("more is unexplained")
+    words += [f"lead {one['term']}: {one['sentence']}" for one in mapping["leads"]]
     return "; ".join(words)
 
 

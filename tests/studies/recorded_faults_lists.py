@@ -81,6 +81,25 @@ LISTS: dict[str, list[Row]] = {
         *_twice("av21, blocks 20", "speed scaled", "steering scaled"),
         *_twice("genesis, halves", "yaw rate scaled", "lateral velocity late"),
     ],
+    "fourth": [
+        *_rows("rubber, blocks 8", ("front tyres softer", 2.0), ("more yaw inertia", 2.0)),
+        *_rows("tape, blocks 8", ("velocity moved + torque scaled", 3.0)),
+        Row("tape, blocks 8", "grip falls", value=0.75),
+        *_rows("slippery, swapped blocks 6", ("speed scaled + steering scaled", 2.0)),
+        Row("slippery, swapped blocks 6", "rows lost", value=0.1),
+        *_rows("free, swapped halves", ("torque late", 5.0), ("steering late + torque scaled", 3.0)),
+        Row("free, swapped halves", "clocks drift", value=0.3),
+        Row("free, swapped halves", "steering scaled to the left", value=0.7),
+        *_rows("kth, blocks 4", ("velocity moved + yaw rate late", 2.0)),
+        Row("kth, blocks 4", "yaw rate reversed", value=-1.0),
+        *_rows("autorally 5, blocks 6", ("torque fades", 4.0), ("yaw rate scaled + velocity rotated", 2.0)),
+        *_rows("av21, thirds", ("steering offset steps", 4.0), ("velocity biased", 5.0)),
+        *_rows("genesis, thirds", ("yaw rate drifts", 4.0), ("speed scaled + yaw rate late", 3.0)),
+        *_rows("tum, thirds", ("more yaw inertia", 3.0), ("steering late + velocity rotated", 2.0)),
+        *_rows(
+            "tum second file, swapped halves", ("front tyres softer", 3.0), ("yaw rate late now and then", 4.0)
+        ),
+    ],
     "beside": [
         Row("slippery, blocks", "steering scaled + velocity moved=0.04", 1.5),
         Row("slippery, blocks", "torque late + velocity moved=0.04", 1.5),
@@ -151,5 +170,7 @@ LISTS: dict[str, list[Row]] = {
 ``second`` has parts and faults that no search had seen when the list was fixed, on 25 November 2026;
 ``third`` has recordings, parts and faults of no list before, fixed on 26 November 2026, and ``beside`` faults of
 1.5 times what is promised beside another fault, fixed the same day.
+``fourth`` has parts, pairs of faults and faults that change in the course of a drive (`changing_faults.py`),
+fixed on 26 November 2026 before any row of it was run.
 ``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed,
 and ``several again`` other parts with round sizes, fixed the same day after ``several`` had been run once."""
