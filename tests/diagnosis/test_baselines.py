@@ -252,6 +252,34 @@ def test_a_sure_name_lends_its_sureness_to_no_other(restless):
     assert named(confirmed) == ["steer_offset", "road_bank"]
 
 
+@pytest.mark.parametrize(("saved", "expected"), [(1e5, ["drive_gain", "steer_offset"]), (30.0, ["steer_offset"])])
+def test_a_surer_name_takes_none_from_a_sure_one_beside_it(restless, saved, expected):
+    """Both searches name an offset; the first is surer of it, and only the second sees a weak torque."""
+    candidates = {one.label: one for one in build_candidates(road_car(), restless.real[0].series)}
+    offset, torque = (
+        Part(candidates[one], dict(candidates[one].starts[0])) for one in ("steer_offset", "drive_gain")
+    )
+    objective, every = fixed_objective(restless), ((), ())
+
+    def outcome(parts, p_value) -> SearchOutcome:
+        chosen = Fit(parts, 1000.0, np.zeros(0), np.zeros((0, 0)))
+        rest = [(parts[:k] + parts[k + 1 :], saved if part is torque else 1e5) for k, part in enumerate(parts)]
+        without = tuple(replace(chosen, parts=some, cost=1000.0 + more) for some, more in rest)
+        selection = Selection(
+            chosen,
+            chosen,
+            without,
+            every[: len(parts)],
+            every[: len(parts)],
+            (True,) * len(parts),
+            first_p=p_value,
+        )
+        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
+
+    believed = settled(outcome((offset,), 1e-160), outcome((torque, offset), 1e-60), STANDARD.selection)
+    assert [one.id for one in believed.selection.terms] == expected
+
+
 @pytest.mark.parametrize(
     ("first", "first_p", "second", "second_p", "expected"),
     [

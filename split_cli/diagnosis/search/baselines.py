@@ -111,18 +111,22 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     """Return what is believed of a search with a marginalised baseline and one with a fixed baseline.
 
     What the second brings back to where the simulation has been is believed; with the values of the first where
-    that named it, too, and is as sure. What the first names in doubt and the second does not confirm has no name,
-    each name by itself: a sure one lends the others nothing. Where none is left, what the second names is believed
-    if the first has it unnamed beside what is refused. Nor has what would need more than a car has, see
-    `ends_beyond`; then the second is returned, which found it.
+    that named it, too, and is as sure. A name of the second alone beside these is believed where it is sure by
+    itself: how sure another one is says nothing of it. What the first names in doubt and the second does not
+    confirm has no name, each name by itself: a sure one lends the others nothing. Where none is left, what the
+    second names is believed if the first has it unnamed beside what is refused. Nor has what would need more than
+    a car has, see `ends_beyond`; then the second is returned, which found it.
     """
     marginalised, fixed = first.selection, again.selection
     confirmed = bool(marginalised.terms) and _ids(marginalised) <= _ids(fixed)
     surer = not marginalised.terms or fixed.first_p <= marginalised.first_p
     brought_back = _brings_back(fixed, first, rules)
     kept = first
-    if brought_back and (surer or confirmed):
-        kept = again if surer else first
+    if brought_back and surer:
+        kept = again
+    elif brought_back and confirmed:
+        more = _only_named(fixed, _undoubted(again, _ids(marginalised), rules))
+        kept = replace(again, selection=more) if _ids(more) > _ids(marginalised) else first
     elif surer and ends_beyond(fixed, again.structure.objective.policy):
         kept = again
     elif marginalised.terms and marginalised.first_p >= rules.sure_level:
@@ -206,15 +210,15 @@ def _indistinguishable(outcome: SearchOutcome, k: int) -> list[Candidate]:
     return [selection.chosen.parts[k].candidate, *(rival.fit.parts[-1].candidate for rival in alike)]
 
 
-def _undoubted(first: SearchOutcome, confirmed: set[str], rules: SelectionRules) -> list[bool]:
+def _undoubted(outcome: SearchOutcome, confirmed: set[str], rules: SelectionRules) -> list[bool]:
     """Return which parts of a search are confirmed by another one, or sure by themselves beside the others."""
-    objective, selection = first.structure.objective, first.selection
+    objective, selection = outcome.structure.objective, outcome.selection
     chosen = selection.chosen
 
     def is_sure(k: int) -> bool:
         saved = selection.without[k].cost - chosen.cost
         p_value = min(
-            term_p(objective, chosen, k, saved, first.variance_inflation),
+            term_p(objective, chosen, k, saved, outcome.variance_inflation),
             witnessed_p(objective, chosen, k, selection.without[k], rules),
         )
         return p_value * max(len(selection.first), 1) < rules.sure_level
