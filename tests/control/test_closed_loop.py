@@ -178,6 +178,12 @@ def test_the_race_says_whether_learning_helped():
     assert "than lap 0" in unclean and "--learner none" not in unclean
     harmed = whether_learning_helped([driven(0, 40.0), driven(1, 38.0, 0.1)], RaceSettings())
     assert "no lap with it was clean" in harmed and "50 %, 25 %, 75 %" in harmed and "split diagnose" in harmed
+    # A lap 0 off the track is no rival that a clean lap has to beat, and nothing to go back to.
+    cleaner = whether_learning_helped([driven(0, 37.0, 0.3), driven(1, 38.0)], RaceSettings())
+    assert "clean lap with what was learned took 38.00 s. Without it no lap was clean: lap 0" in cleaner
+    assert "37.00 s, 0.30 m outside the track" in cleaner
+    both = whether_learning_helped([driven(0, 37.0, 0.3), driven(1, 38.0, 0.1)], RaceSettings())
+    assert "no lap with it was clean" in both and "0.30 m outside" in both and "--learner none" not in both
     assert "Leave out --features" in whether_learning_helped(
         [driven(0, 40.0), driven(1, 41.0)], RaceSettings(features="z2")
     )

@@ -97,6 +97,10 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
     rival = min(rivals, key=_duration, default=laps[0])
     called = "lap 0 with the nominal model" if rival is laps[0] else "the nominal controller's in as many laps"
     best = min((lap for lap in own if lap.clean), key=_duration, default=None)
+    took = f"{called} {rival.time:.2f} s" + ("" if rival.clean else f", {rival.outside:.2f} m outside the track")
+    if best is not None and not rival.clean:
+        learned = f"The best clean lap with what was learned took {best.time:.2f} s."
+        return f"{learned} Without it no lap was clean: {took}."
     if best is not None and _duration(best) < _duration(rival):
         sentence = (
             f"The best clean lap with what was learned took {best.time:.2f} s, "
@@ -113,7 +117,7 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
             sentence += "." if nominal else f", which `--learner none --learner {settings.learner}` shows."
         return sentence
     slower = "no lap with it was clean" if best is None else f"the best clean lap with it took {best.time:.2f} s"
-    return f"Learning did not help: {slower}, {called} {rival.time:.2f} s.{_what_to_do(own[-1], settings)}"
+    return f"Learning did not help: {slower}, {took}.{_what_to_do(own[-1], settings, rival.clean)}"
 
 
 def what_lap_0_asks(laps: Sequence[Lap], vehicle: Vehicle) -> str:
@@ -137,7 +141,7 @@ def what_lap_0_asks(laps: Sequence[Lap], vehicle: Vehicle) -> str:
     )
 
 
-def _what_to_do(last: Lap, settings: RaceSettings) -> str:
+def _what_to_do(last: Lap, settings: RaceSettings, nominal_is_clean: bool) -> str:
     """Return the errors of the last lap, and what to do where learning did not help."""
     errors = ""
     shares = [after / before for after, before in zip(last.error_after, last.error_before, strict=True) if before]
@@ -148,6 +152,8 @@ def _what_to_do(last: Lap, settings: RaceSettings) -> str:
         return (
             f"{errors} Leave out --features and --predictor: the race then chooses both on held-out parts of laps."
         )
+    if not nominal_is_clean:
+        return errors  # what lap 0 asks for says the rest
     return (
         f"{errors} Drive with --learner none, or keep a lap at more of the peak (-o lap0.parquet --laps 0 "
         f"--learner none --p-ellipse-lap0 {SHARE_NOMINAL}) and let `split diagnose --real lap0.parquet` name what "
