@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from split_cli.logs.raw import SplitStamp
+
 CONVERSIONS = ("yaw_from_quaternion", "local_x", "local_y", "norm", "pair_sum", "pair_mean", "signed")
 """What may be computed from several fields of one message, before scale, offset and unit."""
 
@@ -78,7 +80,7 @@ class TimeBase:
     unit: str | None = None  # of that column
     period: float | None = None  # [s]
     clock: str | None = None  # ``header``, ``publish`` or ``log``
-    nanoseconds: str | None = None  # a second column, added to the first, which then holds whole seconds
+    stamp: SplitStamp | None = None  # a second column, added to the first, which then holds whole seconds
 
 
 @dataclass(frozen=True)

@@ -188,17 +188,42 @@ def unit_of_time(values: np.ndarray) -> str:
     return next((unit for unit, size in sizes.items() if 2e-4 < step * size < 1.5), "s")
 
 
-def seconds_and_nanoseconds(infos: Sequence[RawChannelInfo]) -> tuple[str, str] | None:
-    """Return the columns of a time stamp of ROS written out flat, whole seconds and nanoseconds; None if none."""
+@dataclass(frozen=True)
+class SplitStamp:
+    """A time stamp in two columns: whole seconds, and what is left of a second in a smaller unit."""
+
+    whole: str
+    part: str
+    key: str  # of `STAMP_PARTS`: what the part counts
+
+    def joined(self, whole: np.ndarray, part: np.ndarray, first: float = 0.0) -> np.ndarray | None:
+        """Return the time since `first` [s]; None where a part reaches a whole second: it is another clock's."""
+        size = STAMP_PARTS[self.key]
+        return None if np.any(part * size >= 1.0) else (whole - first) + size * part
+
+
+STAMP_PARTS = {"nanoseconds": 1e-9, "microseconds": 1e-6}
+"""What the second column of a split stamp counts, by its key in a map [s]."""
+_PART_WORDS = {"n": "nanoseconds", "u": "microseconds", "m": "microseconds"}
+
+
+def split_stamps(infos: Sequence[RawChannelInfo]) -> list[SplitStamp]:
+    """Return the stamps written out flat in two columns, as ROS, POSIX and OpenDLV have it.
+
+    What is called a stamp or a time stands first: others may be the instants of sending and of receiving.
+    """
     names = {info.name for info in infos if info.type_name != "text"}
+    called, others = [], []
     for name in sorted(names, key=len):
-        match = re.fullmatch(r"(.*?)(nanosec|nanosecs|nsec|nsecs|nanoseconds|ns)", name, re.IGNORECASE)
-        if match is None or not re.search(r"(^|[._/ ])(stamp|time|header)?[._/ ]?$", match[1], re.IGNORECASE):
+        match = re.fullmatch(r"(.*?)((n|u)s|(n|u)secs?|(nano|micro)sec(ond)?s?)", name, re.IGNORECASE)
+        if match is None:
             continue
-        whole = next((n for n in (match[1] + w for w in ("sec", "secs", "seconds", "s", "S")) if n in names), None)
+        timed = re.fullmatch(r"(.*(stamp|time|header))?[._/ ]?|(.*[._/ ])?tv_", match[1], re.IGNORECASE)
+        words = ("sec", "secs", "seconds", *(("s", "S") if timed else ()))
+        whole = next((match[1] + word for word in words if match[1] + word in names), None)
         if whole is not None:
-            return whole, name
-    return None
+            (called if timed else others).append(SplitStamp(whole, name, _PART_WORDS[match[2][0].lower()]))
+    return [*called, *others]
 
 
 def nearest_column(known: Mapping[str, Any], name: str, where: str) -> Any:

@@ -8,6 +8,7 @@ from typing import Any
 from split_cli.errors import MapError, nearest_names
 from split_cli.logs.map_entries import CONVERSIONS, ChannelMap, Position, SignalMap, SignalSource, TimeBase
 from split_cli.logs.presets import preset_names, preset_path
+from split_cli.logs.raw import STAMP_PARTS, SplitStamp
 from split_cli.signals import CHANNELS, UNITS, find_unit
 from split_cli.yaml_file import read_yaml_mapping
 
@@ -17,7 +18,7 @@ _MAP_KEYS = (
 )  # fmt: skip
 _SOURCE_KEYS = ("source", "convert", "scale", "offset", "curve", "unit", "delay", "frame", "world")
 _CHANNEL_KEYS = (*_SOURCE_KEYS, "sum", "position", "kind", "resample", "optional", "note")
-_TIME_KEYS = ("source", "unit", "nanoseconds", "period", "clock")
+_TIME_KEYS = ("source", "unit", *STAMP_PARTS, "period", "clock")
 _AXLES = ("cg", "front_axle", "rear_axle")
 _KINDS = ("command", "measured", "derived")
 _RESAMPLING = ("continuous", "held", "angle")
@@ -229,21 +230,22 @@ def _time(entry: Any, where: str) -> TimeBase:
     if period is not None and not _number(period, where, "period") > 0:
         advice = "Give the time between two rows in seconds."
         raise MapError(f"period is {period}, it must be positive", where=where, advice=advice)
-    for key in ("source", "nanoseconds"):
+    for key in ("source", *STAMP_PARTS):
         if entry.get(key) is not None and not isinstance(entry[key], str):
             advice = "`split ingest LOG --list` shows the columns."
             raise MapError(f"{key} must be the name of a column", where=where, advice=advice)
-    if "nanoseconds" in entry and "source" not in entry:
-        advice = "Write `source: stamp_sec, nanoseconds: stamp_nanosec`."
-        raise MapError("nanoseconds needs the column of whole seconds: source", where=where, advice=advice)
+    parts = [key for key in STAMP_PARTS if key in entry]
+    if len(parts) > 1 or (parts and "source" not in entry):
+        advice = "Write `source: stamp_sec, nanoseconds: stamp_nanosec`, or microseconds alike."
+        raise MapError(f"{parts[0]} needs one column of whole seconds: source", where=where, advice=advice)
     unit = entry.get("unit")
     if unit is not None and getattr(find_unit(str(unit)), "si", "") != "s":
         raise MapError(f"{unit!r} is not a unit of time", where=where, advice="Give s, ms, us, ns or min.")
     clock = entry.get("clock")
     return TimeBase(
         source=entry.get("source"),
-        unit=unit or ("s" if "nanoseconds" in entry else None),
-        nanoseconds=entry.get("nanoseconds"),
+        unit=unit or ("s" if parts else None),
+        stamp=SplitStamp(entry["source"], entry[parts[0]], parts[0]) if parts else None,
         period=None if period is None else float(period),
         clock=None if clock is None else _one_of(clock, ("header", "publish", "log"), where, "clock"),
     )

@@ -97,8 +97,8 @@ def gather(
         have = ", ".join(recording.clocks) or "none: its time is a column"
         raise MapError(f"has no {chosen} clock", where=recording.name, advice=f"It has {have}.")
     time_column = _time_column(infos, signal_map, recording)
-    part = signal_map.time.nanoseconds
-    clocks = [name for name in (time_column, part) if name]
+    part = signal_map.time.stamp
+    clocks = [name for name in (time_column, part.part if part else None) if name]
     signals = recording.read(list(dict.fromkeys([*wanted, *clocks])), chosen)
     notes = ConversionNotes([], [], [])
     found, absent = resolver.without_absent_elements(found, signals, needed)
@@ -308,7 +308,8 @@ def _time_column(infos: Mapping, signal_map: SignalMap, recording: RawRecording)
     if recording.clocks or signal_map.time.period or hasattr(recording, "paths"):
         return None
     if signal_map.time.source:
-        for name in filter(None, (signal_map.time.source, signal_map.time.nanoseconds)):
+        stamp = signal_map.time.stamp
+        for name in (signal_map.time.source, *([stamp.part] if stamp else [])):
             if name not in infos:
                 advice = nearest_names(name, infos)
                 raise MapError(f"the recording has no time column {name!r}", where=recording.name, advice=advice)
@@ -344,10 +345,13 @@ def _common_time(
     finite = np.isfinite(raw.values)
     if not finite.any():
         raise LogError(f"the time column {column!r} holds no number", where=recording.name, advice=_TIME_ADVICE)
-    if signal_map.time.nanoseconds:
-        first, part = np.floor(raw.values[finite][0]), signals[signal_map.time.nanoseconds].values
-        time = raw.values - first + 1e-9 * part
-        return time, float(first), f"columns {column} and {signal_map.time.nanoseconds}"
+    if stamp := signal_map.time.stamp:
+        first = float(np.floor(raw.values[finite][0]))
+        joined = stamp.joined(raw.values, signals[stamp.part].values, first)
+        if joined is None:
+            what, advice = f"{stamp.part} reaches a whole second", f"Name the column that holds the {stamp.key}."
+            raise MapError(what, where=recording.name, advice=advice)
+        return joined, first, f"columns {column} and {stamp.part}"
     first = float(raw.values[finite][0])
     values = over_midnight(raw.values) if unit in (None, "s") else raw.values
     # Subtract before the conversion: nanoseconds since 1970 lose nothing then.

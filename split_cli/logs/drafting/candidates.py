@@ -26,7 +26,7 @@ from split_cli.logs.drafting.naming import (
 from split_cli.logs.drafting.trial import TrialCandidate, names_of
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheel_torques import sums_of_torques
-from split_cli.logs.raw import RawChannelInfo, RawRecording, time_column
+from split_cli.logs.raw import RawChannelInfo, RawRecording, split_stamps, time_column
 from split_cli.signals import find_unit
 
 
@@ -35,6 +35,7 @@ def candidates_of(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> l
     found = _by_fields(infos)
     by_field = {name for candidate in found for name in (*candidate.sources, *names_of(candidate))}
     time = None if recording.clocks else time_column(infos)
+    by_field |= {name for stamp in split_stamps(infos) for name in (stamp.whole, stamp.part)}
     columns = [info for info in infos if info != time and info.type_name != "text" and info.name not in by_field]
     renamed = named_without_source(infos) | named_by_axis(infos)
     for info in columns:

@@ -16,7 +16,7 @@ from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
     counts_rows,
-    seconds_and_nanoseconds,
+    split_stamps,
     time_column,
     unit_of_time,
 )
@@ -59,13 +59,13 @@ def clock_of_rows(
     count = len(bare[0].values)
     if row_rate is not None:
         return np.arange(count) / row_rate, f"time: {{period: {1.0 / row_rate:.6g}}}   # as given", True
-    pair = seconds_and_nanoseconds(infos)
-    if pair is not None:
-        whole, part = (recording.read([name])[name].values for name in pair)
+    for stamp in split_stamps(infos):
+        whole, part = (recording.read([name])[name].values for name in (stamp.whole, stamp.part))
         # A whole second of nanoseconds is none: the stamp of another clock, or one that was read wrongly.
-        if not np.any(part >= 1e9):
-            line = f"time: {{source: {quoted(pair[0])}, nanoseconds: {quoted(pair[1])}}}"
-            return (whole - np.nanmin(whole)) + 1e-9 * part, line, True
+        time = stamp.joined(whole, part, float(np.nanmin(whole)))
+        if time is not None:
+            line = f"time: {{source: {quoted(stamp.whole)}, {stamp.key}: {quoted(stamp.part)}}}"
+            return time, line, True
     found = time_column(infos)
     rising = _rising(infos, signals, found)
     if rising:

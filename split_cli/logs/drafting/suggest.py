@@ -390,6 +390,7 @@ def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[st
             attempt = {**chosen, channel: _first_guess(candidate, trial)}
             if channel == "X":
                 attempt |= _beside(candidate, ranked.get("Y", []), trial)
+                attempt |= _yaw_of_the_pose(attempt, ranked.get("yaw", []), trial)
             verdict = trial.judge(attempt)
             mine = [r for r in verdict.relations if channel in r.powers]
             # A relation that could be measured counts for a candidate, a contradiction against it.
@@ -415,7 +416,7 @@ def _yaw_of_the_pose(
 
     place = message(chosen["X"].sources) if "X" in chosen else ""
     same = next((c for c in options if place and message(c.sources) == place), None)
-    if same is None or message(chosen["yaw"].sources) == place:
+    if same is None or ("yaw" in chosen and message(chosen["yaw"].sources) == place):
         return {}
     return {"yaw": _first_guess(same, trial)}
 

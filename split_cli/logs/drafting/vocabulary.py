@@ -253,7 +253,7 @@ def _motion(c: set[str]) -> tuple[str, int] | None:
     if c == {"angle", "up"}:
         return "r", 1  # one of angX, angY, angZ, which is a rate beside an angle of its own name
     if "yaw" in c:
-        return ("yaw", 3) if c <= {"yaw", "angle", "world", "position"} else None
+        return ("yaw", 3) if c <= {"yaw", "angle", "world", "position", "north"} else None
     if "rate" in c or "angular" in c or "angle" in c:
         return ("sideslip", 3) if "slip" in c and "rate" not in c else None
     if "slip" in c:

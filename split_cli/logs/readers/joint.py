@@ -13,8 +13,9 @@ from split_cli.logs.raw import (
     RawRecording,
     RawSignal,
     ReadNote,
+    SplitStamp,
     nearest_column,
-    seconds_and_nanoseconds,
+    split_stamps,
     time_column,
     unit_of_time,
 )
@@ -40,15 +41,15 @@ class JointRecording:
         self.name = "+".join(part.name for part in parts)
         self._own_notes: list[ReadNote] = []
         self._time: dict[int, RawChannelInfo] = {}
-        self._pairs: dict[int, tuple[str, str]] = {}
+        self._split: dict[int, SplitStamp] = {}
         self._moved: dict[int, float] = {}
         self._places: dict[str, tuple[RawRecording, RawChannelInfo]] = {}
         for part in parts:
             infos = part.channels()
             time = time_column(infos)
-            pair = seconds_and_nanoseconds(infos) if time is None else None
-            if pair is not None:
-                self._pairs[id(part)] = pair
+            stamps = split_stamps(infos)
+            if time is None and stamps:
+                self._split[id(part)] = stamps[0]
             elif time is None and not part.clocks and not _own_clock(part, infos):
                 what = "has no column of time, which several files together need"
                 advice = "Name one of its columns `time`, or ingest the files one by one."
@@ -57,8 +58,9 @@ class JointRecording:
                 self._time[id(part)] = time
         counts = Counter(info.name for part in parts for info in part.channels())
         for part in parts:
+            clocks = {name for stamp in split_stamps(part.channels()) for name in (stamp.whole, stamp.part)}
             for info in part.channels():
-                if info != self._time.get(id(part)) and info.name not in self._pairs.get(id(part), ()):
+                if info != self._time.get(id(part)) and info.name not in clocks:
                     name = info.name if counts[info.name] == 1 else f"{Path(part.name).stem}.{info.name}"
                     self._places[name] = (part, info)
 
@@ -82,11 +84,15 @@ class JointRecording:
             if not own:
                 continue
             time = self._time.get(id(part))
-            pair = self._pairs.get(id(part), ())
-            signals = part.read([*own.values(), *([time.name] if time else pair)], clock)
+            split = self._split.get(id(part))
+            clocks = [time.name] if time else [] if split is None else [split.whole, split.part]
+            signals = part.read([*own.values(), *clocks], clock)
             stamps = None if time is None else self._seconds(part, signals[time.name])
-            if pair:
-                stamps = signals[pair[0]].values + 1e-9 * signals[pair[1]].values
+            if split is not None:
+                stamps = split.joined(signals[split.whole].values, signals[split.part].values)
+                if stamps is None:
+                    what = f"{split.part} reaches a whole second, so it is no part of {split.whole}"
+                    raise LogError(what, where=part.name, advice="Name one of its columns `time`.")
             moved = self._moved.get(id(part), 0.0)
             for name, inside in own.items():
                 signal = signals[inside]

@@ -126,6 +126,9 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
     elif isinstance(value, np.ndarray) and value.dtype == object:
         # Structs and cells come as arrays of objects, a single struct as an array of one.
         items = value.ravel()[:_MOST_COLUMNS]
+        if value.size > 1 and all(map(_text, items)):
+            yield name, np.array([_text(item) for item in items])
+            return
         labels = [_label(item) for item in items]
         labelled = name.endswith(".signals") and all(labels) and len(set(labels)) == len(labels)
         for index, item in enumerate(items):
@@ -134,7 +137,9 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
                 yield from _leaves(f"{name.removesuffix('.signals')}.{labels[index]}", item.values, depth + 1)
             else:
                 yield from _leaves(name if value.size == 1 else f"{name}[{index}]", item, depth + 1)
-    elif isinstance(value, np.ndarray) and (value.dtype.kind in "biuf"):
+    elif isinstance(value, np.ndarray) and (
+        value.dtype.kind in "biuf" or (value.dtype.kind == "U" and value.size > 1)
+    ):
         yield name, value
 
 
@@ -220,7 +225,7 @@ class _Hdf5:
         units = (_inside(group, key) for key in group if key.lower() in _UNIT_FIELDS)
         unit = next((_text_hdf5(item) for item in units if item is not None), "")
         for key in group:
-            if key.startswith("#") or depth > _DEEPEST or key.lower() in _UNIT_FIELDS:
+            if key.startswith("#") or depth > _DEEPEST or (unit and key.lower() in _UNIT_FIELDS):
                 continue
             name = f"{prefix}{key}"
             item = _inside(group, key)
@@ -234,6 +239,11 @@ class _Hdf5:
                 self._read(item, name, unit)
 
     def _read(self, item: Any, name: str, unit: str) -> None:
+        if item.attrs.get("MATLAB_class", b"") in (b"cell", "cell") and 1 < item.size <= _MOST_COLUMNS:
+            texts = [_text_hdf5(item.file[ref]) for ref in np.ravel(item[()]) if ref]
+            if len(texts) == item.size and all(texts):
+                self.leaves.append((name, np.array(texts)))
+            return
         if item.dtype.kind not in "biuf" or item.attrs.get("MATLAB_empty", 0) or item.ndim > 2:
             return
         if item.attrs.get("MATLAB_class", b"") in (b"char", "char"):

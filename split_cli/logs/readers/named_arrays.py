@@ -16,7 +16,7 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.logs.scratch import set_aside
-from split_cli.signals import STANDARD_GRAVITY, split_name_and_unit
+from split_cli.signals import STANDARD_GRAVITY, find_unit, split_name_and_unit
 
 _MOST_COLUMNS = 64
 """Of a matrix, that become channels [1]; judgement: a state of a car has fewer."""
@@ -52,7 +52,8 @@ def recording_of_vectors(
     Parameters
     ----------
     leaves : sequence of (str, ndarray)
-        Names, and vectors (N,), (N, 1), (1, N) or matrices (N, K), in the units of their names.
+        Names, and vectors (N,), (N, 1), (1, N) or matrices (N, K), in the units of their names. Lists of texts are
+        the titles and units of a matrix with as many columns that stands beside them.
     notes : list of ReadNote
         What was lost so far; what is found here is added.
     empty : str
@@ -65,6 +66,7 @@ def recording_of_vectors(
     LogError
         If none has.
     """
+    leaves = _with_titles(leaves)
     arrays = {name: values for name, values in leaves if values.size > 1 and values.ndim <= 2}
     clocks = _clocks_of_lengths(arrays) | _own_clocks(arrays)
     titles = _of_one_value(arrays, clocks)
@@ -107,6 +109,42 @@ def recording_of_vectors(
     if not signals:
         raise LogError("holds no vector of numbers", where=path.name, advice=empty)
     return TableRecording(path.name, path, signals, type_name=kind, notes=notes)
+
+
+def _with_titles(leaves: Sequence[tuple[str, np.ndarray]]) -> list[tuple[str, np.ndarray]]:
+    """Return the arrays, with a matrix taken apart where a list of as many titles stands beside it.
+
+    So a timetable is saved by its parts, and ``importdata`` returns a table. Beside is the same structure, or one
+    within it (``Properties.VariableNames``). A list in which most are units is that of the units.
+    """
+    lists = {name: [str(text).strip() for text in np.ravel(v)] for name, v in leaves if v.dtype.kind == "U"}
+    found: list[tuple[str, np.ndarray]] = []
+    for name, values in leaves:
+        if values.dtype.kind == "U":
+            continue
+        structure = name.rpartition(".")[0]
+        beside = [
+            texts
+            for place, texts in lists.items()
+            if structure in ((inside := place.rpartition(".")[0]), inside.rpartition(".")[0])
+            and values.ndim == 2
+            and [n for n in values.shape if n == len(texts)] == [len(texts)]
+        ]
+        known = {
+            id(texts): sum(find_unit(text) is not None for text in texts) > len(texts) / 2 for texts in beside
+        }
+        titles = next((texts for texts in beside if not known[id(texts)] and len(set(texts)) == len(texts)), None)
+        if titles is None:
+            found.append((name, values))
+            continue
+        units = next((texts for texts in beside if known[id(texts)]), [""] * len(titles))
+        along = values if values.shape[1] == len(titles) else values.T
+        front = f"{structure}." if structure else ""
+        found += [
+            (f"{front}{title.replace('.', '_')}" + (f" [{unit.replace('.', ' ')}]" if unit else ""), along[:, [k]])
+            for k, (title, unit) in enumerate(zip(titles, units, strict=True))
+        ]
+    return found
 
 
 def _of_one_value(arrays: dict[str, np.ndarray], clocks: dict[str, np.ndarray]) -> dict[str, str | None]:

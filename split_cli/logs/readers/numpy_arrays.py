@@ -202,7 +202,7 @@ def _leaves(name: str, values: np.ndarray | None) -> Iterator[tuple[str, np.ndar
         values = np.where(np.isnat(values), np.nan, since)
     elif values.dtype.kind == "m":
         values = values / np.timedelta64(1, "s")
-    if values.dtype.kind in "biuf":
+    if values.dtype.kind in "biuf" or (values.dtype.kind == "U" and values.size > 1):
         squeezed = values.squeeze() if values.ndim > 2 else values
         yield name, squeezed.reshape(-1, 1) if squeezed.ndim == 1 else squeezed
 

@@ -1,0 +1,119 @@
+"""Faults first seen when eight kinds of logs were taken from `split init` to a diagnosis as a stranger would."""
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+from scipy.io import savemat
+
+from split_cli.errors import LogError
+from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import map_from_mapping
+from split_cli.workflows.ingesting.ingest import open_logs
+from tests.logs.planted import PlantedDrive, write_table
+
+
+@pytest.fixture(scope="module")
+def planted() -> PlantedDrive:
+    return PlantedDrive(seconds=40.0)
+
+
+def stamps(t: np.ndarray, late: int, name: str) -> dict[str, np.ndarray]:
+    """Return whole seconds and microseconds of times since 1970, `late` us later."""
+    count = np.round((1_718_000_000 + t) * 1e6).astype(np.int64) + late
+    return {f"{name}.seconds": count // 10**6, f"{name}.microseconds": count % 10**6}
+
+
+def test_messages_as_tables_with_seconds_and_microseconds_make_one_drive(planted, tmp_path):
+    """OpenDLV writes a table for each message, with the instants of sending, receiving and sampling."""
+    t = np.arange(0.0, 40.0, 0.02)
+    signals = {
+        "groundSpeed": "vx", "angularVelocityZ": "r", "groundSteering": "delta", "x": "X", "y": "Y",
+        "northHeading": "yaw", "lateralVelocity": "vy", "wheelTorque": "T",
+    }  # fmt: skip
+    paths = []
+    for number, (name, channel) in enumerate(signals.items()):
+        own = t + 0.003 * number
+        stamped = {
+            **stamps(own, 90_000, "sent"),
+            **stamps(own, 210_000, "received"),
+            **stamps(own, 0, "sampleTimeStamp"),
+        }
+        values = planted.at(channel, own)
+        paths.append(tmp_path / f"{name}Reading.csv")
+        write_table(paths[-1], {**stamped, name: 0.5 * np.pi - values if channel == "yaw" else values})
+    recording = open_logs(paths)
+    assert [info.name for info in recording.channels()] == list(signals)  # no instant is a quantity
+    draft = draft_map(recording)
+    assert draft.of("yaw").world == "ned" and {draft.of(c).status for c in ("vx", "r", "X", "Y")} == {"judged"}
+    for number, name in enumerate(signals):  # the instant of sampling, not of sending or receiving
+        assert recording.read([name])[name].time - 1_718_000_000 == pytest.approx(t + 0.003 * number, abs=2e-6)
+
+
+def test_a_stamp_of_two_columns_is_read_from_the_map_and_refused_where_it_is_none(planted, tmp_path):
+    t = np.arange(0.0, 40.0, 0.02)
+    table = {**stamps(t, 0, "header"), "speed": planted.at("vx", t), "yaw_rate": planted.at("r", t)}
+    write_table(tmp_path / "log.csv", table)
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert draft.time == "time: {source: header.seconds, microseconds: header.microseconds}"
+    entries = {"name": "x", "time": yaml.safe_load(draft.time)["time"], "channels": {"vx": {"source": "speed"}}}
+    time = map_from_mapping(entries).time.stamp
+    assert time.joined(table["header.seconds"], table["header.microseconds"], 1_718_000_000.0) == pytest.approx(t)
+    # Microseconds that go on over a second are a clock of their own, not the rest of one.
+    assert time.joined(table["header.seconds"], 1e6 * t, 0.0) is None
+    for path, whole in ((tmp_path / "a.csv", True), (tmp_path / "b.csv", False)):
+        part = table["header.microseconds"] if whole else 1e6 * t
+        write_table(path, {"tv_sec": table["header.seconds"], "tv_usec": part, path.stem: planted.at("r", t)})
+    with pytest.raises(LogError, match="reaches a whole second"):
+        open_logs([tmp_path / "a.csv", tmp_path / "b.csv"]).read(["b"])
+
+
+TITLES = {"Vx": ("vx", "m/s"), "Vy": ("vy", "m/s"), "YawRate": ("r", "rad/s"), "SteerAngle": ("delta", "rad")}
+
+
+@pytest.mark.parametrize("form", ["timetable", "importdata", "7.3", "npz"])
+def test_a_matrix_takes_the_titles_and_units_that_stand_beside_it(planted, tmp_path, form):
+    """A timetable saved by its parts, a table as `importdata` returns it, names beside a matrix in NumPy."""
+    t = np.arange(0.0, 40.0, 0.02)
+    matrix = np.column_stack([planted.at(c, t) for c, _ in TITLES.values()])
+    names, units = np.array(list(TITLES), dtype=object), np.array([u for _, u in TITLES.values()], dtype=object)
+    path, front = tmp_path / "log.mat", "run."
+    if form == "timetable":
+        properties = {
+            "VariableNames": names,
+            "VariableUnits": units,
+            "DimensionNames": np.array(["Time", "Variables"], object),
+        }
+        savemat(path, {"run": {"Time": t, "Variables": matrix, "Properties": properties}})
+    elif form == "importdata":
+        savemat(path, {"run": {"time": t, "data": matrix, "colheaders": names}})
+    elif form == "7.3":
+        with h5py.File(path, "w", userblock_size=512) as file:
+            file["run/time"], file["run/data"] = t[None, :], matrix.T
+            for field, texts in (("names", names), ("units", units)):
+                cell = file.create_dataset(f"run/{field}", (1, len(texts)), dtype=h5py.ref_dtype)
+                cell.attrs["MATLAB_class"] = np.bytes_("cell")
+                for k, text in enumerate(texts):
+                    one = file.create_dataset(f"#refs#/{field}{k}", data=np.array([[ord(c)] for c in text], "u2"))
+                    one.attrs["MATLAB_class"] = np.bytes_("char")
+                    cell[0, k] = one.ref
+        with open(path, "r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file".ljust(512, b" "))
+    else:
+        path, front = tmp_path / "log.npz", ""
+        np.savez(path, t=t, data=matrix, columns=np.array(list(TITLES)))
+    recording = open_recording(path)
+    read = recording.read([f"{front}{title}" for title in TITLES])
+    for title, (channel, unit) in TITLES.items():
+        assert read[f"{front}{title}"].values == pytest.approx(planted.at(channel, t))
+        assert read[f"{front}{title}"].unit == (unit if form in ("timetable", "7.3") else None)
+    assert {s.channel for s in draft_map(recording).suggestions if s.status != "open"} >= {"vx", "vy", "r"}
+
+
+def test_a_list_of_another_length_titles_nothing(planted, tmp_path):
+    t = np.arange(0.0, 40.0, 0.02)
+    matrix = np.column_stack([planted.at("vx", t), planted.at("r", t)])
+    savemat(tmp_path / "log.mat", {"t": t, "data": matrix, "who": np.array(["a", "b", "c"], dtype=object)})
+    listed = {info.name for info in open_recording(tmp_path / "log.mat").channels()}
+    assert listed == {"t", "data[0]", "data[1]"}
