@@ -185,6 +185,19 @@ def test_what_is_written_only_on_change_is_told_from_regular_messages_and_from_a
     assert not _series(jitter, np.sin(jitter) + 1e-3 * rng.standard_normal(500)).on_change
 
 
+def test_a_command_of_several_fields_is_written_on_change_though_its_angle_repeats():
+    """A message is sent where the speed or the angle changes; neither bursts nor a drop-out is that."""
+    t = np.arange(0.0, 60.0, 0.01)
+    speed = np.round(5.0 + np.sin(0.2 * t) + np.sin(0.05 * t**1.2), 1)
+    angle = np.where(np.sin(0.3 * t) > 0.0, np.round(0.2 * np.sin(0.3 * t), 2), 0.0) + 1e-4 * np.sin(t)
+    sent = np.concatenate([[True], (np.diff(speed) != 0.0) | (np.diff(np.round(angle, 2)) != 0.0)])
+    command = replace(_series(t[sent], np.round(angle[sent], 3)), command=True)
+    assert command.on_change and not replace(command, command=False).on_change
+    bursts = np.sort(np.concatenate([0.1 * np.arange(600) + 0.001 * k for k in range(5)]))
+    for time in (bursts, t[(t < 20.0) | (t > 25.0)], t + 0.004 * np.sin(7.0 * t)):
+        assert not replace(_series(time, np.sin(time)), command=True).on_change
+
+
 def test_a_steer_angle_that_is_written_only_on_change_is_held_over_straights():
     """Straights of seconds without a sample had been gaps of a command, and an error of a measured angle."""
     planted = PlantedDrive(seconds=60.0)

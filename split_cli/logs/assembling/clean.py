@@ -42,6 +42,9 @@ class Drop:
 
 _FEWEST_CHANGES, _IRREGULAR = 20, 3.0
 """Changes, and ratio of long steps of time to short ones, from which on a signal is written on change [1]."""
+_OF_BURSTS = 5
+"""Steps over which messages that a network delivered in bursts are even again [1]; steps that owe nothing to each
+other are then less uneven, about by the root of the number."""
 
 
 @dataclass(frozen=True)
@@ -58,26 +61,35 @@ class CleanSeries:
     repeats: int = 1
     spikes: int = 0  # isolated spikes that were found
     drops: tuple[Drop, ...] = ()
+    command: bool = False  # whether the map says so
     # When the recording went on behind a pause [s], which a value that is written on change does not outlast.
     resumed: tuple[float, ...] = ()
 
     @cached_property
     def on_change(self) -> bool:
         """Whether it is written only where it changes, see `written_on_change`."""
-        return written_on_change(self.time, self.values)
+        return written_on_change(self.time, self.values, self.command)
 
 
-def written_on_change(time: np.ndarray, values: np.ndarray) -> bool:
+def written_on_change(time: np.ndarray, values: np.ndarray, command: bool = False) -> bool:
     """Tell a signal that is written only where it changes, so that between two samples nothing is missing.
 
     Then no value stands twice in a row, the values are few, and the steps of time are as different as a drive is.
-    Messages that come regularly have one usual step, and those of a noisy sensor hardly repeat a value.
+    Messages that come regularly have one usual step, and those of a noisy sensor hardly repeat a value. A
+    `command` has no noise, and its message is also written where another of its fields changes: the steps alone
+    tell, and over `_OF_BURSTS` messages too, which a network may deliver in bursts.
     """
-    if len(time) <= _FEWEST_CHANGES or np.any(np.diff(values) == 0.0):
+    if len(time) <= _FEWEST_CHANGES or (not command and np.any(np.diff(values) == 0.0)):
         return False
-    steps = np.diff(time)
-    short, long = np.quantile(steps, [0.1, 0.9])
-    return bool(long > _IRREGULAR * short) and len(np.unique(values)) <= 0.5 * len(values)
+    if not _uneven(time, 1, _IRREGULAR):
+        return False
+    return _uneven(time, _OF_BURSTS, _IRREGULAR**0.5) if command else len(np.unique(values)) <= 0.5 * len(values)
+
+
+def _uneven(time: np.ndarray, count: int, ratio: float) -> bool:
+    """Whether of the spans of `count` steps of time the long ones exceed the short ones by a ratio."""
+    short, long = np.quantile(time[count:] - time[:-count], [0.1, 0.9])
+    return bool(long > ratio * short)
 
 
 def join_clock_resets(
@@ -163,7 +175,7 @@ def resumptions(series: Mapping[str, Sequence[RawSeries]], gap: float) -> tuple[
 
 def _is_written_on_change(part: RawSeries) -> bool:
     known = np.isfinite(part.time) & np.isfinite(part.values)
-    return written_on_change(part.time[known], part.values[known])
+    return written_on_change(part.time[known], part.values[known], part.command)
 
 
 def pause_between_runs(sources: Iterable[tuple[np.ndarray, np.ndarray]], gap: float) -> float:
@@ -337,6 +349,7 @@ def clean_series(
         repeats=repeats,
         spikes=int(np.count_nonzero(spikes)),
         drops=tuple(Drop(series.source, reason, count) for reason, count in drops),
+        command=series.command,
     )
 
 

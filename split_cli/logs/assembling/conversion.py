@@ -21,6 +21,7 @@ class RawSeries:
     time: np.ndarray  # (N,): [s], as recorded, in the order of the file; delays not yet applied
     values: np.ndarray  # (N,): SI unit of the channel; NaN where missing
     delay: float = 0.0  # as the map gives it [s]
+    command: bool = False  # whether the map says so
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,9 @@ class Converter:
         recorded = signals[0].name
         if source.convert == "yaw_from_quaternion":
             recorded = recorded.rsplit(".", 1)[0]
-        return RawSeries(channel, recorded, time, set_aside(values), source.delay or 0.0)
+        entry = self.map.channel(channel)
+        asked = entry is not None and entry.kind == "command"
+        return RawSeries(channel, recorded, time, set_aside(values), source.delay or 0.0, asked)
 
     def _combine(
         self, channel: str, source: SignalSource, signals: list[RawSignal]

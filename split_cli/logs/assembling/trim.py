@@ -84,7 +84,7 @@ def _with_last_values(
     So is one that is written only where it changes: what it changed to in a span holds on behind it.
     """
     known = np.flatnonzero(np.isfinite(time) & np.isfinite(part.values))
-    if not written_on_change(time[known], part.values[known]):
+    if not written_on_change(time[known], part.values[known], part.command):
         return part, time
     moved = time.copy()
     for first, last in sorted(spans):

@@ -30,7 +30,9 @@ def let_clocks_meet(recording: JointRecording) -> None:
     -----
     Of every pair of signals that mean the speed or the yaw rate, in the first file and another, the correlation is
     taken at every shift that leaves half of the shorter. The scale of either does not matter. A shift is taken
-    if the correlation there is high and at no other shift nearly so. Ingest then tells what delay is left.
+    if the correlation there is high and at no other shift nearly so. Of several pairs the one is taken whose
+    correlation falls soonest beside its best shift, for what it lacks of 1: a yaw rate tells time better than a
+    speed, which changes slowly and which wheels measure with their slip. Ingest then tells what delay is left.
     """
     signals = {name: signal for name, signal in _speeds_and_rates(recording).items() if signal.time is not None}
     parts = {name: recording.part_of(name) for name in signals}
@@ -46,7 +48,7 @@ def let_clocks_meet(recording: JointRecording) -> None:
             if (shift := _shift(signals[a], signals[b])) is not None
         ]
         if found:
-            correlation, shift, a, b = max(found)
+            _, correlation, shift, a, b = min(found)
             recording.move(other, shift)
             what = f"{MOVED} {shift:.2f} s, since {b} then goes with {a} (correlation {correlation:.4f})"
             recording.remark(ReadNote(what, other.name))
@@ -62,8 +64,11 @@ def _meet(one: RawSignal, other: RawSignal) -> bool:
     return min(np.nanmax(one.time), np.nanmax(other.time)) > max(np.nanmin(one.time), np.nanmin(other.time))
 
 
-def _shift(one: RawSignal, other: RawSignal) -> tuple[float, float] | None:
-    """Return the correlation of two signals and what to add to the clock of the other [s]; None where in doubt."""
+def _shift(one: RawSignal, other: RawSignal) -> tuple[float, float, float] | None:
+    """Return how far the best shift is open [s], the correlation, and the shift of the other's clock [s].
+
+    None where in doubt. What is open is the shift at which as much is lost as the best one leaves.
+    """
     from scipy.signal import correlate
 
     (start, a), (begin, b) = _on_grid(one), _on_grid(other)
@@ -85,7 +90,8 @@ def _shift(one: RawSignal, other: RawSignal) -> tuple[float, float] | None:
     left, top, right = value[max(best - 1, 0)], value[best], value[min(best + 1, len(value) - 1)]
     bend = left - 2.0 * top + right
     fraction = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-    return float(top), float(start - begin + (best - (len(b) - 1) + fraction) / _RATE)
+    left_open = float(np.sqrt(2.0 * max(1.0 - top, 0.0) / -bend)) / _RATE if bend < 0.0 else np.inf
+    return left_open, float(top), float(start - begin + (best - (len(b) - 1) + fraction) / _RATE)
 
 
 def _on_grid(signal: RawSignal) -> tuple[float, np.ndarray]:
