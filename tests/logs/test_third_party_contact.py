@@ -117,3 +117,23 @@ def test_a_list_of_another_length_titles_nothing(planted, tmp_path):
     savemat(tmp_path / "log.mat", {"t": t, "data": matrix, "who": np.array(["a", "b", "c"], dtype=object)})
     listed = {info.name for info in open_recording(tmp_path / "log.mat").channels()}
     assert listed == {"t", "data[0]", "data[1]"}
+
+
+def test_clocks_meet_by_what_tells_time_best_and_not_by_wheels_that_slip(planted, tmp_path):
+    """The slip of wheels goes with dv_x/dt, as a speed does that is early: 0.1 s had been lost."""
+    t = np.arange(0.0, 38.0, 0.02)
+    rng = np.random.default_rng(4)
+    own = {c: planted.at(c, t) for c in ("vx", "r", "ax")}
+    other = {c: planted.at(c, t + 1.3) for c in own}
+    logger = {"time [s]": t, "Wheel speed [m/s]": own["vx"] + 0.1 * own["ax"]}
+    unit = {"time [s]": 34_872.0 + t, "vel_fwd [m/s]": other["vx"], "yaw_rate [rad/s]": other["r"]}
+    write_table(tmp_path / "ins.csv", unit)
+    moved = {}
+    for name, more in {
+        "wheels": {},
+        "gyro": {"gyro_z [rad/s]": own["r"] + 0.002 * rng.normal(size=len(t))},
+    }.items():
+        write_table(tmp_path / f"{name}.csv", {**logger, **more})
+        recording = open_logs([tmp_path / f"{name}.csv", tmp_path / "ins.csv"])
+        moved[name] = recording.read(["vel_fwd"])["vel_fwd"].time[0]
+    assert moved["gyro"] == pytest.approx(1.3, abs=0.01) and abs(moved["wheels"] - 1.3) > 0.05

@@ -10,7 +10,7 @@ from split_cli.logs.readers.joint import JointRecording
 
 _RATE = 20.0
 """Of the common grid, ten times what the speed of a car follows [Hz]."""
-_SHARED = ("vx", "r")
+_SHARED = ("vx", "r", "ax", "ay")
 """Channels that loggers of one car have in common, with their own sensors."""
 _ALIKE = 0.97
 """Correlation of two sensors of one quantity over a drive [1]; judgement, real pairs of comma2k19 reach 0.999."""
@@ -28,13 +28,13 @@ def let_clocks_meet(recording: JointRecording) -> None:
 
     Notes
     -----
-    Of every pair of signals that mean the speed or the yaw rate, in the first file and another, the correlation is
+    Of every pair of signals that mean one of `_SHARED`, in the first file and another, the correlation is
     taken at every shift that leaves half of the shorter. The scale of either does not matter. A shift is taken
     if the correlation there is high and at no other shift nearly so. Of several pairs the one is taken whose
     correlation falls soonest beside its best shift, for what it lacks of 1: a yaw rate tells time better than a
     speed, which changes slowly and which wheels measure with their slip. Ingest then tells what delay is left.
     """
-    signals = {name: signal for name, signal in _speeds_and_rates(recording).items() if signal.time is not None}
+    signals = {name: signal for name, signal in _of_motion(recording).items() if signal.time is not None}
     parts = {name: recording.part_of(name) for name in signals}
     first = recording.parts[0]
     for other in recording.parts[1:]:
@@ -54,7 +54,7 @@ def let_clocks_meet(recording: JointRecording) -> None:
             recording.remark(ReadNote(what, other.name))
 
 
-def _speeds_and_rates(recording: JointRecording) -> dict[str, RawSignal]:
+def _of_motion(recording: JointRecording) -> dict[str, RawSignal]:
     infos = [info for info in recording.channels() if info.type_name != "text"]
     named = [info.name for info in infos if {m.channel for m in meanings(info)} & set(_SHARED)]
     return recording.read(named)
