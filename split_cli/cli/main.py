@@ -30,7 +30,6 @@ COMMANDS = {
     "prove": "Validate the diagnosis on cases with hidden, known effects.",
     "race": "Race the simulated car with a controller that learns while it drives.",
     "maneuver": "Drive ISO 3888 and brake-and-avoid between cones.",
-    "experiments": "Run the closed-loop experiments and update their page.",
     "simulate": "Simulate the double-track car and write its logs.",
     "explain": "Explain the columns of printed tables.",
     "info": "Describe a file: its kind, content and origin.",

@@ -93,7 +93,6 @@ def test_a_table_of_a_set_with_other_than_three_features_is_refused_before_the_f
         ("race --learner none --predictor bcm", "--predictor belongs to --learner split"),
         ("maneuver iso3888-1 --features z1", "--features belongs to --set"),
         ("maneuver iso3888-1 --max-torque 1", "rolling resistance alone takes 52 N m"),
-        ("experiments --only limit -o results", "needs? --limit-vehicle"),
     ],
 )
 def test_options_that_would_change_nothing_or_contradict_are_refused(options, says, tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ from split_cli.control.receding_horizon import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, ResidualValues
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.driving import Race
-from split_cli.workflows.racing.experiments import PLAN
+from tests.studies.experiments import PLAN
 
 CAR = read_vehicle(FilePath(__file__).resolve().parents[2] / "sample_logs" / "road_car.yaml")
 ACTUATORS = Actuators(1000.0, 5600.0)
@@ -136,7 +136,7 @@ def test_borders_move_in_by_the_spread_that_the_variance_makes():
 
 def test_a_first_plan_is_found_by_shorter_steps_where_whole_ones_lead_to_a_spin(monkeypatch):
     """A road of half the grip: whole steps from the guess reach a plan about which nothing is solved."""
-    (wet,) = PLAN.chosen(("wet-nominal-0",))
+    (wet,) = (e for e in PLAN if e.name == "wet-nominal-0")
     with monkeypatch.context() as patch:
         patch.setattr(receding_horizon, "FIRST_STEPS", (1.0,))
         with pytest.raises(ControllerLost, match="no plan was found"):

@@ -61,7 +61,6 @@ BASE = {
     "prove multibody": ("-o", "out"),
     "race": ("--vehicle", "road_car.yaml", "--laps", "0", "--max-speed", "11"),
     "maneuver": ("brake-avoid", "--vehicle", "road_car.yaml"),
-    "experiments": ("--vehicle", "road_car.yaml", "-o", "out", "--only", "none"),
     "simulate": ("--track", "small", "--duration", "3", "-o", "out.csv"),
     "explain": ("train",),
     "info": ("car.yaml",),

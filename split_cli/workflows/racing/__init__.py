@@ -1,4 +1,4 @@
-"""Closed loop: races by their parts and as a page, manoeuvres, the experiments of the paper run once and kept.
+"""Closed loop: races by their parts and as a page, and manoeuvres.
 
 May import: the modules directly in `workflows/`, and every package but cli.
 """

@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.control.scenarios import build_scenario
-from split_cli.errors import SplitError
-from split_cli.files import atomic_path, atomic_write_text, read_text
-from split_cli.plots.closed_loop import (
+from split_cli.files import atomic_path, atomic_write_text
+from split_cli.plots.style import save
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import slip_angles
+from tests.studies.experiments import PAST_FEATURES
+from tests.studies.experiments_figures import (
     ManeuverPicture,
     RacePicture,
     draw_best_laps,
@@ -17,17 +20,11 @@ from split_cli.plots.closed_loop import (
     draw_learning,
     draw_maneuvers,
 )
-from split_cli.plots.style import save
-from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.single_track import slip_angles
-from split_cli.workflows.racing.experiments import PAST_FEATURES, PLAN
 
 _TABLE = re.compile(r"<!-- table: ([\w-]+) -->\n.*?<!-- end -->", re.S)
-_LARGEST_PAGE = 4 << 20
-"""Of the page [bytes]; judgement: that of this project has 20 kB."""
 
 
-def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> tuple[list[str], list[str]]:
+def fill_page(page: Path, results: dict[str, dict], vehicle: Vehicle) -> tuple[list[str], list[str]]:
     """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, and figures beside the page.
 
     A table none of whose experiments was kept stays as it is.
@@ -36,49 +33,17 @@ def fill_page(page: str | Path, results: dict[str, dict], vehicle: Vehicle) -> t
     -------
     figures, left_out : list of str
         Files that were drawn, and tables that the page does not ask for.
-
-    Raises
-    ------
-    SplitError
-        If the page is missing or asks for a table that is not there.
     """
-    page, made = Path(page), tables(results)
+    made = tables(results)
 
     def put(found: re.Match) -> str:
         name = found.group(1)
         return f"<!-- table: {name} -->\n{made[name]}\n<!-- end -->" if name in made else found.group(0)
 
-    text = _TABLE.sub(put, read_page(page))
+    text = _TABLE.sub(put, page.read_text(encoding="utf-8"))
     figures = _figures(results, vehicle, page.parent / "figures")
     atomic_write_text(page, text)
     return figures, [name for name in made if f"<!-- table: {name} -->" not in text]
-
-
-def read_page(page: Path) -> str:
-    """Return the text of a page whose tables can be put in; to be asked for before the experiments, too.
-
-    Raises
-    ------
-    SplitError
-        If the page is missing, is no text, or asks for a table that no experiment makes.
-    """
-    if not page.is_file():
-        raise SplitError("no such page", where=str(page), advice="Name the page with --page.")
-    try:
-        text = read_text(page, _LARGEST_PAGE)
-    except UnicodeDecodeError as error:
-        raise SplitError("is no text in UTF-8", where=str(page), advice="Name a page in Markdown.") from error
-    known = {"maneuvers", "timing"}
-    known |= {f"{kind}-{e.group}" for kind in ("times", "race") for e in PLAN.experiments}
-    asked = [found.group(1) for found in _TABLE.finditer(text)]
-    if not asked or not known.issuperset(asked):
-        unknown = next((name for name in asked if name not in known), None)
-        what = f"asks for the table {unknown!r}, which no experiment makes" if asked else "asks for no table"
-        advice = (
-            f"A table stands between <!-- table: NAME --> and <!-- end -->; there are {', '.join(sorted(known))}."
-        )
-        raise SplitError(what, where=str(page), advice=advice)
-    return text
 
 
 def tables(results: dict[str, dict]) -> dict[str, str]:

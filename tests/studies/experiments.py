@@ -1,13 +1,19 @@
-"""The paper's closed-loop experiments: a plan of races and manoeuvres, each run once and kept."""
+"""The paper's closed-loop experiments: a plan of races and manoeuvres, each run once and kept.
 
+    python -m tests.studies.experiments --vehicle road_car.yaml --only small -o results/
+    python -m tests.studies.experiments --vehicle road_car.yaml -o results/ --page docs/experiments.md
+
+The folder keeps the result of every race and manoeuvre; what is there is not run again. The whole plan takes about
+an hour on one core. ``--page`` writes its tables between the marks of a page, and figures beside it.
+"""
+
+import argparse
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from split_cli.errors import SplitError, nearest_names
 from split_cli.files import atomic_path, atomic_write_text, json_ready
 from split_cli.vehicle.parameters import read_vehicle, write_vehicle
 from split_cli.workflows.racing.first_lap import PAST_TERM
@@ -24,28 +30,7 @@ class Experiment:
     group: str  # table it belongs to
     model: str  # how tables call the model: nominal, iol, split, ..
     settings: RaceSettings | ManeuverSettings  # a start set is named by the experiment that wrote it
-    vehicle: str = "gentle"  # of `ExperimentPlan.vehicles`
-
-
-@dataclass(frozen=True)
-class ExperimentPlan:
-    """What is run, in order."""
-
-    experiments: tuple[Experiment, ...]
-
-    def chosen(self, only: tuple[str, ...]) -> tuple[Experiment, ...]:
-        """Return the experiments whose name begins with one of `only`; all when it is empty.
-
-        Raises
-        ------
-        SplitError
-            If a beginning fits none.
-        """
-        for text in only:
-            if not any(e.name.startswith(text) for e in self.experiments):
-                advice = nearest_names(text, [e.name for e in self.experiments])
-                raise SplitError(f"no experiment begins with {text!r}", where="--only", advice=advice)
-        return tuple(e for e in self.experiments if not only or e.name.startswith(only))
+    vehicle: str = "gentle"  # of the vehicle files that `run_experiments` is given
 
 
 _CAREFUL = 0.75
@@ -185,62 +170,42 @@ def _sweeps_with_the_past(group: str, basic: ManeuverSettings) -> list[Experimen
     return found
 
 
-PLAN = ExperimentPlan((*_races(), *_maneuvers()))
+PLAN = (*_races(), *_maneuvers())
 
 
-def run_experiments(
-    folder: str | Path,
-    vehicles: dict[str, str | Path],
-    *,
-    only: tuple[str, ...] = (),
-    progress: Callable[[str], None] | None = None,
-) -> list[str]:
+def run_experiments(folder: Path, vehicles: dict[str, Path], only: str = "") -> list[str]:
     """Run what is not there yet; return the names of what was run.
 
     Parameters
     ----------
     folder : path
-        Results are kept here, a JSON and an npz with the traces of each experiment; one that exists is not run
-        again.
+        Results are kept here, a JSON and an npz with the traces of each experiment.
     vehicles : mapping of str to path
         Vehicle files: ``gentle``, ``limit``, ``physics``, ``formula``; experiments of one that is not given are
         left out. *Lagged* is the gentle one with lagged features; it is written into the folder.
-    only : tuple of str
-        Beginnings of names.
+    only : str
+        How the names begin.
     """
-    say = progress or (lambda text: None)
-    folder = Path(folder)
-    cars = {name: read_vehicle(path) for name, path in vehicles.items()}
-    ran, chosen = [], PLAN.chosen(only)
+    folder.mkdir(parents=True, exist_ok=True)
     if "gentle" in vehicles:
         vehicles = {**vehicles, "lagged": folder / "vehicle_lagged.yaml"}
-    lacking = sorted({experiment.vehicle for experiment in chosen} - set(vehicles))
-    if only and all(experiment.vehicle in lacking for experiment in chosen):
-        options = " and ".join(f"--{name}-vehicle" for name in lacking)
-        raise SplitError(f"names experiments that need {options}", where="--only", advice="Give these files.")
-    due = [e for e in chosen if e.vehicle in vehicles and not (folder / f"{e.name}.json").exists()]
-    made = {experiment.name for experiment in due}
-    for experiment in due:
-        origin = experiment.settings.start_set
-        if origin is not None and origin not in made and not (folder / f"{origin}.split").exists():
-            raise SplitError(f"needs the set of {origin}, which was not run yet", where=experiment.name)
-    # What is wrong with the arguments is told by now: a run that is refused leaves no folder.
-    folder.mkdir(parents=True, exist_ok=True)
-    if "gentle" in cars:
-        write_vehicle(cars["gentle"].with_effects(PAST_TERM), vehicles["lagged"])
-    for experiment in due:
-        say(experiment.name)
-        _run(experiment, folder, vehicles[experiment.vehicle], say)
-        ran.append(experiment.name)
+        write_vehicle(read_vehicle(vehicles["gentle"]).with_effects(PAST_TERM), vehicles["lagged"])
+    ran = []
+    for experiment in PLAN:
+        due = experiment.name.startswith(only) and experiment.vehicle in vehicles
+        if due and not (folder / f"{experiment.name}.json").exists():
+            print(experiment.name, flush=True)
+            _run(experiment, folder, vehicles[experiment.vehicle])
+            ran.append(experiment.name)
     return ran
 
 
-def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callable[[str], None]) -> None:
+def _run(experiment: Experiment, folder: Path, vehicle: Path) -> None:
     settings, trained = experiment.settings, folder / f"{experiment.name}.split"
     traces: dict[str, np.ndarray] = {}
     if isinstance(settings, RaceSettings):
         keeps = settings.learner != "none"
-        result = run_race(settings, vehicle, set_output=trained if keeps else None, progress=say)
+        result = run_race(settings, vehicle, set_output=trained if keeps else None, progress=print)
         traces |= {f"lap{lap.number}": trace for lap, trace in zip(result.laps, result.traces, strict=True)}
         record = result.summary()
     else:
@@ -257,12 +222,38 @@ def _run(experiment: Experiment, folder: Path, vehicle: str | Path, say: Callabl
     atomic_write_text(folder / f"{experiment.name}.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
 
 
-def stored(folder: str | Path) -> dict[str, dict]:
+def stored(folder: Path) -> dict[str, dict]:
     """Return what was kept of each experiment, by name in the plan's order; ``traces`` opens its arrays."""
     found = {}
-    for experiment in PLAN.experiments:
-        file = Path(folder) / f"{experiment.name}.json"
+    for experiment in PLAN:
+        file = folder / f"{experiment.name}.json"
         if file.exists():
             found[experiment.name] = json.loads(file.read_text(encoding="utf-8"))
             found[experiment.name]["traces"] = dict(np.load(file.with_suffix(".npz")))
     return found
+
+
+def main() -> None:
+    """Run from the command line."""
+    from tests.studies.experiments_page import fill_page
+
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for name, what in (("", "gentle tests"), ("limit-", "tests near the limit"), ("physics-", "`split diagnose`")):
+        parser.add_argument(f"--{name}vehicle", type=Path, required=not name, help=f"vehicle file from {what}")
+    parser.add_argument("--formula-vehicle", type=Path, help="vehicle file of the formula car")
+    parser.add_argument("--only", default="", help="how the names of the experiments begin")
+    parser.add_argument("--page", type=Path, help="page whose tables are written anew")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the results")
+    given = parser.parse_args()
+    files = {name: getattr(given, f"{name}_vehicle") for name in ("limit", "physics", "formula")}
+    vehicles = {name: path for name, path in {"gentle": given.vehicle, **files}.items() if path is not None}
+    print(f"run: {', '.join(run_experiments(given.output, vehicles, given.only)) or 'nothing new'}")
+    if given.page is not None:
+        figures, left_out = fill_page(given.page, stored(given.output), read_vehicle(given.vehicle))
+        print(
+            f"written: {', '.join([str(given.page), *figures])}; not on the page: {', '.join(left_out) or 'none'}"
+        )
+
+
+if __name__ == "__main__":
+    main()
