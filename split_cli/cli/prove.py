@@ -134,65 +134,6 @@ def recording(drives, vehicle_path, output, faults, block, halves, multiples, as
         multiples=_numbers(multiples),
         count=_progress("faults"),
     )
-    _tell_faults(rows, as_json)
-
-
-@command.command("multibody")
-@click.option("--seed", type=int, default=1, help="Random seed of tracks, driver and noise.")
-@click.option(
-    "--car", type=click.IntRange(1, 3), default=2, help="Number of the car in commonroad-vehicle-models."
-)
-@click.option(
-    "--model",
-    type=click.Choice(["multibody", "drift"]),
-    default="multibody",
-    help="The package's 29-state car, or its single track with combined slip and wheels that spin.",
-)
-@shared.output_option("Folder to write into.")
-@click.option("--faults", help="Add only these faults, separated by commas, or all. A wrong name lists all names.")
-@shared.json_option
-def multibody(seed, car, model, output, faults, as_json) -> None:
-    """Diagnose a car of commonroad-vehicle-models.
-
-    That car is reality, and a single track calibrated to it is the simulation.
-
-    Needs the extra `proof`. The car is driven hard; what is found is judged on another hard drive. With --faults
-    the car gets one known fault at a time, and the car without it, on another track, is the simulation.
-
-    \b
-    Example:
-      split prove multibody -o multibody
-      split prove multibody --faults all -o faults
-      split prove multibody --model drift --faults all -o drift
-    """
-    from split_cli.diagnosis.statement.document import diagnosis_to_text
-    from split_cli.workflows.proving.prove_multibody import prove_multibody, prove_multibody_faults
-
-    if faults:
-        only = None if faults == "all" else faults.split(",")
-        rows = prove_multibody_faults(
-            output, seed=seed, car=car, model=model, only=only, count=_progress("faults")
-        )
-        _tell_faults(rows, as_json)
-        return
-    result = prove_multibody(output, seed=seed, car=car, model=model)
-    if as_json:
-        click.echo(diagnosis_to_text(result), nl=False)
-        return
-    click.echo(result.summary)
-    if result.improvement:
-        done = result.improvement
-        rows = [
-            ["simulation", *done.before],
-            ["with the terms", *done.physics],
-            ["with SPLIT alone", *done.split_only],
-            ["with both", *done.after],
-            ["persistence", *done.persistence],
-        ]
-        shared.print_table(["held-out rmse", "v_x m/s^2", "v_y m/s^2", "r rad/s^2"], rows)
-
-
-def _tell_faults(rows, as_json: bool) -> None:
     if as_json:
         shared.print_json(rows)
         return

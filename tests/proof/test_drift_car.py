@@ -5,11 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from split_cli.cli.prove import multibody
-from split_cli.proof.drift_car import load_drift_car
-from split_cli.proof.multibody import MULTIBODY_STATE as AT
-from split_cli.workflows.proving.prove_multibody import FOREIGN_MODELS
 from tests.optional import needed
+from tests.studies.drift_car import load_drift_car
+from tests.studies.multibody_car import MULTIBODY_STATE as AT
 
 std = needed("vehiclemodels.vehicle_dynamics_std")
 
@@ -43,8 +41,3 @@ def test_it_moves_as_by_the_package_s_own_state(number, inputs):
     got = ours[[AT.X, AT.Y, AT.delta, AT.vx, AT.yaw, AT.r, AT.vy]]
     np.testing.assert_allclose(got, expected, rtol=1e-7, atol=1e-8)
     np.testing.assert_allclose(ours[[AT.spins.start, AT.spins.start + 2]], theirs[7:], rtol=1e-7)
-
-
-def test_the_command_offers_the_models_there_are():
-    (model,) = (option for option in multibody.params if option.name == "model")
-    assert tuple(model.type.choices) == tuple(FOREIGN_MODELS)

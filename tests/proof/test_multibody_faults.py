@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from split_cli.errors import SplitError
-from split_cli.proof.multibody import MultiBody, load_car
-from split_cli.proof.multibody_faults import MULTIBODY_FAULTS, multibody_faults
 from split_cli.proof.outcome import Statement
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.workflows.proving.prove_recording import injection_result
 from tests.factories import make_drive
 from tests.optional import needed
+from tests.studies.multibody_car import MultiBody, load_car
+from tests.studies.multibody_faults import MULTIBODY_FAULTS, multibody_faults
 
 FAULTS = {fault.name: fault for fault in MULTIBODY_FAULTS}
 

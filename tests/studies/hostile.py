@@ -58,7 +58,6 @@ BASE = {
     "prove identify": ("archive",),
     "prove score": ("archive",),
     "prove recording": ("d0.parquet", "--vehicle", "car.yaml", "-o", "out"),
-    "prove multibody": ("-o", "out"),
     "race": ("--vehicle", "road_car.yaml", "--laps", "0", "--max-speed", "11"),
     "maneuver": ("brake-avoid", "--vehicle", "road_car.yaml"),
     "simulate": ("--track", "small", "--duration", "3", "-o", "out.csv"),

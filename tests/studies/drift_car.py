@@ -1,4 +1,4 @@
-"""The drift model of the same package as reality: a single track with combined slip (extra ``proof``).
+"""The drift model of the same package as reality: a single track with combined slip.
 
 Its state is given the places of the multi-body car's, so that drivers, tests and faults serve both. Its tyres take
 slip along and across together, loads follow the acceleration, each axle is one wheel with its own spin; nothing
@@ -10,7 +10,7 @@ import math
 from dataclasses import replace
 
 from split_cli.errors import SplitError
-from split_cli.proof.multibody import MULTIBODY_STATE, MultiBody, load_car
+from tests.studies.multibody_car import MULTIBODY_STATE, MultiBody, load_car
 
 _STATES = 29
 _AT = MULTIBODY_STATE
@@ -29,7 +29,7 @@ def load_drift_car(number: int = 2) -> MultiBody:
     try:
         from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
     except ImportError as error:
-        advice = "pip install -U 'split-cli[proof]'"
+        advice = "pip install -U 'split-cli[test]'"
         raise SplitError("this commonroad-vehicle-models has no drift model", advice=advice) from error
 
     def derivative(x, u, p) -> list[float]:

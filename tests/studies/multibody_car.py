@@ -1,4 +1,4 @@
-"""An independent simulator as reality: the 29-state multi-body car of commonroad-vehicle-models (extra ``proof``).
+"""An independent simulator as reality: the 29-state multi-body car of commonroad-vehicle-models.
 
 Its inputs are a steering rate and an acceleration that it turns into wheel torques, T = m R_w a; its brakes and
 its drive have splits of their own. The simulation is a single track calibrated by gentle tests of the same car.
@@ -60,7 +60,7 @@ def load_car(number: int = 2) -> MultiBody:
         from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
         from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
     except ImportError as error:
-        advice = "pip install 'split-cli[proof]'"
+        advice = "pip install 'split-cli[test]'"
         raise SplitError("commonroad-vehicle-models is not installed", advice=advice) from error
     return MultiBody(
         _plain(setup_vehicle_parameters(vehicle_id=number)),

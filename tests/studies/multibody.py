@@ -1,6 +1,15 @@
-"""An independent multi-body car as reality, a gently calibrated single track as simulation."""
+"""A car of commonroad-vehicle-models as reality, a gently calibrated single track as simulation.
 
-from collections.abc import Callable, Sequence
+    python -m tests.studies.multibody -o multibody
+    python -m tests.studies.multibody --faults all -o faults
+    python -m tests.studies.multibody --model drift --faults all -o drift
+
+The car is driven hard; what is found is judged on another hard drive. With ``--faults`` it gets one known fault
+at a time, and the car without it, on another track, is the simulation.
+"""
+
+import argparse
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -9,13 +18,13 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
 from split_cli.logs.drive import Drive, write_drive
-from split_cli.proof.drift_car import load_drift_car
-from split_cli.proof.multibody import MultiBody, calibrated_vehicle, gentle_drives, hard_drive, load_car
-from split_cli.proof.multibody_faults import multibody_faults
 from split_cli.proof.tracks import random_track
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 from split_cli.workflows.proving.prove_recording import InjectionResult, diagnose_pair, injection_result
+from tests.studies.drift_car import load_drift_car
+from tests.studies.multibody_car import MultiBody, calibrated_vehicle, gentle_drives, hard_drive, load_car
+from tests.studies.multibody_faults import multibody_faults
 
 FOREIGN_MODELS = {"multibody": load_car, "drift": load_drift_car}
 """Someone else's equations of motion, by name; each takes the number of a car."""
@@ -69,7 +78,6 @@ def prove_multibody_faults(
     car: int = 2,
     model: str = "multibody",
     only: Sequence[str] | None = None,
-    count: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[InjectionResult]:
     """Put known faults into the car; without them, on another track, it is the simulation.
 
@@ -109,7 +117,7 @@ def prove_multibody_faults(
                 in_catalogue=fault.in_catalogue,
             )
         )  # fmt: skip
-        count(number + 1, len(faults))
+        print(results[-1], flush=True)
     return results
 
 
@@ -132,3 +140,23 @@ def _kept_on_track(
                 continue
     advice = "Take another seed."
     raise SplitError("the foreign car left each of twelve tracks, even when driven calmly", advice=advice)
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=1, help="of tracks, driver and noise")
+    parser.add_argument("--car", type=int, choices=(1, 2, 3), default=2, help="number in the package")
+    parser.add_argument("--model", choices=FOREIGN_MODELS, default="multibody", help="29 states or a single track")
+    parser.add_argument("--faults", help="add only these faults, separated by commas, or all")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the results")
+    given = vars(parser.parse_args())
+    faults, output = given.pop("faults"), given.pop("output")
+    if faults:
+        prove_multibody_faults(output, only=None if faults == "all" else faults.split(","), **given)
+    else:
+        print(prove_multibody(output, **given).summary)
+
+
+if __name__ == "__main__":
+    main()

@@ -9,7 +9,7 @@ import numpy as np
 
 from split_cli.logs.drive import Drive
 from split_cli.proof.injection import InjectedFault, inject, require_known
-from split_cli.proof.multibody import MULTIBODY_STATE, MultiBody
+from tests.studies.multibody_car import MULTIBODY_STATE, MultiBody
 
 _GRAVITY = 9.81  # the package's
 _VX = MULTIBODY_STATE.vx
