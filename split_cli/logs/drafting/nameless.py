@@ -13,8 +13,8 @@ from split_cli.logs.raw import RawChannelInfo, RawRecording
 
 _NAMELESS = re.compile(r"(column|col|field[._]?data|data|value|.*\[)_?\d+\]?", re.IGNORECASE)
 _OF_INPUTS = re.compile(r"(.*\.)?(u|inputs?|controls?|actions?)\[\d+\]", re.IGNORECASE)
-# All numbers below are judgement, tried on public matrices of states (docs/records/foreign_logs.md). Where one is wrong nothing
-# is named, or the checks of the draft leave the name open.
+# All numbers below are judgement, tried on public matrices of states (docs/records/foreign_logs.md). Where one is
+# wrong nothing is named, or the checks of the draft leave the name open.
 _NEEDED = ("X", "Y", "yaw", "vx", "r")
 """What ties itself together; without one of them nothing is named."""
 _MOST_LISTED, _MOST_COLUMNS = 200, 24
