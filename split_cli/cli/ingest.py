@@ -217,12 +217,12 @@ def _tell_what_was_left(logs, output) -> None:
 
 
 def _list_maps(as_json: bool) -> int:
-    from split_cli.workflows.ingesting.ingest import list_maps
+    from split_cli.logs.presets import preset_abouts
 
     if as_json:
-        shared.print_json(list_maps())
+        shared.print_json(preset_abouts())
         return 0
-    for name, about in list_maps().items():
+    for name, about in preset_abouts().items():
         click.echo(f"{name}: {about}")
     return 0
 

@@ -137,20 +137,13 @@ def _label_one(job: tuple[str, str | Path, Path, Mapping[str, Any]]) -> LabelRes
 
 def drive_notes(drive: Drive) -> tuple[str, ...]:
     """Return what a reader of labels should know of a drive's channels, in words."""
-    notes = ingest_found(drive.name, (*drive.metadata.faults, *drive.metadata.remarks))
-    if drive.metadata.speed_is_of_wheels:
-        notes = (
-            *notes,
-            f"{drive.name}: v_x is of wheel speeds; the slip of their tyres is learned as an error of v_x",
-        )
-    if drive.metadata.lateral_velocity_is_integrated:
-        notes = (
-            *notes,
-            f"{drive.name}: v_y is integrated from a_y; its label repeats a_y and errors of the integral",
-        )
-    if drive.metadata.torque_follows_motion:
-        return (
-            *notes,
-            f"{drive.name}: T is {drive.metadata.kinds['T']}; the longitudinal label then says nothing",
-        )
-    return notes
+    known = drive.metadata
+    said = {
+        "v_x is of wheel speeds; the slip of their tyres is learned as an error of v_x": known.speed_is_of_wheels,
+        "v_y is integrated from a_y; its label repeats a_y and errors of the integral": (
+            known.lateral_velocity_is_integrated
+        ),
+        f"T is {known.kinds.get('T')}; the longitudinal label then says nothing": known.torque_follows_motion,
+    }
+    found = ingest_found(drive.name, (*known.faults, *known.remarks))
+    return (*found, *(f"{drive.name}: {text}" for text, holds in said.items() if holds))

@@ -14,7 +14,6 @@ from split_cli.logs.assembling.quality import QualityReport, render_quality
 from split_cli.logs.drafting.meeting_clocks import let_clocks_meet
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.logs.map_entries import SignalMap
-from split_cli.logs.presets import preset_abouts
 from split_cli.logs.raw import RawChannelInfo, RawRecording
 from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.readers.opening import open_recording
@@ -25,7 +24,7 @@ from split_cli.workflows.ingesting.ingest_manifest import IngestManifest, settin
 from split_cli.workflows.sources import SourceFile, find_sources, is_remote
 
 __all__ = [
-    "IngestFailure", "IngestResult", "IngestRun", "IngestSettings", "ingest_logs", "list_channels", "list_maps",
+    "IngestFailure", "IngestResult", "IngestRun", "IngestSettings", "ingest_logs", "list_channels",
     "suggest_map_for",
 ]  # fmt: skip
 
@@ -315,11 +314,6 @@ def list_channels(
     """Return every channel of a recording (or of several files together), and the clocks it has."""
     recording = open_logs(log, message_paths)
     return tuple(recording.channels()), tuple(recording.clocks)
-
-
-def list_maps() -> dict[str, str]:
-    """Return the signal maps that come with the project, and what each is for."""
-    return preset_abouts()
 
 
 def suggest_map_for(
