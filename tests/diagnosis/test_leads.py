@@ -88,6 +88,12 @@ def test_beside_a_name_what_no_car_can_have_is_a_lead():
     assert lead.term == "road_bank" and lead.limits == {"angle": (-0.1, 0.1)}
     assert lead.parameters["angle"].value == pytest.approx(0.2, abs=0.02)
     assert lead.sentence.startswith("A lead, not a finding: what the findings leave would be explained if")
+    # Asked beside what is chosen at last, whatever took its place; and not where nothing is named.
+    asked = []
+    counted = replace(selection, beside=lambda fit: asked.append(fit) or selection.beside(fit))
+    assert leads.find_leads(objective, counted, 1.5) == (lead,)
+    leads.find_leads(objective, replace(counted, named=(False,) * len(selection.named)), 1.5)
+    assert [one is selection.chosen for one in asked] == [True]
 
 
 def test_what_may_as_well_be_of_the_other_sign_is_no_lead(monkeypatch):

@@ -78,7 +78,8 @@ class Selection:
     # sound recording has, or that halves of the simulation differ by as much.
     first_p: float = 1.0
     first: tuple[Fit, ...] = ()  # what each term, in each variant that promised most, explains alone, best first
-    further: tuple[Fit, ...] = ()  # the same beside the chosen explanation, where it has names
+    # Returns what each further term explains beside an explanation, best first.
+    beside: Callable[[Fit], Sequence[Fit]] = lambda fit: ()
     # Returns the term that most surely acts in a part of the drive, or None, whatever acts all along it; worked
     # out when first asked, which is where nothing is named.
     partly: Callable[[], ActingPart | None] = lambda: None
@@ -136,7 +137,7 @@ def select_terms(
 
     if (whole := as_every_car(found.with_what_matters(base, rules))) is not None:
         explore.close()
-        return replace(whole, first_p=found.first_p, first=tuple(first), partly=partly)
+        return replace(whole, first_p=found.first_p, first=tuple(first), beside=explore, partly=partly)
     jointly = None
     many = found.names > rules.few_names
     if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
@@ -176,10 +177,8 @@ def select_terms(
         selection = _examined(explore, base, single)
     # What the search gave up on its way may have been all that cost less than what every car has.
     selection = as_every_car(selection.chosen) or replace(selection, history=tuple(history))
-    if any(selection.named):
-        selection = replace(selection, further=tuple(explore(selection.chosen)))
     explore.close()
-    return replace(selection, first_p=found.first_p, first=tuple(first), partly=partly)
+    return replace(selection, first_p=found.first_p, first=tuple(first), beside=explore, partly=partly)
 
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:

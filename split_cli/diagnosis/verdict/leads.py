@@ -21,7 +21,7 @@ def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inf
     Parameters
     ----------
     selection : Selection
-        With what every term explains alone, and beside the explanation.
+        With what every term explains alone.
     variance_inflation : float
         By which residual autocorrelation widens chi squared.
 
@@ -51,10 +51,7 @@ def _beside_names(selection: Selection) -> list[tuple[Fit, Sequence[Fit]]]:
     chosen = selection.chosen
     if not selection.terms:
         return []
-    own = [part.candidate.label for part in chosen.parts]
-    found = [
-        (chosen, [one for one in selection.further if [each.candidate.label for each in one.parts[:-1]] == own])
-    ]
+    found = [(chosen, selection.beside(chosen))]
     for k, (part, without, named) in enumerate(zip(chosen.parts, selection.without, selection.named, strict=True)):
         if not named and part.candidate.at_limit(part.values):
             last = replace(chosen, parts=(*chosen.parts[:k], *chosen.parts[k + 1 :], part))
