@@ -20,13 +20,16 @@ NAMES = {
     "throttle": (
         "THRTL", "APPS1", "aps", "Accel_Pedal_Pos", "MO_Fahrpedalwert", "Motor_20::MO_Fahrpedalrohwert_01",
     ),
+    "X": ("data.Car_tx.data", "vehicle_x"),
+    "axle_torque": ("AxleTrqFrntAct", "AxleTrqRrAct", "AxleTrqFr"),
     "vx": ("LongitudinalVelocity", "/ego/state/velocity.longitudinal", "speed_vesc"),
     "vy": ("/ego/state/velocity.lateral", "ESP_vq"),
     "wheel_speed_fl": (
         "ESP_19::ESP_VL_Radgeschw_02", "WheelAngularVelocity_FL", "wheels.fl.angular_velocity", "AVy_L1",
+        "Vhcl_FL_rotv",
     ),
     "wheel_speed_rr": ("Wheel Angular Velocity Rear Right",),
-    "yaw": ("rotation_yaw", "pf_theta", "Yaw"),
+    "yaw": ("rotation_yaw", "pf_theta", "Yaw", "northHeading"),
     # Desired values are not measured, a wheel spins about its lateral axis alone, and a motor's speed is no car's,
     # nor is an opponent's.
     "": ("vx_opp", "speed_opponent", "DesYaw", "desired_yaw", "delta_v_cmd", "delta_t", "V_cmd", "motor_speed",

@@ -6,11 +6,12 @@ import pytest
 import yaml
 from scipy.io import savemat
 
-from split_cli.errors import LogError
+from split_cli.errors import LogError, SplitError
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.workflows.ingesting.ingest import open_logs
+from split_cli.workflows.ingesting.init import init_project
 from tests.logs.planted import PlantedDrive, write_table
 
 
@@ -137,3 +138,10 @@ def test_clocks_meet_by_what_tells_time_best_and_not_by_wheels_that_slip(planted
         recording = open_logs([tmp_path / f"{name}.csv", tmp_path / "ins.csv"])
         moved[name] = recording.read(["vel_fwd"])["vel_fwd"].time[0]
     assert moved["gyro"] == pytest.approx(1.3, abs=0.01) and abs(moved["wheels"] - 1.3) > 0.05
+
+
+def test_rows_that_begin_with_the_name_of_a_message_are_told_how_they_become_tables(tmp_path):
+    rows = [f"{name}, {20000 * k}, 0.{k}, {-k}, 1.5" for k in range(200) for name in ("IMU", "ATT")]
+    (tmp_path / "rover.log").write_text("\n".join(rows))
+    with pytest.raises(SplitError, match="mavlogdump.*--together"):
+        init_project([tmp_path / "rover.log"], tmp_path / "car")

@@ -115,8 +115,9 @@ _LETTERS = {
 _COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pattern in _RULES)
 _MAKERS = {
     "esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff", "pf",
+    "car", "vehicle", "vhcl",
 }  # fmt: skip
-"""Words in front that say which device measured."""
+"""Words in front that say which device measured, or that it is the car's."""
 _JUDGED = {"innovation", "innovations", "innov", "innovs", "variances", "ratios", "inconsistency", "integ"}
 """Words of what an estimator says of measurements, whatever quantity its fields are called."""
 _COMMAND_WORDS = {
@@ -157,12 +158,13 @@ def words_of(name: str) -> list[str]:
 
 
 def _signal_of(name: str) -> str:
-    """Return a signal's name without its device, message or number.
+    """Return a signal's name without its device, message or number, and without the field that holds its values.
 
     INCA has ``signal\\device:raster``, CAN ``M::s``, a scan tool the number of SAE J1979: ``0D - Vehicle Speed``.
     """
     bare = re.sub(r"^[0-9A-F]{2} - ", "", name.split("\\")[0] or name)
-    return bare.rpartition("::")[2] or bare
+    bare = bare.rpartition("::")[2] or bare
+    return bare if bare.startswith("/") else re.sub(r"(?<=\w)\.([Dd]ata|[Vv]alues?)$", "", bare)
 
 
 def _directs(parts: list[str]) -> bool:

@@ -430,6 +430,13 @@ def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) 
         Its channels.
     """
     if infos and all(re.fullmatch(r"column\d+", info.name) for info in infos):
+        if infos[0].type_name == "text":
+            return (
+                f"Each row of {recording.name} begins with a word. If that is the name of a message, write a "
+                "table with titles for each (of a DataFlash log of ArduPilot: `mavlogdump.py --format csv "
+                "--types IMU LOG > imu.csv`), and start again with all of them and --together. Else write a row "
+                "of titles.",
+            )
         return (
             f"{recording.name} has no row of titles: write one as its first line, with units, for instance "
             "`time [s],vx [m/s],yaw_rate [deg/s]`, and start again.",

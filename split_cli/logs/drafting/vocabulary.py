@@ -82,7 +82,7 @@ _WORDS: dict[str, str] = {
     "acceleration long": "ax along alon algt alaengs",
     "acceleration lat": "ay alat aquer",
     "yaw rate": "wz avz psip yr yawrate psidot psipunkt dpsi",
-    "velocity wheel": "radgeschw radgeschwindigkeit raddrehzahl",
+    "velocity wheel": "rotv radgeschw radgeschwindigkeit raddrehzahl",
     "angular long": "avx",
     "angular lat": "avy",
     "torque wheel": "radmoment radmomente raddrehmoment",
@@ -180,6 +180,10 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
     if "vesc" in words and "velocity" in concepts:
         # The speed that a motor controller tells is the car's, if the trial against other channels agrees.
         concepts = concepts - {"engine"}
+    if {"axle", "axles"} & set(words):
+        # An axle has two ends and no corners: AxleTrqFr, AxleTrqRr.
+        ends = {"fr": "front", "rr": "rear"}
+        concepts = {ends.get(concept, concept) for concept in concepts}
     if concepts & {"front", "rear"} and (letter := {"l", "r"} & set(words)):
         # Angle_Wheel_Front_L: beside an axle a letter is a side.
         concepts |= {"left" if word == "l" else "right" for word in letter}
