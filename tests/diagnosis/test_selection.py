@@ -15,7 +15,7 @@ from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, Marg
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit, Part, fit_parts, without_parts
-from split_cli.diagnosis.search.form_error import saved_beside_form_error
+from split_cli.diagnosis.search.form_error import form_error_columns, saved_beside_form_error
 from split_cli.diagnosis.search.forward import other_beginnings
 from split_cli.diagnosis.search.selection import (
     Selection,
@@ -272,6 +272,26 @@ def test_a_term_that_settles_a_channel_is_no_form_error_of_a_large_one_elsewhere
     # Not larger than a model-form error in that channel anyway, or of what acts in the same.
     assert not is_form_error(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
     assert is_form_error(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
+
+
+def test_what_settles_a_channel_is_asked_beside_the_form_error_of_what_acts_there(pair, chosen_pair):
+    """A drag that is wrong in v_x by its own shape leaves more than a wave that another term takes wholly."""
+    rng, chosen = np.random.default_rng(4), chosen_pair.chosen
+    noise, wave = rng.standard_normal((len(pair.weight) // 3, 3)), np.zeros((len(pair.weight) // 3, 3))
+    wave[:, 0] = 5.0 * np.sin(np.arange(len(wave)) / 50.0)
+    columns = form_error_columns(pair, chosen)
+    wrong = (columns @ rng.standard_normal(columns.shape[1])).reshape(-1, 3)
+    wrong *= 5.0 / np.sqrt(np.mean(wrong[:, 0] ** 2))
+    assert np.mean(wave**2) * STANDARD.selection.fair_share < np.mean(wrong[:, 0] ** 2)
+    size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
+
+    def refused(parts: tuple[Part, ...], after: float) -> bool:
+        before, still = (
+            replace(chosen, parts=parts, residuals=(noise + wrong + k * wave).ravel()) for k in (1, after)
+        )
+        return is_form_error(pair, size, other, before, still, STANDARD.selection)
+
+    assert refused((), 0.0) and not refused(chosen.parts, 0.0) and refused(chosen.parts, 0.6)
 
 
 def test_a_term_is_allowed_a_share_of_the_shared_discrepancy_in_its_channel(pair, chosen_pair):

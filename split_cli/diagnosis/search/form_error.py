@@ -270,17 +270,25 @@ def _bounded_fit(
     return found.x, float(target @ target) - 2.0 * float(found.cost)
 
 
-def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
-    """Return the residuals that an explanation leaves beyond the likeliest model-form error of its terms, (R,).
+def residuals_beside_form_error(
+    objective: MarginalLikelihood, fit: Fit, rows: np.ndarray | None = None
+) -> np.ndarray:
+    """Return residuals beyond the likeliest model-form error of an explanation's terms, (R,) or (R, K).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (R,) or (R, K), optional
+        The residuals; by default those that the explanation leaves.
 
     Notes
     -----
     e - M (I + M^T M)^-1 M^T e, with M as in `costs_beside_form_error`.
     """
+    left = fit.residuals if rows is None else rows
     form_error = form_error_columns(objective, fit)
     if not form_error.shape[1]:
-        return fit.residuals
-    return fit.residuals - form_error @ _likeliest_weights(form_error, fit.residuals)
+        return left
+    return left - form_error @ _likeliest_weights(form_error, left)
 
 
 def _likeliest_weights(form_error: np.ndarray, left: np.ndarray) -> np.ndarray:

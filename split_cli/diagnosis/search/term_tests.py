@@ -13,6 +13,7 @@ from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.remainder.structure import minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit
+from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.vehicle.effects import Term
 
 
@@ -188,13 +189,18 @@ def is_form_error(
     model-form error is beside what a term saves, see `saved_beside_form_error`.
 
     The model-form error of large terms in a channel they hardly act in has no simple shape: a term that takes
-    nearly all that was left there, and much was, is none of it.
+    nearly all that was left there, and much was, is none of it. What they get wrong where they act has a simple
+    shape, and is no part of what is left.
     """
-    across = [
-        0.0 if _settles(objective, channel, before, after, rules) else rules.form_error_across
-        for channel in range(len(size))
-    ]
-    return over_form_error(objective, size, of, np.array(across)) < 1.0
+    if over_form_error(objective, size, of, np.zeros(len(size))) < 1.0:
+        return True
+    across = np.full(len(size), rules.form_error_across)
+    both = np.stack([before.residuals, after.residuals], axis=1)
+    if over_form_error(objective, size, of, across) < 1.0:
+        across[_settled(objective, both, rules)] = 0.0
+    if over_form_error(objective, size, of, across) < 1.0:
+        across[_settled(objective, residuals_beside_form_error(objective, before, both), rules)] = 0.0
+    return over_form_error(objective, size, of, across) < 1.0
 
 
 def over_form_error(
@@ -213,8 +219,13 @@ def over_form_error(
     return float(np.max(size / np.maximum(least, across * of.max())))
 
 
-def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fit, rules: SelectionRules) -> bool:
-    """Return whether a fit leaves next to noise in a channel where another leaves much more.
+def _settled(objective: MarginalLikelihood, both: np.ndarray, rules: SelectionRules) -> np.ndarray:
+    """Return in which channels much is left before a term joins and next to noise after it, (3,) of bool.
+
+    Parameters
+    ----------
+    both : ndarray, shape (R, 2)
+        What is left before and after.
 
     Notes
     -----
@@ -222,10 +233,11 @@ def _settles(objective: MarginalLikelihood, channel: int, before: Fit, after: Fi
     adds to.
     """
     rows = sum(int(mask.sum()) for mask in objective.keep)
-    left, still = (fit.residuals[: 3 * rows].reshape(rows, 3)[:, channel] for fit in (before, after))
-    noise = 0.5 * np.mean(np.diff(still) ** 2)
-    much, little = np.mean(left**2) - noise, np.mean(still**2) - noise
-    return bool(much > rules.much_over_noise * noise and little < rules.fair_share * much)
+    left, still = both[: 3 * rows].T.reshape(2, rows, 3)
+    noise = 0.5 * np.mean(np.diff(still, axis=0) ** 2, axis=0)
+    much, little = np.mean(left**2, axis=0) - noise, np.mean(still**2, axis=0) - noise
+    settled: np.ndarray = (much > rules.much_over_noise * noise) & (little < rules.fair_share * much)
+    return settled
 
 
 def sizes_of_terms(
