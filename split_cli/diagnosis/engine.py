@@ -204,7 +204,11 @@ def _screened(
         for drive, role in zip(drives, roles, strict=True)
         for reason in unfit(drive, vehicle, policy.screening, () if role == "sim" else taught)
     ]
-    reasons = [*reasons, *notes] if reasons else idle(drives[: len(real)], vehicle, policy.screening)
+    reasons = (
+        list(dict.fromkeys([*reasons, *notes]))
+        if reasons
+        else idle(drives[: len(real)], vehicle, policy.screening)
+    )
     return [moving(one, vehicle, policy.screening) for one in drives if not reasons], roles, notes, reasons
 
 

@@ -58,13 +58,19 @@ def test_rows_are_compared_only_where_rows_of_weight_have_been(simulated):
     assert 0.0 < near.mean() < 0.9
 
 
-def test_what_was_asked_alike_is_compared_whatever_it_did(simulated):
+def test_what_was_asked_alike_is_compared_unless_axles_push_as_they_never_did(simulated):
     one, discrepancy = simulated
     other, _ = evidence_of(make_drive(2, 8, 10.0, 0.02), discrepancy)
     alike = asked_alike(other, one, discrepancy) & (other.weight > 0.0)
     fast = other.series.smooth[other.at, 0] >= 0.6 * other.vehicle.minimum_speed
     assert 0 < alike.sum() < len(alike)
     assert comparable(other, [one], discrepancy, REACH)[alike & fast].all()
+    # Three times the mass is three times the force of the same slips.
+    car = one.vehicle
+    heavy = replace(one, vehicle=replace(car, mass=3.0 * car.mass, yaw_inertia=3.0 * car.yaw_inertia))
+    kept, hard = comparable(heavy, [one], discrepancy, REACH), share_of_grip(heavy)
+    assert kept[hard < 0.3].mean() > 0.5
+    assert not kept[hard > 3.5 * np.quantile(share_of_grip(one), 0.9)].any()
 
 
 @pytest.mark.parametrize("change", [{"delta": 1.0 / 0.7}, {"T": 1.0 / 0.6}])

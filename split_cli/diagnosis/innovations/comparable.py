@@ -3,6 +3,10 @@
 It has been there if it was asked for the same, or if it moved the same. A steering that is scaled, a velocity that
 is turned, take every turn away from where the simulation was asked to be, and the car still moves as it did. A
 torque that is scaled does so on every straight, and the tyres still slip as they did and push as they did.
+
+But where axles push harder than they ever did, slips say nothing of what the simulation knows. With a vehicle file
+whose tyres are too soft, or a velocity beside its zero, a hard turn to one side has the slips of a gentle one to
+the other.
 """
 
 from collections.abc import Sequence
@@ -15,6 +19,8 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.screening import SMOOTHED_SECONDS
 from split_cli.diagnosis.recording.series import extended_model
+
+_RARE = 0.005  # [1] share of the simulation's rows that may push harder than what counts as its range, to one side
 
 
 def comparable(
@@ -44,7 +50,7 @@ def comparable(
     believed = [evidence.weight > 0.0 for evidence in simulated]
     there = np.concatenate([asked(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
     moved = np.concatenate([_forces(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
-    scale = np.maximum(np.quantile(np.abs(moved), 0.995, axis=0), 1e-9)
+    scale = np.maximum(np.quantile(np.abs(moved), 1.0 - _RARE, axis=0), 1e-9)
     scale[3] = discrepancy.width[3]
     wanted, mine = asked(one), _forces(one)
     # Nearer the tyres' limit the same motion may come of other slips, and a row nearby proves nothing.
@@ -54,11 +60,21 @@ def comparable(
         np.column_stack([rows[:, [0, 1, 3]], forces[:, 2] / scale[2]])
         for rows, forces in ((wanted, mine), (there, moved))
     )
-    return usable & (
-        _near(wanted, there, reach)
-        | (sure & _near(mine / scale, moved / scale, reach))
-        | _near(slipped, had_slipped, reach)
+    return (
+        usable
+        & _within(mine / scale, moved / scale, reach)
+        & (
+            _near(wanted, there, reach)
+            | (sure & _near(mine / scale, moved / scale, reach))
+            | _near(slipped, had_slipped, reach)
+        )
     )
+
+
+def _within(forces: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
+    """Return which forces (N, 4) are no further than `reach` beyond those that others (M, 4) go to, shape (N,)."""
+    low, high = np.quantile(others[:, :3], [_RARE, 1.0 - _RARE], axis=0)
+    return np.all((forces[:, :3] > low - reach) & (forces[:, :3] < high + reach), axis=1)
 
 
 def _near(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
