@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.prediction.online_process import open_share
 from split_cli.prediction.projected import ProjectedPredictor
 
 #: The arrays of `ProjectionData` that documents hold beside the set's.
@@ -66,9 +67,7 @@ def projection_data(predictor: ProjectedPredictor, real: str = "double") -> Proj
     known = predictor.process.known()
     places = known.points * kernel.length_scales
     reference = (0.5 * (places.min(axis=0) + places.max(axis=0))).astype(precision).astype(float)
-    lower = np.linalg.cholesky(known.inverse)
-    half = np.linalg.solve(lower, known.inverse + known.learned)
-    spread = np.linalg.solve(lower, half.transpose(0, 2, 1))
+    lower, spread = known.whitened()
     rows, columns = np.tril_indices(len(lower))
     reals = {
         "length_scales": kernel.length_scales,
@@ -107,8 +106,4 @@ def answer_of(a: Mapping[str, np.ndarray], z: np.ndarray) -> tuple[np.ndarray, n
         for feature in range(z.shape[1]):
             away += (scaled[:, feature, None] - a["points"][:, feature]) ** 2
         c = np.exp(-0.5 * away)
-    t = c @ lower
-    gain = np.clip(1.0 - np.square(t).sum(axis=1), 0.0, 1.0)[:, None]
-    open_share = np.stack([((t @ matrix) * t).sum(axis=1) for matrix in left], axis=1)
-    shown = np.minimum(gain, a["gain_limit"]) * (1.0 - gain)
-    return c @ a["weights"], a["signal_variance"] * (gain + open_share - a["absent"] * shown)
+    return c @ a["weights"], a["signal_variance"] * open_share(c, lower, left, a["absent"], a["gain_limit"])

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +23,7 @@ _REDUNDANT = 1e-4
 _AT_ONCE = 0.75
 #: Gain of a point where slopes are asked [1]. A mean may be wrong by a share of the noise; a slope is a difference
 #: of means. After a race it is then wrong by 1 to 5 %, and by 34 to 67 % with points at the noise (decision 0034).
-_SLOPE_GAIN = 1e-3
+SLOPE_GAIN = 1e-3
 #: Gain at one length scale from a lone point [1]. Whatever is driven farther from all points becomes one, however
 #: noisy a label is: noise averages out over many, and one point alone learns next to nothing.
 _NEAR = 1.0 - np.exp(-1.0)
@@ -45,6 +46,46 @@ class ProcessState:
     weights: np.ndarray  # (3, U)
     absent: np.ndarray  # (3,): 1 - kappa
     threshold: float
+
+    def whitened(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return L (U, U), with L L^T = Q, and S = L^-1 (Q + T) L^-T (3, U, U): what `open_share` takes.
+
+        With t = L^T c nothing cancels: t is at most 1 long and S lies between 0 and 1, where c.Q c takes a
+        difference of large numbers.
+        """
+        lower = np.linalg.cholesky(self.inverse)
+        half = np.linalg.solve(lower, self.inverse + self.learned)
+        return lower, np.linalg.solve(lower, half.transpose(0, 2, 1))
+
+    def mean_and_open_share(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and variance over signal variance, (N, 3) each, at `z` (N, D) in length scales."""
+        c = correlation(z, self.points, np.ones(self.points.shape[1]))
+        left = open_share(c, *self._whitened, self.absent, self.threshold)
+        return c @ self.weights.T, np.maximum(left, 0.0)  # below 0 is rounding
+
+    @cached_property
+    def _whitened(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.whitened()
+
+
+def open_share(
+    c: np.ndarray, lower: np.ndarray, spread: np.ndarray, absent: np.ndarray, threshold: float
+) -> np.ndarray:
+    """Return the variance over the signal variance of queries with correlations `c` (N, U), shape (N, 3).
+
+    Parameters
+    ----------
+    lower, spread : ndarray
+        As of `ProcessState.whitened`; of the symmetric matrices S a triangle will do, with twice what is off the
+        diagonal.
+    absent, threshold
+        As of a `ProcessState`.
+    """
+    t = c @ lower
+    gain = np.clip(1.0 - np.square(t).sum(axis=1), 0.0, 1.0)[:, None]
+    left = np.stack([((t @ matrix) * t).sum(axis=1) for matrix in spread], axis=1)
+    share: np.ndarray = gain + left - absent * np.minimum(gain, threshold) * (1.0 - gain)
+    return share
 
 
 class OnlineProcess:
@@ -225,7 +266,7 @@ class OnlineProjection:
     def rest_on(self, beyond: Callable[[np.ndarray, np.ndarray], np.ndarray] | None) -> None:
         """Predict `beyond`(z, y), shape (n, 3), instead of the labels y, and learn those of the set anew."""
         self.beyond = beyond
-        self.process = OnlineProcess(self.kernel, threshold=_SLOPE_GAIN)
+        self.process = OnlineProcess(self.kernel, threshold=SLOPE_GAIN)
         self.certainty = OnlineProcess(self.kernel, _MOST_OF_VARIANCES)
         cells = [self.online.cell(position) for position in range(self.online.cell_count)]
         if cells:

@@ -1,4 +1,4 @@
-"""The dense process as a table: a tricubic B-spline of its mean and deviation, the same time at any size."""
+"""The process `projected` as a table: a tricubic B-spline of mean and deviation, the same time at any size."""
 
 from dataclasses import dataclass
 
@@ -7,9 +7,10 @@ from scipy.spatial import cKDTree
 
 from split_cli.errors import SetError
 from split_cli.learning.training_set import TrainingSet
-from split_cli.prediction.batch_process import MOST_INDUCING, BatchProcess
 from split_cli.prediction.factorization import queries
+from split_cli.prediction.online_process import SLOPE_GAIN, ProcessState
 from split_cli.prediction.predictor import Prediction, Predictor
+from split_cli.prediction.projected import process_of
 from split_cli.prediction.spline import Lattice, fit_spline, lattice_over, smooth_step
 
 #: Largest error of the mean that the spacing may cause, in signal deviations. An error e beside a prediction
@@ -25,6 +26,7 @@ _MOST_NODES = 3_000_000
 #: No query of `_measure` meets the fade: it changes faster than the process and would ask for a finer spacing.
 _NEAR, _FAR = 2.0, 3.0
 _TRIED = 1000
+_CHUNK = 2048
 
 
 @dataclass(frozen=True)
@@ -43,22 +45,21 @@ class TableError:
 
 
 class TablePredictor(Predictor):
-    """Mean and deviation of the dense process, read from a spline; needs three features.
+    """Mean and deviation of `projected`, read from a spline; needs three features.
 
     Parameters
     ----------
     bound : float
         Error of the mean, in signal deviations, from which the spacing of the nodes is found; at least 1e-3, since
         coefficients are rounded to 16 bits.
-    most : int
-        Points the dense process is projected on, see `batch_process.BatchProcess`.
 
     Attributes
     ----------
     spline : Spline
         Of mean (three outputs) and of 1 - deviation/prior deviation (three outputs).
     least : ndarray, shape (3,)
-        Smallest deviation the table answers, as a share of the prior's: P points tell no more than rho/(P + rho).
+        Smallest deviation the table answers, as a share of the prior's: the smallest at any node, and at least
+        what coefficients of 16 bits resolve.
 
     Notes
     -----
@@ -70,7 +71,7 @@ class TablePredictor(Predictor):
 
     name: str = "table"
 
-    def __init__(self, training_set: TrainingSet, bound: float = DEFAULT_BOUND, most: int = MOST_INDUCING) -> None:
+    def __init__(self, training_set: TrainingSet, bound: float = DEFAULT_BOUND) -> None:
         super().__init__(training_set)
         width = len(training_set.features.names)
         if width != 3:
@@ -78,9 +79,7 @@ class TablePredictor(Predictor):
             raise SetError(f"a table needs three features, the set has {width}", advice=advice)
         if not 1e-3 <= bound < 1.0:
             raise ValueError(f"bound is {bound!r}, it must lie between 0.001 and 1")
-        self.bound, self.most = bound, most
-        ratio = training_set.kernel.noise_variance / training_set.kernel.signal_variance
-        self.least = np.sqrt(ratio / (training_set.size + ratio))
+        self.bound = bound
         self._build()
 
     @property
@@ -103,14 +102,16 @@ class TablePredictor(Predictor):
         if not s.size:
             lattice = Lattice(scales / _FIRST_NODES, np.zeros(3, dtype=np.int64), (1, 1, 1))
             self.error = TableError(self.bound, 0.0, 0.0, 0)
-            self.spline = fit_spline(lattice, np.zeros((1, 6))).in_integers()
+            self.spline, self.least = fit_spline(lattice, np.zeros((1, 6))).in_integers(), np.ones(3)
             return
-        process = BatchProcess(s.z, s.y, s.kernel, self.most)
+        process = process_of(s, threshold=SLOPE_GAIN).known()
         lower, upper = s.z.min(axis=0) - _FAR * scales, s.z.max(axis=0) + _FAR * scales
         nodes = _FIRST_NODES
         while True:
             lattice = lattice_over(lower, upper, scales / nodes)
-            self.spline = fit_spline(lattice, self._values(process, lattice.nodes())).in_integers()
+            values = self._values(process, lattice.nodes())
+            self.spline = fit_spline(lattice, values).in_integers()
+            self.least = np.maximum(1.0 - values[:, 3:].max(axis=0), self.spline.unit[3:])
             self.error = error = self._measure(process)
             # The fourth-order law, a twentieth on top since it is the largest of many errors that must fall.
             over = max(error.mean / self.bound, error.deviation / DEVIATION_BOUND)
@@ -119,25 +120,26 @@ class TablePredictor(Predictor):
                 return
             nodes = finer
 
-    def _values(self, process: BatchProcess, places: np.ndarray) -> np.ndarray:
+    def _values(self, process: ProcessState, places: np.ndarray) -> np.ndarray:
         """Return mean and known share at the nodes, shape (N, 6), faded to the prior far from points."""
         s, scales = self.training_set, self.training_set.kernel.length_scales
         nearest, _ = cKDTree(s.z / scales).query(places / scales, distance_upper_bound=_FAR)
         fade = smooth_step((_FAR - nearest) / (_FAR - _NEAR))
         used = np.flatnonzero(fade > 0.0)
-        mean, known = process.mean_and_known(places[used])
         values = np.zeros((len(places), 6))
-        values[used] = fade[used, None] * np.column_stack([mean, 1.0 - np.sqrt(1.0 - known)])
+        for some in np.array_split(used, len(used) // _CHUNK + 1):
+            mean, left = process.mean_and_open_share(places[some] / scales)
+            values[some] = fade[some, None] * np.column_stack([mean, 1.0 - np.sqrt(left)])
         return values
 
-    def _measure(self, process: BatchProcess) -> TableError:
+    def _measure(self, process: ProcessState) -> TableError:
         """Compare the spline with the process at random places near points."""
         s = self.training_set
         rng = np.random.default_rng(20240117)
         z = s.z[rng.integers(0, s.size, _TRIED)]
         z = z + rng.uniform(-0.5, 0.5, z.shape) * s.kernel.length_scales
-        mean, known = process.mean_and_known(z)
+        mean, left = process.mean_and_open_share(z / s.kernel.length_scales)
         found = self.spline.value(z)
         mean_error = np.abs(found[:, :3] - mean) / np.sqrt(s.kernel.signal_variance)
-        deviation_error = np.abs(found[:, 3:] - (1.0 - np.sqrt(1.0 - known)))
+        deviation_error = np.abs(found[:, 3:] - (1.0 - np.sqrt(left)))
         return TableError(self.bound, float(mean_error.max()), float(deviation_error.max()), len(z))

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from split_cli.export.tables import lines_of
-from split_cli.prediction.batch_process import BatchProcess
 from split_cli.prediction.full import FullPredictor
+from split_cli.prediction.online_process import SLOPE_GAIN
+from split_cli.prediction.projected import ProjectedPredictor
 from split_cli.prediction.spline import fit_spline, lattice_over
 from split_cli.prediction.table import TablePredictor
-from tests.factories import make_training_set
+from tests.factories import make_training_set, smooth_residual
 
 
 @pytest.fixture(scope="module")
@@ -28,23 +29,19 @@ def near(stored, count, seed, spread=0.5):
     return stored.z[rng.integers(0, stored.size, count)] + away
 
 
-def test_projection_on_every_point_is_the_dense_process(trained):
-    z = near(trained, 300, 1)
-    mean, known = BatchProcess(trained.z, trained.y, trained.kernel).mean_and_known(z)
-    full = FullPredictor(trained).predict(z)
-    # Points of a gain below 1e-8 are left out and directions of a share below 1e-5 count as unknown.
-    np.testing.assert_allclose(mean, full.mean, atol=1e-4)
-    np.testing.assert_allclose(1.0 - known, full.variance / trained.kernel.signal_variance, atol=1e-4)
+@pytest.fixture(scope="module")
+def process(trained):
+    return ProjectedPredictor(trained, threshold=SLOPE_GAIN)
 
 
-def test_projection_on_half_the_points_is_near_and_hardly_more_certain(trained):
-    z = near(trained, 300, 2)
-    mean, known = BatchProcess(trained.z, trained.y, trained.kernel, most=250).mean_and_known(z)
-    full = FullPredictor(trained).predict(z)
-    left = 1.0 - full.variance / trained.kernel.signal_variance
-    # The labels of the points left out are taken for labels of their projections, which they nearly are.
-    assert (known <= left + 1e-3).all()
-    assert np.abs(mean - full.mean).max() < 0.2 * np.sqrt(trained.kernel.signal_variance.max())
+def test_what_it_is_filled_from_is_the_process_by_another_formula(trained, process):
+    """The compiled process sums over its inverse, the filling over whitened correlations, many queries at once."""
+    z = np.concatenate([near(trained, 300, 1), near(trained, 20, 1, spread=4.0)])
+    mean, left = process.process.known().mean_and_open_share(z / trained.kernel.length_scales)
+    expected = process.predict(z)
+    deviation = np.sqrt(trained.kernel.signal_variance)
+    np.testing.assert_allclose(mean / deviation, expected.mean / deviation, atol=1e-9)
+    np.testing.assert_allclose(left, expected.variance / trained.kernel.signal_variance, atol=1e-9)
 
 
 def test_a_spline_takes_the_values_at_its_nodes_and_converges_with_the_fourth_order():
@@ -105,21 +102,31 @@ def test_lines_without_their_zeros_are_the_whole_table(table):
             )
 
 
-def test_the_table_equals_the_dense_process_within_its_stated_bound(trained, table):
+def test_the_table_equals_the_process_within_its_stated_bound(trained, process, table):
     assert table.error.met and table.error.queries == 1000
     z = near(trained, 600, 5)
-    full, got = FullPredictor(trained).predict(z), table.predict(z)
+    exact, got = process.predict(z), table.predict(z)
     deviation = np.sqrt(trained.kernel.signal_variance)
-    error = np.abs(got.mean - full.mean) / deviation
+    error = np.abs(got.mean - exact.mean) / deviation
     # Other places than the thousand tried: the largest may be a little larger.
     assert error.max() <= 2.0 * table.bound and np.sqrt(np.mean(error**2)) <= 0.3 * table.bound
-    assert np.abs(np.sqrt(got.variance) - np.sqrt(full.variance)).max() <= 0.03 * deviation.max()
+    assert np.abs(np.sqrt(got.variance) - np.sqrt(exact.variance)).max() <= 0.03 * deviation.max()
 
 
-def test_a_tighter_bound_comes_nearer_to_the_dense_process(trained, table):
+def test_it_knows_what_rejected_labels_tell():
+    """Cells of one point reject most noisy labels: a table of all is nearer to the truth than the points are."""
+    noisy = make_training_set(4, 3000, length_scale_cells=4.0, noise=0.6, capacity=1)
+    z = near(noisy, 300, 8)
+    wrong = [
+        np.sqrt(np.mean(np.square(p(noisy).mean(z) - smooth_residual(z)))) for p in (TablePredictor, FullPredictor)
+    ]
+    assert noisy.size < 1200 and wrong[0] < 0.8 * wrong[1]
+
+
+def test_a_tighter_bound_comes_nearer_to_the_process(trained, process, table):
     finer = TablePredictor(trained, bound=1e-3)
-    z, dense = near(trained, 300, 6), FullPredictor(trained)
-    errors = [np.sqrt(np.mean((t.mean(z) - dense.mean(z)) ** 2)) for t in (table, finer)]
+    z = near(trained, 300, 6)
+    errors = [np.sqrt(np.mean((t.mean(z) - process.mean(z)) ** 2)) for t in (table, finer)]
     assert errors[1] < 0.4 * errors[0] and finer.error.mean < table.error.mean
 
 
