@@ -37,10 +37,10 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
     """
     shown = str(target)
     target = _real_target(target)
-    _refuse_what_is_no_file(target, shown)
     temporary: Path | None = None
     claim: int | None = None
     try:
+        _refuse_what_is_no_file(target, shown)
         _sweep(target)
         claim, temporary = _claimed_file(target)
         yield temporary
@@ -80,10 +80,10 @@ def atomic_directory(target: str | os.PathLike[str], without: Iterable[str] = ()
     """
     shown = str(target)
     target = _real_target(target)
-    _refuse_what_is_no_folder(target, shown)
     temporary: Path | None = None
     claim: int | None = None
     try:
+        _refuse_what_is_no_folder(target, shown)
         _sweep(target)
         temporary, claim = _claimed_folder(target)
         yield temporary
@@ -111,6 +111,7 @@ def atomic_directory(target: str | os.PathLike[str], without: Iterable[str] = ()
 
 
 _UNFINISHED = ".part"
+_LONGEST_NAME = 200  # to which an unfinished file's own letters are added [bytes]: file systems allow 255
 _AT_WORKING_FOLDER, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
 
 
@@ -235,7 +236,7 @@ def _lock(handle: int, *, wait: bool = False) -> bool:
 def _claimed_file(target: Path) -> tuple[int, Path]:
     """Make an unfinished file beside `target`, locked, so that no other run takes it for a leftover."""
     while True:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
+        handle, name = tempfile.mkstemp(_UNFINISHED, _begin_of_unfinished(target), target.parent)
         _lock(handle, wait=True)
         if os.path.exists(name):  # a sweep may have come between the two; it was waited for
             return handle, Path(name)
@@ -245,7 +246,7 @@ def _claimed_file(target: Path) -> tuple[int, Path]:
 def _claimed_folder(target: Path) -> tuple[Path, int]:
     """Make an unfinished folder beside `target`, locked; see `_claimed_file`."""
     while True:
-        name = tempfile.mkdtemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
+        name = tempfile.mkdtemp(_UNFINISHED, _begin_of_unfinished(target), target.parent)
         with contextlib.suppress(FileNotFoundError):
             handle = os.open(name, os.O_RDONLY)
             _lock(handle, wait=True)
@@ -254,11 +255,17 @@ def _claimed_folder(target: Path) -> tuple[Path, int]:
             os.close(handle)
 
 
+def _begin_of_unfinished(target: Path) -> str:
+    """Return what the names of a target's unfinished files begin with: its own name, or a digest of a long one."""
+    name = os.fsencode(target.name)
+    return f".{target.name if len(name) <= _LONGEST_NAME else hashlib.sha256(name).hexdigest()}."
+
+
 def _sweep(target: Path) -> None:
     """Remove what killed runs left beside `target`: unfinished files that no living process holds locked."""
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(target.parent)):
-            if entry.name.startswith(f".{target.name}.") and entry.name.endswith(_UNFINISHED):
+            if entry.name.startswith(_begin_of_unfinished(target)) and entry.name.endswith(_UNFINISHED):
                 _remove_if_abandoned(Path(entry.path))
 
 
@@ -351,19 +358,15 @@ def typed_path(path: str | os.PathLike[str]) -> str:
     return os.path.join(os.curdir, path) if str(path).startswith("-") else str(path)
 
 
-def refuse_overwriting_inputs(output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]]) -> None:
-    """Refuse to write over a file that is being read: a recording that is replaced by its result is lost.
-
-    Raises
-    ------
-    SplitError
-        If `output` is one of the `inputs`, by whatever name or link.
-    """
-    real = os.path.realpath(output)
-    for source in inputs:
-        if os.path.realpath(source) == real:
+def refuse_overwriting_inputs(
+    output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]], *more: str | os.PathLike[str]
+) -> None:
+    """Refuse to write over a file that is being read, by whatever name or link: it would be lost."""
+    real = {os.path.realpath(source) for source in inputs}
+    for target in (output, *more):
+        if os.path.realpath(target) in real:
             advice = "Name another output."
-            raise SplitError("is an input too, it would be overwritten", where=str(output), advice=advice)
+            raise SplitError("is an input too, it would be overwritten", where=str(target), advice=advice)
 
 
 def refuse_what_cannot_be_written(target: str | os.PathLike[str]) -> None:
@@ -391,13 +394,7 @@ def refuse_what_cannot_be_a_folder(target: str | os.PathLike[str]) -> None:
 
 
 def refuse_place_without_access(target: str | os.PathLike[str]) -> None:
-    """Check that what holds a file or folder can be written into, before the work is done whose result it takes.
-
-    Raises
-    ------
-    SplitError
-        If the folder that would hold it exists and cannot be written: no permission, or a read-only file system.
-    """
+    """Refuse, before any work, a file or folder whose folder exists and cannot be written into."""
     real = Path(os.path.realpath(target))
     place = real if real.is_dir() else real.parent
     if place.is_dir() and not os.access(place, os.W_OK | os.X_OK):
@@ -457,7 +454,7 @@ def atomic_write_text(target: str | os.PathLike[str], content: str) -> None:
 
 
 def write_digests(folder: Path) -> None:
-    """Write the digest of every file of a folder beside them, so that a mixture of two runs can be seen."""
+    """Write the digest of every file of a folder beside them: a mixture of two runs can then be seen."""
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     lines = [f"{sha256_of_file(folder / name)}  {name}\n" for name in files if name != DIGESTS]
     (folder / DIGESTS).write_text("".join(lines), encoding="utf-8")

@@ -68,7 +68,13 @@ def default_options(group: click.Group, context: click.Context, files: list[Path
 def _read(path: Path) -> Mapping[str, Any]:
     from split_cli.yaml_file import read_yaml_mapping
 
-    return {str(name): options for name, options in read_yaml_mapping(path, SplitError).items()}
+    return {
+        # YAML takes `on` without quotes for true.
+        str(name): {"on" if option is True else option: value for option, value in options.items()}
+        if isinstance(options, Mapping)
+        else options
+        for name, options in read_yaml_mapping(path, SplitError).items()
+    }
 
 
 def _words(command: click.Command) -> dict[str, click.Option]:

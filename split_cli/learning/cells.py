@@ -259,21 +259,19 @@ class _Cells:
         labels = labels.inside(self.set.grid)
         begin = self.base[-1] - labels.start_time
         self.base.append(self.base[-1] + labels.duration)
-        candidates = np.flatnonzero(labels.accepted)
-        parts = [candidates[first : first + batch] for first in range(0, len(candidates), batch)]
-        grid = self.set.grid
-        numbers = (grid.pack(grid.index(labels.z[rows])[0]) for rows in parts)
-        outcomes = []
-        for rows, within in zip(parts, numbers, strict=True):
-            outcomes.append(self._offer(labels, rows, within, source, begin))
+        accepted, grid, became = labels.accepted, self.set.grid, np.zeros(3, dtype=np.int64)
+        for first in range(0, len(labels), batch):
+            rows = first + np.flatnonzero(accepted[first : first + batch])
+            if len(rows):
+                within = grid.pack(grid.index(labels.z[rows])[0])
+                became += np.bincount(self._offer(labels, rows, within, source, begin), minlength=3)
             let_go()  # of the labels of a long drive
-        outcome = np.concatenate(outcomes or [np.empty(0)])
-        kept, inserted, replaced = (int(np.count_nonzero(outcome == code)) for code in range(3))
+        kept, inserted, replaced = became.tolist()
         return SetSource(
             name=labels.drive,
             sha256=labels.sha256,
             samples=len(labels),
-            accepted=len(candidates),
+            accepted=int(became.sum()),
             rejected={**labels.counts(), **({Reason.GAIN.word: kept} if kept else {})},
             insertions=inserted,
             replacements=replaced,

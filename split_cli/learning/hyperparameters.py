@@ -11,6 +11,7 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid
+from split_cli.logs.scratch import in_pieces
 
 LENGTH_SCALE_EDGES = 2.0
 # Bounds of the fit: length scales in cell edges, variances in the label's mean square.
@@ -61,10 +62,19 @@ def default_kernel(grid: Grid, y: np.ndarray, noise_variance: np.ndarray | None 
         For example `scatter_variance`. A tenth of the mean square is the least, also when it is not given: what
         the features do not tell of the residual counts as noise too, and is more than a sensor's.
     """
-    mean_square = np.maximum(np.mean(np.square(y), axis=0), 1e-12)
+    mean_square = np.maximum(_mean_square(y), 1e-12)
     noise = np.clip(0.0 if noise_variance is None else noise_variance, 0.1 * mean_square, mean_square)
     signal = np.maximum(mean_square - noise, 0.1 * mean_square)
     return Kernel(LENGTH_SCALE_EDGES * np.array(grid.edges), signal, noise, "default")
+
+
+def _mean_square(y: np.ndarray) -> np.ndarray:
+    """Return the mean of squares of each column, shape (3,): rows are added one by one, whatever the pieces."""
+    total = np.zeros((0, y.shape[1]))
+    for rows in in_pieces(len(y)):
+        total = np.concatenate([total, np.square(y[rows])]).sum(axis=0, keepdims=True)
+    mean: np.ndarray = total[0] / len(y)
+    return mean
 
 
 def scatter_variance(labels: Labels) -> np.ndarray:
@@ -77,8 +87,12 @@ def scatter_variance(labels: Labels) -> np.ndarray:
     together = good[1:] & good[:-1] & (np.diff(labels.segment) == 0)
     if not together.any():
         return np.zeros(3)
-    # Output by output: a long drive's labels have no room for more.
-    median = np.array([np.median(np.abs(np.diff(output)[together])) for output in labels.y.T])
+    median = np.zeros(3)
+    for output in range(3):  # one by one: a long drive's labels have no room for more
+        steps = [
+            np.diff(labels.y[rows.start : rows.stop + 1, output])[together[rows]] for rows in in_pieces(len(good))
+        ]
+        median[output] = np.median(np.abs(np.concatenate(steps)), overwrite_input=True)
     variance: np.ndarray = 0.5 * (median / 0.6745) ** 2
     return variance
 

@@ -15,7 +15,7 @@ from split_cli.learning.pieces import DrivePiece, pieces
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.set_limits import LARGEST_LABEL
 from split_cli.logs.drive import Drive
-from split_cli.logs.scratch import let_go, room
+from split_cli.logs.scratch import PIECE, GrowingColumn, in_pieces, let_go, room
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.parameters import Vehicle
@@ -24,9 +24,6 @@ from split_cli.vehicle.windows import RecordedInputs, recorded_inputs
 
 DEFAULT_HORIZON = 0.05
 _CHUNK = 4096  # temporaries of that length stay in the cache
-_PIECE = 2**16
-"""Labels that are compared with the grid at once [1]: 2 MB a temporary of four features; judgement, it decides
-memory and no result."""
 _VELOCITIES = ("vx", "vy", "r")
 _ARRAYS = ("t", "row", "segment", "z", "y", "reason")
 
@@ -152,16 +149,16 @@ class Labels:
     def inside(self, grid: Grid) -> Labels:
         """Return the labels with accepted samples outside the grid marked as such."""
         reason = self.reason.copy()
-        for first in range(0, len(reason), _PIECE):
-            rows = slice(first, first + _PIECE)
+        for rows in in_pieces(len(reason)):
             accepted = reason[rows] == Reason.ACCEPTED
             reason[rows][accepted & ~grid.index(self.z[rows])[1]] = Reason.GRID
-            let_go()
         return replace(self, reason=reason)
 
     def counts(self) -> dict[str, int]:
         """Return how many samples were rejected, by the reason's word, in the order they are tested."""
-        numbers = np.bincount(self.reason, minlength=len(Reason))
+        numbers = np.zeros(len(Reason), dtype=np.int64)
+        for rows in in_pieces(len(self)):
+            numbers += np.bincount(self.reason[rows], minlength=len(Reason))
         return {reason.word: int(numbers[reason]) for reason in Reason if reason and numbers[reason]}
 
 
@@ -220,10 +217,11 @@ def compute_labels(
     window = window_samples(horizon, drive.period)
     starts = _window_starts(drive, window, window if stride is None else stride)
     t, reason = room(len(starts)), np.empty(len(starts), dtype=np.int8)
+    segment = np.empty(len(starts), dtype=np.int32)
     z, y = (room(len(starts) * width).reshape(-1, width) for width in (len(features.names), 3))
     for rows, piece in pieces(model, drive, starts, window):
         local = starts[rows] - piece.first
-        t[rows] = piece.drive["t"][local]
+        t[rows], segment[rows] = piece.drive["t"][local], piece.drive.segment[local]
         z[rows] = features.compute(model, piece.drive, piece.recording)[local]
         reason[rows] = _reject(piece, model, region, local, window, z[rows])
         usable = ~np.isin(reason[rows], (Reason.GAP, Reason.NON_FINITE, Reason.SPEED))
@@ -247,7 +245,7 @@ def compute_labels(
         duration=end - begin,
         t=t,
         row=starts,
-        segment=drive.segment[starts],
+        segment=segment,
         z=z,
         y=y,
         reason=reason,
@@ -343,9 +341,12 @@ def _window_starts(drive: Drive, window: int, stride: int) -> np.ndarray:
             f"a window of {window * drive.period:g} s needs {window + 1}"
         )
         raise DriveError(what, where=drive.name, advice="Use a shorter horizon.")
-    starts = [np.arange(run.start, run.stop, stride) for run in runs[:-1]]
-    starts.append(np.arange(runs[-1].start, runs[-1].stop - window, stride))
-    return np.concatenate(starts).astype(np.int64)
+    starts = GrowingColumn(np.int64)
+    for run in runs:
+        stop = run.stop - window if run is runs[-1] else run.stop
+        for first in range(run.start, stop, PIECE * stride):
+            starts.append(np.arange(first, min(first + PIECE * stride, stop), stride))
+    return starts.finished()
 
 
 def _reject(

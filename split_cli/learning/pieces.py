@@ -7,6 +7,7 @@ import numpy as np
 
 from split_cli.learning.features import FeatureSet, recording_of
 from split_cli.logs.drive import Drive
+from split_cli.logs.scratch import in_pieces
 from split_cli.vehicle.effects.recording import Handover, Recording
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -41,7 +42,7 @@ def pieces(
     -----
     With delays among the terms the drive is one piece.
     """
-    if len(starts) > 1 and np.any(np.diff(starts) < 0):
+    if any(np.any(np.diff(starts[rows.start : rows.stop + 1]) < 0) for rows in in_pieces(len(starts))):
         raise ValueError("windows of a drive in pieces have to ascend")
     delayed = any(getattr(term, "input_delays", None) for term in model.terms)
     length = len(drive) if delayed else PIECE_ROWS

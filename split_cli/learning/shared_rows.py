@@ -1,24 +1,31 @@
-"""Rows of a drive that a set has learned before, whatever the files are called."""
+"""Driving that was learned before, whatever its file is called and whatever rate it was brought to."""
 
 import numpy as np
 
+from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet
-from split_cli.logs.scratch import PIECE
+from split_cli.logs.scratch import in_pieces
 
 _LEAST_SHARE = 0.01
 """Share of a source's points that are rows of a drive, from which on they have rows in common [1]; judgement:
 coarse signals of two drives agree in a few rows by chance."""
+_SAME_TIME = 1e-3
+"""Times that are one [s]; judgement: above the rounding of stamps, below the samples of a drive (0.01 s)."""
+_PARTS = 10
+"""Equal parts of a drive, each of which shares rows with another drive that holds it all [1]; judgement."""
+_MOST_ROWS = 2**18
+"""Rows of earlier drives that are remembered [1]: 5 MB; judgement."""
 
 
-def shared_sources(trained: TrainingSet, z: np.ndarray, row: np.ndarray | None = None) -> dict[int, float]:
+def shared_sources(trained: TrainingSet, z: np.ndarray, t: np.ndarray) -> dict[int, float]:
     """Return which drives of a set share rows with a drive, and how many of their points are rows of it.
 
     Parameters
     ----------
     z : ndarray, shape (N, D)
         Features of rows of the drive, by the set's vehicle.
-    row : ndarray of int, shape (N,), optional
-        Which rows these are; all from the first on if None.
+    t : ndarray, shape (N,)
+        Times of these rows, ascending [s].
 
     Returns
     -------
@@ -27,39 +34,80 @@ def shared_sources(trained: TrainingSet, z: np.ndarray, row: np.ndarray | None =
 
     Notes
     -----
-    Equal are rows whose features are equal to the bit. Rounded signals do that by chance, too. So a point counts
-    only if the source's point before or behind it is found as many rows away: a copy, a cut or a longer recording
-    of the same driving shifts all rows alike. A recording that was brought to another rate is not found.
+    Equal are rows whose features are equal in single precision: interpolation to another rate leaves the rows at
+    common moments equal but for its rounding. Rounded signals are equal by chance, too. So a row counts only if
+    the one found before or behind it is as much earlier or later in both: a copy, a cut or a longer recording of
+    the same driving shifts all rows alike. A recording that was filtered is not found.
     """
-    known = _keys(trained.z)
-    wanted = np.unique(known)
-    keys, rows = [], []
-    for first in range(0, len(z), PIECE):
-        own = _keys(z[first : first + PIECE])
-        hit = np.flatnonzero(np.isin(own, wanted))
-        keys.append(own[hit])
-        rows.append(first + hit)
-    if not sum(map(len, rows)):
-        return {}
-    met, where = np.unique(np.concatenate(keys), return_index=True)
-    place = np.concatenate(rows)[where]
-    place = place if row is None else row[place]
-    at = np.minimum(np.searchsorted(met, known), len(met) - 1)
-    found, shift = met[at] == known, trained.row - place[at]
-    order = np.lexsort((trained.row, trained.source))
-    one, two = order[:-1], order[1:]
-    alike = found[one] & found[two] & (shift[one] == shift[two])
-    alike &= trained.source[one] == trained.source[two]
-    shared = np.zeros(len(known), dtype=bool)
-    shared[one[alike]] = shared[two[alike]] = True
+    keys = _keys(trained.z)
+    order = np.argsort(keys, kind="stable")
+    known, _ = _alike(keys[order], trained.t[order], trained.source[order], z, t)
+    shared = np.zeros(len(keys), dtype=bool)
+    shared[order[known]] = True
     points = np.bincount(trained.source, minlength=len(trained.sources))
     share = np.bincount(trained.source[shared], minlength=len(points)) / np.maximum(points, 1)
     return {int(n): float(share[n]) for n in np.flatnonzero(share >= _LEAST_SHARE)}
 
 
+class EarlierDrives:
+    """Rows of the drives of one training: tells a drive that an earlier one holds as a whole.
+
+    Of many rows every second one is forgotten, again and again, by what it is and not by where it stands: the same
+    rows of two drives stay.
+    """
+
+    def __init__(self) -> None:
+        self._names: list[str] = []
+        self._keys, self._t = np.empty(0, dtype=np.uint64), np.empty(0)
+        self._source = np.empty(0, dtype=np.int32)
+        self._kept = np.uint64(0)  # bits of a key that are zero in each row that is kept
+
+    def holding(self, labels: Labels) -> str | None:
+        """Return the name of an earlier drive with rows of each part of this one, or None, and remember this."""
+        known, rows = _alike(self._keys, self._t, self._source, labels.z, labels.t)
+        part = ((labels.t[rows] - labels.start_time) * (_PARTS / max(labels.duration, 1e-9))).astype(int)
+        met = np.zeros((len(self._names), _PARTS), dtype=bool)
+        met[self._source[known], np.clip(part, 0, _PARTS - 1)] = True
+        whole = np.flatnonzero(met.all(axis=1))
+        if len(whole):
+            return self._names[int(whole[0])]
+        self._remember(labels)
+        return None
+
+    def _remember(self, labels: Labels) -> None:
+        for piece in in_pieces(len(labels)):
+            keys = _keys(labels.z[piece])
+            source = np.full(len(keys), len(self._names), dtype=np.int32)
+            parts = (self._keys, keys), (self._t, labels.t[piece]), (self._source, source)
+            keys, t, source = (np.concatenate(part) for part in parts)
+            while np.count_nonzero(kept := keys & self._kept == 0) > _MOST_ROWS:
+                self._kept = self._kept << np.uint64(1) | np.uint64(1)
+            order = np.flatnonzero(kept)[np.argsort(keys[kept], kind="stable")]
+            self._keys, self._t, self._source = keys[order], t[order], source[order]
+        self._names.append(labels.drive)
+
+
+def _alike(
+    keys: np.ndarray, t: np.ndarray, source: np.ndarray, z: np.ndarray, own_t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return places among known rows, whose keys ascend, and rows of a drive: pairs that are one and the same."""
+    places, rows = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    for piece in in_pieces(len(z) if len(keys) else 0):
+        own = _keys(z[piece])
+        at = np.minimum(np.searchsorted(keys, own), len(keys) - 1)
+        hit = np.flatnonzero(keys[at] == own)
+        places.append(at[hit])
+        rows.append(piece.start + hit)
+    place, row = np.concatenate(places), np.concatenate(rows)
+    same = (np.diff(source[place]) == 0) & (np.abs(np.diff(own_t[row] - t[place])) < _SAME_TIME)
+    sure = np.append(same, False) | np.insert(same, 0, False)
+    return place[sure[: len(place)]], row[sure[: len(row)]]
+
+
 def _keys(z: np.ndarray) -> np.ndarray:
-    """Return a number for each row of features, the same for the same bits, shape (N,)."""
-    bits = np.ascontiguousarray(z, dtype=float).view(np.uint64)
+    """Return a number for each row of features, the same for the same single-precision bits, shape (N,)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        bits = (np.ascontiguousarray(z, dtype=np.float32) + np.float32(0.0)).view(np.uint32).astype(np.uint64)
     key = np.zeros(len(z), dtype=np.uint64)
     for column in bits.T:
         key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)

@@ -24,7 +24,7 @@ from split_cli.logs.drive_metadata import (
     metadata_of_drive,
     schema_of,
 )
-from split_cli.logs.scratch import LONG, let_go
+from split_cli.logs.scratch import LONG, GrowingColumn, in_pieces, let_go
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
@@ -139,7 +139,12 @@ class Drive:
         """Return the runs of rows without a gap, in order."""
         if len(self) == 0:
             return []
-        inner = np.flatnonzero(self.segment[1:] != self.segment[:-1]) + 1
+        inner = np.concatenate(
+            [
+                piece.start + 1 + np.flatnonzero(np.diff(self.segment[piece.start : piece.stop + 1]))
+                for piece in in_pieces(len(self))
+            ]
+        )
         starts, ends = np.append(0, inner), np.append(inner, len(self))
         return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
@@ -224,10 +229,11 @@ def open_drive(path: str | Path, held: Sequence[str] = (), beside: int = 1) -> D
     metadata, period = metadata_from_schema(columns.schema.metadata or {}, path)
     segment = None
     if "segment" in columns:
-        segment = np.empty(columns.length, dtype=np.int32)
-        for first in range(0, columns.length, _GROUP_ROWS):
-            rows = slice(first, min(first + _GROUP_ROWS, columns.length))
-            segment[rows] = _whole(columns.rows(rows.start, rows.stop, ("segment",))["segment"], path, first)
+        growing = GrowingColumn(np.int32)
+        for rows in in_pieces(columns.length):
+            part = columns.rows(rows.start, rows.stop, ("segment",))["segment"]
+            growing.append(_whole(part, path, rows.start))
+        segment = growing.finished()
     drive = _checked_drive(columns.without("segment"), segment, period, metadata, path)
     return drive.with_held(held) if held else drive
 
@@ -316,12 +322,10 @@ def _checked_drive(
     path: Path,
 ) -> Drive:
     """Return a drive of columns, its segments and period found where the file does not say them."""
-    time = columns["t"]
     if segment is None:
-        segment = _segments_from_time(time, path)
-    if period is None:
-        period = _period_from_time(time, segment, path)
-    del time  # of a long drive it takes as much memory as each column that is checked
+        segment = _segments_from_time(columns["t"], path)
+    if period is None:  # of a long drive all its times take more memory than all that follows
+        period = _period_from_time(columns["t"], segment, path)
     drive = Drive(path.name, columns, segment, period, metadata, sha256_of_file(path))
     _check_drive(drive, path)
     return drive

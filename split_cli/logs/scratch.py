@@ -42,8 +42,8 @@ def set_aside(values: np.ndarray) -> np.ndarray:
         return values
     try:
         with tempfile.TemporaryFile() as file:
-            for first in range(0, len(values), PIECE):
-                file.write(np.ascontiguousarray(values[first : first + PIECE]).data)
+            for piece in in_pieces(len(values)):
+                file.write(np.ascontiguousarray(values[piece]).data)
             return _mapped(file, values.dtype)
     except OSError:
         return values
@@ -74,6 +74,21 @@ def mapped_file(file: BinaryIO) -> mmap.mmap:
     mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     _maps.add(mapped)
     return mapped
+
+
+def in_pieces(count: int) -> Iterator[slice]:
+    """Yield ranges of `PIECE` rows that cover `count`; what was set aside is let go of behind each."""
+    for first in range(0, count, PIECE):
+        yield slice(first, min(first + PIECE, count))
+        let_go()
+
+
+def selected(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the rows of a table where a mask is true, shape (M, D); many of them lie outside memory."""
+    column = GrowingColumn()
+    for piece in in_pieces(len(rows)):
+        column.append(values[piece][rows[piece]].reshape(-1))
+    return column.finished().reshape(-1, values.shape[1])
 
 
 def let_go() -> None:

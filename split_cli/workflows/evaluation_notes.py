@@ -126,7 +126,7 @@ def not_unseen(
         f"NOT UNSEEN: {model} was trained on {trained.sources[n].name}, and {100.0 * share:.0f} % of the points "
         f"that it keeps of that drive are rows of {drive.name} too. One is a copy of the other, or a part of the "
         "same recording; scores of these rows say nothing of other drives"
-        for n, share in shared_sources(trained, z).items()
+        for n, share in shared_sources(trained, z, drive["t"]).items()
         if n != its_own
     ]
 

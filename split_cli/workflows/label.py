@@ -1,5 +1,6 @@
 """Label a drive: what the nominal model gets wrong, sample by sample, into a file."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -115,10 +116,10 @@ def label_drives(
         s for s in find_sources(addresses, (".parquet",), what="drive") if ".labels" not in Path(s.place).name
     ]
     targets = [Path(folder) / PurePosixPath(s.place).with_suffix(".labels.parquet") for s in sources]
-    twice = next((target for number, target in enumerate(targets) if target in targets[:number]), None)
-    if twice is not None:
+    target, count = Counter(targets).most_common(1)[0]
+    if count > 1:
         advice = "Label them into folders of their own."
-        raise SplitError("two drives have this name", where=str(twice), advice=advice)
+        raise SplitError("two drives have this name", where=str(target), advice=advice)
     for target in targets:
         target.parent.mkdir(parents=True, exist_ok=True)
     jobs = [(s.address, vehicle_path, target, settings) for s, target in zip(sources, targets, strict=True)]

@@ -97,8 +97,9 @@ class TestSettings:
         assert "vehicle_path" not in found.get("verify", {})
 
     def test_lists_become_what_the_option_takes(self, tmp_path):
-        found = self.read(tmp_path, "ingest: {map: split_sim}\ncompare: {horizon: [0.05, 1]}")
-        assert found == {"ingest": {"maps": ["split_sim"]}, "compare": {"horizons": "0.05,1"}}
+        found = self.read(tmp_path, "ingest: {map: split_sim}\ncompare: {horizon: [0.05, 1], on: a.parquet}")
+        compare = {"horizons": "0.05,1", "drives": ["a.parquet"]}
+        assert found == {"ingest": {"maps": ["split_sim"]}, "compare": compare}
 
     @pytest.mark.parametrize(
         ("content", "said"),

@@ -70,7 +70,7 @@ def test_what_was_written_passes_and_was_looked_at(made):
     for name in ("a.split", "l.parquet", "export", "compared", "compared/report.html", "diagnosis/gap.parquet"):
         if name != "diagnosis/gap.parquet":
             assert failed(made / name) == set(), name
-    assert {"points of d0.parquet", "points of d1.parquet"} <= checked(made / "a.split")
+    assert {"points of d0.parquet", "points of d1.parquet", "sums over labels"} <= checked(made / "a.split")
     assert "labels of d0.parquet" in checked(made / "l.parquet")
     # The inputs that the diagnosis names are invented ones.
     assert failed(made / "diagnosis") == {"source d0.parquet", "source car.yaml"}
@@ -87,6 +87,13 @@ def test_points_of_a_set_that_its_drive_does_not_have(folder, field):
     write_set(replace(trained, **{field: values}), folder / "a.split")
     drives = {f"points of {trained.sources[number].name}" for number in trained.source[rows]}
     assert failed(folder / "a.split") == drives
+
+
+@pytest.mark.parametrize(("field", "factor"), [("absorbed", 0.0), ("absorbed", -1.0), ("information", 1.001)])
+def test_sums_over_labels_that_its_drives_do_not_have(folder, field, factor):
+    trained = read_set(folder / "a.split")
+    write_set(replace(trained, **{field: factor * getattr(trained, field)}), folder / "a.split")
+    assert failed(folder / "a.split") == {"sums over labels"}
 
 
 def test_a_label_that_its_drive_does_not_have(folder):

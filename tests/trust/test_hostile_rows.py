@@ -14,6 +14,7 @@ from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS
 from split_cli.logs.drive import open_drive, read_drive
 from split_cli.logs.raw import UniqueNames
 from split_cli.logs.readers import json_document
+from split_cli.logs.readers.clock_of_day import seconds_of_day
 from split_cli.logs.readers.definitions import Definitions
 from split_cli.logs.readers.frames_csv import frames_of
 from split_cli.logs.readers.guard import GuardedRecording
@@ -30,6 +31,10 @@ def any_value(rng: random.Random, depth: int = 0):
     if kind == 5:
         return [any_value(rng, depth + 1) for _ in range(count)]
     return {f"k{n}": any_value(rng, depth + 1) for n in range(count)}
+
+
+def test_a_clock_of_the_day_that_is_no_number_stays_none_and_nothing_is_printed():
+    np.testing.assert_equal(seconds_of_day(np.array([120000.0, np.inf, np.nan])), [43200.0, np.nan, np.nan])
 
 
 @pytest.mark.parametrize("piece", [1, 2, 7, 100, 10_000])

@@ -131,6 +131,20 @@ def test_two_runs_take_turns_at_one_file(tmp_path):
     assert target.read_text() == "80"
 
 
+def test_a_name_as_long_as_the_file_system_allows_is_written_and_a_longer_one_is_an_error(tmp_path):
+    longest = tmp_path / ("é" * 127 + "x")
+    for _ in range(2):
+        with atomic_path(longest) as temporary:
+            temporary.write_text("whole")
+    with atomic_directory(tmp_path / ("x" * 255)) as temporary:
+        (temporary / "f").write_text("whole")
+    for write in (atomic_path, atomic_directory):
+        with pytest.raises(SplitError, match="File name too long"), write(tmp_path / ("x" * 256)):
+            pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([longest.name, "x" * 255])
+    assert longest.read_text() == "whole"
+
+
 @pytest.mark.parametrize(("read", "kind"), [(open_recording, LogError), (read_vehicle, VehicleError)])
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path, read, kind):
     os.mkfifo(tmp_path / "pipe.yaml")

@@ -125,10 +125,13 @@ def test_one_bad_log_is_told_and_the_rest_is_there(archive, tmp_path):
     with pytest.raises(SplitError, match=r"bad\.mcap"):
         ingest_logs([archive], tmp_path / "none")
     assert not (tmp_path / "none").exists()
+    long = "x" * 251 + ".csv"  # a name that its drive cannot have
+    shutil.copy(archive / "a.csv", archive / long)
     run = ingest_logs([archive], tmp_path / "drives", keep_going=True)
-    assert [f.log for f in run.failures] == ["bad.mcap"] and len(run.results) == 3
+    assert [f.log for f in run.failures] == ["bad.mcap", long] and len(run.results) == 3
+    assert "File name too long" in str(run.failures[1].error)
     again = ingest_logs([archive], tmp_path / "drives", keep_going=True)
-    assert len(again.unchanged) == 3 and len(again.failures) == 1
+    assert len(again.unchanged) == 3 and len(again.failures) == 2
 
 
 def test_what_a_folder_holds_beside_recordings_is_told(tmp_path, capsys):

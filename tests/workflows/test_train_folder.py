@@ -4,10 +4,11 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from split_cli.errors import SetError
-from split_cli.logs.drive import read_drive, write_drive
+from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.evaluate import evaluate_files
@@ -115,5 +116,27 @@ def test_a_copy_is_left_out_and_a_stretch_is_told_wherever_it_is_met(folder, tmp
     (cut,) = notes(tmp_path / "cut.parquet")  # labels begin at rows of another phase: rows are compared
     assert "trained on a.parquet" in cut and 20 < int(cut.partition(", and ")[2].split()[0]) < 60
     assert len(notes(known, tmp_path / "cut.parquet", trained=None)) == 2  # each is learned and scored
+    result = train_set([known, tmp_path / "cut.parquet", other], car, twice, DEFAULT)
+    assert once.read_bytes() == twice.read_bytes()
+    assert any(note.startswith("cut.parquet is a stretch of a.parquet") for note in result.notes)
     added = train_set([tmp_path / "copy.parquet"], car, once, append=True)
     assert any("copy.parquet holds driving that was learned before, from a.parquet" in n for n in added.notes)
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.4, 1.0 / 3.0, 0.8, 2.0])
+def test_a_copy_at_another_rate_is_known_for_the_driving_that_it_is(folder, tmp_path, rate):
+    known, other = folder / "in" / "a.parquet", folder / "in" / "b.parquet"
+    drive, car, once = read_drive(known), folder / "car.yaml", tmp_path / "once.split"
+    t = np.arange(drive["t"][0], drive["t"][-1], drive.period / rate)
+    columns = {name: np.interp(t, drive["t"], values) for name, values in drive.columns.items()} | {"t": t}
+    made = Drive("b.parquet", columns, np.zeros(len(t), dtype=np.int32), drive.period / rate, drive.metadata)
+    # Its clock may begin anywhere.
+    write_drive(replace(made, columns=columns | {"t": t + 1000.0}), tmp_path / "resampled.parquet")
+    write_drive(made.stretch(len(t) // 4, len(t) // 2), tmp_path / "cut.parquet")
+    train_set([known, other], car, once, DEFAULT)
+    result = train_set([known, tmp_path / "resampled.parquet", other], car, tmp_path / "twice.split", DEFAULT)
+    assert once.read_bytes() == (tmp_path / "twice.split").read_bytes()
+    assert any(note.startswith("resampled.parquet is a stretch of a.parquet, or a copy") for note in result.notes)
+    settings = EvaluationSettings(rollout=(), blocks=4, guard=0.2)
+    said = evaluate_files([tmp_path / "cut.parquet"], car, settings, once).report.notes
+    assert sum(note.startswith("NOT UNSEEN") and "trained on a.parquet" in note for note in said) == 1

@@ -15,7 +15,8 @@ _FULL = 50.0
 
 def seconds_of_day(clock: np.ndarray) -> np.ndarray:
     """Return seconds since midnight of HHMMSS.sss, a day added after each midnight, shape (N,)."""
-    hours, rest = np.divmod(clock, 10000.0)
+    with np.errstate(invalid="ignore"):  # a clock that is no number
+        hours, rest = np.divmod(clock, 10000.0)
     minutes, seconds = np.divmod(rest, 100.0)
     return np.round(over_midnight(hours * 3600.0 + minutes * 60.0 + seconds), 6)
 

@@ -158,8 +158,7 @@ def ingest_logs(
     if not single:
         _check_folder(output, sources)
     inputs = [source.address for source in sources if not is_remote(source.address)]
-    for source in sources:
-        refuse_overwriting_inputs(output if single else output / _drive_name(source), inputs)
+    refuse_overwriting_inputs(output, inputs, *(() if single else (output / _drive_name(one) for one in sources)))
     if single:
         progress(sources[0].name)
         made = _make_drive(replace(prepared, source=sources[0], target=str(output), shown=str(output)))

@@ -17,11 +17,12 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.label_file import drive_of_labels, read_labels, write_labels
 from split_cli.learning.labels import Labels, compute_labels, window_samples
 from split_cli.learning.region import Region
-from split_cli.learning.shared_rows import shared_sources
+from split_cli.learning.shared_rows import EarlierDrives, shared_sources
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive, open_drive, unstated_inputs
 from split_cli.logs.drive_metadata import ingest_found
-from split_cli.logs.scratch import LONG, set_aside
+from split_cli.logs.scratch import LONG, in_pieces, set_aside
+from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.engine import HERE, Engine
@@ -180,20 +181,27 @@ class LabelledDrives:
         return self._seconds[number]
 
     def leave_out_copies(self) -> None:
-        """Leave out drives with the labels of an earlier one: they would count twice, in trust above all.
+        """Leave out drives whose driving an earlier one holds: it would count twice, in trust above all.
 
         On held-out blocks a copy is no test: what is held out of one drive is learned from the other.
         """
         names: dict[bytes, str] = {}
+        before = EarlierDrives()
         kept: list[int] = []
         for number in range(len(self._sources) if len(self._sources) > 1 else 0):
             labels = self.labels(number)
-            digest = hashlib.sha256(labels.z.tobytes() + labels.y.tobytes()).digest()
-            earlier = names.setdefault(digest, labels.drive)
+            content = hashlib.sha256()
+            for rows in in_pieces(len(labels)):
+                content.update(labels.z[rows].tobytes() + labels.y[rows].tobytes())
+            earlier = names.setdefault(content.digest(), labels.drive)
+            what = f"is a copy of {earlier}"
             if earlier is labels.drive:
+                earlier = before.holding(labels)
+                what = f"is a stretch of {earlier}, or a copy at another rate,"
+            if earlier is None:
                 kept.append(number)
             else:
-                self._notes.append(f"{labels.drive} is a copy of {earlier} and is left out: it would count twice")
+                self._notes.append(f"{labels.drive} {what} and is left out: it would count twice")
         if 0 < len(kept) < len(self._sources):
             self._sources = [self._sources[old] for old in kept]
             self._kept = {new: self._kept[old] for new, old in enumerate(kept)}
@@ -209,7 +217,8 @@ class LabelledDrives:
         else:
             self.note(*unstated_inputs([drive]))
             self._notes += drive_notes(drive)
-            self._notes += late_inputs(drive, labels, self.labelling.vehicle)
+            middle = TrainingDrive(drive, labels).middle(MOST_ROWS)
+            self._notes += late_inputs(middle.drive, middle.labels, self.labelling.vehicle)
         same = [source.name for source in trained.sources if source.sha256 == labels.sha256]
         if same:
             self._notes.append(f"{labels.drive} was learned before, as {same[0]}, and counts twice now")
@@ -217,13 +226,13 @@ class LabelledDrives:
         self._notes += [
             f"{labels.drive} holds driving that was learned before, from {trained.sources[n].name}: "
             f"{100.0 * share:.0f} % of the points kept of that drive are samples of both, and count twice now"
-            for n, share in shared_sources(trained, labels.z, labels.row).items()
+            for n, share in shared_sources(trained, labels.z, labels.t).items()
         ]
 
     def _keep(self, number: int, labels: Labels) -> None:
         long = len(labels) >= LONG
         if long:  # they lie outside memory as they are
-            named = {name: getattr(labels, name) for name in ("t", "z", "y")}
+            named = {name: getattr(labels, name) for name in ("t", "row", "z", "y")}
             labels = replace(
                 labels,
                 **{name: set_aside(values.reshape(-1)).reshape(values.shape) for name, values in named.items()},

@@ -23,6 +23,7 @@ from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.set_limits import MOST_CELLS_OF_A_GRID
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
+from split_cli.logs.scratch import in_pieces, selected
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive, held_out_whole
 from split_cli.scoring.torque_lag import Prepared, decide, lag_note
 from split_cli.vehicle.parameters import Vehicle
@@ -94,13 +95,14 @@ def _blank(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSet
     cell_edge = 1.0 if settings.cell_edge is None else settings.cell_edge
     if not 0.0 < cell_edge < np.inf:
         raise SetError(f"--cell-edge is {cell_edge:g}, it must be positive", advice="1 is the standard edge.")
-    grid = build_grid(how.features, how.vehicle, how.region, first.z[valid]).coarser(cell_edge)
+    valid_z = None if how.features.is_z2 else selected(first.z, valid)
+    grid = build_grid(how.features, how.vehicle, how.region, valid_z).coarser(cell_edge)
     if grid.size > MOST_CELLS_OF_A_GRID:
         raise SetError(
             f"--cell-edge {cell_edge:g} makes {grid.size:.3g} cells, more than {MOST_CELLS_OF_A_GRID:,}",
             advice="1 is the standard edge.",
         )
-    kernel, fit = default_kernel(grid, first.y[valid], scatter_variance(first)), None
+    kernel, fit = default_kernel(grid, selected(first.y, valid), scatter_variance(first)), None
     hyperparameters = settings.hyperparameters or "fit"
     if hyperparameters == "fit":
         fit = _fit(drives, grid, kernel)
@@ -140,21 +142,26 @@ def _recorded(drives: LabelledDrives) -> list[TrainingDrive]:
 def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
     """Fit to the valid labels of all drives; None, with a note, when they are too few."""
     features = drives.labelling.features
-    valid = [np.flatnonzero(drives.labels(number).inside(grid).accepted) for number in range(len(drives))]
-    total = sum(map(len, valid))
+    # A bit a label: the places of all labels of an archive have no room.
+    valid, counts = [], []
+    for number in range(len(drives)):
+        accepted = drives.labels(number).inside(grid).accepted
+        valid.append(np.packbits(accepted))
+        counts.append(int(np.count_nonzero(accepted)))
+    total = sum(counts)
     if total < FEWEST_TO_FIT:
         drives.note(f"{total} valid labels are too few to fit hyperparameters to; the defaults are kept")
         return None
     drives.progress(f"fitting hyperparameters to {total} labels")
     # Only what the fit looks at: all labels of a long drive have no room.
-    looked_at, before = labels_to_fit(total), np.cumsum([0, *map(len, valid)])
+    looked_at, before = labels_to_fit(total), np.cumsum([0, *counts])
     z, y, every = [], [], []
-    for number, rows in enumerate(valid):
+    for number, bits in enumerate(valid):
         low, high = np.searchsorted(looked_at, before[number : number + 2])
-        some, labels = rows[looked_at[low:high] - before[number]], drives.labels(number)
+        some, labels = _places(bits, looked_at[low:high] - before[number]), drives.labels(number)
         z.append(labels.z[some])
         y.append(labels.y[some])
-        every.append(labels.z[some if features.is_z2 else rows])
+        every.append(labels.z[some if features.is_z2 else _places(bits, np.arange(counts[number]))])
     longest = longest_scale(features, grid, np.concatenate(every))
     fit = fit_kernel(np.concatenate(z), np.concatenate(y), grid, start, longest=longest)
     names = features.names
@@ -166,6 +173,17 @@ def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
     bounds = [scales.get(name, name) for name in fit.at_bound]
     drives.note(*(f"the {name} ended on a bound of the fit: the labels do not determine it" for name in bounds))
     return fit
+
+
+def _places(bits: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Return the places of some of the ones in a row of bits, given by their numbers, which ascend."""
+    places, before = [np.empty(0, dtype=np.int64)], 0
+    for piece in in_pieces(len(bits)):
+        ones = 8 * piece.start + np.flatnonzero(np.unpackbits(bits[piece]))
+        low, high = np.searchsorted(wanted, (before, before + len(ones)))
+        places.append(ones[wanted[low:high] - before])
+        before += len(ones)
+    return np.concatenate(places)
 
 
 def _first_valid(drives: LabelledDrives) -> Labels:

@@ -1,7 +1,7 @@
 """Labels and points computed again from their drives, where these lie beside them."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import SplitError
 from split_cli.files import sha256_of_file
+from split_cli.learning.cells import extend, without_points
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.region import Region
@@ -50,6 +51,50 @@ def points_against_drives(trained: TrainingSet, path: Path) -> tuple[VerifiedIte
         stored = _StoredLabels(trained.row[mine], trained.z[mine], trained.y[mine], *how)
         items.append(_compared(f"points of {source.name}", drive, stored, trained.vehicle, correct))
     return tuple(items)
+
+
+def sums_against_drives(trained: TrainingSet, path: Path) -> tuple[VerifiedItem, ...]:
+    """Learn a set again and compare its sums over labels, where all of its drives lie beside it.
+
+    Empty also where the drives, learned with the usual settings, give other counts or points: a set does not say
+    which stretches of a drive were left out, and other libraries may choose other points.
+    """
+    drives = [path.parent / Path(source.name).name for source in trained.sources]
+    correct = RecordingCorrection(trained.nominal_vehicle)
+    named = all(_is_the(drive, source.sha256) for drive, source in zip(drives, trained.sources, strict=True))
+    if trained.information is None or not drives or not named or correct.counts_places:
+        return ()
+    errors = [_error_of_sums(trained, drives, correct, held) for held in _HELD]
+    worst = min((error for error in errors if error is not None), default=None)
+    if worst is None:
+        return ()
+    text = f"they differ by at most {worst:.2g} of the largest from those learned again, {TOLERANCE:g} is allowed"
+    return (item("sums over labels", worst <= TOLERANCE, text, text),)
+
+
+def _error_of_sums(
+    trained: TrainingSet, drives: Sequence[Path], correct: RecordingCorrection, held: tuple[str, ...]
+) -> float | None:
+    labels = (
+        compute_labels(
+            correct(open_drive(drive, held)),
+            trained.vehicle,
+            trained.features,
+            trained.region,
+            horizon=source.horizon or trained.horizon,
+            plain=trained.plain,
+        )
+        for drive, source in zip(drives, trained.sources, strict=True)
+    )
+    try:
+        again = extend(without_points(trained), labels)
+    except SplitError:
+        return None
+    same = [(s.samples, s.accepted) for s in again.sources] == [(s.samples, s.accepted) for s in trained.sources]
+    if not same or any(not np.array_equal(getattr(again, n), getattr(trained, n)) for n in ("row", "source")):
+        return None
+    pairs = zip(again.sums(), trained.sums(), strict=True)
+    return max(float(np.abs(ours - theirs).max() / max(np.abs(ours).max(), 1e-300)) for ours, theirs in pairs)
 
 
 def labels_against_drive(labels: Labels, path: Path) -> tuple[VerifiedItem, ...]:
