@@ -130,8 +130,7 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
     "--hyperparameters",
     default="fit",
     metavar="KIND",
-    help="Kernel: fit (to lap 0), "
-    "fit-lasting (to lap 0, with errors that last over several labels), default, or a YAML file.",
+    help="Kernel: fit (to lap 0), default, or a YAML file.",
 )
 @click.option(
     "--iol-update",

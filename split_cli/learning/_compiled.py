@@ -342,12 +342,9 @@ def _invert(covariance: ndarray, n: int, low: ndarray, rows: ndarray, inverse: n
 
 @compiled(cache=True)
 def blocks_likelihood(
-    z: ndarray, t: ndarray, y: ndarray, offsets: ndarray, scales: ndarray, signal: ndarray, noise: ndarray,
-    lasting: ndarray, memory: float,
-) -> tuple[float, ndarray]:  # fmt: skip
+    z: ndarray, y: ndarray, offsets: ndarray, scales: ndarray, signal: ndarray, noise: ndarray
+) -> tuple[float, ndarray]:
     """Return the value and gradient that hyperparameters.block_likelihood defines, NaN where K is not positive.
-
-    Errors of variance `lasting` fade over `memory` between the times `t`; the gradient goes on with theirs.
 
     Own loops rather than LAPACK: matrices of 60 are too small for threads, which some builds start all the same
     and then wait for each other longer than they compute.
@@ -359,10 +356,8 @@ def blocks_likelihood(
     shape = (most, most)
     low, rows, inverse, covariance = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
     correlation, distances = np.zeros(shape), np.zeros((dimension, most, most))
-    apart, together = np.zeros(shape), np.zeros(shape)
-    lasts = np.max(lasting) > 0.0
     weights = np.zeros(most)
-    gradient = np.zeros(dimension + 3 * outputs + 1)
+    gradient = np.zeros(dimension + 2 * outputs)
     value = 0.0
     for block in range(len(offsets) - 1):
         first = offsets[block]
@@ -375,15 +370,10 @@ def blocks_likelihood(
                     distances[d, i, j] = distance * distance
                     squared += distance * distance
                 correlation[i, j] = math.exp(-0.5 * squared)
-                if lasts:
-                    apart[i, j] = abs(t[first + i] - t[first + j]) / memory
-                    together[i, j] = math.exp(-apart[i, j])
         for output in range(outputs):
             for i in range(n):
                 for j in range(i + 1):
                     covariance[i, j] = signal[output] * correlation[i, j]
-                    if lasts:
-                        covariance[i, j] += lasting[output] * together[i, j]
                 covariance[i, i] += noise[output]
             half = _invert(covariance, n, low, rows, inverse)
             if np.isnan(half):
@@ -408,9 +398,5 @@ def blocks_likelihood(
                     gradient[dimension + output] += part
                     for d in range(dimension):
                         gradient[d] += part * distances[d, i, j]
-                    if lasts:
-                        part = slope * lasting[output] * together[i, j]
-                        gradient[dimension + 2 * outputs + output] += part
-                        gradient[dimension + 3 * outputs] += part * apart[i, j]
             gradient[dimension + outputs + output] += noise[output] * trace
     return value, gradient

@@ -1,7 +1,7 @@
 """Hyperparameters: defaults, and the maximum-likelihood fit over blocks of neighbouring cells."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,6 @@ LENGTH_BOUNDS = (0.5, 100.0)
 LONGEST_SCALE = 1.0
 SIGNAL_BOUNDS = (1e-3, 1e3)
 NOISE_BOUNDS = (1e-5, 1e1)
-#: Bounds of the time over which a lasting error fades, in intervals between labels; judgement: below one it is
-#: white noise, and beyond a hundred (5 s of a race) no longer noise.
-MEMORY_BOUNDS = (1.0, 100.0)
 BLOCK_POINTS = 60
 MAXIMUM_BLOCKS = 100
 FEWEST_TO_FIT = 60
@@ -44,9 +41,6 @@ class KernelFit:
     # Hyperparameters that ended on a bound: the labels ask for more, or do not determine them. Not length scales
     # at a `longest` that was asked for.
     at_bound: tuple[str, ...]
-    # (3,): part of the kernel's noise variance that lasts from label to label; zeros where no times were given.
-    lasting_variance: np.ndarray = field(default_factory=lambda: np.zeros(len(OUTPUTS)))
-    memory: float = 0.0  # time over which that part fades to 1/e [s]; 0 where no times were given
 
 
 def default_kernel(grid: Grid, y: np.ndarray, noise_variance: np.ndarray | None = None) -> Kernel:
@@ -104,7 +98,6 @@ def fit_kernel(
     start: Kernel,
     *,
     longest: float | np.ndarray = LENGTH_BOUNDS[1],
-    times: np.ndarray | None = None,
 ) -> KernelFit:
     """Fit length scales, signal and noise variances by maximum likelihood.
 
@@ -116,8 +109,6 @@ def fit_kernel(
         Where the search begins; its length scales and four times them are tried.
     longest : float or ndarray, shape (D,)
         Upper bound of the length scales, in cell edges; `longest_scale` has those that sets are trained with.
-    times : ndarray, shape (N,), optional
-        Of the labels, ascending [s]. With them, errors may last from label to label, see below.
 
     Raises
     ------
@@ -130,63 +121,40 @@ def fit_kernel(
     outputs, with length scales in common (Rasmussen and Williams, Gaussian processes for machine learning, 2006,
     eq. 5.8 and 5.9). Labels rather than the points a set keeps, and blocks of 60 rather than of 200, scored best
     on held-out time over several recordings (docs/decisions/0010).
-
-    What features cannot tell is not white: a lag of the car leaves an error that lasts for several labels. Labels
-    of one transient are neighbours in the features too, so a likelihood with white noise takes such an error for
-    a function of the features, with length scales that are too short and a noise that is too small. With `times`
-    the covariance of an output has a third part, c^2 exp(-|t - t'|/tau), tau in common (Rasmussen and Williams,
-    section 2.7, for correlated residuals; the exponential is the first-order process of eq. B.31). It counts as
-    noise of the kernel that is returned.
     """
     from split_cli.learning._compiled import blocks_likelihood
 
-    z, y, t, blocks = _blocks_to_fit(z, y, grid, times)
+    z, y, blocks = _blocks_to_fit(z, y, grid)
     rows = np.concatenate(blocks)
     offsets = np.concatenate([[0], np.cumsum([len(block) for block in blocks])])
-    z_blocks, t_blocks, y_blocks, points = z[rows], t[rows], y[rows], len(rows)
+    z_blocks, y_blocks, points = z[rows], y[rows], len(rows)
     mean_square = np.maximum(np.mean(np.square(y), axis=0), 1e-12)
     low, high = _bounds(grid, mean_square, longest)
-    interval = float(np.median(np.diff(t)))
-    if times is not None:
-        low, high = (
-            np.concatenate([bound, np.log(mean_square * noise), [np.log(interval * memory)]])
-            for bound, noise, memory in zip((low, high), NOISE_BOUNDS, MEMORY_BOUNDS, strict=True)
-        )
 
     def objective(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        value, gradient = blocks_likelihood(z_blocks, t_blocks, y_blocks, offsets, *_parts(theta, dimension))
+        value, gradient = blocks_likelihood(z_blocks, y_blocks, offsets, *_split(theta))
         if not np.isfinite(value):  # K does not factor, with noise of 1e-16 of the signal: a wall
             return 1e25, np.zeros_like(theta)
-        return value / points, gradient[: len(theta)] / points
+        return value / points, gradient / points
 
     dimension = z.shape[1]
-    lasting_from = interval if times is not None else None
-    found = _searched(objective, [_begin(start, one, lasting_from) for one in (1.0, 4.0)], low, high)
+    begins = [
+        _pack(Kernel(factor * start.length_scales, start.signal_variance, start.noise_variance))
+        for factor in (1.0, 4.0)
+    ]
+    found = _searched(objective, begins, low, high)
     best = min(found, key=lambda one: float(one.fun))
     at_low, at_high = (np.isclose(best.x, bound, atol=1e-6) for bound in (low, high))
     # A lower bound was asked for: neither the labels nor the search are at fault.
     at_high[:dimension] &= np.asarray(longest) >= LENGTH_BOUNDS[1]
-    scales, signal, white, lasting, memory = _parts(best.x, dimension)
     return KernelFit(
-        kernel=Kernel(scales, signal, white + lasting, origin="fitted"),
+        kernel=Kernel(*_split(best.x), origin="fitted"),
         negative_log_likelihood=float(best.fun) / len(OUTPUTS),
         points=points,
         blocks=len(blocks),
         evaluations=sum(int(one.nfev) for one in found),
         at_bound=_names_of(at_low | at_high, dimension),
-        lasting_variance=lasting,
-        memory=memory if times is not None else 0.0,
     )
-
-
-def _begin(start: Kernel, factor: float, interval: float | None) -> np.ndarray:
-    """Return where a search begins; with an interval between labels [s], half of the noise lasts."""
-    share = 1.0 if interval is None else 0.5
-    begin = _pack(Kernel(factor * start.length_scales, start.signal_variance, share * start.noise_variance))
-    if interval is None:
-        return begin
-    middle = interval * np.sqrt(np.prod(MEMORY_BOUNDS))
-    return np.concatenate([begin, np.log(0.5 * start.noise_variance), [np.log(middle)]])
 
 
 def _searched(
@@ -206,20 +174,17 @@ def _searched(
     ]
 
 
-def _blocks_to_fit(
-    z: np.ndarray, y: np.ndarray, grid: Grid, times: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Return labels within the grid, thinned, with times or their numbers, and the rows of each block."""
+def _blocks_to_fit(z: np.ndarray, y: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Return labels within the grid, thinned, and the rows of each block."""
     inside = grid.index(z)[1]
     z, y = z[inside], y[inside]
-    t = np.arange(float(len(z))) if times is None else times[inside]
     if len(z) < FEWEST_TO_FIT:
         what = f"{len(z)} valid labels are too few to fit hyperparameters to, {FEWEST_TO_FIT} are needed"
         raise SetError(what, advice="Use --hyperparameters default.")
     thinned = labels_to_fit(len(z))
-    z, y, t = z[thinned], y[thinned], t[thinned]
+    z, y = z[thinned], y[thinned]
     blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)
-    return z, y, t, [blocks[i] for i in _evenly(len(blocks), MAXIMUM_BLOCKS)]
+    return z, y, [blocks[i] for i in _evenly(len(blocks), MAXIMUM_BLOCKS)]
 
 
 def labels_to_fit(count: int) -> np.ndarray:
@@ -257,10 +222,10 @@ def longest_scale(features: FeatureSet, grid: Grid, z: np.ndarray) -> np.ndarray
 
 
 def _names_of(on_bound: np.ndarray, dimension: int) -> tuple[str, ...]:
-    """Return the parameters on a bound; a part of the noise that is not there ends there, and none is wrong."""
+    """Return the names of the parameters on a bound."""
     names = [f"length scale {i + 1}" for i in range(dimension)]
     names += [f"{what} of {output}" for what in ("signal", "noise") for output in OUTPUTS]
-    return tuple(name for name, on in zip(names, on_bound, strict=False) if on)
+    return tuple(name for name, on in zip(names, on_bound, strict=True) if on)
 
 
 def _bounds(grid: Grid, mean_square: np.ndarray, longest: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -287,14 +252,6 @@ def _split(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     values = np.exp(theta)
     dimension = len(theta) - 2 * len(OUTPUTS)
     return values[:dimension], values[dimension : dimension + 3], values[dimension + 3 :]
-
-
-def _parts(theta: np.ndarray, dimension: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return length scales, signal, white and lasting variances, and the memory; 0 and 1 where nothing lasts."""
-    values, ends = np.exp(theta), dimension + len(OUTPUTS) * np.arange(4)
-    parts = tuple(values[begin:end] for begin, end in zip(ends[:-1], ends[1:], strict=True))
-    lasting = parts[2] if len(theta) > ends[2] else np.zeros(len(OUTPUTS))
-    return values[:dimension], parts[0], parts[1], lasting, float(values[-1]) if len(theta) > ends[2] else 1.0
 
 
 def neighbour_blocks(index: np.ndarray, most: int) -> list[np.ndarray]:

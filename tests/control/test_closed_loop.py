@@ -413,7 +413,7 @@ def test_learners_are_compared_in_one_report(tmp_path):
     done = invoke(
         "race", "--vehicle", CAR, "--track", str(ring(tmp_path)), "--laps", "0", "--max-speed", "10",
         "--learner", "none", "--learner", "split", "--report", str(report), "--json",
-        "--hyperparameters", "fit-lasting", "--features", "z2",
+        "--features", "z2",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     (first,), (second,) = (result["laps"] for result in json.loads(done.stdout))

@@ -84,11 +84,6 @@ def _rivals_and_roads() -> list[Experiment]:
     options = {"laps": 3, "features": memory, "predictor": "projected", **_SMALL}
     found.append(_race("memory", "split", 0, "physics", model="split physics memory", **options))
     found += _with_the_past()
-    # The kernel fitted with errors that last over several labels, as a lag leaves them.
-    for seed in _SEEDS:
-        for group, track in (*_TRACKS.items(), ("wet", _WET)):
-            options = {"laps": 3, "hyperparameters": "fit-lasting", **track}
-            found.append(_race(f"lasting-{group}", "split", seed, model="split lasting", **options))
     # v_x as a fourth feature: what hangs on the speed.
     features = "alpha_f,alpha_r,torque_ratio,vx"
     found.append(_race("feature", "split", 0, model="split vx", laps=3, features=features, **_SMALL))

@@ -20,7 +20,7 @@ from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.prediction import PREDICTORS
 from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
 from split_cli.workflows.racing.closed_loop import path_of
-from split_cli.workflows.racing.settings import AUTO, FITS, LEARNERS, RaceSettings
+from split_cli.workflows.racing.settings import AUTO, LEARNERS, RaceSettings
 
 LARGEST_LABEL = 30.0
 """Three times gravity [m/s^2]: no tyre force, and so no model of one, is wrong by more."""
@@ -46,7 +46,7 @@ def check_settings(settings: RaceSettings) -> None:
         raise SplitError(what, where="--laps")
     _check_numbers(settings)
     features = parse_features(settings.candidates[-1])
-    if settings.hyperparameters not in (*FITS, "default"):
+    if settings.hyperparameters not in ("fit", "default"):
         read_kernel(settings.hyperparameters, features)
     check_predictor(settings.predictor, features if settings.learner == "split" else None)
     if settings.start_set is not None:

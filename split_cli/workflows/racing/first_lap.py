@@ -20,7 +20,7 @@ from split_cli.learning.region import Grid, build_grid
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
-from split_cli.workflows.racing.settings import FITS, RaceSettings, predictor_for
+from split_cli.workflows.racing.settings import RaceSettings, predictor_for
 
 PAST_TERM = EffectSpec("feature_lag", {"tau": PAST})
 """The term whose states are the recent past of z2; no force depends on it."""
@@ -70,15 +70,14 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
     start = default_kernel(grid, labels.y[good], scatter_variance(labels))
     if asked == "default":
         return start
-    if asked not in FITS:
+    if asked != "fit":
         return read_kernel(asked, labels.features)
     if np.count_nonzero(good) < FEWEST_TO_FIT:
         notes.append(
             f"lap 0 has {np.count_nonzero(good)} valid labels, too few to fit a kernel; the default kernel is used"
         )
         return start
-    times = labels.t[good] if asked == "fit-lasting" else None
-    return fit_kernel(labels.z[good], labels.y[good], grid, start, times=times).kernel
+    return fit_kernel(labels.z[good], labels.y[good], grid, start).kernel
 
 
 def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:

@@ -10,8 +10,6 @@ from split_cli.learning.features import FeatureSet
 
 LEARNERS = ("none", "iol", "split")
 
-FITS = ("fit", "fit-lasting")
-
 AUTO = "auto"
 
 CANDIDATES = ("z2", "z2,feature_lag")
@@ -41,9 +39,7 @@ class RaceSettings:
     # Evaluates the set; ``bcm`` and ``projected`` follow every update of a learner, others are built anew after
     # each lap. ``auto`` is ``bcm`` for three features, ``projected`` for more.
     predictor: str = AUTO
-    # ``fit`` (to lap 0), ``fit-lasting`` (the same with errors that last from label to label, see `fit_kernel`),
-    # ``default``, or a kernel's YAML.
-    hyperparameters: str = "fit"
+    hyperparameters: str = "fit"  # ``fit`` (to lap 0), ``default``, or a kernel's YAML
     width: float | None = None  # of the car's body [m]
     # Count updates of the dictionary as costly as the papers print them; see `IolLearner`.
     printed_iol: bool = True
@@ -72,7 +68,7 @@ class RaceSettings:
         if self.features != AUTO:
             return (self.features,)
         # A kernel's file belongs to one set of features, and a table has three.
-        free = self.learner != "none" and self.hyperparameters in (*FITS, "default") and self.predictor != "table"
+        free = self.learner != "none" and self.hyperparameters in ("fit", "default") and self.predictor != "table"
         return CANDIDATES if free else CANDIDATES[:1]
 
 
