@@ -4,9 +4,9 @@ It has been there if it was asked for the same, or if it moved the same. A steer
 is turned, take every turn away from where the simulation was asked to be, and the car still moves as it did. A
 torque that is scaled does so on every straight, and the tyres still slip as they did and push as they did.
 
-But where axles push harder than they ever did, slips say nothing of what the simulation knows. With a vehicle file
-whose tyres are too soft, or a velocity beside its zero, a hard turn to one side has the slips of a gentle one to
-the other.
+But where axles push harder to a side than they ever did, slips say nothing of what the simulation knows. With a
+vehicle file whose tyres are too soft, or a velocity beside its zero, a hard turn to one side has the slips of a
+gentle one to the other.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,6 @@ from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.screening import SMOOTHED_SECONDS
 from split_cli.diagnosis.recording.series import extended_model
-
-_RARE = 0.005  # [1] share of the simulation's rows that may push harder than what counts as its range, to one side
 
 
 def comparable(
@@ -50,7 +48,7 @@ def comparable(
     believed = [evidence.weight > 0.0 for evidence in simulated]
     there = np.concatenate([asked(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
     moved = np.concatenate([_forces(evidence)[rows] for evidence, rows in zip(simulated, believed, strict=True)])
-    scale = np.maximum(np.quantile(np.abs(moved), 1.0 - _RARE, axis=0), 1e-9)
+    scale = np.maximum(np.quantile(np.abs(moved), 0.995, axis=0), 1e-9)
     scale[3] = discrepancy.width[3]
     wanted, mine = asked(one), _forces(one)
     # Nearer the tyres' limit the same motion may come of other slips, and a row nearby proves nothing.
@@ -62,7 +60,7 @@ def comparable(
     )
     return (
         usable
-        & _within(mine / scale, moved / scale, reach)
+        & _within(*((rows / scale)[:, :2] for rows in (mine, moved)), reach)
         & (
             _near(wanted, there, reach)
             | (sure & _near(mine / scale, moved / scale, reach))
@@ -72,9 +70,9 @@ def comparable(
 
 
 def _within(forces: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
-    """Return which forces (N, 4) are no further than `reach` beyond those that others (M, 4) go to, shape (N,)."""
-    low, high = np.quantile(others[:, :3], [_RARE, 1.0 - _RARE], axis=0)
-    return np.all((forces[:, :3] > low - reach) & (forces[:, :3] < high + reach), axis=1)
+    """Return which lateral forces (N, 2) are no further than `reach` beyond those of others (M, 2), shape (N,)."""
+    low, high = others.min(axis=0) - reach, others.max(axis=0) + reach
+    return np.all((forces > low) & (forces < high), axis=1)
 
 
 def _near(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
