@@ -39,8 +39,11 @@ def observation() -> casadi.Function:
         products.append(
             casadi.exp(-h / MEMORY) * trust[15 + 16 * state : 31 + 16 * state] + casadi.vec(row @ row.T)
         )
-    normal = casadi.SX.zeros(4, 4)
+    normal, harms = casadi.SX.zeros(4, 4), casadi.SX(0.0)
     for own in products:
+        beside = casadi.reshape(own, 4, 4)[:3, :]
+        gained = 2.0 * casadi.sum1(beside[:, 3]) - casadi.sum1(casadi.vec(beside[:, :3]))
+        harms = casadi.if_else(gained >= 0.0, harms, 1.0)
         weight = casadi.if_else(own[15] > 0.0, 1.0 / own[15], 0.0)
         normal += weight * casadi.reshape(own, 4, 4)
     share = [trust[k] for k in range(3)]
@@ -54,7 +57,7 @@ def observation() -> casadi.Function:
     for j in range(3):
         gain = share[j] ** 2 * normal[j, j]
         doubt = casadi.if_else(gain > 0.0, (1.0 - share[j]) * (2.0 * SPAN / MEMORY) * left / gain, 1.0)
-        share[j] *= casadi.fmax(1.0 - doubt, 0.0)
+        share[j] = casadi.if_else(harms > 0.5, share[j] * casadi.fmax(1.0 - doubt, 0.0), 1.0)
     following = casadi.vertcat(*share, casadi.vec(driven.T), *products)
     kept = casadi.vertcat(trust[:3], casadi.SX.zeros(12), trust[15:])
     # What is no finite number is not below this.

@@ -28,10 +28,13 @@ class RunningTrust:
     Attributes
     ----------
     share : ndarray, shape (3,)
-        What the driving so far supports [1]; 0 before anything was observed.
+        What the driving so far supports [1]; `most` before anything was observed.
 
     Notes
     -----
+    The stored trust holds as long as no state's errors, as below, are larger with it than without any correction.
+    Otherwise the share is found from the driving alone.
+
     An observer runs beside the car on the nominal model, pulled towards the measured velocities with the time
     constant `span`. Its error e, and the change D of it by each output's whole correction, follow
 
@@ -61,7 +64,7 @@ class RunningTrust:
         self._alone = 2.0 * span / memory  # share of one independent error in all that is remembered
         self._driven = np.zeros((3, 4))  # D and e, a row a state
         self._products = np.zeros((3, 4, 4))  # sums of their products, a state each
-        self.share = np.zeros(3)
+        self.share = self.most.copy()
 
     @property
     def numbers(self) -> np.ndarray:
@@ -98,6 +101,10 @@ class RunningTrust:
         self._products *= self._remembered
         self._products += driven[:, :, None] * driven[:, None, :]
         errors = self._products[:, 3, 3]
+        beside = self._products[:, 3, :3] * 2.0 - self._products[:, :3, :3] @ self.most
+        if (beside @ self.most >= 0.0).all():
+            self.share = self.most.copy()
+            return self.share
         weight = np.divide(1.0, errors, out=np.zeros(3), where=errors > 0.0)
         normal = np.einsum("s,sij->ij", weight, self._products)
         share = self.share.copy()

@@ -69,7 +69,7 @@ class ProcessState:
 
 
 def open_share(
-    c: np.ndarray, lower: np.ndarray, spread: np.ndarray, absent: np.ndarray, threshold: float
+    c: np.ndarray, lower: np.ndarray, spread: np.ndarray, absent: np.ndarray, threshold: float | np.ndarray
 ) -> np.ndarray:
     """Return the variance over the signal variance of queries with correlations `c` (N, U), shape (N, 3).
 

@@ -33,9 +33,10 @@ class FollowedPredictor(Predictor):
         self._known, self._shares = _shares_along(self.inner, held)
 
     def shares(self, rows: np.ndarray) -> np.ndarray:
-        """Return the running trust at rows of the drive, shape (N, 3); 0 before its first interval has ended."""
+        """Return the running trust at rows of the drive, (N, 3); the stored one until its first interval ends."""
         last = np.searchsorted(self._known, rows, side="right") - 1
-        return np.where((last >= 0)[:, None], self._shares[last], 0.0)
+        found: np.ndarray = self._shares[last]
+        return found
 
     def beginning(self, rows: np.ndarray) -> TrustedPredictor:
         """Return what answers queries of as many predictions as there are rows, each begun at its row."""
@@ -65,8 +66,11 @@ def _transition(model: SingleTrack, windows: Windows, velocity: np.ndarray, jaco
 def _shares_along(inner: Predictor, held: HeldOutSamples) -> tuple[np.ndarray, np.ndarray]:
     """Return rows of the drive, ascending, and the shares that are known from each of them on, (N, 3)."""
     labels = held.labels.take(held.tested)
-    known, shares = labels.row + labels.window, np.zeros((len(labels) + 1, 3))  # the last is for no row at all
     trust = RunningTrust(inner.training_set.trust.share, labels.horizon)
+    known, shares = (
+        labels.row + labels.window,
+        np.tile(trust.share, (len(labels) + 1, 1)),
+    )  # the last is for no row
     model, driven_to = SingleTrack(inner.training_set.vehicle), -1
     for span, piece in pieces(model, held.drive, labels.row, labels.window):
         rows = labels.row[span] - piece.first

@@ -233,7 +233,7 @@ int main(void)
 {
     car_real x[CAR_STATES], A[CAR_STATES * CAR_STATES], B[CAR_STATES * CAR_INPUTS];
     car_real y[CAR_STATES], f[CAR_CONTINUOUS_STATES], a[2];
-    car_trust trust = {{0}, {0}, {0}};
+    car_trust trust = {{1, 1, 1}, {0}, {0}};
     double value, torque, angle, s = 3.0, t = 3.0;
     for (int i = 0; i < 8; ++i) {
         if (scanf("%lf", &value) != 1) {

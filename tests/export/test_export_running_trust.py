@@ -52,11 +52,11 @@ def stepped(car: Exported, x: np.ndarray, u: np.ndarray, share: np.ndarray) -> n
 def test_c_and_casadi_have_the_trust_of_python_and_find_a_planted_share(exported):
     predict = committee(build_tables(exported.training_set), "car")
     trusted, observe = trust_functions(predict, exported.graph, "car", plain=False)
-    in_casadi = np.zeros(TRUST_SIZE)
-    planted = np.array([0.6, 0.3, 0.8])
+    in_casadi = np.concatenate([np.ones(3), np.zeros(TRUST_SIZE - 3)])
+    planted = np.array([0.2, 0.3, 0.8])  # all of the correction makes v_x worse than none of it
     x, commands, t, s = manoeuvre(steps=120)
     substeps = casadi_substeps(exported.graph)  # as CasADi's observer takes, so that both differ by rounding alone
-    x, trust, python = exported.start(x, t[0], s[0]), np.zeros(63), RunningTrust(np.ones(3), STEP)
+    x, trust, python = exported.start(x, t[0], s[0]), in_casadi.copy(), RunningTrust(np.ones(3), STEP)
     for k in range(120):
         u = np.ascontiguousarray((commands[k + 1] - commands[k]) / STEP)
         after = stepped(exported, x, u, planted)
