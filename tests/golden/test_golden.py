@@ -31,7 +31,7 @@ DIGESTS = {
     "comparison-1/report.html": "83adb4c3aa7476a3",
     "drives-1/drive-1.parquet": "77a8e5e93f5a093e",
     "drives-1/ingest-manifest.json": "f2ebc40d3f09ea4d",
-    "evaluation-1.json": "c6b434d626a16658",
+    "evaluation-1.json": "5110cc82b9ac63db",
     "set-1.split": "019d28a0b943926e",
     "diagnosis-1/diagnosis.json": "3b98fce866f88d7a",
     "diagnosis-1/vehicle_corrected.yaml": "41994c61d4d9a739",
