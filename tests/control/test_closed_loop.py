@@ -15,6 +15,7 @@ from split_cli.cli.main import group
 from split_cli.control.learner import settling_time
 from split_cli.control.limits import first_share
 from split_cli.control.policy import FIRST_DEVIATION, MARGIN, SETTLED, SIZE
+from split_cli.control.residual import NoResidual
 from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
 from split_cli.learning.features import parse_features
 from split_cli.learning.training_set import read_set
@@ -291,6 +292,22 @@ def test_the_margin_may_fall_to_the_share_of_the_error_that_a_model_left():
     assert next_deviation(0.8, 0.1, found * 0.8) == pytest.approx(0.24, abs=0.02)
     assert next_deviation(0.8, 0.5, found * 0.8) == 0.5
     assert next_deviation(0.2, 0.0, share_left(after, after, noise) * 0.8) == pytest.approx(0.16)
+
+
+def test_the_margin_falls_by_a_fifth_where_no_learned_model_has_left_an_error():
+    race = Race(RaceSettings(grip=0.5, assumed_friction=0.5), read_vehicle(CAR), None, lambda text: None)
+    race.header = blank_header(race.vehicle, race.features, race.mpcc)
+    # The told grip alone takes away half of the file's error, and nothing was learned.
+    race.laps = [SimpleNamespace(error_before=(0.4, 0.77, 0.2), error_after=(0.4, 0.4, 0.16))]
+    race.learner = SimpleNamespace(residual=NoResidual())
+    assert race._error_allows() == np.inf
+    race.learner = SimpleNamespace(residual=None)
+    race.header = replace(race.header, kernel=replace(race.header.kernel, noise_variance=np.full(3, 0.01)))
+    share = np.sqrt((0.16**2 - 0.01) / (0.2**2 - 0.01))
+    assert race._error_allows() == pytest.approx(share * FIRST_DEVIATION)
+    # The header of an export is blank: its kernel says nothing of the labels' noise.
+    race.exported = SimpleNamespace()
+    assert race._error_allows() == np.inf
 
 
 def test_commands_matter_as_long_as_delays_and_lags_last_and_a_lag_of_no_time_takes_none():

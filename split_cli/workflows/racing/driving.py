@@ -25,6 +25,7 @@ from split_cli.control.policy import (
     TORQUE_RATE,
 )
 from split_cli.control.receding_horizon import Actuators, ControllerLost, StepInfo
+from split_cli.control.residual import NoResidual
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
 from split_cli.learning.features import parse_features
@@ -347,10 +348,10 @@ class Race:
         """Return the deviation that an error as that of the last lap asks for at most [m].
 
         The first deviation is that of the nominal model's error, and errors of position go in proportion. Infinity
-        where the error is not asked, or no model but the nominal one drove.
+        where the error is not asked, nothing was learned before, or no kernel tells the noise: an export has none.
         """
-        lap = self.laps[-1]
-        if not self.settings.margin_by_error or lap.error_after == lap.error_before or self.ended:
+        lap, unlearned = self.laps[-1], isinstance(self.learner.residual, NoResidual)
+        if not self.settings.margin_by_error or unlearned or self.exported is not None or self.ended:
             return np.inf
         noise = np.sqrt(self.header.kernel.noise_variance)
         return self.deviation * share_left(np.array(lap.error_before), np.array(lap.error_after), noise)
