@@ -12,7 +12,7 @@ from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive, write_table
+from tests.logs.planted import UNITS, PlantedDrive, write_table
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +145,23 @@ def test_rows_that_begin_with_the_name_of_a_message_are_told_how_they_become_tab
     (tmp_path / "rover.log").write_text("\n".join(rows))
     with pytest.raises(SplitError, match="mavlogdump.*--together"):
         init_project([tmp_path / "rover.log"], tmp_path / "car")
+
+
+def test_a_car_that_drives_backwards_is_told_and_no_position_is_blamed(planted, tmp_path):
+    """Its axes turned by half a turn, the same motion is a car that reverses: the sign of X had been blamed."""
+    t = np.arange(0.0, 40.0, 0.02)
+    ahead = {c: planted.at(c, t) for c in ("X", "Y", "yaw", "vx", "r", "ax", "ay")}
+    back = ahead | {c: -ahead[c] for c in ("vx", "ax", "ay")} | {"yaw": ahead["yaw"] + np.pi}
+
+    def drafted(columns):
+        table = {"time [s]": t, **{f"{c} [{UNITS[c]}]": values for c, values in columns.items()}}
+        write_table(tmp_path / "log.csv", table)
+        return draft_map(open_recording(tmp_path / "log.csv"))
+
+    seen = drafted(back)
+    assert "drives backwards" in seen.of("X").reason and seen.of("vx").status == "judged"
+    few = drafted({c: back[c] for c in ("X", "Y", "yaw", "vx", "r")})
+    assert few.of("vx").status == "open" and "or the car drives backwards" in few.of("vx").reason
+    assert few.of("X").status == "unsided" and few.of("X").scale == few.of("vx").scale == 1.0
+    # The accelerations of a car that drives ahead tell a speed of the wrong sign from one of driving backwards.
+    assert drafted(ahead | {"vx": -ahead["vx"]}).of("vx").scale == -1.0

@@ -40,6 +40,10 @@ class Mistake:
 
 
 _SIGNS = {
+    "vx": (
+        "has the opposite sign, or the car drives backwards",
+        "use `scale: -1` if it drove ahead; driving backwards is not modelled",
+    ),
     "r": ("is left-handed (clockwise positive)", "use `scale: -1` or `frame: frd` for it"),
     "yaw": ("is clockwise positive", "use `scale: -1` for it"),
     "delta": ("is right-positive", "use `scale: -1` or `frame: frd` for it"),
@@ -63,6 +67,8 @@ _RADIUS_RATIOS = (0.7, 1.4)
 def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
     """Return the mistakes that a channel may carry; `vehicle` gives the wheel radius that rad/s depends on."""
     known = [Mistake(channel, 1.0, 1.0, True, *_SIGNS.get(channel, ("has the opposite sign", "use `scale: -1`")))]
+    if channel == "X":
+        known = []  # a speed over ground has no sign, and the order of X and Y is the hand's
     if channel in ("r", "yaw", "delta"):
         per_second = "/s" if channel == "r" else ""
         known += _unit(channel, DEGREES, f"deg{per_second}", turned=True)

@@ -171,11 +171,14 @@ def _unexplained(leaf: Leaf, alternative: str) -> ConsistencyFinding:
     moved = abs(leaf.left / slope.slope - 1.0) > 0.02
     corrected = f", {leaf.left:.4g} with what else was found corrected" if moved else ""
     measured, _, expected = relation.name.partition(" against ")
+    cause = "No usual mistake of unit or sign explains that."
+    if {"vx", "X"} <= set(relation.powers) and leaf.left < 0.0:
+        cause = "The car drives backwards, if v_x is right: that is not modelled, leave it out with --cut."
     return ConsistencyFinding(
         "scale" if leaf.left > 0 else "sign",
         "X" if relation.leaf == "hand" else relation.leaf,
         f"{measured} is {slope.slope:.4g} +- {slope.error:.1g} times {expected} "
-        f"(correlation {slope.correlation:.3f}{corrected}). No usual mistake of unit or sign explains that. "
+        f"(correlation {slope.correlation:.3f}{corrected}). {cause} "
         f"Check the scale of {' and '.join(_name(c) for c in relation.powers)}.{alternative}",
         slope.slope,
         slope.error,

@@ -40,7 +40,7 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
             if channel == "hand":
                 chosen = _other_hand(chosen, trial)
                 changed = True
-            elif channel in chosen:
+            elif channel in chosen and not (channel == "vx" and factor == -1.0 and _may_reverse(verdict)):
                 better = _corrected(chosen[channel], factor)
                 if channel == "yaw" and factor < 0.0 and is_heading(better, trial.signals):
                     better = _as_compass(better)
@@ -68,6 +68,12 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
             break
         verdict = trial.judge(chosen)
     return chosen, verdict
+
+
+def _may_reverse(verdict: Consistency) -> bool:
+    """Whether only the speed of a path contradicts the sign of v_x: then the car may have driven backwards."""
+    others = [r for r in verdict.relations if "vx" in r.powers and "X" not in r.powers]
+    return not any(r.slope.slope < 0.0 for r in others)
 
 
 def _as_compass(yaw: Suggestion) -> Suggestion:
