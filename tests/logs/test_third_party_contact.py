@@ -7,6 +7,7 @@ import yaml
 from scipy.io import savemat
 
 from split_cli.errors import LogError, SplitError
+from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
@@ -165,3 +166,18 @@ def test_a_car_that_drives_backwards_is_told_and_no_position_is_blamed(planted, 
     assert few.of("X").status == "unsided" and few.of("X").scale == few.of("vx").scale == 1.0
     # The accelerations of a car that drives ahead tell a speed of the wrong sign from one of driving backwards.
     assert drafted(ahead | {"vx": -ahead["vx"]}).of("vx").scale == -1.0
+
+
+def test_the_next_step_of_a_slow_log_names_the_gap_that_ingest_asks_for(planted, tmp_path):
+    """The printed command had been refused, for want of --gap."""
+    for rate, gap in ((5.0, "--gap 0.5"), (10.0, None)):
+        t = np.arange(0.0, 40.0, 1.0 / rate)
+        table = {"time [s]": t, **{f"{c} [{UNITS[c]}]": planted.at(c, t) for c in ("vx", "vy", "r", "delta", "T")}}
+        write_table(tmp_path / f"at_{rate:.0f}.csv", table)
+        step = init_project([tmp_path / f"at_{rate:.0f}.csv"], tmp_path / f"car{rate:.0f}").next_steps[-1]
+        assert step.count("--gap") == (gap is not None) and (gap or "") in step
+    signal_map = map_from_mapping(yaml.safe_load((tmp_path / "car5" / "map.yaml").read_text()))
+    slow = open_recording(tmp_path / "at_5.csv")
+    with pytest.raises(LogError, match="--gap 0.5"):
+        assemble_drive(slow, signal_map, planted.vehicle)
+    assert len(assemble_drive(slow, signal_map, planted.vehicle, IngestSettings(gap=0.5)).drive) > 150

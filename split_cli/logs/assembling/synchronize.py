@@ -28,6 +28,8 @@ from split_cli.signals import CHANNELS
 SLOWEST_PERIOD = 0.125
 """Of a needed channel that is bridged over two and a half samples unasked [s]: 10 Hz, the rate of satellite
 receivers and of many loggers, with a quarter for jitter. What is slower misses the car's own motion."""
+BRIDGED_SAMPLES = 2.5
+"""Over which such a channel is bridged [1]: one lost sample, with a quarter of a step for jitter."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Channels:
             return max(self.gap, 5.0 * period, whole)
         if channel in self.needed and not (self.widened and period <= SLOWEST_PERIOD):
             return self.gap
-        return max(self.gap, 2.5 * period)
+        return max(self.gap, BRIDGED_SAMPLES * period)
 
     def bridged(self) -> list[str]:
         """Return in words which needed channels come so slowly that more than the gap is bridged."""
@@ -172,7 +174,7 @@ def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Sample
             if mode != "held":
                 if part.period > gap:
                     what = f"{channel} comes every {part.period:.3g} s, longer than the gap of {gap:g} s"
-                    advice = f"Set --gap {2.5 * part.period:.2g} to interpolate it."
+                    advice = f"Set --gap {BRIDGED_SAMPLES * part.period:.2g} to interpolate it."
                     raise LogError(what, where=part.source, advice=advice)
                 slowest = max(slowest, _true_period(part, gap))
             reach = gap if mode == "held" else 0.0

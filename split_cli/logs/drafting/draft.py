@@ -63,6 +63,7 @@ class Draft:
     # What the vertical axis of the accelerometer tells of left and right, where nothing else does.
     by_gravity: str = ""
     presets: tuple[str, ...] = ()  # whose sources are all recorded
+    gap: float = 0.0  # what --gap must be for a motion so slowly recorded that ingest refuses it [s]; else 0
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""

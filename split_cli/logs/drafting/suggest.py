@@ -130,7 +130,8 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     still = {name for s in left_out if s.never_changes for name in s.sources}
     presets = fitting_presets(recording, still)
     whole = (*suggestions, *dict.fromkeys(opened))
-    return Draft(whole, line, unused, tuple(undefined), left_by, hints, by_gravity, presets)
+    gap = trial.gap(mapped) if trial.time_is_known else 0.0
+    return Draft(whole, line, unused, tuple(undefined), left_by, hints, by_gravity, presets, gap)
 
 
 def _usable(

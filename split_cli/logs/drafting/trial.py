@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.logs.assembling.clean import clock_resets, isolated_spikes
+from split_cli.logs.assembling.synchronize import BRIDGED_SAMPLES, SLOWEST_PERIOD
 from split_cli.logs.assembling.transform import local_tangent_plane, signed, yaw_from_quaternion
 from split_cli.logs.checking.checks import LEAST_CORRELATION, NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
@@ -257,6 +258,13 @@ class Trial:
                 self._step(chosen[channel]) for channel in ("X", "yaw") if channel in used and channel in chosen
             ]
             return check_consistency(drive, self.vehicle, kinds, certain, max(steps, default=0.0))
+
+    def gap(self, chosen: Mapping[str, Suggestion]) -> float:
+        """Return the ``--gap`` [s] that the motion of a choice needs, or the pose that gives it; 0 if none."""
+        motion = [s for c, s in chosen.items() if c in ("vx", "vy", "r")]
+        motion = motion if "vx" in chosen else [*motion, *(s for c, s in chosen.items() if c in ("X", "Y", "yaw"))]
+        slowest = max((self._step(s) for s in motion), default=0.0)
+        return BRIDGED_SAMPLES * slowest if slowest > SLOWEST_PERIOD else 0.0
 
     def _step(self, s: Suggestion) -> float:
         """Return the usual step between two samples of a suggestion [s]."""

@@ -91,6 +91,7 @@ class InitResult:
         result = "drives" if self.several else "drive.parquet"
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         derive = "".join(f" --derive {name}" for name in chosen)
+        derive += f" --gap {self.draft.gap:.2g}" if self.draft.gap else ""
         steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o {result}")
         return tuple(steps)
 
