@@ -475,6 +475,7 @@ def sha256_of_file(path: str | os.PathLike[str]) -> str:
         if not path.is_dir():
             with open_to_read(path) as stream:
                 return hashlib.file_digest(stream, "sha256").hexdigest()
+        os.scandir(path).close()  # what it may not list it would take for nothing
         digest = hashlib.sha256()
         for part in sorted(entry for entry in path.rglob("*") if entry.is_file()):
             digest.update(f"{part.relative_to(path).as_posix()}\0{sha256_of_file(part)}\n".encode())

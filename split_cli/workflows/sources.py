@@ -187,7 +187,7 @@ def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = Non
 
 
 def _files_below(folder: Path) -> Iterator[Path]:
-    if folder.is_dir() and not _is_bag(folder):
+    if folder.is_dir() and not _is_closed(folder) and not _is_bag(folder):
         for entry in folder.iterdir():
             if not entry.is_dir():
                 yield entry
@@ -228,7 +228,7 @@ def _in_folder(folder: Path, base: Path, suffixes: Sequence[str]) -> list[Source
         if entry.name.startswith("."):
             continue
         if entry.is_dir():
-            if _is_bag(entry):
+            if _is_closed(entry) or _is_bag(entry):
                 found.append(SourceFile(str(entry), _place(entry, base)))
             elif not entry.is_symlink():
                 found += _in_folder(entry, base, suffixes)
@@ -250,6 +250,11 @@ def _place(path: Path, base: Path) -> str:
 
 def _hidden(path: PurePath) -> bool:
     return any(part.startswith(".") for part in path.parts)
+
+
+def _is_closed(folder: Path) -> bool:
+    """Tell a folder that may not be read: one recording that cannot be read, for whoever goes on without it."""
+    return not os.access(folder, os.R_OK | os.X_OK)
 
 
 def _is_bag(path: Path) -> bool:

@@ -70,7 +70,7 @@ BASE = {
 KEEPS = ("demo", "prove generate", "prove recording", "prove identify")
 """Commands of many steps: what is stopped keeps what its finished steps wrote."""
 SOMEONE_ELSE = 65534
-_NO_CAPABILITIES = ((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)())  # what capset takes
+NO_CAPABILITIES = ((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)())  # what capset takes
 
 
 def hostile_runs(only: str = "") -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -205,7 +205,7 @@ def _become(work: Path, printed: Path, name: str, arguments: tuple[str, ...]) ->
     for number, target in enumerate((os.open(os.devnull, os.O_RDONLY), stream, stream)):
         os.dup2(target, number)
     if os.getuid() == 0:
-        ctypes.CDLL(None).capset(*_NO_CAPABILITIES)
+        ctypes.CDLL(None).capset(*NO_CAPABILITIES)
     code = 99
     try:
         main([*name.split(), *arguments])

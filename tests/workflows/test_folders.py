@@ -1,5 +1,6 @@
 """A folder, a glob or an address stands for its logs, and what is done is not done again."""
 
+import ctypes
 import json
 import os
 import shutil
@@ -26,6 +27,7 @@ from split_cli.workflows.sources import find_sources, left_alone
 from split_cli.workflows.training.train import train_set
 from tests.conftest import ROOT
 from tests.logs import readers_support as support
+from tests.studies.hostile import NO_CAPABILITIES, SOMEONE_ELSE
 
 CAR = ROOT / "sample_logs" / "road_car.yaml"
 
@@ -132,6 +134,27 @@ def test_one_bad_log_is_told_and_the_rest_is_there(archive, tmp_path):
     assert "File name too long" in str(run.failures[1].error)
     again = ingest_logs([archive], tmp_path / "drives", keep_going=True)
     assert len(again.unchanged) == 3 and len(again.failures) == 2
+
+
+def test_a_folder_that_may_not_be_read_is_one_log_that_failed(archive, tmp_path):
+    closed = archive / "closed"
+    closed.mkdir()
+    closed.chmod(0)
+    if os.getuid() == 0:
+        os.chown(closed, SOMEONE_ELSE, SOMEONE_ELSE)
+    child = os.fork()
+    if child == 0:
+        code = 99
+        try:
+            if os.getuid() == 0:  # who may read everything
+                ctypes.CDLL(None).capset(*NO_CAPABILITIES)
+            left_alone([archive])
+            run = ingest_logs([archive], tmp_path / "drives", keep_going=True)
+            told = [(one.log, "Permission denied" in str(one.error)) for one in run.failures]
+            code = 0 if told == [("closed", True)] and len(run.results) == 3 else 1
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_what_a_folder_holds_beside_recordings_is_told(tmp_path, capsys):
