@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
@@ -227,6 +227,9 @@ class _Held:
 
 def _on_cluster(client: Any, held: _Held, function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
     """Yield results in order with a bounded number of items under way, so that memory here does not grow."""
+    from distributed import KilledWorker
+    from distributed.comm import CommClosedError
+
     workers = max(len(client.scheduler_info(n_workers=-1)["workers"]), 1)
     waiting: list[Any] = []
     rest = iter(items)
@@ -242,7 +245,12 @@ def _on_cluster(client: Any, held: _Held, function: Callable[[Any], Any], items:
         hand_out()
     while waiting:
         future = waiting.pop(0)
-        result = future.result()
+        try:
+            result = future.result()
+        except (KilledWorker, CancelledError, CommClosedError) as error:
+            what = "a worker or the scheduler was ended from outside, or for lack of memory"
+            advice = "Look at its log, and begin again."
+            raise SplitError(what, where="--engine dask", advice=advice) from error
         future.release()
         hand_out()
         yield result

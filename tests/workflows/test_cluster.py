@@ -1,6 +1,7 @@
 """Commands on a real cluster: a scheduler and two worker processes give what one process gives, bit for bit."""
 
 import json
+import os
 from functools import partial
 from pathlib import Path
 
@@ -12,12 +13,15 @@ from split_cli.cli.main import group
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.parallel import distributing_by
 from split_cli.diagnosis.policy import STANDARD
+from split_cli.errors import SplitError
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.engine import open_engine
 from tests.factories import MissingForce, make_drive, road_car
 from tests.optional import needed
 
 needed("cloudpickle")
+dask = needed("dask")
 distributed = needed("distributed")
 
 
@@ -46,6 +50,13 @@ def run(*words: object) -> str:
     told = CliRunner().invoke(group, [str(word) for word in words])
     assert told.exit_code == 0, (told.output, told.exception)
     return told.stdout
+
+
+@pytest.mark.slow
+def test_workers_that_are_ended_are_told_in_one_line():
+    once = dask.config.set({"distributed.scheduler.allowed-failures": 0})
+    with once, open_engine("dask") as engine, pytest.raises(SplitError, match="ended from outside"):
+        list(engine.map(os._exit, [1, 1]))
 
 
 def ways(address: str) -> dict[str, tuple[object, ...]]:
