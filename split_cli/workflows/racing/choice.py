@@ -155,9 +155,9 @@ def _what_to_do(last: Lap, settings: RaceSettings, nominal_is_clean: bool) -> st
     if not nominal_is_clean:
         return errors  # what lap 0 asks for says the rest
     return (
-        f"{errors} Drive with --learner none, or keep a lap at more of the peak (-o lap0.parquet --laps 0 "
-        f"--learner none --p-ellipse-lap0 {SHARE_NOMINAL}) and let `split diagnose --real lap0.parquet` name what "
-        "the vehicle file lacks."
+        f"{errors} Drive with `--learner none`, or keep a lap at more of the peak (`-o lap0.parquet --laps 0 "
+        f"--learner none --p-ellipse-lap0 {SHARE_NOMINAL}`) and let `split diagnose --real lap0.parquet` name "
+        "what the vehicle file lacks."
     )
 
 
