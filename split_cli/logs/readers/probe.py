@@ -63,15 +63,14 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
                 env={**os.environ, **own},
                 check=False,
             )
-    except subprocess.TimeoutExpired as error:
-        raise _endless(path) from error
+    except subprocess.TimeoutExpired as error:  # it used less processor time than it may
+        what = (
+            f"was not read within {error.timeout:.0f} s, for other programs use the processor or the disk is slow"
+        )
+        raise LogError(what, where=path.name, advice="Try again when less runs beside it.") from error
     if -done.returncode in (signal.SIGXCPU, signal.SIGKILL):  # at the limit of processor time, soft and hard
-        raise _endless(path)
+        raise LogError("is damaged: reading it does not end", where=path.name, advice=_ADVICE)
     if done.returncode < 0 or any(name in done.stderr for name in _WITHOUT_MEMORY):
         died = done.returncode < 0
         what = "ends the program that reads it" if died else "takes more memory than its size allows"
         raise LogError(f"is damaged: it {what}", where=path.name, advice=_ADVICE)
-
-
-def _endless(path: Path) -> LogError:
-    return LogError("is damaged: reading it does not end", where=path.name, advice=_ADVICE)
