@@ -65,7 +65,7 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
             )
     except subprocess.TimeoutExpired as error:  # it used less processor time than it may
         what = (
-            f"was not read within {error.timeout:.0f} s, for other programs use the processor or the disk is slow"
+            f"was not read within {error.timeout:.0f} s: the processor is busy, or the disk is slow"
         )
         raise LogError(what, where=path.name, advice="Try again when less runs beside it.") from error
     if -done.returncode in (signal.SIGXCPU, signal.SIGKILL):  # at the limit of processor time, soft and hard
