@@ -107,6 +107,18 @@ def test_a_single_is_named_with_the_truth_inside_its_interval(answer):
     assert finding["gap_explained"] > 0.9
 
 
+def test_a_lag_longer_than_that_of_the_simulation_is_one_name():
+    """The vehicle file has neither lag. A lag behind the simulation's own would need a delay beside it."""
+    simulation, reality = (
+        recording(seed, CATALOGUE["steer_lag"]({"tau": tau}), runs=12) for seed, tau in ((181, 0.02), (182, 0.045))
+    )
+    found = verdict_of([reality], road_car(), [simulation], policy=SHORT)
+    (finding,) = found.findings
+    assert (finding.term, finding.variant) == ("steer_lag", "changed")
+    low, high = finding.parameters["tau"].interval_95
+    assert low <= 0.025 <= high and high - low < 0.02
+
+
 def test_the_command_prints_the_file_and_tells_a_mismatch_by_its_code(run):
     out, finished, shown = run
     assert finished.returncode == 3

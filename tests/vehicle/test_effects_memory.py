@@ -68,10 +68,31 @@ def test_play_keeps_still_until_pushed():
     np.testing.assert_allclose(y[-1], -0.8)  # pulled down
 
 
+@pytest.mark.parametrize("shared, tau", [(0.0, 0.06), (0.05, 0.06), (0.05, -0.03), (0.05, -0.08)])
+def test_a_changed_lag_is_the_command_and_the_difference_of_two_responses(shared, tau):
+    t = np.arange(600) * PERIOD
+    torque, delta = inputs(t)
+    clock = Recording.single(PERIOD, 600)
+
+    def arrived(*terms):
+        vx = np.full(600, 12.0)
+        flow = SingleTrack(CAR, terms).flow(vx, 0.0 * vx, 0.0 * vx, torque, delta, recording=clock)
+        return flow.delta
+
+    def response(tau):
+        return first_order_response(delta, 1.0 / tau, clock) if tau > 0.0 else delta
+
+    found = arrived(term("steer_lag", "changed", tau=tau, shared=shared))
+    np.testing.assert_allclose(found, delta + response(shared + tau) - response(shared), atol=1e-14)
+    if not shared:
+        np.testing.assert_allclose(found, arrived(term("steer_lag", tau=tau)), atol=1e-14)
+
+
 @pytest.mark.parametrize(
     "model",
     [
         term("steer_lag", tau=0.08),
+        term("drive_lag", "changed", tau=0.1, shared=0.05),
         term("drive_lag", tau=0.15),
         term("tire_relaxation", length=0.6),
         LATE_LOAD,

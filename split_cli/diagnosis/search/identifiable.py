@@ -108,9 +108,10 @@ def identifiable(
     bent; up to there it is a stiffness, which has a name and a range of its own. Without position, what a sound
     car does to a sensor is no fault of it. Where velocities were derived from position, no position tells of the
     frame that was tracked, and a simulation recorded with it has the same. Speed and yaw rate are out of scale
-    against a_y only where the simulation tells which scale that has: the roll of the body is part of it.
+    against a_y only where the simulation tells which scale that has: the roll of the body is part of it. A lag can
+    be longer than the simulation's only where there is one.
     """
-    lacking = set()
+    lacking = set() if simulated else {"simulation"}
     drives = [one.drive for one in real]
     if not all(drive.has_position for drive in drives):
         lacking.add("position")

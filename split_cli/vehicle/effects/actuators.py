@@ -1,6 +1,6 @@
 """Terms between command and car: what becomes of torque and steer angle on their way."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from split_cli.vehicle.effects.late import Delayed, Lagging
 from split_cli.vehicle.effects.search import Course, Range, Search
@@ -93,12 +93,12 @@ class DriveLag(Lagging):
 
     id = "drive_lag"
     in_every_car: ClassVar = True
-    variants: ClassVar = ("", "along")
+    variants: ClassVar = ("", "changed", "along")
     family = "along"
     needs: ClassVar = frozenset({"torque", "torque changes"})
     discrepancy: ClassVar = (("", "tau", 0.03), ("", "tau", 0.10))
     states = ("torque",)
-    state_units: ClassVar = {"torque": "N m"}
+    state_units: ClassVar = {"torque": "N m", "torque_shared": "N m"}
     mimics: ClassVar = (
         Mimic("drive_delay", "torque that changes slowly", "a torque step"),
         Mimic("sensor_delay", "steering that hardly changes", "a steer step"),
@@ -106,20 +106,25 @@ class DriveLag(Lagging):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        return f"torque builds up with a time constant of {amount(p['tau'], one_sided=True)}"
+        return f"torque builds up with a time constant {_constant(p, variant)}"
 
     def actuate(self, flow: Flow) -> None:
         """Let the torque follow its command."""
-        if not self.variant:
-            flow.T = self._arrived(flow)
+        if self.variant != "along":
+            flow.T = self.arrived(flow, "torque", flow.T)
 
     def external(self, flow: Flow) -> None:
         """Let the force along the car alone follow the command."""
         if self.variant == "along":
-            flow.force_x = flow.force_x + (self._arrived(flow) - flow.T) / flow.vehicle.wheel_radius
+            late = self.arrived(flow, "torque", flow.T) - flow.T
+            flow.force_x = flow.force_x + late / flow.vehicle.wheel_radius
 
-    def _arrived(self, flow: Flow) -> Any:
-        return self.first_order(flow, "torque", flow.T, self.rate)
+
+def _constant(p: Estimates, variant: str) -> str:
+    """Return what is said of a time constant, after "with a time constant"."""
+    if variant != "changed":
+        return f"of {amount(p['tau'], one_sided=True)}"
+    return f"{amount(p['tau'], more='longer', less='shorter')} than in the simulation, which lags as well"
 
 
 class SteerDelay(Delayed):
@@ -214,8 +219,9 @@ class SteerLag(Lagging):
     through_tires: ClassVar = True
     family = "steering"
     discrepancy: ClassVar = (("", "tau", 0.02), ("", "tau", 0.06))
+    variants: ClassVar = ("", "changed")
     states = ("angle",)
-    state_units: ClassVar = {"angle": "rad"}
+    state_units: ClassVar = {"angle": "rad", "angle_shared": "rad"}
     mimics: ClassVar = (
         Mimic("steer_delay", "steering below about 1 Hz", "a steer step, or fast slalom"),
         Mimic("sensor_delay", "torque that hardly changes, steering below about 1 Hz", "a torque step"),
@@ -224,11 +230,11 @@ class SteerLag(Lagging):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        return f"steering builds up with a time constant of {amount(p['tau'], one_sided=True)}"
+        return f"steering builds up with a time constant {_constant(p, variant)}"
 
     def actuate(self, flow: Flow) -> None:
         """Let the steer angle follow its command."""
-        flow.delta = self.first_order(flow, "angle", flow.delta, self.rate)
+        flow.delta = self.arrived(flow, "angle", flow.delta)
 
 
 class SteerOffset(Term):

@@ -9,7 +9,16 @@ import numpy as np
 
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["DELAY_SEARCH", "LAG_SEARCH", "Course", "Range", "Search", "speed_unit", "time_unit"]
+__all__ = [
+    "CHANGED_LAG_SEARCH",
+    "DELAY_SEARCH",
+    "LAG_SEARCH",
+    "Course",
+    "Range",
+    "Search",
+    "speed_unit",
+    "time_unit",
+]
 
 _WIDER = 4.0  # how far beyond what a car can have an explanation is followed, to tell what it would need
 
@@ -93,6 +102,11 @@ DELAY_SEARCH = Search(
 #: In units of `time_unit`: small engines and servos are quicker.
 LAG_SEARCH = Search(
     {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
+)
+#: Of a lag that the simulation has, too: by how much it is longer, and what both share; in units of `time_unit`.
+CHANGED_LAG_SEARCH = Search(
+    {"tau": Range(-0.5, 0.5, 0.001, _SLOW), "shared": Range(0.0, 0.5, 0.001, _SLOW)},
+    ({"tau": 0.01, "shared": 0.03}, {"tau": -0.01, "shared": 0.03}),
 )
 
 

@@ -104,7 +104,8 @@ class Term:
         (from position), ``torque`` (logged, not derived from how the car moved), ``torque changes``,
         ``lateral velocity`` (not integrated from a_y), ``hard turns`` (beyond the nearly linear part of the tyres'
         curves), ``ax`` or ``ay`` (measured), ``witness`` (measured position or acceleration to the left),
-        ``scale witness`` (measured position, or acceleration to the left in simulation and reality).
+        ``scale witness`` (measured position, or acceleration to the left in simulation and reality),
+        ``simulation`` (a recording of it).
     variant_needs : mapping of str to frozenset of str
         What a variant needs beside that.
     moves_samples : bool
