@@ -310,8 +310,8 @@ def test_a_claim_waits_for_the_sweep_that_came_first(kind, tmp_path, monkeypatch
     make = "mkstemp" if kind == "file" else "mkdtemp"
     plain, sweeps = getattr(files.tempfile, make), []
 
-    def swept(**how):
-        made = plain(**how)
+    def swept(*how):
+        made = plain(*how)
         if not sweeps:
             name = made[1] if kind == "file" else made
             handle = os.open(name, os.O_RDONLY)

@@ -144,8 +144,5 @@ LEAST_KNOWN = 0.5
 """Share of what there is to know from which an exported function tells an axle's force [1]: it knows more than it
 lacks."""
 
-TABLE_POINTS, TABLE_BOUND = 400, 0.02
-"""Points that span the process a race's table is filled from [1], and the table's error in signal deviations [1].
-At length scales of 1.7 to 4.6 cells (1,585 points) the slope of v_y is then within 1 % of the dense process', and
-within 17 % at 1.2 to 1.9 cells (2,737 points); label noise is more than a tenth of the signal. Filling takes 1.1
-and 2.5 s of processor time, and 3.7 and 39 s with the settings of exports (docs/decisions/0034)."""
+TABLE_BOUND = 0.02
+"""Error of a race's table in signal deviations [1]; judgement: label noise is more than a tenth of the signal."""

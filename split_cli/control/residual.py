@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.control.grip import PeakShift
-from split_cli.control.policy import TABLE_BOUND, TABLE_POINTS
+from split_cli.control.policy import TABLE_BOUND
 from split_cli.learning.features import Z2, FeatureSet
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import make_predictor
@@ -107,7 +107,7 @@ class PredictorResidual(Residual):
         """The predictor of what labels say beyond the prior mean."""
         if self._made is None:
             shifted = replace(self._set, y=self.beyond_prior(self._set.z, self._set.y))
-            options = {"most": TABLE_POINTS, "bound": TABLE_BOUND} if self.name == "table" else {}
+            options = {"bound": TABLE_BOUND} if self.name == "table" else {}
             self._made = make_predictor(self.name, shifted, **options)
         return self._made
 

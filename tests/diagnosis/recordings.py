@@ -166,9 +166,9 @@ def fitted_scale(case: DiagnosisCase, term: str, variant: str = "") -> float:
 
 
 def candidates_of(objective: MarginalLikelihood, *names: str) -> list[Candidate]:
-    """Return the candidates of these terms in all their variants."""
+    """Return the candidates of these terms in all variants that need no simulation."""
     every = build_candidates(objective.evidence[0].vehicle, objective.evidence[0].series)
-    return [one for one in every if one.term in names]
+    return [one for one in every if one.term in names and "simulation" not in one.needs]
 
 
 def faulty(drive: Drive, *, angle: float = 0.0, dx: float = 0.0) -> Drive:
