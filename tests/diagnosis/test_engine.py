@@ -110,7 +110,7 @@ def test_a_single_is_named_with_the_truth_inside_its_interval(answer):
 def test_a_lag_longer_than_that_of_the_simulation_is_one_name():
     """The vehicle file has neither lag. A lag behind the simulation's own would need a delay beside it."""
     simulation, reality = (
-        recording(seed, CATALOGUE["steer_lag"]({"tau": tau}), runs=12) for seed, tau in ((181, 0.02), (182, 0.045))
+        recording(seed, CATALOGUE["steer_lag"]({"tau": tau})) for seed, tau in ((181, 0.02), (182, 0.045))
     )
     found = verdict_of([reality], road_car(), [simulation], policy=SHORT)
     (finding,) = found.findings
