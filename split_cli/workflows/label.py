@@ -115,11 +115,14 @@ def label_drives(
     sources = [
         s for s in find_sources(addresses, (".parquet",), what="drive") if ".labels" not in Path(s.place).name
     ]
+    if not sources:
+        what = "there are label files and no drive"
+        raise SplitError(what, where=", ".join(map(str, addresses)), advice="Name the drives, or their folder.")
     targets = [Path(folder) / PurePosixPath(s.place).with_suffix(".labels.parquet") for s in sources]
-    target, count = Counter(targets).most_common(1)[0]
-    if count > 1:
+    twice = [target for target, count in Counter(targets).items() if count > 1]
+    if twice:
         advice = "Label them into folders of their own."
-        raise SplitError("two drives have this name", where=str(target), advice=advice)
+        raise SplitError("two drives have this name", where=str(twice[0]), advice=advice)
     for target in targets:
         target.parent.mkdir(parents=True, exist_ok=True)
     jobs = [(s.address, vehicle_path, target, settings) for s, target in zip(sources, targets, strict=True)]

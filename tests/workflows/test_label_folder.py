@@ -46,3 +46,9 @@ def test_two_drives_of_one_name_are_refused_before_anything_is_written(folder, t
     told = run("label", *both, "--vehicle", folder / "car.yaml", "-o", tmp_path / "out")
     assert told.exit_code != 0 and "two drives have this name" in str(told.exception)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_labels_alone_is_told(folder, tmp_path):
+    (tmp_path / "lap.labels.parquet").touch()
+    told = run("label", tmp_path, "--vehicle", folder / "car.yaml", "-o", tmp_path / "out")
+    assert told.exit_code != 0 and "label files and no drive" in str(told.exception)
