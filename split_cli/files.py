@@ -263,9 +263,10 @@ def _begin_of_unfinished(target: Path) -> str:
 
 def _sweep(target: Path) -> None:
     """Remove what killed runs left beside `target`: unfinished files that no living process holds locked."""
+    begin = _begin_of_unfinished(target)
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(target.parent)):
-            if entry.name.startswith(_begin_of_unfinished(target)) and entry.name.endswith(_UNFINISHED):
+            if entry.name.startswith(begin) and entry.name.endswith(_UNFINISHED):
                 _remove_if_abandoned(Path(entry.path))
 
 

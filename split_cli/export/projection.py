@@ -67,7 +67,7 @@ def projection_data(predictor: ProjectedPredictor, real: str = "double") -> Proj
     known = predictor.process.known()
     places = known.points * kernel.length_scales
     reference = (0.5 * (places.min(axis=0) + places.max(axis=0))).astype(precision).astype(float)
-    lower, spread = known.whitened()
+    lower, spread = known.whitened
     rows, columns = np.tril_indices(len(lower))
     reals = {
         "length_scales": kernel.length_scales,

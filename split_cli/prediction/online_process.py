@@ -47,6 +47,7 @@ class ProcessState:
     absent: np.ndarray  # (3,): 1 - kappa
     threshold: float
 
+    @cached_property
     def whitened(self) -> tuple[np.ndarray, np.ndarray]:
         """Return L (U, U), with L L^T = Q, and S = L^-1 (Q + T) L^-T (3, U, U): what `open_share` takes.
 
@@ -60,12 +61,8 @@ class ProcessState:
     def mean_and_open_share(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and variance over signal variance, (N, 3) each, at `z` (N, D) in length scales."""
         c = correlation(z, self.points, np.ones(self.points.shape[1]))
-        left = open_share(c, *self._whitened, self.absent, self.threshold)
+        left = open_share(c, *self.whitened, self.absent, self.threshold)
         return c @ self.weights.T, np.maximum(left, 0.0)  # below 0 is rounding
-
-    @cached_property
-    def _whitened(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.whitened()
 
 
 def open_share(

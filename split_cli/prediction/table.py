@@ -26,7 +26,7 @@ _MOST_NODES = 3_000_000
 #: No query of `_measure` meets the fade: it changes faster than the process and would ask for a finer spacing.
 _NEAR, _FAR = 2.0, 3.0
 _TRIED = 1000
-_CHUNK = 2048
+_CHUNK = 2048  # nodes asked at once [1]; judgement: it decides memory and no result
 
 
 @dataclass(frozen=True)

@@ -67,10 +67,8 @@ def _shares_along(inner: Predictor, held: HeldOutSamples) -> tuple[np.ndarray, n
     """Return rows of the drive, ascending, and the shares that are known from each of them on, (N, 3)."""
     labels = held.labels.take(held.tested)
     trust = RunningTrust(inner.training_set.trust.share, labels.horizon)
-    known, shares = (
-        labels.row + labels.window,
-        np.tile(trust.share, (len(labels) + 1, 1)),
-    )  # the last is for no row
+    known = labels.row + labels.window
+    shares = np.tile(trust.share, (len(labels) + 1, 1))  # the last is for no row
     model, driven_to = SingleTrack(inner.training_set.vehicle), -1
     for span, piece in pieces(model, held.drive, labels.row, labels.window):
         rows = labels.row[span] - piece.first

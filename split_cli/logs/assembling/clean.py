@@ -44,7 +44,7 @@ _FEWEST_CHANGES, _IRREGULAR = 20, 3.0
 """Changes, and ratio of long steps of time to short ones, from which on a signal is written on change [1]."""
 _OF_BURSTS = 5
 """Steps over which messages that a network delivered in bursts are even again [1]; steps that owe nothing to each
-other are then less uneven, about by the root of the number."""
+other are then less uneven, about by the root of the number. Judgement."""
 
 
 @dataclass(frozen=True)

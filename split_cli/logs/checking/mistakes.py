@@ -66,9 +66,10 @@ _RADIUS_RATIOS = (0.7, 1.4)
 
 def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
     """Return the mistakes that a channel may carry; `vehicle` gives the wheel radius that rad/s depends on."""
-    known = [Mistake(channel, 1.0, 1.0, True, *_SIGNS.get(channel, ("has the opposite sign", "use `scale: -1`")))]
-    if channel == "X":
-        known = []  # a speed over ground has no sign, and the order of X and Y is the hand's
+    known = []
+    if channel != "X":  # a speed over ground has no sign, and the order of X and Y is the hand's
+        sign = _SIGNS.get(channel, ("has the opposite sign", "use `scale: -1`"))
+        known.append(Mistake(channel, 1.0, 1.0, True, *sign))
     if channel in ("r", "yaw", "delta"):
         per_second = "/s" if channel == "r" else ""
         known += _unit(channel, DEGREES, f"deg{per_second}", turned=True)

@@ -44,10 +44,12 @@ class JointRecording:
         self._split: dict[int, SplitStamp] = {}
         self._moved: dict[int, float] = {}
         self._places: dict[str, tuple[RawRecording, RawChannelInfo]] = {}
+        clocks: dict[int, set[str]] = {}
         for part in parts:
             infos = part.channels()
             time = time_column(infos)
             stamps = split_stamps(infos)
+            clocks[id(part)] = {name for stamp in stamps for name in (stamp.whole, stamp.part)}
             if time is None and stamps:
                 self._split[id(part)] = stamps[0]
             elif time is None and not part.clocks and not _own_clock(part, infos):
@@ -58,9 +60,8 @@ class JointRecording:
                 self._time[id(part)] = time
         counts = Counter(info.name for part in parts for info in part.channels())
         for part in parts:
-            clocks = {name for stamp in split_stamps(part.channels()) for name in (stamp.whole, stamp.part)}
             for info in part.channels():
-                if info != self._time.get(id(part)) and info.name not in clocks:
+                if info != self._time.get(id(part)) and info.name not in clocks[id(part)]:
                     name = info.name if counts[info.name] == 1 else f"{Path(part.name).stem}.{info.name}"
                     self._places[name] = (part, info)
 

@@ -128,7 +128,7 @@ def _with_titles(leaves: Sequence[tuple[str, np.ndarray]]) -> list[tuple[str, np
             for place, texts in lists.items()
             if structure in ((inside := place.rpartition(".")[0]), inside.rpartition(".")[0])
             and values.ndim == 2
-            and [n for n in values.shape if n == len(texts)] == [len(texts)]
+            and values.shape.count(len(texts)) == 1
         ]
         known = {
             id(texts): sum(find_unit(text) is not None for text in texts) > len(texts) / 2 for texts in beside

@@ -64,9 +64,7 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
                 check=False,
             )
     except subprocess.TimeoutExpired as error:  # it used less processor time than it may
-        what = (
-            f"was not read within {error.timeout:.0f} s: the processor is busy, or the disk is slow"
-        )
+        what = f"was not read within {error.timeout:.0f} s: the processor is busy, or the disk is slow"
         raise LogError(what, where=path.name, advice="Try again when less runs beside it.") from error
     if -done.returncode in (signal.SIGXCPU, signal.SIGKILL):  # at the limit of processor time, soft and hard
         raise LogError("is damaged: reading it does not end", where=path.name, advice=_ADVICE)

@@ -104,6 +104,7 @@ LAG_SEARCH = Search(
     {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))
 )
 #: Of a lag that the simulation has, too: by how much it is longer, and what both share; in units of `time_unit`.
+#: Judgement: together they reach what a lag alone may have, and starts to both sides stand near a servo's 30 ms.
 CHANGED_LAG_SEARCH = Search(
     {"tau": Range(-0.5, 0.5, 0.001, _SLOW), "shared": Range(0.0, 0.5, 0.001, _SLOW)},
     ({"tau": 0.01, "shared": 0.03}, {"tau": -0.01, "shared": 0.03}),
