@@ -35,6 +35,11 @@ class CasadiOperations:
     maximum = staticmethod(casadi.fmax)
     where = staticmethod(casadi.if_else)
 
+    @staticmethod
+    def sine_of_multiple_of_atan(c: Any, a: Any) -> Any:
+        """Return sin(c atan(a))."""
+        return casadi.sin(c * casadi.atan(a))
+
 
 CASADI = CasadiOperations()
 

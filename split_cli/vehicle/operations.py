@@ -4,6 +4,7 @@ A term or model takes an `Operations` and uses nothing else beside + - * / ** an
 implementation lives in `export`, the only place besides control that knows CasADi.
 """
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ class Operations(Protocol):
     def cos(self, a: Any) -> Any: ...
     def atan(self, a: Any) -> Any: ...
     def atan2(self, a: Any, b: Any) -> Any: ...
+    def sine_of_multiple_of_atan(self, c: Any, a: Any) -> Any: ...
     def tanh(self, a: Any) -> Any: ...
     def exp(self, a: Any) -> Any: ...
     def sqrt(self, a: Any) -> Any: ...
@@ -27,16 +29,21 @@ class Operations(Protocol):
 class NumpyOperations:
     """`Operations` on NumPy arrays of any broadcastable shapes."""
 
-    sin = staticmethod(np.sin)
-    cos = staticmethod(np.cos)
+    sin: Callable[[Any], Any] = staticmethod(np.sin)
+    cos: Callable[[Any], Any] = staticmethod(np.cos)
     atan = staticmethod(np.arctan)
-    atan2 = staticmethod(np.arctan2)
+    atan2: Callable[[Any, Any], Any] = staticmethod(np.arctan2)
     tanh = staticmethod(np.tanh)
     exp = staticmethod(np.exp)
     sqrt = staticmethod(np.sqrt)
     minimum = staticmethod(np.minimum)
     maximum = staticmethod(np.maximum)
     where = staticmethod(np.where)
+
+    @staticmethod
+    def sine_of_multiple_of_atan(c: Any, a: Any) -> Any:
+        """Return sin(c atan(a))."""
+        return np.sin(c * np.arctan(a))
 
 
 NUMPY = NumpyOperations()

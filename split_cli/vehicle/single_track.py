@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from split_cli.vehicle.compiled_operations import CompiledOperations
 from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.flow import AxleFlow, Flow, FlowTerm
 from split_cli.vehicle.operations import NUMPY, Operations
@@ -44,7 +45,7 @@ def slip_angles(
     return delta - ops.atan2(vy + l_f * r, vx), -ops.atan2(vy - l_r * r, vx)
 
 
-def complete(axle: AxleFlow, ops: Operations = NUMPY) -> None:
+def complete(axle: AxleFlow, ops: Operations) -> None:
     """Work out the lateral force of an axle where it was left open."""
     if axle.lateral_force is None:
         axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)
@@ -125,7 +126,7 @@ class SingleTrack:
         known_axles = (None, None) if bare is None else (bare.front, bare.rear)
         for axle, known in zip((front, rear), known_axles, strict=True):
             if known is not None and _same_shape(axle, known):
-                complete(known)
+                complete(known, ops)
                 same_peak = _same(axle.D, known.D)
                 axle.lateral_force = known.lateral_force if same_peak else axle.D / known.D * known.lateral_force
             else:
@@ -146,7 +147,7 @@ class SingleTrack:
         `bare` is the same at the recorded ones. Terms that alter tyres have forces of their own.
         """
         flow = self.actuated(
-            vx, vy, r, bare.T, bare.delta, yaw=bare.yaw, t=bare.t, s=bare.s, recording=bare.recording
+            vx, vy, r, bare.T, bare.delta, yaw=bare.yaw, t=bare.t, s=bare.s, ops=bare.ops, recording=bare.recording
         )
         self._turn(flow, bare)
         flow.force_x = -self.vehicle.drag_coefficient * vx * vx
@@ -231,6 +232,8 @@ class SingleTrack:
     @staticmethod
     def balance(f: Flow) -> Rates:
         """Return (v_x', v_y', r') of an evaluated flow."""
+        if isinstance(f.ops, CompiledOperations) and (rates := f.ops.balance(f)) is not None:
+            return rates
         front_x = f.front.longitudinal_force * f.cosine - f.front.lateral_force * f.sine
         front_y = f.front.lateral_force * f.cosine + f.front.longitudinal_force * f.sine
         dvx = (f.rear.longitudinal_force + front_x + f.force_x) / f.mass + f.vy * f.r
@@ -262,8 +265,11 @@ class SingleTrack:
                     out[k] = out[k] + weight * (rate - before)
                 continue
             for name, force in _FORCES.items():
-                if force(flow) is not force(bare):
-                    sums[name] = sums[name] + weight * (force(flow) - force(bare))
+                after, before = force(flow), force(bare)
+                if after is not before and isinstance(flow.ops, CompiledOperations):
+                    sums[name] = flow.ops.with_change(sums[name], weight, after, before)
+                elif after is not before:
+                    sums[name] = sums[name] + weight * (after - before)
         axles: dict[str, Any] = {
             axle: AxleFlow(0.0, 0.0, 0.0, 0.0, sums[f"{axle}_longitudinal"], sums[f"{axle}_lateral"])
             for axle in ("front", "rear")

@@ -34,7 +34,7 @@ def lateral_force(B: Any, C: Any, D: Any, slip_angle: Any, ops: Operations = NUM
     -----
     F_y = D sin(C atan(B alpha)): SPLIT paper, the simplified Magic Formula, after Pacejka (2005).
     """
-    return D * ops.sin(C * ops.atan(B * slip_angle))
+    return D * ops.sine_of_multiple_of_atan(C, B * slip_angle)
 
 
 def lateral_force_slope(B: Any, C: Any, D: Any, slip_angle: Any) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 
 from split_cli.diagnosis.baseline.body import alters_body
 from split_cli.diagnosis.recording.series import Series, extended_model
+from split_cli.vehicle.compiled_operations import COMPILED
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.flow import AxleFlow
 from split_cli.vehicle.parameters import Vehicle
@@ -72,5 +73,5 @@ def at_other_tires(
 def _ratio(old: AxleFlow, new: AxleFlow) -> np.ndarray:
     """Return the force of one curve over that of another at the slip angles of the other, (N,) [1]."""
     slip = np.where(old.slip_angle == 0.0, 1e-9, old.slip_angle)  # without slip it is that of the stiffnesses
-    before, after = (lateral_force(one.B, one.C, one.D, slip) for one in (old, new))
+    before, after = (lateral_force(one.B, one.C, one.D, slip, COMPILED) for one in (old, new))
     return after / before

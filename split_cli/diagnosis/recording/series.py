@@ -10,6 +10,7 @@ from split_cli.diagnosis.cache import Recent
 from split_cli.logs.assembling.dead_reckoning import TOGETHER, TOLERANCE
 from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import INPUT_CHANNELS, Drive
+from split_cli.vehicle.compiled_operations import COMPILED
 from split_cli.vehicle.effects import Recording, Term, build_terms
 from split_cli.vehicle.effects.recording import over_samples
 from split_cli.vehicle.flow import Flow
@@ -201,8 +202,8 @@ class Series:
         else:
             bare = self._without_terms(model.vehicle)
         if not model.terms:
-            complete(bare.front)
-            complete(bare.rear)
+            complete(bare.front, bare.ops)
+            complete(bare.rear, bare.ops)
             return bare
         acting = tuple(term for term in model.terms if type(term).actuate is not Term.actuate)
         arrived = self._arrived(bare, model.vehicle, acting) if acting else None
@@ -229,7 +230,7 @@ class Series:
 
     @property
     def _situation(self) -> dict:
-        return {"yaw": self.yaw, "t": self.t, "s": self.s, "recording": self.recording}
+        return {"yaw": self.yaw, "t": self.t, "s": self.s, "ops": COMPILED, "recording": self.recording}
 
     @cached_property
     def _columns(self) -> tuple[np.ndarray, ...]:
