@@ -1,6 +1,6 @@
 """Whitened evidence of a recording: what it says against a model, one row of unit noise after another."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,9 +16,9 @@ from split_cli.vehicle.parameters import Vehicle
 
 ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
-_KEPT_BYTES = 2**26
+_KEPT_BYTES = 2**27
 """Columns of the shared discrepancy that are kept between filters [bytes]; larger ones are made anew for each.
-Judgement: 15,000 samples, well under the 1 GB of a diagnosis. It decides time and memory, and no result."""
+Judgement: 30,000 samples, well under the 1 GB of a diagnosis. It decides time and memory, and no result."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,12 @@ def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
 
 def whitened_blocks(series: Series, whitener: Whitener, blocks: Iterable[np.ndarray]) -> np.ndarray:
     """Return whitened rows of rates that come a few columns at a time, (N, 3, c) each, shape (G, 3, C)."""
-    return np.concatenate([whitener(integrated(series, block)) for block in blocks], axis=2)
+    return np.concatenate([whitener(block) for block in _integrated_blocks(series, blocks)], axis=2)
+
+
+def _integrated_blocks(series: Series, blocks: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """Yield what rates, (N, 3, c) each, come to over every sample, (N - 1, 3, c)."""
+    return (integrated(series, block) for block in blocks)
 
 
 def gather_evidence(
@@ -129,17 +134,23 @@ def gather_evidence(
     kept = np.ones(len(at), dtype=bool)
     kept[group[(group >= 0) & ~rolls[:-1]]] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
-    kept_blocks = list(discrepancy.blocks(series)) if discrepancy.size(series) <= _KEPT_BYTES else None
+    held = discrepancy.size(series) <= _KEPT_BYTES
+    held_blocks = list(_integrated_blocks(series, discrepancy.blocks(series))) if held else []
+
+    def whitened_columns(whitener: Whitener) -> np.ndarray:
+        blocks = held_blocks or _integrated_blocks(series, discrepancy.blocks(series))
+        return np.concatenate([whitener(block) for block in blocks], axis=2)
+
     for _ in range(2):
         whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
-        columns = whitened_blocks(series, whitener, kept_blocks or discrepancy.blocks(series))
+        columns = whitened_columns(whitener)
         w = _discrepancy_weights(whitener(plain), columns, kept)
         left = plain - integrated(series, discrepancy.rates(series, w))
         disturbance = _likely_disturbance(series, jacobian, left, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
-    u, phi = whitener(plain), whitened_blocks(series, whitener, kept_blocks or discrepancy.blocks(series))
+    u, phi = whitener(plain), whitened_columns(whitener)
     left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
