@@ -1,4 +1,4 @@
-"""The loops that carry the time once there are labels: the update of cells, the likelihood of blocks.
+"""The loops that take most of the time of learning: the update of cells, the likelihood of blocks.
 
 Private; needs numba. Every sample is computed by itself in a fixed order of operations, without fast-math, so that
 labels and sets do not depend on how samples are batched.
@@ -135,7 +135,7 @@ def _absorb(m: int, k: ndarray, sample: int, samples: ndarray, c: int, sums: nda
 
 @compiled(cache=True)
 def _hand_over(slot: int, n: int, k: ndarray, sums: ndarray) -> None:
-    """Give what a cell's sums tell of a point that left `slot` to its n points now; `k` as `_span` left it."""
+    """Project what a cell's sums hold of a point that left `slot` on its n points now; `k` as `_span` left it."""
     share, shared, capacity = k[0], k[1], len(sums)
     for i in range(n):
         shared[i] = sums[max(i, slot), min(i, slot)]

@@ -26,8 +26,8 @@ class FeatureSet:
 
     Notes
     -----
-    Features of one moment cannot tell how the car came there. A state of a term, the torque that has arrived or
-    the lateral force that has built up, is such a memory.
+    Features of one moment do not determine the car's past. A state of a term, such as the torque that has arrived
+    or the lateral force that has built up, holds a part of it.
     """
 
     names: tuple[str, ...]

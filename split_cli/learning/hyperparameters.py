@@ -53,8 +53,8 @@ def default_kernel(grid: Grid, y: np.ndarray, noise_variance: np.ndarray | None 
     y : ndarray, shape (N, 3)
         Labels; signal variance is their mean square less the noise, at least a tenth of it.
     noise_variance : ndarray, shape (3,), optional
-        For example `scatter_variance`. A tenth of the mean square is the least, also when it is not given: what
-        the features do not tell of the residual counts as noise too, and is more than a sensor's.
+        For example `scatter_variance`. A tenth of the mean square is the least, also when it is not given: the
+        part of the residual that the features do not explain counts as noise too, and exceeds a sensor's.
     """
     mean_square = np.maximum(_mean_square(y), 1e-12)
     noise = np.clip(0.0 if noise_variance is None else noise_variance, 0.1 * mean_square, mean_square)

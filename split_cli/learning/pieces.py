@@ -17,7 +17,7 @@ PIECE_ROWS = 2**18
 
 @dataclass(frozen=True)
 class DrivePiece:
-    """Rows of a drive from `first` on, with the recording that knows what came before."""
+    """Rows of a drive from `first` on, with the recording that holds what came before."""
 
     drive: Drive
     first: int

@@ -111,13 +111,13 @@ class TrainingSet:
     learner : {"split", "iol"}
         What chose the points: cells by themselves, or one dictionary of `capacity` points (learning/iol.py).
     trust : Trust
-        How far each output is believed; every predictor and every export applies it.
+        The share of each output's correction that is applied, by every predictor and every export.
     found_effects : int
         How many effects, the last of `vehicle`, training found beyond the vehicle file (scoring/torque_lag.py).
     information : ndarray, shape (sum of n^2,), or None
         Sums of e e^T over the labels of each cell of n points, the matrices of its cells one after another: a
-        label at z tells of e.f, with f the process at the points and e = K^-1 k(z) [1]. None where a set absorbs
-        no label beyond its points: with forgetting, by `iol`, and in files of before.
+        label at z observes e.f, with f the process at the points and e = K^-1 k(z) [1]. None where a set absorbs
+        no label beyond its points: with forgetting, by `iol`, and in files of older versions.
     absorbed : ndarray, shape (P, 3), or None
         Sums of e y^T over the same labels, in the units of y.
     """

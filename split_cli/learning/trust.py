@@ -27,10 +27,10 @@ def supported_variance(share: np.ndarray, doubt: np.ndarray, signal_variance: np
 
     Notes
     -----
-    a (1 - 1/e) S0 + w: the process then knows at least the share 1/e of the prior's variance, as a single exact
-    label at the distance of a length scale would tell it. Beyond, an interval is mostly the size that the residual
-    had in the training drives, and no label says whether it still has it. Where a is 0 the variance is w
-    everywhere and says nothing of the data.
+    a (1 - 1/e) S0 + w: data then explain at least the share 1/e of the prior's variance, as a single exact label
+    at the distance of a length scale does. Beyond, an interval is mostly the size that the residual had in the
+    training drives, and no label says whether it still has it. Where a is 0 the variance is w everywhere and says
+    nothing of the data.
     """
     open_share = 1.0 - np.exp(-1.0)
     supported: np.ndarray = kept_share(share, doubt, signal_variance) * open_share * signal_variance + doubt

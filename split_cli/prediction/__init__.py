@@ -13,7 +13,7 @@ from split_cli.prediction.trusted import TrustedPredictor
 
 __all__ = ["DEFAULT_PREDICTOR", "PREDICTORS", "Prediction", "Predictor", "make_predictor", "refuse_unknown"]
 
-#: What evaluates, compares and exports a set unless told otherwise (docs/decisions/0030).
+#: The predictor that evaluates, compares and exports a set by default (docs/decisions/0030).
 DEFAULT_PREDICTOR = "projected"
 
 #: Name on the command line to module and class; a module is imported when its predictor is made.

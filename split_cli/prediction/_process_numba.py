@@ -49,7 +49,7 @@ def absorb(
     """Absorb one label `y` (3,) at the scaled features `z` (D,) in place; return how many points span now.
 
     Parameters as `OnlineProcess` has them; `learned` (3, U, U) is what data have added to the prior's covariance,
-    and `unspanned` (2, 3) the sums that tell how much of the gains is in the labels.
+    and `unspanned` (2, 3) the sums from which the share of the gains in the labels follows.
     """
     room = len(points)
     c, e, s = np.zeros(room), np.zeros(room), np.zeros(room)

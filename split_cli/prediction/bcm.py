@@ -161,8 +161,8 @@ class RbcmPredictor(BcmPredictor):
     -----
     Deisenroth and Ng, Distributed Gaussian processes, ICML 2015, eqs. 20 to 22, with latent variances:
     1/Sigma = 1/S0 + sum b_i (1/Sigma_i - 1/S0), mu = Sigma sum b_i mu_i/Sigma_i, b_i = log(S0/Sigma_i)/2. Experts
-    that know little of the query, of which a committee over small cells has many, no longer pile up. Far from the
-    data it is the prior, as the dense process; on the points, as the noise vanishes, it takes their labels.
+    with little information on the query, of which a committee over small cells has many, no longer add up. Far
+    from the data it is the prior, as the dense process; on the points it takes their labels as the noise vanishes.
     """
 
     name: str = "rbcm"

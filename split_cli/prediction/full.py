@@ -61,7 +61,7 @@ class FullPredictor(Predictor):
                 for ratio, factor in self._factors.items()
             }
             for output, ratio in enumerate(self._ratio.tolist()):
-                # No P points can tell more than P points at the query itself: rounding may not go below that.
+                # P labels at the query itself would give the most information: rounding may not go below that.
                 variance[rows, output] *= np.maximum(1.0 - known[ratio], ratio / (size + ratio))
         return Prediction(mean, variance)
 

@@ -38,7 +38,7 @@ def noise_to_signal(kernel: Kernel) -> float:
 
 @dataclass(frozen=True)
 class ProcessState:
-    """What an `OnlineProcess` on U points knows, for whoever evaluates it elsewhere."""
+    """The state of an `OnlineProcess` on U points, to evaluate it elsewhere."""
 
     points: np.ndarray  # (U, D): in length scales
     inverse: np.ndarray  # (U, U): Q, the inverse of the points' correlations
@@ -107,13 +107,13 @@ class OnlineProcess:
     Csato and Opper, Sparse on-line Gaussian processes, Neural Computation 14 (2002), without their deletion of
     points, and with the gain of a label that is no point counted as its noise (FITC: Snelson and Ghahramani 2006).
     With c the correlations of a query with the points, Q their inverse matrix, mean = c.w and the variance is
-    S0 (1 + c.T c), T being what data have told. A label of gain 1 - c.Qc below the threshold adds s = T c + Q c
-    to the weights and takes its square from T; any other becomes a point first. Where every label becomes a point,
-    the answer is the dense process'. Time and memory are O(U^2), however many labels came. Labels that came before
-    a point are not projected on it.
+    S0 (1 + c.T c), T being what data have added to the prior's covariance. A label of gain 1 - c.Qc below the
+    threshold adds s = T c + Q c to the weights and takes its square from T; any other becomes a point first. Where
+    every label becomes a point, the answer is the dense process'. Time and memory are O(U^2), however many labels
+    came. Labels that came before a point are not projected on it.
 
     The prior's variance holds the gain of a query. The dense process would learn that rest from many labels; this
-    one cannot, and would count it whole at every query. How much of it there is the labels tell: of one that is no
+    one cannot, and would count it whole at every query. Its share is estimated from the labels: of one that is no
     point, the squared error before it is absorbed has the mean s^2 + S0 c.(Q + T)c + kappa S0 gain. Found by least
     squares weighted by these errors' variances, from a prior of mean and deviation 1, and at most 1, kappa takes
     S0 (1 - kappa) min(gain, threshold) (1 - gain) from the variance: nothing far from points, and nothing where
@@ -169,7 +169,7 @@ class OnlineProcess:
     def span(self, z: np.ndarray) -> None:
         """Choose the first points from features `z`, shape (N, D), before any label is absorbed.
 
-        The most informative come first. Where not all find room, later points must tell more than those left out.
+        The most informative come first. If not all fit, later points need a larger gain than those left out.
         """
         room = int(_AT_ONCE * len(self._points))
         rows, gains = most_informative(z, self.kernel.length_scales, room, self._threshold)
@@ -195,7 +195,7 @@ class OnlineProcess:
         absorbed: np.ndarray,
         open_share: np.ndarray,
     ) -> None:
-        """Know what all labels of a set tell, in place of the labels learned so far; the points stay.
+        """Absorb the sums over all labels of a set, in place of the labels learned so far; the points stay.
 
         Parameters
         ----------
@@ -206,7 +206,7 @@ class OnlineProcess:
 
         Notes
         -----
-        A label of a cell tells of e.f, with f the process at the cell's points. By the points that span, f is
+        A label of a cell observes e.f, with f the process at the cell's points. By the points that span, f is
         C Q f_u, with C its correlations with them. With K = L L^T of the points, X = L^-1 C^T, A and B the cell's
         sums of e e^T and e y^T, and rho its noise, H is the sum of X A X^T/rho and h that of X B/rho. Then the
         weights are L^-T (1 + H)^-1 h and T is L^-T ((1 + H)^-1 - 1) L^-1: the projected process of Seeger,
@@ -250,7 +250,7 @@ class OnlineProjection:
     Notes
     -----
     Mean and slope come from a process of many points, whose cost for them is linear in the points. Variances cost
-    the square, and a process of fewer points tells them as well.
+    the square, and a process of fewer points gives them nearly as well.
 
     What was absorbed cannot be given another prior mean. Where that moves, both begin again from the labels that
     the set keeps; what they had learned from labels that their cells rejected is lost then.

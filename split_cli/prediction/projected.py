@@ -14,8 +14,8 @@ def process_of(
 ) -> OnlineProcess:
     """Return the online process after all labels of a set; parameters as of `OnlineProcess`.
 
-    The points learned in order of time tell which of them span the process. What it knows are then the sums that
-    cells keep over all their labels, where they keep them.
+    The points are learned in order of time, which decides which of them span the process. Then the process takes
+    the sums that cells keep over all their labels, where they keep them.
     """
     order = learning_order(training_set)
     process = process_of_labels(training_set.kernel, training_set.z[order], training_set.y[order], most, threshold)

@@ -74,7 +74,7 @@ def features_at(
     follows = np.isin(features.names, _OF_STATE)
     at = features.compute(model, alone)
     if model.terms:
-        # A row by itself knows no delay and no memory of the terms; those of the recording stay.
+        # A single row has no past, so delays and states of the terms are those of the recording.
         recorded = {name: values[rows] for name, values in drive.columns.items()}
         at = at + z[rows] - features.compute(model, replace(alone, columns=recorded))
     return np.where(follows, at, z[rows])

@@ -31,7 +31,7 @@ _SHORTEST_BLOCK = 4.0
 #: Drives too short for five such blocks are cut into five shorter ones, down to this length [s]: 20 labels each.
 _SHORTEST_OF_ALL = 1.0
 _MOST_BLOCKS = 24
-#: Fewer blocks tell nothing of other driving.
+#: Fewer blocks are too few to judge how a correction does on other driving.
 FEWEST_BLOCKS = 5
 _FOLDS = 5
 #: From this many drives on each is held out whole: two would leave a fold one drive to learn from.
@@ -191,8 +191,8 @@ def _conditions(drive: Drive, number: int, model: SingleTrack) -> np.ndarray:
     """Return the conditions of every row, shape (rows, 7); means over an interval are taken by the caller.
 
     No state may be made worse in any of them: rate of torque, rate of steer angle, speed, lateral acceleration,
-    torque, time, drive. Features need not tell them, so a correction can be right on average and wrong in a part
-    of the driving.
+    torque, time, drive. Features need not determine them, so a correction can be right on average and wrong in a
+    part of the driving.
     """
 
     def rate(name: str) -> np.ndarray:

@@ -119,7 +119,7 @@ def fast_motion(labels: Labels, floor: NoiseFloor) -> str:
     Notes
     -----
     Second differences of labels that follow one another remove what is a line over three of them; of white noise
-    their mean square is 6 sigma^2. Told from five times the floor and a quarter of the labels' own size on.
+    their mean square is 6 sigma^2. Reported from five times the floor and a quarter of the labels' rms on.
     """
     if floor.rms is None or len(labels) < 3:
         return ""

@@ -43,7 +43,7 @@ class FollowedPredictor(Predictor):
         return TrustedPredictor(self.inner, self.shares(rows))
 
     def predict(self, z: np.ndarray) -> Prediction:
-        """Refuse: a query alone does not tell what was driven before it."""
+        """Refuse: a query alone does not determine what was driven before it."""
         raise TypeError("a running trust needs the row of the drive: ask `beginning`")
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:

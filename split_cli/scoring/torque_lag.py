@@ -1,7 +1,7 @@
 """First-order lag of the torque, estimated from training labels and kept if held-out blocks improve by it.
 
-No feature of the moment tells what a lag leaves out; a state of the model does. Slips and torque stand in for it
-otherwise in each style of driving, and the correction then does harm in the next one.
+Features of one moment cannot represent a lag; a state of the model can. Without it slip angles and torque stand in
+for the lag, differently in each style of driving, and the correction does harm in another style.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ def decide(
     relabel : callable or None
         Prepares the same for another vehicle; None where no lag is looked for.
     progress : callable
-        Told what is being done.
+        Called with a line of text at each step.
 
     Returns
     -------
@@ -82,11 +82,11 @@ def decide(
 
 
 def may_show_a_lag(drives: Sequence[TrainingDrive], vehicle: Vehicle) -> bool:
-    """Tell whether labels can show a lag between command and torque.
+    """Return whether labels can show a lag between command and torque.
 
-    Only a command shows one: a torque that was measured, or derived from an acceleration, has arrived. Of a torque
-    derived in another way, from a throttle by a motor's map say, nobody knows. A drive that says nothing of its
-    torque may be a command's.
+    Only a command can: a torque that was measured, or derived from an acceleration, includes the lag already. A
+    torque derived in another way, from a throttle by a motor's map say, may be either. A drive without metadata of
+    its torque is taken for one with a command.
     """
     known = [part.drive.metadata for part in drives]
     arrived = any(one.is_derived("T") or "measured" in one.kinds.get("T", "") for one in known)
@@ -147,7 +147,7 @@ def found_lag(training_set: TrainingSet) -> float | None:
 
 
 def lag_note(training_set: TrainingSet) -> str:
-    """Return what the reader of a training must know of the lag that it found."""
+    """Return the note of a training on the lag that it found."""
     tau = found_lag(training_set)
     return (
         f"torque follows its command {tau:.3f} s late. The set models this lag (drive_lag), since held-out blocks "

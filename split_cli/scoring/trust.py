@@ -50,7 +50,7 @@ def judge_correction(
     empty : TrainingSet
         Without points: its settings and kernel are those of the set that is trained on everything.
     progress : callable
-        Told what is being done.
+        Called with a line of text at each step.
     most : sequence of float, shape (3,)
         Largest trust of each output.
 

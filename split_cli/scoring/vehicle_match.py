@@ -112,9 +112,9 @@ def near_points(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:
 
     Notes
     -----
-    Farther away the nearest point's correlation is below e^-1/2, and its square, the largest share of the variance
-    that one point can tell, below 0.37: the correction fades and the nominal model remains. Intervals are those of
-    the residual's size in the training drives there. False where a feature is not finite.
+    Farther away the nearest point's correlation is below e^-1/2. Its square, the largest share of the variance
+    that one point can explain, is below 0.37: the correction fades and the nominal model remains. Intervals are
+    those of the residual's size in the training drives there. False where a feature is not finite.
     """
     near, finite = np.zeros(len(z), dtype=bool), np.isfinite(z).all(axis=1)
     if training_set.size and finite.any():

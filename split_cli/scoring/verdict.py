@@ -153,7 +153,7 @@ def verdict(comparisons: Sequence[Comparison], running: Sequence[Comparison] = (
 
     Notes
     -----
-    What is no harm by `does_harm` is told all the same, beside what the state gains at
+    An increase that is no harm by `does_harm` is stated all the same, beside what the state gains at
     other horizons or with other predictors. A state without comparisons is left out.
     """
     judged = [c for c in comparisons if c.to_nominal[1] == c.to_nominal[1]]
@@ -205,13 +205,13 @@ def _span(ratios: Sequence[float]) -> str:
     if not ratios:
         return ""
     plain = f"{min(ratios):.2f}", f"{max(ratios):.2f}"
-    # Beside a clear end of the span the digits of the other tell nothing.
+    # Where the ends differ in two decimals, further digits add nothing.
     low, high = plain if plain[0] != plain[1] else (_beside_one(ratio) for ratio in (min(ratios), max(ratios)))
     return low if low == high else f"{low} to {high}"
 
 
 def _beside_one(ratio: float) -> str:
-    """Return a ratio with two decimals, or as many as tell it from 1."""
+    """Return a ratio with two decimals, or as many as distinguish it from 1."""
     texts = [f"{ratio:.{digits}f}" for digits in range(2, 6)]
     return next((text for text in texts if float(text) != 1.0), texts[0])
 

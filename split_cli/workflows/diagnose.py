@@ -32,9 +32,9 @@ STAGES = ("before", "physics", "split_only", "after", "persistence")
 IMPROVEMENT_COLUMNS = ("horizon_s", "stage", "channel", "unit", "rmse", "low_95", "high_95")
 CHANNELS, LABEL_UNITS, STATE_UNITS = ("v_x", "v_y", "r"), ("m/s^2", "m/s^2", "rad/s^2"), ("m/s", "m/s", "rad/s")
 _ONE_STEP = 0.05
-#: Rows of all drives from which on memory and time are told [1]: 18,000 took 0.7 GB, 180,000 over 1.9 GB.
+#: Rows of all drives from which on memory and time are announced [1]: 18,000 took 0.7 GB, 180,000 over 1.9 GB.
 _LONG = 30_000
-_GAP_REACH = 0.05  # [s] between a label and the row of the gap that is told beside it
+_GAP_REACH = 0.05  # [s] between a label and the row of the gap that is stored beside it
 
 
 def diagnose_files(

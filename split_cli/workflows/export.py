@@ -78,7 +78,7 @@ def export_set(
     insist : bool
         Export in spite of `export_doubts`.
     progress : callable
-        Told what happens, one line at a time.
+        Called with a line of text at each step.
 
     Raises
     ------

@@ -72,7 +72,7 @@ class SimulatedLog:
     driving_peak: float
     braking_peak: float
     rates: tuple[tuple[str, float], ...]  # device and reports per second [Hz]
-    effects: tuple[str, ...] = ()  # what was changed, every parameter told
+    effects: tuple[str, ...] = ()  # what was changed, with every parameter
     notes: tuple[str, ...] = ()
 
 

@@ -139,7 +139,7 @@ def ingest_logs(
     engine : Engine, optional
         Where recordings are read; by default in this process.
     progress : callable
-        Told in words what is being done.
+        Called with a line of text at each step.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """`split prove`: conceal known effects, identify them blind, unseal the answers and score.
 
-The diagnosis sees a case's folder and nothing else; the answers' seal is checked and told before it begins.
+The diagnosis sees a case's folder and nothing else; the answers' seal is checked and printed before it begins.
 """
 
 import contextlib
@@ -105,7 +105,7 @@ def _identify(task: tuple[ShownCase, Path]) -> None:
     except SplitError as error:
         failure = str(error)
     except Exception as error:
-        # A fault of the diagnosis is a result too: it is told with the score, and the other cases go on.
+        # A fault of the diagnosis is a result too: it is reported with the score, and the other cases go on.
         failure = f"{type(error).__name__}: {error}"
     note = {
         "seconds": round(time.perf_counter() - began, 3),

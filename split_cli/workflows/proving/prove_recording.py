@@ -146,7 +146,7 @@ def injection_result(
     *,
     in_catalogue: bool = True,
 ) -> InjectionResult:
-    """Return what became of a fault; the first of its parameters that was found is told.
+    """Return what became of a fault; the first of its parameters that was found is reported.
 
     Where the catalogue has no name for it (`in_catalogue` is false) it is its own truth.
     """

@@ -71,7 +71,7 @@ class LabelledDrives:
     rows : sequence of ndarray of bool, optional
         For each drive, which rows may be learned; a label whose window touches another row is left out.
     progress : callable
-        Told what is being done.
+        Called with a line of text at each step.
     engine : Engine
         Where drives are labelled, several at a time; its workers must see the same files.
 

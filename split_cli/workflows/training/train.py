@@ -94,7 +94,7 @@ def train_set(
     engine : Engine
         Where drives are labelled; the set does not depend on it.
     progress : callable
-        Told what is being done.
+        Called with a line of text at each step.
 
     Raises
     ------
