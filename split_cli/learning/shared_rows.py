@@ -50,10 +50,10 @@ def shared_sources(trained: TrainingSet, z: np.ndarray, t: np.ndarray) -> dict[i
 
 
 class EarlierDrives:
-    """Rows of the drives of one training, by which a drive that an earlier one contains is recognised.
+    """Rows of the drives of one training: tells a drive that an earlier one holds as a whole.
 
-    Of many rows every second one is dropped, again and again, by its content and not by its place, so that the
-    same rows of two drives stay.
+    Of many rows every second one is forgotten, again and again, by what it is and not by where it stands: the same
+    rows of two drives stay.
     """
 
     def __init__(self) -> None:
