@@ -202,6 +202,11 @@ def test_a_lap_0_off_the_track_asks_for_a_diagnosis_where_the_file_has_no_terms(
     assert "--p-ellipse-lap0 0.6)" in what_lap_0_asks([lost], car)
     lagged = replace(car, effects=(SimpleNamespace(term="steer_lag"),))
     assert what_lap_0_asks([clean], car) == what_lap_0_asks([off], lagged) == what_lap_0_asks([], car) == ""
+    # Of several learners the first tells it, for all that drive lap 0 with the same file.
+    race = Race(RaceSettings(), car, None, lambda text: None)
+    race.laps = [replace(Lap(0, 40.0, *(0,) * 15), outside=0.2)]
+    first = race.result(None)
+    assert len(first.notes) == 1 and race.result(None, [first]).notes == ()
 
 
 def test_a_choice_that_later_laps_turn_learns_all_laps_as_if_it_had_been_made_at_once(tmp_path, monkeypatch):

@@ -97,9 +97,10 @@ def test_one_lap_of_two_learners_is_called_no_comparison():
     split = race()
     one = replace(split, laps=split.laps[:2], traces=split.traces[:2])
     other = replace(one, learner="iol")
-    other = replace(other, verdict="Learning <b>did not help</b>.")
+    other = replace(other, verdict="Learning <b>did not help</b>.", notes=("features <i>z2</i>",))
     page = race_page([one, other], split.path)
     assert "not a comparison" in page and "iol: Learning &lt;b&gt;did not help" in page
+    assert "iol: features &lt;i&gt;z2&lt;/i&gt;" in page
     assert "not a comparison" not in race_page([split, other], split.path)
     assert "not a comparison" not in race_page([one, replace(one, learner="none")], split.path)
 

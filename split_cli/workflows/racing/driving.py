@@ -443,7 +443,8 @@ class Race:
 
     def result(self, output: str | FilePath | None, others: Sequence[RaceResult] = ()) -> RaceResult:
         """Return what was driven, compared with `others` as `whether_learning_helped` does."""
-        advice = what_lap_0_asks(self.laps, self.vehicle)
+        told = any(what_lap_0_asks(other.laps, self.vehicle) for other in others)
+        advice = "" if told else what_lap_0_asks(self.laps, self.vehicle)
         return RaceResult(
             track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
             length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
