@@ -102,8 +102,8 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
 @click.option(
     "--margin-by-error/--margin-by-laps",
     default=True,
-    help="After each lap, reduce the margin that it did not need to the share of the nominal error that is left, "
-    "or by a fifth. Without a learned model it is always by a fifth.",
+    help="After each lap, reduce the margin that no lap needed by a fifth and as the learned model's error falls, "
+    "or by a fifth alone. Without a learned model it is always by a fifth.",
 )
 @click.option(
     "--p-long",

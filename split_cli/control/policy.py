@@ -22,6 +22,11 @@ MARGIN, FIRST_DEVIATION = 0.3, 0.8
 """Kept from the car's side to the border in races, and on top of it until a lap has shown how far plan and drive
 part [m]; by every controller. Of the same search: its laps came up to 0.75 m nearer to the border than planned."""
 
+FIRST_ERROR = 0.08
+"""Error of acceleration for which FIRST_DEVIATION is kept, over the largest lateral acceleration that was driven
+[1]: of the car with which the latter was found, lap 0 of the small track, seed 100 (0.51 m/s^2 of v_y and 0.28
+rad/s^2 of r at 0.82 g)."""
+
 SIZE = 2.68
 """Wheelbase of the car that MARGIN and FIRST_DEVIATION were found with [m]. Cars of other sizes keep these lengths
 in proportion: at equal accelerations the time of a manoeuvre goes with the root of a length (Froude), and what an

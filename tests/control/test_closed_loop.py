@@ -14,14 +14,18 @@ from click.testing import CliRunner
 from split_cli.cli.main import group
 from split_cli.control.learner import settling_time
 from split_cli.control.limits import first_share
-from split_cli.control.policy import FIRST_DEVIATION, MARGIN, SETTLED, SIZE
+from split_cli.control.policy import FIRST_DEVIATION, FIRST_ERROR, MARGIN, SETTLED, SIZE
 from split_cli.control.residual import NoResidual
 from split_cli.control.scenarios import CONE_RADIUS, build_scenario, cones_hit
 from split_cli.learning.features import parse_features
+from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.plant.cars import F1TENTH_CAR, FORMULA_CAR, ROAD_CAR
+from split_cli.scoring.noise import noise_floor
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
+from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
 from split_cli.workflows.racing.choice import (
@@ -30,7 +34,7 @@ from split_cli.workflows.racing.choice import (
     what_lap_0_asks,
     whether_learning_helped,
 )
-from split_cli.workflows.racing.driving import Race, next_deviation, share_left, uncollected
+from split_cli.workflows.racing.driving import Race, acceleration_error, uncollected
 from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.first_lap import blank_header, remembering
 from split_cli.workflows.racing.maneuver import ManeuverSettings, course_scale, run_maneuvers
@@ -276,43 +280,78 @@ def test_the_margin_is_what_the_lap_before_has_needed():
     # The track is 400 m long, and this is its second lap.
     lap = tally.lap(9.0, np.zeros((2, 9)), 0, 0, "")
     assert (lap.outside, lap.outside_at, tally.margin) == (0.1, 132.0, 0.5)
-    assert next_deviation(0.8, tally.needed) == pytest.approx(0.7)
-    # Had it kept to its plan, 0.8 of 0.8 m stay.
-    assert next_deviation(0.8, 0.0) == pytest.approx(0.64)
+    assert tally.needed == pytest.approx(0.7)
 
 
-def test_the_margin_may_fall_to_the_share_of_the_error_that_a_model_left():
-    rng, noise = np.random.default_rng(0), np.array([0.2, 0.2, 0.1])
-    left_out = rng.normal(0.0, [1.0, 0.6, 0.3], (20_000, 3))
-    scatter = noise * rng.normal(size=left_out.shape)
-
-    def rms(values: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.mean(np.square(values), axis=0))
-
-    # A model that leaves 0.3 of v_y and 0.1 of r, whatever the noise of the labels; v_x moves no car sideways.
-    after = rms(left_out * [1.0, 0.3, 0.1] + scatter)
-    found = share_left(rms(left_out + scatter), after, noise)
-    assert found == pytest.approx(0.3, abs=0.02)
-    # It allows 0.24 of 0.8 m where the lap needed no more, and never more than a fifth less than before does.
-    assert next_deviation(0.8, 0.1, found * 0.8) == pytest.approx(0.24, abs=0.02)
-    assert next_deviation(0.8, 0.5, found * 0.8) == 0.5
-    assert next_deviation(0.2, 0.0, share_left(after, after, noise) * 0.8) == pytest.approx(0.16)
+def rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(np.square(values), axis=0))
 
 
-def test_the_margin_falls_by_a_fifth_where_no_learned_model_has_left_an_error():
-    race = Race(RaceSettings(grip=0.5, assumed_friction=0.5), read_vehicle(CAR), None, lambda text: None)
-    race.header = blank_header(race.vehicle, race.features, race.mpcc)
-    # The told grip alone takes away half of the file's error, and nothing was learned.
-    race.laps = [SimpleNamespace(error_before=(0.4, 0.77, 0.2), error_after=(0.4, 0.4, 0.16))]
-    race.learner = SimpleNamespace(residual=NoResidual())
-    assert race._error_allows() == np.inf
+def test_the_error_of_acceleration_is_that_of_a_force_at_its_lever_whatever_the_noise():
+    """A wrong force at the CG, and one at the radius of gyration before it: they count as their energies do."""
+    car, rng = read_vehicle(CAR), np.random.default_rng(0)
+    noise, force = np.array([0.2, 0.2, 0.1]), rng.normal(0.0, 600.0, 50_000)
+    radius = np.sqrt(car.yaw_inertia / car.mass)
+    for lever, factor in ((0.0, 1.0), (radius, np.sqrt(2.0))):
+        left_out = np.stack(
+            [rng.normal(size=len(force)), force / car.mass, lever * force / car.yaw_inertia], axis=1
+        )
+        labels = left_out + noise * rng.normal(size=left_out.shape)
+        assert acceleration_error(rms(labels), noise, len(force), car) == pytest.approx(
+            factor * 600.0 / car.mass, rel=0.01
+        )
+    # An error that noise hides counts as what so many labels could tell; v_x moves no car sideways.
+    hidden = acceleration_error(np.array([9.0, 0.1, 0.05]), noise, 200, car)
+    assert hidden == pytest.approx(np.sqrt(0.1) * np.hypot(0.2, radius * 0.1))
+
+
+@pytest.fixture
+def margins():
+    """A race, and what it keeps beside the least margin after laps that missed v_y by shares of `FIRST_ERROR`."""
+    drive = first_rows(read_drive(ROOT / "sample_logs" / "road_pair_real.parquet"), 2001)
+    race = Race(RaceSettings(), read_vehicle(CAR), None, lambda text: None)
+    header = race.header = blank_header(race.vehicle, race.features, race.mpcc)
+    race.world = SimpleNamespace(recording=lambda *span, name: drive)
+    race.spans, race.controller = {1: (0, 2001)}, SimpleNamespace()
     race.learner = SimpleNamespace(residual=None)
-    race.header = replace(race.header, kernel=replace(race.header.kernel, noise_variance=np.full(3, 0.01)))
-    share = np.sqrt((0.16**2 - 0.01) / (0.2**2 - 0.01))
-    assert race._error_allows() == pytest.approx(share * FIRST_DEVIATION)
-    # The header of an export is blank: its kernel says nothing of the labels' noise.
-    race.exported = SimpleNamespace()
-    assert race._error_allows() == np.inf
+    labels = compute_labels(drive, race.vehicle, header.features, header.region, horizon=header.horizon)
+    noise = noise_floor(SingleTrack(race.vehicle), drive, labels).rms
+
+    def after(laps: list[tuple[float, float]], max_lateral: float = 0.9) -> list[float]:
+        kept = []
+        for share, needed in laps:
+            error = np.hypot(noise[1], share * FIRST_ERROR * max_lateral * STANDARD_GRAVITY)
+            given = {"error_after": (0.0, error, noise[2]), "accepted": 10**12}
+            race.laps = [SimpleNamespace(number=1, max_lateral=max_lateral, **given)]
+            race._follow_lap(needed)
+            kept.append(race.controller.deviation)
+        return kept
+
+    return race, after
+
+
+@pytest.mark.parametrize("max_lateral", [0.9, 0.45])
+def test_the_margin_falls_with_the_error_of_the_model_on_any_road_and_by_a_fifth_a_lap(margins, max_lateral):
+    _, after = margins
+    expected = [0.64, 0.25 * 0.512, 0.5 * 0.4096]
+    kept = after([(2.0, 0.0), (0.25, 0.0), (0.5, 0.0)], max_lateral)
+    assert np.array(kept) / FIRST_DEVIATION * 0.8 == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_lap_that_happens_to_need_little_takes_no_margin_that_others_needed(margins):
+    """What an error needed it may need again, elsewhere on the track; half the error needs half."""
+    _, after = margins
+    kept = after([(0.1, 0.6), (0.1, 0.1), (0.05, 0.1), (0.1, 0.7)])
+    assert kept == pytest.approx([0.6, 0.48, 0.192, 0.7], rel=1e-3)
+
+
+def test_without_a_learned_model_the_margin_falls_by_a_fifth_alone(margins):
+    race, after = margins
+    race.learner = SimpleNamespace(residual=NoResidual())
+    assert after([(0.1, 0.0), (3.0, 0.6), (0.1, 0.1)]) == pytest.approx([0.64, 0.6, 0.48])
+    race.learner = SimpleNamespace(residual=None)
+    race.settings = replace(race.settings, margin_by_error=False)
+    assert after([(0.1, 0.0)]) == pytest.approx([0.384])
 
 
 def test_commands_matter_as_long_as_delays_and_lags_last_and_a_lag_of_no_time_takes_none():

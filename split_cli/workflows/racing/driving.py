@@ -18,6 +18,7 @@ from split_cli.control.path import check_path, contour_and_lag
 from split_cli.control.policy import (
     DEVIATION_KEPT,
     FIRST_DEVIATION,
+    FIRST_ERROR,
     MARGIN,
     MAX_STEER,
     SHARE_STEP,
@@ -29,12 +30,15 @@ from split_cli.control.residual import NoResidual
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
 from split_cli.learning.features import parse_features
-from split_cli.learning.labels import Labels
+from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import find_car
 from split_cli.plant.recording import write_mcap
+from split_cli.scoring.noise import noise_floor
+from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.racing.choice import choose_features, what_lap_0_asks, whether_learning_helped
 from split_cli.workflows.racing.closed_loop import World, body_width
 from split_cli.workflows.racing.entry import (
@@ -77,40 +81,26 @@ def uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def share_left(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
-    """Return the share of the nominal error that a model left in a lap, of v_y and r the larger, from 0 to 1 [1].
+def acceleration_error(error: np.ndarray, noise: np.ndarray, count: int, vehicle: Vehicle) -> float:
+    """Return what a model gets wrong of the motion sideways, as one acceleration [m/s^2].
 
     Parameters
     ----------
-    before, after : ndarray, shape (3,)
-        Root mean squares of the lap's labels, and of what predictions leave of them.
+    error : ndarray, shape (3,)
+        Root mean squares of what predictions leave of the labels [m/s^2], [m/s^2], [rad/s^2].
     noise : ndarray, shape (3,)
         Deviation of the labels' noise, which no model can predict, in the same units.
-    """
-    before, after, noise = (np.square(values[1:]) for values in (before, after, noise))
-    shares = np.maximum(after - noise, 0.0) / np.maximum(before - noise, 1e-12)
-    return float(np.sqrt(np.minimum(shares, 1.0).max()))
-
-
-def next_deviation(before: float, needed: float, most: float = np.inf) -> float:
-    """Return by how much more than the least margin the next lap's plan keeps to the border [m].
-
-    Parameters
-    ----------
-    before : float
-        What this lap's plan kept so [m].
-    needed : float
-        By how much the car came nearer to the border than planned, at most [m]. Where the track leaves no room
-        for the whole margin, the plan kept less.
-    most : float
-        What stays at most, if the lap needed no more [m].
+    count : int
+        Number of labels.
 
     Notes
     -----
-    The model, noise or the price of a soft border may be at fault. `DEVIATION_KEPT` of what was kept stays, or
-    `most` where that is less.
+    Yaw counts by the radius of gyration, as it does in the kinetic energy: the square is that of v_y plus
+    I_z/m times that of r. Neither is below its standard error, noise^2 sqrt(2/count): no label tells less.
     """
-    return max(needed, min(DEVIATION_KEPT * before, most))
+    noise = np.square(noise)
+    squares = np.maximum(np.square(error) - noise, noise * np.sqrt(2.0 / max(count, 1)))
+    return float(np.sqrt(squares[1] + vehicle.yaw_inertia / vehicle.mass * squares[2]))
 
 
 class Race:
@@ -181,6 +171,7 @@ class Race:
         self.ended, self.undecided = "", False
         self.kept: str | None = None
         self.lines, self.crossing, self.until = 0, 0.0, 0.0
+        self.per_error = self.deviation / FIRST_ERROR  # needed beside the least margin, over `_error` [m]
 
     @property
     def begins_nominal(self) -> bool:
@@ -336,25 +327,41 @@ class Race:
         self.traces.append(np.array(tally.trace))
         outside = self.laps[-1].outside
         self.say(f"lap {number}: " + (f"{time:.2f} s, {outside:.2f} m outside" if time else self.ended))
-        controller.deviation = next_deviation(controller.deviation, tally.needed, self._error_allows())
         self.spans[number] = (tally.first, len(world.rows))
+        self._follow_lap(tally.needed)
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
             self._learn_grip(trained.z, trained.y)
         self._raise_share()
         self._keep(trained)
 
-    def _error_allows(self) -> float:
-        """Return the deviation that an error as that of the last lap asks for at most [m].
+    def _follow_lap(self, needed: float) -> None:
+        """Choose by how much more than the least margin the next lap's plan keeps to the border.
 
-        The first deviation is that of the nominal model's error, and errors of position go in proportion. Infinity
-        where the error is not asked, nothing was learned before, or no kernel tells the noise: an export has none.
+        The car came nearer to the border than planned by what was `needed` [m], and errors of position go with
+        those of the model. The next lap may err elsewhere: of what an error has needed, `DEVIATION_KEPT` stays.
         """
-        lap, unlearned = self.laps[-1], isinstance(self.learner.residual, NoResidual)
-        if not self.settings.margin_by_error or unlearned or self.exported is not None or self.ended:
-            return np.inf
-        noise = np.sqrt(self.header.kernel.noise_variance)
-        return self.deviation * share_left(np.array(lap.error_before), np.array(lap.error_after), noise)
+        error = self._error()
+        self.per_error = max(needed / error, DEVIATION_KEPT * self.per_error)
+        self.controller.deviation = self.per_error * error
+
+    def _error(self) -> float:
+        """Return the learned model's error in the last lap, over the largest lateral acceleration [1].
+
+        What an error of acceleration adds up to goes with the square of the time, and the time with the root of a
+        length over the acceleration that is driven. At most `FIRST_ERROR`, which stands for a model that has
+        learned nothing, and where the error is not asked or the noise not known.
+        """
+        lap, header = self.laps[-1], self.header
+        if not self.settings.margin_by_error or isinstance(self.learner.residual, NoResidual) or self.ended:
+            return FIRST_ERROR
+        drive = self.world.recording(*self.spans[lap.number], name=f"lap {lap.number}")
+        labels = compute_labels(drive, header.vehicle, header.features, header.region, horizon=header.horizon)
+        noise = noise_floor(SingleTrack(header.vehicle), drive, labels).rms
+        if noise is None:
+            return FIRST_ERROR
+        error = acceleration_error(np.array(lap.error_after), noise, lap.accepted, header.vehicle)
+        return min(error / (lap.max_lateral * STANDARD_GRAVITY), FIRST_ERROR)
 
     def _keep(self, trained: TrainingSet | None) -> None:
         """Write what was learned, if anything was."""
@@ -443,8 +450,8 @@ class Race:
 
     def result(self, output: str | FilePath | None, others: Sequence[RaceResult] = ()) -> RaceResult:
         """Return what was driven, compared with `others` as `whether_learning_helped` does."""
-        told = any(what_lap_0_asks(other.laps, self.vehicle) for other in others)
-        advice = "" if told else what_lap_0_asks(self.laps, self.vehicle)
+        known = any(what_lap_0_asks(other.laps, self.vehicle) for other in others)
+        advice = "" if known else what_lap_0_asks(self.laps, self.vehicle)
         return RaceResult(
             track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
             length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),

@@ -155,8 +155,8 @@ def _headline(races: Sequence[RaceResult]) -> str:
 def _caution(races: Sequence[RaceResult]) -> str:
     """Return whether learning helped, what a race noted, and a warning where learners drove one lap each."""
     learning = [race for race in races if race.learner != "none"]
-    told = [(_called(race), text) for race in races for text in (race.verdict, *race.notes) if text]
-    verdicts = "".join(f"<p>{escape(name)}: {prose(text)}</p>" for name, text in told)
+    said = [(_called(race), text) for race in races for text in (race.verdict, *race.notes) if text]
+    verdicts = "".join(f"<p>{escape(name)}: {prose(text)}</p>" for name, text in said)
     if len(learning) < 2 or max(lap.number for race in learning for lap in race.laps) > 1:
         return verdicts
     return verdicts + (

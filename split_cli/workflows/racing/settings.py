@@ -49,8 +49,7 @@ class RaceSettings:
     # [m]; by default `FIRST_DEVIATION`, in proportion to the car's wheelbase. After each lap it is what the lap
     # needed, and no less than a share of what it was.
     deviation: float | None = None
-    # Whether after a lap the deviation may fall at once to the share of the nominal error that the model left; by
-    # a fifth a lap otherwise, as it does without a model.
+    # Whether a deviation that no lap needed falls with the learned model's error, too, and not by a fifth alone.
     margin_by_error: bool = True
     tightening: float = 0.0  # standard deviations by which the borders are moved in [1]
     settings: MpccSettings = LEARNING  # its margin and its largest speed are those named above
