@@ -159,7 +159,13 @@ def test_laps_are_chosen_compared_and_played_in_a_browser(browser, tmp_path):
         assert [key.get_attribute("aria-pressed") for key in keys] == ["true", "false", "true"]
     assert one("#status").text == "lap 0: 100 m, 10.0 m/s; lap 2: 110 m, 11.0 m/s"
     marks = "return document.querySelectorAll(`#strips svg line[stroke-dasharray='3 3']`).length"
-    assert browser.execute_script(marks) == len([chart for chart in race_charts([result]) if chart.wide])
+    strips = len([chart for chart in race_charts([result]) if chart.wide])
+    assert browser.execute_script(marks) == strips
+    # It stays where charts are drawn anew, as in another window, on paper, or over time.
+    switch = "document.querySelector('#along input[value=t]').click()"
+    for change in ("dispatchEvent(new Event('beforeprint')); dispatchEvent(new Event('afterprint'))", switch):
+        browser.execute_script(change)
+        assert browser.execute_script(marks) == strips
     whole = "return document.getElementById('track').toDataURL()"
     before = browser.execute_script(whole)
     browser.execute_script("view.value = 'car'; view.dispatchEvent(new Event('change'))")

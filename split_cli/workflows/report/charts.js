@@ -214,6 +214,7 @@ const Charts = (() => {
         shape("defs", {}, shape("clipPath", { id: clip }, shape("rect", box))),
         shape("rect", { ...box, fill: "var(--ground)" }), frame, layer, shape("rect", { ...box, fill: "none", stroke: "var(--frame)" }), this.over);
       options.draw(layer, this);
+      this.mark(this.marked);
     }
 
     equalise() {
@@ -263,7 +264,7 @@ const Charts = (() => {
 
     abandon() {
       this.drag = null;
-      this.over.replaceChildren();
+      this.mark(this.marked);
     }
 
     scale(factor, about = null) {
@@ -320,8 +321,9 @@ const Charts = (() => {
       this.tip.style.top = `${between(py - h / 2, 0, Math.max(0, this.host.clientHeight - h))}px`;
     }
 
-    /* Mark a point, or a moment when y is null; nothing for x null. */
+    /* Mark a point, or a moment when y is null; nothing for x null. A moment stays when the chart is drawn anew. */
     mark(x, y = null) {
+      this.marked = y === null ? x : null;
       if (!this.over || this.drag) return;
       if (x === null || !Number.isFinite(x)) return this.over.replaceChildren();
       const at = this.sx(x);

@@ -192,11 +192,14 @@
 
   charts.forEach(chart);
   /* Mark a moment and a place in charts with two kinds of x; null for none. */
+  let marked = [null, null];
   Charts.markStrips = (time, place) => {
+    marked = [time, place];
     for (const plot of Object.values(plots)) if (plot.group === "strips") plot.mark(along ? place : time);
   };
   if (choice) choice.addEventListener("change", (event) => {
     along = event.target.value === "s";
     for (const plot of Object.values(plots)) if (plot.group === "strips") { plot.view = null; plot.redraw(); }
+    Charts.markStrips(...marked);
   });
 })();
