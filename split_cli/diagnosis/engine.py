@@ -26,6 +26,7 @@ from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, what_was_not_excited
 from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.wandering import beyond_wandering
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, InputFile, RemainderTest
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
@@ -157,6 +158,7 @@ def diagnose(
         policy,
         [one.series for one in case.simulated],
     )
+    candidates = beyond_wandering(case, candidates, policy)
     reach = settings.far_reach if is_far else settings.reach
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
     if outcome.self_test.ratio > policy.selection.much_over_noise:

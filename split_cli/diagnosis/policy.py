@@ -58,7 +58,8 @@ class ComparisonRules:
         250,
         "rows of 0.04 s",
         "evidence below which nothing is decided; half of it in a half of the simulation, a quarter kept out for "
-        "a share of the gap; length at most of a block when a simulation is dealt into halves",
+        "a share of the gap; length of a stretch from one to the next of which instruments wander, and at most "
+        "of a block when a simulation is dealt into halves",
         JUDGEMENT + "ten seconds of driving",
     )
     least_share: float = number(
@@ -186,7 +187,7 @@ class SelectionRules:
         1.96,
         "standard deviations",
         "that hold 95 %: of cars, between no effect and the largest that a car can have; of recordings of one "
-        "car, over what halves of the simulation differ by",
+        "car, over what halves of the simulation differ by, and over what instruments wander by",
         THEORY + "95 % of a normal deviate, two-sided",
     )
 

@@ -96,13 +96,17 @@ def test_beside_a_name_what_no_car_can_have_is_a_lead():
     assert [one is selection.chosen for one in asked] == [True]
 
 
-def test_what_may_as_well_be_of_the_other_sign_is_no_lead(monkeypatch):
+def test_what_has_no_value_or_either_sign_is_no_lead(monkeypatch):
     objective = noisy_objective(driven(73, (CATALOGUE["road_bank"]({"angle": 0.3}),), runs=4), 7)
     (bank,) = (one for one in candidates_of(objective, "road_bank") if not one.variant)
     base, ended = nothing(objective), fit_parts(objective, [Part(bank, dict(bank.starts[0]))])
     selection = Selection(base, base, (), (), (), (), first=(ended,))
     (lead,) = leads.find_leads(objective, selection, 1.5)
     assert lead.parameters["angle"].interval_95[0] > 0.0
+    # Four times a range that is too short by far: the data want more still, and what that would be is unknown.
+    short = replace(bank, ranges={"angle": replace(bank.ranges["angle"], lower=-0.02, upper=0.02)})
+    further = fit_parts(objective, [Part(short, {"angle": 0.01})])
+    assert leads.find_leads(objective, replace(selection, first=(further,)), 1.5) == ()
     known = lead.parameters["angle"].covering(ParameterEstimate(-0.1, 0.1, "rad", (-0.3, 0.1)))
     monkeypatch.setattr(leads, "parameter_estimates", lambda *_: ({"angle": known},))
     assert leads.find_leads(objective, selection, 1.5) == ()

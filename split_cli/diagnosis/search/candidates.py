@@ -81,8 +81,12 @@ class Candidate:
 
     def without_witness(self) -> Candidate:
         """Return the candidate where no position tells a sensor from the car: what sound ones do is no fault."""
+        return self.beyond({name: limit.unwitnessed for name, limit in self.ranges.items()})
+
+    def beyond(self, everyday: Mapping[str, float]) -> Candidate:
+        """Return the candidate where sound recordings may have sizes up to these by name, or more, see `Range`."""
         ranges = {
-            name: replace(limit, everyday=max(limit.everyday, limit.unwitnessed))
+            name: replace(limit, everyday=max(limit.everyday, everyday.get(name, 0.0)))
             for name, limit in self.ranges.items()
         }
         return replace(self, ranges=ranges)

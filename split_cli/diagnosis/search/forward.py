@@ -117,7 +117,9 @@ def search_forward(
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
             nuisances += 1
-            if nuisances > rules.most_nuisances:
+            # What any sound recording has is no guess, and takes no guess's place.
+            guesses = nuisances - sum(part.candidate.is_everyday(part.values) for part in best.parts)
+            if guesses > rules.most_nuisances:
                 break
             chosen = best
             continue

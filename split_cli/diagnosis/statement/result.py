@@ -193,8 +193,6 @@ class RemainderTest:
         What kinds of dependence explain of it, strongest first, in units of chi squared.
     formula : str
         The best sparse formula as a lead; empty when the remainder is noise.
-    drifts : tuple of (str, float)
-        What the findings' parameters drift with, strongest first, and the cost a drift would save.
     explained : float or None
         Share of the held-out squared error above the noise floor that returns when all findings are removed [1];
         None where it was not measured.
@@ -205,7 +203,6 @@ class RemainderTest:
     effect_to_noise: float
     by_group: tuple[tuple[str, float], ...]
     formula: str = ""
-    drifts: tuple[tuple[str, float], ...] = ()
     explained: float | None = None
 
     def without_structure(self, findings: Sequence[Finding]) -> float:

@@ -27,7 +27,7 @@ from split_cli.diagnosis.statement.result import (
 )
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking
-from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error, parameter_drifts
+from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error
 from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
 from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along
 from split_cli.vehicle.effects import CATALOGUE
@@ -307,11 +307,8 @@ def _remainder(
     """Return what is left beyond the named terms' model-form error; see `residuals_beside_form_error`."""
     left = structure.fit(residuals, variance_inflation)
     named = selection.base.cost - selection.chosen.cost
-    drifts = tuple(
-        (one.variable, one.saved) for one in parameter_drifts(structure.objective, selection.chosen)[:3]
-    )
     share = structure.unnamed_share(left, named, variance_inflation)
-    return RemainderTest(left.p_value, share, left.effect_to_noise, left.group_saved, drifts=drifts)
+    return RemainderTest(left.p_value, share, left.effect_to_noise, left.group_saved)
 
 
 def _shares(selection: Selection, terms: Set[str]) -> dict[str, float]:

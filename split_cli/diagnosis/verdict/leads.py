@@ -29,7 +29,8 @@ def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inf
     -----
     A term whose fit ended at a bound of what a car can have is followed beyond it: alone, and beside what is
     named. It is reported if it then explains a fair share of what is there, and if its interval leaves out no
-    effect: what may as well be of the other sign leads nowhere. Beside names it has to be what a further name has
+    effect: what may as well be of the other sign leads nowhere. Nor does what ends at the wider bound, too: that
+    is no value. Beside names it has to be what a further name has
     to be, more than their model-form error, beyond doubt.
     """
     chosen, known = selection.chosen, {term.id for term in selection.terms}
@@ -97,8 +98,9 @@ def _leads_beside(
             continue
         part = fit.parts[-1]
         free = fit_parts(objective, (*fit.parts[:-1], Part(part.candidate.unlimited(), dict(part.values))))
-        saved = rest.cost - free.cost
-        estimates = parameter_estimates(objective, free)[-1] if saved >= rules.greater_part * whole else {}
+        saved, ends = rest.cost - free.cost, free.parts[-1].candidate.at_limit(free.parts[-1].values)
+        enough = saved >= rules.greater_part * whole and not ends
+        estimates = parameter_estimates(objective, free)[-1] if enough else {}
         if estimates and one_excludes_no_effect(part.candidate.term, estimates):
             share = saved / max(saved, whole)
             leads.append((_lead(objective, rest, fits, fit, free, estimates, share), free))
