@@ -7,7 +7,7 @@ import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.checking.consistency import Consistency, check_consistency
-from split_cli.logs.checking.kinematics import block_interval, fit_slope
+from split_cli.logs.checking.kinematics import block_interval, fit_linear, fit_slope
 from tests.factories import one_run
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
@@ -347,3 +347,14 @@ def test_the_error_of_a_slope_is_that_of_slopes_with_a_block_left_out(zeroed):
     assert fitted.count == 1003
     assert fitted.slope == pytest.approx(slope[0], rel=1e-12)
     assert fitted.error == pytest.approx(error[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [7, 1003])
+def test_coefficients_and_errors_are_those_of_least_squares_with_a_block_left_out(count):
+    rng = np.random.default_rng(6)
+    # Columns of far different size, as a rate beside an offset: squares of a condition of 1e6 would be felt.
+    design = np.stack([1e6 * rng.normal(size=count), rng.normal(size=count), np.ones(count)], axis=1)
+    y = design @ [2e-6, -0.7, 3.0] + rng.normal(size=count)
+    expected = block_interval(lambda rows: np.linalg.lstsq(design[rows], y[rows], rcond=None)[0], count)
+    for found, known in zip(fit_linear(design, y), expected, strict=True):
+        np.testing.assert_allclose(found, known, rtol=1e-9)

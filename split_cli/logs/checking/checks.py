@@ -15,12 +15,13 @@ from split_cli.logs.checking.kinematics import (
     scaled_parts,
 )
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
-from split_cli.logs.checking.relations import ConsistencyFinding, Plausible, Relation
+from split_cli.logs.checking.relations import OVER_TIME, ConsistencyFinding, Plausible, Relation
 from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.checking.wheel_speeds import AXLES, outer_wheels, without_turning
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived
+from split_cli.logs.scratch import set_aside
 from split_cli.signals import REQUIRED_CHANNELS, STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
 
@@ -158,7 +159,8 @@ class Checks:
         A derived channel carries no mistake of its own and drops out of `powers`.
         """
         powers = {channel: power for channel, power in powers.items() if channel not in self.derived}
-        self.pairs[name], self.powers[name] = (y, x, base, zeroed), powers
+        if name in OVER_TIME:
+            self.pairs[name], self.powers[name] = (set_aside(y), set_aside(x), base, zeroed), powers
         slope = fit_slope(y, x, self.k.moving, zeroed=zeroed)
         if slope is None:
             self.unjudged.append(Unjudged(name, "too few samples in motion, or nothing changes"))

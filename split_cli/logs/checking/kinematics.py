@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.logs.scratch import set_aside
+
 _BLOCKS = 10
 _MOST_SAMPLES = 50_000
 _WIDER = 2.5
@@ -134,7 +136,8 @@ class Kinematics:
                 smooth[:margin] = np.nan
                 smooth[-margin:] = np.nan
                 result[run] = smooth
-            self._known[key] = result
+            result.flags.writeable = False  # as what is set aside is
+            self._known[key] = set_aside(result)
         return self._known[key]
 
 
@@ -235,8 +238,18 @@ def block_interval(estimate: Callable[[np.ndarray], np.ndarray], count: int) -> 
 
 
 def fit_linear(design: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least-squares coefficients of y (N,) over a design (N, P), and their errors."""
-    return block_interval(lambda rows: np.linalg.lstsq(design[rows], y[rows], rcond=None)[0], len(y))
+    """Return the least-squares coefficients of y (N,) over a design (N, P), and their errors as `block_interval`.
+
+    Each block of rows is reduced once to the triangle R of its QR decomposition, which keeps norms of residuals.
+    """
+    blocks = [slice(rows[0], rows[-1] + 1) for rows in np.array_split(np.arange(len(y)), _BLOCKS) if len(rows)]
+    triangles = [np.linalg.qr(np.column_stack([design[rows], y[rows]]), mode="r") for rows in blocks]
+
+    def estimate(kept: np.ndarray) -> np.ndarray:
+        rows = np.concatenate([triangles[block] for block in kept])
+        return np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
+
+    return block_interval(estimate, len(triangles))
 
 
 def has_dependent_columns(design: np.ndarray) -> bool:
