@@ -359,12 +359,10 @@ def typed_path(path: str | os.PathLike[str]) -> str:
     return os.path.join(os.curdir, path) if str(path).startswith("-") else str(path)
 
 
-def refuse_overwriting_inputs(
-    output: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]], *more: str | os.PathLike[str]
-) -> None:
+def refuse_overwriting_inputs(inputs: Iterable[str | os.PathLike[str]], *outputs: str | os.PathLike[str]) -> None:
     """Refuse to write over a file that is being read, by whatever name or link: it would be lost."""
     real = {os.path.realpath(source) for source in inputs}
-    for target in (output, *more):
+    for target in outputs:
         if os.path.realpath(target) in real:
             advice = "Name another output."
             raise SplitError("is an input too, it would be overwritten", where=str(target), advice=advice)

@@ -56,7 +56,7 @@ def calibrate_files(
     """
     settings = settings or CalibrationSettings()
     if output is not None:
-        refuse_overwriting_inputs(output, drives)
+        refuse_overwriting_inputs(drives, output)
     vehicle = read_vehicle(start)
     runs, used, follows = [], [], set()
     for path in drives:
@@ -120,7 +120,7 @@ def convert_files(sources: Sequence[str | Path], output: str | Path, *, alpha_ma
     """
     if not sources:
         raise SplitError("no parameter file was named", advice="Name the CommonRoad, F1TENTH or ForzaETH file.")
-    refuse_overwriting_inputs(output, sources)
+    refuse_overwriting_inputs(sources, output)
     conversion = convert_parameters(sources, alpha_max=alpha_max)
     names = ", ".join(Path(source).name for source in sources)
     write_vehicle(conversion.vehicle, output, comment=f"Converted by `split calibrate --convert` from {names}.")
@@ -137,7 +137,7 @@ def write_foreign(
     SplitError
         If the vehicle file cannot be read or the format is not known.
     """
-    refuse_overwriting_inputs(output, [source])
+    refuse_overwriting_inputs([source], output)
     written = foreign_parameters(read_vehicle(source), kind, alpha_max)
     with atomic_path(output) as temporary:
         temporary.write_text(yaml.safe_dump(written.content, sort_keys=False), encoding="utf-8")

@@ -58,7 +58,7 @@ def label_drive(
     held : sequence of str
         Inputs that keep their value between samples, whatever the file says.
     """
-    refuse_overwriting_inputs(output, (drive_path, vehicle_path))
+    refuse_overwriting_inputs((drive_path, vehicle_path), output)
     vehicle = read_vehicle(vehicle_path)
     correct = RecordingCorrection(vehicle)
     drive = correct(open_drive(drive_path, held))

@@ -95,7 +95,7 @@ def simulate_log(
     _check(settings)
     format_name = _format(settings, output)
     if truth is not None:
-        refuse_overwriting_inputs(truth, [output])
+        refuse_overwriting_inputs([output], truth)
         refuse_what_cannot_be_written(truth)
     refuse_what_cannot_be_written(output)
     effects = tuple(map(parse_effect, settings.effects))

@@ -202,7 +202,7 @@ def _local(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     if not path.exists() and glob.has_magic(str(path)):
         base = Path(_before_magic(str(path)) or ("/" if path.is_absolute() else "."))
         hits = sorted(base.glob(_pattern_below(path, base))) if base.is_dir() else []
-        inside = [hit for hit in hits if hit.is_file() or _is_bag(hit)]
+        inside = [hit for hit in hits if not hit.is_dir() or _is_bag(hit)]  # a broken link, too: it is told
         return [SourceFile(str(hit), _place(hit, base)) for hit in inside if not _hidden(hit.relative_to(base))]
     return [SourceFile(str(path), path.name or str(path))]
 

@@ -23,7 +23,7 @@ from split_cli.workflows.engine import open_engine
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
-from split_cli.workflows.sources import find_sources, left_alone
+from split_cli.workflows.sources import SourceFile, find_sources, left_alone
 from split_cli.workflows.training.train import train_set
 from tests.conftest import ROOT
 from tests.logs import readers_support as support
@@ -98,6 +98,52 @@ def test_a_glob_keeps_places_below_what_it_names(archive):
     assert [s.place for s in find_sources([archive / "**" / "a.csv"])] == ["a.csv", "monday/a.csv"]
     with pytest.raises(SplitError, match="holds no recording"):
         find_sources([archive / "*.mcap"])
+
+
+def test_a_glob_tells_a_link_to_nothing(archive, tmp_path):
+    """It was passed over, and the drive of a log that had moved was missing without a word."""
+    (archive / "moved.csv").symlink_to(archive / "elsewhere.csv")
+    run = ingest_logs([archive / "*.csv"], tmp_path / "drives", keep_going=True)
+    assert [one.log for one in run.failures] == ["moved.csv"] and len(run.results) == 1
+
+
+def test_before_what_is_there_is_compared_that_is_said(archive, tmp_path, monkeypatch):
+    """Digests of a whole archive came before the first word, also where there was nothing to compare them with."""
+    told, fingerprint = [], SourceFile.fingerprint
+    monkeypatch.setattr(SourceFile, "fingerprint", lambda source: told.append(source.place) or fingerprint(source))
+    ingest_logs([archive], tmp_path / "drives", progress=told.append)
+    places = ["a.csv", "monday/a.csv", "monday/b.csv"]
+    assert told == [line for n, place in enumerate(places, 1) for line in (place, f"[{n}/3] {place}")]
+    told.clear()
+    ingest_logs([archive], tmp_path / "drives", progress=told.append)
+    assert told == ["comparing 3 recordings with those that were read before", *places]
+
+
+@pytest.mark.parametrize("how", ["grows", "is replaced", "is cut"])
+def test_a_log_that_is_changed_while_it_is_read_is_refused(archive, tmp_path, monkeypatch, how):
+    """A drive named the digest of a log that it was not made of."""
+    whole = (archive / "a.csv").read_bytes()
+
+    def opened(path, **settings):
+        recording = open_recording(path, **settings)
+        if Path(path) == archive / "a.csv" and how == "grows":
+            with Path(path).open("ab") as stream:
+                stream.write(whole.splitlines(keepends=True)[-1])
+        elif Path(path) == archive / "a.csv" and how == "is replaced":
+            (archive / "new").write_bytes(whole)
+            os.replace(archive / "new", path)
+        elif Path(path) == archive / "a.csv":
+            os.truncate(path, 0)
+        return recording
+
+    monkeypatch.setattr("split_cli.workflows.ingesting.ingest.open_recording", opened)
+    with pytest.raises(SplitError, match="was changed while it was read"):
+        ingest_logs([archive / "a.csv"], tmp_path / "a.parquet")
+    assert not list(tmp_path.glob("*.parquet"))
+    (archive / "a.csv").write_bytes(whole)
+    run = ingest_logs([archive], tmp_path / "drives", keep_going=True)
+    assert [one.log for one in run.failures] == ["a.csv"] and len(run.results) == 2
+    assert "was changed" in str(run.failures[0].error)
 
 
 @pytest.mark.parametrize("keep_going", [False, True])

@@ -1,7 +1,7 @@
 """From recordings to drives: open, assemble, write whole or not at all."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -42,6 +42,7 @@ class IngestResult:
     period: float  # [s]
     quality: QualityReport
     metadata: DriveMetadata
+    fingerprint: str = ""  # of the recording, as `SourceFile.fingerprint` has it
 
     @property
     def drive(self) -> Drive:
@@ -158,7 +159,7 @@ def ingest_logs(
     if not single:
         _check_folder(output, sources)
     inputs = [source.address for source in sources if not is_remote(source.address)]
-    refuse_overwriting_inputs(output, inputs, *(() if single else (output / _drive_name(one) for one in sources)))
+    refuse_overwriting_inputs(inputs, output, *(() if single else (output / _drive_name(one) for one in sources)))
     if single:
         progress(sources[0].name)
         made = _make_drive(replace(prepared, source=sources[0], target=str(output), shown=str(output)))
@@ -242,23 +243,16 @@ def _into_folder(
     failures: list[IngestFailure] = []
     unchanged: list[str] = []
     jobs: list[_Job] = []
-    prints: list[str] = []
+    if manifest.entries:
+        progress(f"comparing {len(sources)} recordings with those that were read before")
     for source in sources:
-        try:
-            fingerprint = source.fingerprint()
-        except SplitError as error:
-            if not keep_going:
-                raise
-            failures.append(IngestFailure(source.place, error))
-            continue
-        if manifest.is_done(source.place, fingerprint, digest):
+        if manifest.is_done(source.place, source.fingerprint, digest):
             unchanged.append(source.place)
             continue
         name = _drive_name(source)
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        prints.append(fingerprint)
         jobs.append(replace(prepared, source=source, target=str(folder / name), shown=str(output / name)))
-    for number, (job, fingerprint, made) in enumerate(zip(jobs, prints, engine.map(_make_drive, jobs)), 1):  # noqa: B905
+    for number, (job, made) in enumerate(zip(jobs, engine.map(_make_drive, jobs), strict=True), 1):
         progress(f"[{number}/{len(jobs)}] {job.source.place}")
         if isinstance(made, IngestFailure):
             if not keep_going:
@@ -266,7 +260,7 @@ def _into_folder(
             failures.append(made)
             continue
         results.append(made)
-        manifest.add(job.source.place, fingerprint, digest, _drive_name(job.source), Path(job.target))
+        manifest.add(job.source.place, made.fingerprint, digest, _drive_name(job.source), Path(job.target))
         if keep_going:
             manifest.write(now_and_then=True)
     if results:
@@ -278,11 +272,42 @@ def _make_drive(job: _Job) -> IngestResult | IngestFailure:
     """Read one recording and write its drive, whole or not at all; an error is returned, to be told in order."""
     try:
         with job.source.local() as path:
-            made = _assemble(open_recording(path, message_paths=job.message_paths), path, job)
+            with _unchanged([path]):
+                fingerprint = job.source.fingerprint()
+                made = _assemble(open_recording(path, message_paths=job.message_paths), path, job)
             write_drive(made.drive, job.target)
-            return _result(path, Path(job.shown), made)
+            return replace(_result(path, Path(job.shown), made), fingerprint=fingerprint)
     except SplitError as error:
         return IngestFailure(job.source.place, error)
+
+
+@contextlib.contextmanager
+def _unchanged(paths: Sequence[Path]) -> Iterator[None]:
+    """Refuse recordings that are written or replaced while the body reads them: parts of two states."""
+    before, raised = _states(paths), None
+    try:
+        yield
+    except SplitError as error:
+        raised = error
+    later = _states(paths)
+    changed = next((str(path) for path, state in before.items() if later.get(path) != state), None)
+    if changed is not None:
+        advice = "Ingest it when whatever writes it has ended."
+        raise LogError("was changed while it was read", where=changed, advice=advice) from raised
+    if raised is not None:
+        raise raised
+
+
+def _states(paths: Sequence[Path]) -> dict[Path, tuple[int, int, int]]:
+    """Return inode, size and time of change [ns] of files, and of each file of folders."""
+    states = {}
+    for part in (part for path in paths for part in (path.rglob("*") if path.is_dir() else (path,))):
+        # Of a database with a write-ahead log, whoever reads it keeps an index.
+        with contextlib.suppress(OSError):
+            if part.is_file() and not part.name.endswith("-shm"):
+                stat = part.stat()
+                states[part] = stat.st_ino, stat.st_size, stat.st_mtime_ns
+    return states
 
 
 def _drive_name(source: SourceFile) -> str:
@@ -291,9 +316,10 @@ def _drive_name(source: SourceFile) -> str:
 
 def _ingest_together(paths: Sequence[Path], output: Path, job: _Job) -> IngestResult:
     """Make one drive of several files; see `ingest_logs`."""
-    refuse_overwriting_inputs(output, paths)
-    recording = open_logs(paths, job.message_paths)
-    made = _assemble(recording, paths[0], job)
+    refuse_overwriting_inputs(paths, output)
+    with _unchanged(paths):
+        recording = open_logs(paths, job.message_paths)
+        made = _assemble(recording, paths[0], job)
     write_drive(made.drive, output)
     return _result(Path(recording.name), output, made)
 

@@ -137,7 +137,7 @@ def run_maneuvers(
     say = progress or (lambda text: None)
     for path in (output, set_output):
         if path is not None:
-            refuse_overwriting_inputs(path, (vehicle_path, settings.start_set or vehicle_path))
+            refuse_overwriting_inputs((vehicle_path, settings.start_set or vehicle_path), path)
             refuse_what_cannot_be_written(path)
     _check(settings)
     vehicle, car = read_vehicle(vehicle_path), find_car(settings.car)

@@ -34,7 +34,7 @@ def run_race(
     """
     for path in (output, set_output):
         if path is not None:
-            refuse_overwriting_inputs(path, (vehicle_path, settings.start_set or vehicle_path))
+            refuse_overwriting_inputs((vehicle_path, settings.start_set or vehicle_path), path)
             refuse_what_cannot_be_written(path)
     if set_output is not None and settings.learner == "none":
         raise SplitError(

@@ -103,7 +103,7 @@ def train_set(
     """
     settings = settings or TrainSettings()
     kernel_file = {settings.hyperparameters} - {None, "fit", "default"}
-    refuse_overwriting_inputs(output, (*drive_paths, vehicle_path, *kernel_file))
+    refuse_overwriting_inputs((*drive_paths, vehicle_path, *kernel_file), output)
     sources = find_sources(drive_paths, DRIVE_SUFFIXES, what="drive")
     expanded = [source.address for source in sources] != [str(path) for path in drive_paths]
     # Two runs that append to one set take turns: each would write what it read, without the other's drives.
