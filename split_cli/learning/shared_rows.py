@@ -4,7 +4,7 @@ import numpy as np
 
 from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet
-from split_cli.logs.scratch import in_pieces
+from split_cli.logs.scratch import in_pieces, selected
 
 _LEAST_SHARE = 0.01
 """Share of a source's points that are rows of a drive, from which on they have rows in common [1]; judgement:
@@ -50,7 +50,7 @@ def shared_sources(trained: TrainingSet, z: np.ndarray, t: np.ndarray) -> dict[i
 
 
 class EarlierDrives:
-    """Rows of the drives of one training: tells a drive that an earlier one holds as a whole.
+    """Accepted rows of the drives of one training: tells a drive that an earlier one holds as a whole.
 
     Of many rows every second one is forgotten, again and again, by what it is and not by where it stands: the same
     rows of two drives stay.
@@ -63,28 +63,32 @@ class EarlierDrives:
         self._kept = np.uint64(0)  # bits of a key that are zero in each row that is kept
 
     def holding(self, labels: Labels) -> str | None:
-        """Return the name of an earlier drive with rows of each part of this one, or None, and remember this."""
-        known, rows = _alike(self._keys, self._t, self._source, labels.z, labels.t)
-        part = ((labels.t[rows] - labels.start_time) * (_PARTS / max(labels.duration, 1e-9))).astype(int)
+        """Return the name of an earlier drive with rows of each part of this one, or None, and remember this.
+
+        Rows that are not learned do not count: at rest they are all alike. A part without others asks for none.
+        """
+        z, t = selected(labels.z, labels.accepted), labels.t[labels.accepted]
+        known, rows = _alike(self._keys, self._t, self._source, z, t)
+        part = np.clip((t - labels.start_time) * (_PARTS / max(labels.duration, 1e-9)), 0, _PARTS - 1).astype(int)
         met = np.zeros((len(self._names), _PARTS), dtype=bool)
-        met[self._source[known], np.clip(part, 0, _PARTS - 1)] = True
-        whole = np.flatnonzero(met.all(axis=1))
-        if len(whole):
+        met[self._source[known], part[rows]] = True
+        whole = np.flatnonzero(met[:, np.unique(part)].all(axis=1))
+        if len(part) and len(whole):
             return self._names[int(whole[0])]
-        self._remember(labels)
+        self._remember(z, t)
+        self._names.append(labels.drive)
         return None
 
-    def _remember(self, labels: Labels) -> None:
-        for piece in in_pieces(len(labels)):
-            keys = _keys(labels.z[piece])
+    def _remember(self, z: np.ndarray, t: np.ndarray) -> None:
+        for piece in in_pieces(len(z)):
+            keys = _keys(z[piece])
             source = np.full(len(keys), len(self._names), dtype=np.int32)
-            parts = (self._keys, keys), (self._t, labels.t[piece]), (self._source, source)
-            keys, t, source = (np.concatenate(part) for part in parts)
+            parts = (self._keys, keys), (self._t, t[piece]), (self._source, source)
+            keys, times, source = (np.concatenate(part) for part in parts)
             while np.count_nonzero(kept := keys & self._kept == 0) > _MOST_ROWS:
                 self._kept = self._kept << np.uint64(1) | np.uint64(1)
             order = np.flatnonzero(kept)[np.argsort(keys[kept], kind="stable")]
-            self._keys, self._t, self._source = keys[order], t[order], source[order]
-        self._names.append(labels.drive)
+            self._keys, self._t, self._source = keys[order], times[order], source[order]
 
 
 def _alike(

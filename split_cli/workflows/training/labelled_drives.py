@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from split_cli.learning.shared_rows import EarlierDrives, shared_sources
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive, open_drive, unstated_inputs
 from split_cli.logs.drive_metadata import ingest_found
-from split_cli.logs.scratch import LONG, in_pieces, set_aside
+from split_cli.logs.scratch import LONG, set_aside
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
@@ -185,23 +184,16 @@ class LabelledDrives:
 
         On held-out blocks a copy is no test: what is held out of one drive is learned from the other.
         """
-        names: dict[bytes, str] = {}
         before = EarlierDrives()
         kept: list[int] = []
         for number in range(len(self._sources) if len(self._sources) > 1 else 0):
             labels = self.labels(number)
-            content = hashlib.sha256()
-            for rows in in_pieces(len(labels)):
-                content.update(labels.z[rows].tobytes() + labels.y[rows].tobytes())
-            earlier = names.setdefault(content.digest(), labels.drive)
-            what = f"is a copy of {earlier}"
-            if earlier is labels.drive:
-                earlier = before.holding(labels)
-                what = f"is a stretch of {earlier}, or a copy at another rate,"
+            earlier = before.holding(labels)
             if earlier is None:
                 kept.append(number)
             else:
-                self._notes.append(f"{labels.drive} {what} and is left out: it would count twice")
+                what = f"is a copy of {earlier}, or a stretch of it, at this rate or another"
+                self._notes.append(f"{labels.drive} {what}, and is left out: it would count twice")
         if 0 < len(kept) < len(self._sources):
             self._sources = [self._sources[old] for old in kept]
             self._kept = {new: self._kept[old] for new, old in enumerate(kept)}
