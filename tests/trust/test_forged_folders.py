@@ -13,11 +13,13 @@ from split_cli.cli.main import group
 from split_cli.errors import SplitError
 from split_cli.files import DIGESTS, sha256_of_file, write_digests
 from split_cli.learning.label_file import read_labels, write_labels
+from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.logs.drive import Source, read_drive, write_drive
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.diagnose import write_diagnosis
 from split_cli.workflows.info import describe_file
+from split_cli.workflows.verifying import relabelled
 from split_cli.workflows.verifying.verify import verify
 from split_cli.workflows.verifying.verify_files import compare_sources
 from tests.diagnosis.test_report import mismatch
@@ -94,6 +96,22 @@ def test_sums_over_labels_that_its_drives_do_not_have(folder, field, factor):
     trained = read_set(folder / "a.split")
     write_set(replace(trained, **{field: factor * getattr(trained, field)}), folder / "a.split")
     assert failed(folder / "a.split") == {"sums over labels"}
+
+
+@pytest.mark.parametrize(("options", "labelled"), [((), 2), (("--held", "T"), 4), (("--stride", 1), 4)])
+def test_points_and_sums_are_compared_with_labels_that_are_computed_once(folder, monkeypatch, options, labelled):
+    """Each drive was labelled eight times: for its points at every row, for the sums, and as held in four ways."""
+    drives = folder / "d0.parquet", folder / "d1.parquet"
+    split("train", *drives, "--vehicle", folder / "car.yaml", "-o", folder / "b.split", *options)
+    computed = []
+    monkeypatch.setattr(
+        relabelled, "compute_labels", lambda *a, **k: computed.append(a) or compute_labels(*a, **k)
+    )
+    found = verify(folder / "b.split")
+    named = {"points of d0.parquet", "points of d1.parquet"}
+    assert found.passed and named <= {i.check for i in found.items}
+    assert ("sums over labels" in {i.check for i in found.items}) == ("--stride" not in options)
+    assert len(computed) == labelled
 
 
 def test_a_label_that_its_drive_does_not_have(folder):

@@ -9,7 +9,7 @@ from split_cli.errors import SplitError
 from split_cli.files import refuse_no_regular_file, sha256_of_file
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME
-from split_cli.workflows.verifying.relabelled import points_against_drives, sums_against_drives
+from split_cli.workflows.verifying.relabelled import set_against_drives
 from split_cli.workflows.verifying.verification import Verification, VerifiedItem, item
 from split_cli.workflows.verifying.verify_files import verify_page, verify_parquet, verify_yaml
 from split_cli.workflows.verifying.verify_folders import (
@@ -43,8 +43,7 @@ def verify(path: str | Path) -> Verification:
         raise SplitError("no such file or folder", where=str(path))
     if path.suffix.lower() == ".split" or _is_arrow(path):
         trained = read_set(path, kernel_numbers=np.inf)
-        beside = (*points_against_drives(trained, path), *sums_against_drives(trained, path))
-        return Verification(str(path), "trained set", (*verify_set(trained), *beside))
+        return Verification(str(path), "trained set", (*verify_set(trained), *set_against_drives(trained, path)))
     if path.suffix.lower() in (".parquet", ".pq"):
         return Verification(str(path), *verify_parquet(path))
     if path.suffix.lower() in (".yaml", ".yml"):
