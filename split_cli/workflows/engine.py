@@ -1,6 +1,7 @@
 """Where work is done: in this process, in several on this machine, or on a Dask cluster: same results."""
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -191,9 +192,9 @@ def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
     with contextlib.ExitStack() as stack:
         try:
             if scheduler is None:
-                cluster = stack.enter_context(
-                    LocalCluster(n_workers=max(jobs, 1), threads_per_worker=1, dashboard_address=None)
-                )
+                # What its workers say of tasks that are dropped when a run ends early tells a user nothing.
+                quiet = {"dashboard_address": None, "silence_logs": logging.ERROR}
+                cluster = stack.enter_context(LocalCluster(n_workers=max(jobs, 1), threads_per_worker=1, **quiet))
                 client = stack.enter_context(Client(cluster))
             else:
                 client = stack.enter_context(Client(scheduler, timeout=5))

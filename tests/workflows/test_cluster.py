@@ -2,6 +2,9 @@
 
 import json
 import os
+import shutil
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -131,3 +134,16 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
     for name in ("self_test", "detection_limits", "_fitted", "refitted"):
         assert any(function.startswith(name) for function in travelled), name
     assert told["one"]["verdict"] != "undecided" and told["one"]["detectable"]
+
+
+@pytest.mark.slow
+def test_a_faulty_log_ends_a_run_in_one_line(folder, tmp_path):
+    """Workers told in Dask's own words which tasks they dropped."""
+    shutil.copytree(folder / "in", tmp_path / "logs")
+    (tmp_path / "logs" / "-1.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(50))
+    words = ["ingest", "logs", "-o", "drives", "--engine", "dask", "--jobs", "2"]
+    ended = subprocess.run(
+        [sys.executable, "-m", "split_cli", *words], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert ended.returncode == 1 and ended.stderr.startswith("split: -1.mcap")
+    assert len(ended.stderr.splitlines()) == 1 and not (tmp_path / "drives").exists()
