@@ -119,6 +119,24 @@ def test_before_what_is_there_is_compared_that_is_said(archive, tmp_path, monkey
     assert told == ["comparing 3 recordings with those that were read before", *places]
 
 
+def test_a_killed_ingest_goes_on_with_what_is_left(archive, tmp_path):
+    def kill_at_the_second(text: str) -> None:
+        if text.startswith("[2/"):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    child = os.fork()
+    if child == 0:
+        ingest_logs([archive], tmp_path / "drives", keep_going=True, progress=kill_at_the_second)
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    run = ingest_logs([archive], tmp_path / "drives", keep_going=True)
+    assert run.unchanged == ("a.csv",) and [one.log for one in run.results] == ["a.csv", "b.csv"]
+    ingest_logs([archive], tmp_path / "unbroken", keep_going=True)
+    folders = tmp_path / "drives", tmp_path / "unbroken"
+    files = [{p.relative_to(f): p.read_bytes() for p in f.rglob("*") if p.is_file()} for f in folders]
+    assert files[0] == files[1]
+
+
 @pytest.mark.parametrize("how", ["grows", "is replaced", "is cut"])
 def test_a_log_that_is_changed_while_it_is_read_is_refused(archive, tmp_path, monkeypatch, how):
     """A drive named the digest of a log that it was not made of."""
