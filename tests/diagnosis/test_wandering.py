@@ -80,3 +80,10 @@ def test_a_direction_that_wanders_is_no_fault_up_to_twice_its_deviation(drive):
 def test_a_constant_fault_and_a_drift_are_no_wandering(drive):
     for angles in (np.full(RUNS, 0.02), np.linspace(-0.02, 0.02, RUNS)):
         assert wandering(witnesses_of(turned(drive, angles), 13))["across"] == 0.0
+
+
+def test_a_bias_of_the_yaw_rate_that_grows_is_no_wandering(drive):
+    """From 0 to 0.01 rad/s over the whole drive."""
+    growing = 0.01 * (drive["t"] - drive["t"][0]) / np.ptp(drive["t"])
+    drifting = replace(drive, columns={**drive.columns, "r": drive["r"] + growing})
+    assert set(wandering(witnesses_of(drifting, 14)).values()) == {0.0}

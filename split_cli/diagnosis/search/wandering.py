@@ -24,10 +24,10 @@ def wandering(witnesses: Sequence[KinematicResiduals | Witness], policy: Policy 
     Notes
     -----
     A stretch is as long as the evidence that a decision takes. Of what an instrument says beside the velocities,
-    scale, bias and delay are taken off by least squares, of displacements across the car also a steady drift. The
-    mean of n_j windows of a stretch has the variance tau^2 + sigma^2/n_j, sigma^2 that within stretches: a one-way
-    analysis of variance with random effects, whose moments give tau (DerSimonian and Laird, 1986). It is 0 where
-    Fisher's F test finds no more than chance.
+    scale, bias, delay and a steady drift are taken off by least squares: those have terms of their own. The mean of
+    n_j windows of a stretch has the variance tau^2 + sigma^2/n_j, sigma^2 that within stretches: a one-way analysis
+    of variance with random effects, whose moments give tau (DerSimonian and Laird, 1986). It is 0 where Fisher's F
+    test finds no more than chance.
     """
     seconds = policy.comparison.least_rows * ROW_SECONDS
     by_kind: dict[str, list[KinematicResiduals | Witness]] = {}
@@ -37,11 +37,12 @@ def wandering(witnesses: Sequence[KinematicResiduals | Witness], policy: Policy 
     for kind, several in by_kind.items():
         left, stretches, spent = [], [], 0
         for number, one in enumerate(several):
-            causes = (
-                np.hstack([one.causes, one.drifting_or_late])
+            slow = (
+                one.drifting_or_late
                 if isinstance(one, KinematicResiduals)
-                else one.causes
+                else (one.causes[:, 1] * one.series.t[one.begin])[:, None]
             )
+            causes = np.hstack([one.causes, slow])
             difference = one.difference(())
             left.append(difference - causes @ np.linalg.lstsq(causes, difference, rcond=1e-9)[0])
             stretches.append(
