@@ -133,6 +133,8 @@ def command(drives, vehicle_path, set_path, output, as_json, select, engine, sch
             _select(paths, vehicle_path, set_path, output, as_json, tried, settings)
         else:
             _evaluate(paths, vehicle_path, set_path, output, as_json, (engine, scheduler, jobs), settings)
+    if not as_json and not select:
+        _tell_what_follows(drives, vehicle_path, set_path)
 
 
 def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> None:
@@ -159,6 +161,15 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
         shared.print_json(run.report)
     else:
         _print_report(run.report)
+
+
+def _tell_what_follows(drives, vehicle_path, set_path) -> None:
+    if set_path is not None:
+        exported = ["split", "export", set_path, "--target", "c", "-o", "controller/"]
+        shared.tell_next(exported, before="where the correction helps, ")
+    else:
+        real = [word for path in drives for word in ("--real", path)]
+        shared.tell_next(["split", "diagnose", *real, "--vehicle", vehicle_path, "--out", "diagnosis/"])
 
 
 def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settings: dict) -> None:
@@ -200,7 +211,9 @@ def _mark(one) -> str:
 def _print_report(report) -> None:
     tested = sum(drive.tested for drive in report.drives)
     valid = sum(drive.tested_valid for drive in report.drives)
-    click.echo(f"{report.vehicle}, protocol {report.settings.protocol}, h = {report.settings.horizon:g} s")
+    seen = all(drive.in_sample for drive in report.drives) and report.settings.protocol != "paper"
+    protocol = "in sample" if seen else report.settings.protocol
+    click.echo(f"{report.vehicle}, protocol {protocol}, h = {report.settings.horizon:g} s")
     drives = "1 drive" if len(report.drives) == 1 else f"{len(report.drives)} drives"
     click.echo(f"{tested} test samples of {drives}, {valid} in the valid region")
     click.echo("rms errors of one step: labels, in m/s^2, m/s^2, rad/s^2; --legend explains every column\n")

@@ -121,6 +121,9 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
     named = all(path.is_file() and ".labels" not in path.name for path in drives)
     scored = drives if named else ["UNSEEN_DRIVE", "--set", output]
     shared.tell_next(["split", "evaluate", *scored, "--vehicle", vehicle_path, "-o", "figures/"])
+    if result.trust.array.any():
+        exported = ["split", "export", output, "--target", "c", "-o", "controller/"]
+        shared.tell_next(exported, before="where the correction helps, ")
 
 
 def _print_laps(laps) -> None:

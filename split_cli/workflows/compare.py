@@ -125,6 +125,7 @@ def compare_models(
         given = ", ".join(f"{time:g}" for time in horizons) or "nothing"
         raise SplitError(f"is {given}, positive times were expected", where="--horizon", advice="Give seconds.")
     horizons = sorted(set(horizons))
+    drives, repeated = _each_once(drives)
     parts: list[tuple[str, list[RunErrors], int]] = []
     first_block = 0
     for drive in drives:
@@ -144,8 +145,20 @@ def compare_models(
     by_drive = tuple((name, rank(found)) for name, found, _ in parts) if len(parts) > 1 else ()
     return ModelComparison(
         tuple(names), tuple(name for name, *_ in parts), len(pooled[0].held), sum(d for *_, d in parts), scores,
-        by_drive, worse_than(scores, pooled, names[0]), _notes(models, drives, parts),
+        by_drive, worse_than(scores, pooled, names[0]), (*repeated, *_notes(models, drives, parts)),
     )  # fmt: skip
+
+
+def _each_once(drives: Sequence[Drive]) -> tuple[list[Drive], list[str]]:
+    """Return drives of unlike content, and a line about each that is left out."""
+    kept: dict[str | int, Drive] = {}
+    lines = []
+    for drive in drives:
+        first = kept.setdefault(drive.sha256 or id(drive), drive)
+        if first is not drive:
+            same = "was given twice" if first.name == drive.name else f"is a copy of {first.name}"
+            lines.append(f"{drive.name} {same}: it counts once")
+    return list(kept.values()), lines
 
 
 def _run_on(

@@ -110,7 +110,10 @@ def test_the_tables_show_baselines_and_the_floor(garage):
     for word in ("NLPD", "in 95 %", "skill", "us/query", "m/s^2", "Rollouts", "position"):
         assert word in outcome.stdout
     # Not a terminal: no progress, and nothing to note but what every plain table leaves open.
-    assert all(re.search(PLAIN_NOTES, line) for line in outcome.stderr.splitlines())
+    *noted, following = outcome.stderr.splitlines()
+    assert all(re.search(PLAIN_NOTES, line) for line in noted)
+    exported = f"split export {garage / 'a.split'} --target c -o controller/"
+    assert following == f"next: where the correction helps, {exported}"
     # The last line is the verdict on the predictor that is named first, as a terminal shows it.
     assert rows[-1].startswith("projected z2 verdict: the correction helps")
     assert sum("verdict:" in line for line in rows) > 1
@@ -126,6 +129,15 @@ def test_scores_on_a_drive_the_set_was_trained_on_are_marked(garage, tmp_path):
     assert [drive["in_sample"] for drive in found["drives"]] == [True, False]
     assert "note: IN SAMPLE: the set was trained on another_name.parquet" in outcome.stderr
     assert sum("IN SAMPLE" in note for note in found["notes"]) == 1
+    alone = run("evaluate", renamed, "--set", garage / "a.split", "--rollout", "")
+    assert alone.stdout.splitlines()[0].split(", ")[1] == "protocol in sample"
+
+
+def test_without_a_set_the_drives_go_on_to_the_diagnosis(garage):
+    vehicle = garage / "car.yaml"
+    outcome = run("evaluate", garage / "d1.parquet", "--vehicle", vehicle, "--predictor", "bcm", "--rollout", "")
+    expected = f"next: split diagnose --real {garage / 'd1.parquet'} --vehicle {vehicle} --out diagnosis/"
+    assert outcome.stderr.splitlines()[-1] == expected
 
 
 def test_the_papers_protocol_is_marked_in_sample_and_takes_100_samples(garage):

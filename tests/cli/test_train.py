@@ -118,10 +118,11 @@ def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
         assert column in lines[0]
     assert [line.split()[0] for line in lines[2:6]] == ["d0.parquet", "d1.parquet", "d2.parquet", "total"]
     # Not a terminal: no progress; said once what these drives do not tell, and what comes next.
-    assert [line.split(":")[0] for line in outcome.stderr.splitlines()] == ["note", "next"]
+    assert [line.split(":")[0] for line in outcome.stderr.splitlines()] == ["note", "next", "next"]
     drives = " ".join(str(path) for path in drives_of(garage))
     assert f"next: split evaluate {drives} --vehicle {garage / 'car.yaml'} -o figures/" in outcome.stderr
-    assert "--held T,delta" in outcome.stderr
+    exported = f"next: where the correction helps, split export {tmp_path / 'a.split'} --target c -o controller/"
+    assert exported in outcome.stderr and "--held T,delta" in outcome.stderr
 
 
 def test_points_are_the_labels_of_their_rows(garage, tmp_path):

@@ -276,9 +276,20 @@ def test_shares_that_do_not_add_up_are_told_with_what_is_left(explained, unnamed
     """A drift explained to 9 % with 2 % unexplained: where the other 89 % belong has to be said."""
     finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), explained, (), "", 1.0)
     said = summarise("mismatch", (finding,), True, None, RemainderTest(1e-9, unnamed, 3.0, ()))
-    assert f"{unnamed:.0%} of the gap is explained by no effect".replace("%", " %") in said
+    alone = f"{unnamed:.0%} of the gap is explained by no effect of the catalogue".replace("%", " %")
+    beside = f"{unnamed:.0%} of the gap has a structure that no effect of the catalogue explains".replace(
+        "%", " %"
+    )
+    assert (alone in said) == (rest is None) and (beside in said) == (rest is not None)
     assert ("scatter, or the model-form error" in said) == (rest is not None)
-    assert rest is None or f"remaining {rest} has no structure" in said
+    assert rest is None or f"Another {rest} has neither name nor structure" in said
+
+
+def test_a_share_of_nothing_is_not_said_to_be_unexplained_beside_a_rest_without_structure():
+    finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), 0.57, (), "", 1.0)
+    said = summarise("mismatch", (finding,), True, None, RemainderTest(1e-9, 0.0, 3.0, ()))
+    assert "Less than 1 % of the gap has a structure" in said and "Another 43 % has neither name" in said
+    assert " 0 % of the gap" not in said
 
 
 def test_what_acts_in_a_part_is_told_with_its_interval_and_what_else_it_may_be():

@@ -1,5 +1,6 @@
 """Consistency: each planted fault is named, with its factor; a sound drive says nothing."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -97,6 +98,19 @@ def test_the_shorter_story_wins(drive):
     assert {f.channel for f in result.findings} == {"r", "vy"}
 
 
+@pytest.mark.parametrize(("driving", "braking"), [(1.0, 0.0), (0.0, 1.0), (0.45, 0.75), (0.0, 0.75)], ids=str)
+def test_a_torque_without_the_brakes_or_of_one_axle_is_told_with_its_shares(drive, driving, braking):
+    result = judged(drive, altered={"T": lambda v: np.where(v > 0.0, driving, braking) * v})
+    (finding,) = result.findings
+    assert finding.channel == "T" and "brakes or the other axle are missing" in finding.text
+    told = re.search(r"T is (-?[\d.]+) .* and (-?[\d.]+) .* times where it is braked", finding.text)
+    assert [float(share) for share in told.groups()] == pytest.approx([driving, braking], abs=0.1)
+
+
+def test_brakes_somewhat_weaker_than_the_torque_asked_for_are_the_cars_and_not_the_logs(drive):
+    assert judged(drive, altered={"T": lambda v: np.where(v > 0.0, 1.0, 1.25) * v}).findings == ()
+
+
 def test_where_nothing_recorded_decides_both_possibilities_are_told(drive):
     channels = ("vx", "vy", "r", "T", "delta", "yaw")
     recording = drive.recording(channels, altered={"yaw": lambda v: -v}, noise=NOISE)
@@ -124,6 +138,16 @@ def test_a_lateral_velocity_bias_is_measured_on_straights(drive, bias):
     assert (finding.channel, finding.check) == ("vy", "bias on straights")
     assert finding.measured == pytest.approx(bias, abs=0.01)
     assert f"offset: {-bias:.2f}"[:11] in finding.text
+
+
+def test_a_lateral_velocity_that_the_path_confirms_has_no_factor_by_the_accelerometer(drive):
+    """A receiver's own v_y was called 4.21 times too large: a_y was what did not follow it."""
+    slide = drive._splines["vy"](np.arange(0.0, drive.seconds, 0.01), 1)
+    given = {"altered": {"ay": lambda v: v - 0.5 * slide}, "noise": {"vy": 0.002, "ay": 0.02}}
+    assert "size" not in [f.check for f in judged(drive, **given).findings]
+    without_path = tuple(channel for channel in UNITS if channel not in ("X", "Y", "yaw"))
+    (size,) = [f for f in judged(drive, without_path, **given).findings if f.channel == "vy"]
+    assert size.check == "size" and size.measured == pytest.approx(2.0, rel=0.1)
 
 
 def test_a_lateral_acceleration_bias_is_measured_on_straights(drive):

@@ -48,6 +48,22 @@ def test_delays_of_all_channels_at_once_are_recovered(drive):
         assert np.sqrt(np.mean(error**2)) < 2.0 * max(tolerance, NOISE[channel])
 
 
+def test_steering_beyond_linear_tyres_is_no_delay(drive):
+    """A step at the limit called the steer angle 0.7 s early: there it no more follows the linear single track."""
+    t = np.arange(0.0, drive.seconds, 0.01)
+    lateral = np.abs(drive.at("vx", t) * drive.at("r", t))
+    tires = {axle: getattr(drive.vehicle, axle) for axle in ("front_tire", "rear_tire")}
+    slippery = replace(
+        drive.vehicle, **{axle: replace(one, B=3 * one.B, D=one.D / 3) for axle, one in tires.items()}
+    )
+    limit = 0.4 * slippery.lateral_grip
+    assert 0.05 < np.mean(lateral > limit) < 0.5
+    early = {"delta": lambda v: np.where(lateral > limit, drive.at("delta", t + 0.3), v)}
+    made = assemble_drive(drive.recording(altered=early, noise=NOISE), planted_map(), slippery, SETTINGS)
+    (found,) = [e for e in made.quality.delays if e.channel == "delta"]
+    assert abs(found.delay) < 0.02  # 0.1 s with the rows beyond it
+
+
 @pytest.mark.parametrize("delay", [-0.37, 0.004, 0.0333, 0.4])
 def test_a_lag_is_found_to_a_fraction_of_a_sample(delay):
     t = np.arange(0.0, 100.0, 0.04)  # 25 Hz, as slow as the slowest of real recordings

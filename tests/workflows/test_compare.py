@@ -85,6 +85,17 @@ class TestModels:
         pooled = np.sqrt(np.sum(weights * np.square(parts)) / weights.sum())
         assert compared.scores[0].states[0].rmse == pytest.approx(pooled)
 
+    def test_a_drive_given_twice_counts_once_and_is_told(self, drive):
+        """Its blocks were counted twice, so that intervals were too narrow by a third."""
+        models = [ComparedModel("wrong", WRONG), ComparedModel("right", CAR)]
+        once = compare_models(models, [drive], (0.5,))
+        copy = replace(drive, name="copy.parquet", columns=dict(drive.columns))
+        named = [replace(one, sha256="same") for one in (drive, drive, copy)]
+        twice = compare_models(models, named, (0.5,))
+        assert (twice.starts, twice.scores, twice.drives) == (once.starts, once.scores, once.drives)
+        assert twice.notes[0] == "lap.parquet was given twice: it counts once"
+        assert twice.notes[1] == "copy.parquet is a copy of lap.parquet: it counts once"
+
     def test_two_of_one_name_and_a_horizon_too_long_are_refused(self, drive):
         with pytest.raises(SplitError, match="two models are called 'a'"):
             compare_models([ComparedModel("a", CAR), ComparedModel("a", WRONG)], [drive])

@@ -376,7 +376,8 @@ def unexplained_part(findings: Sequence[Finding], remainder: RemainderTest | Non
 
 def gap_left(findings: Sequence[Finding], remainder: RemainderTest) -> str:
     """Return what of the gap has structure and no name: ``3 % of the gap``; all of it where nothing is named."""
-    return f"{percent(remainder.share)} of the gap" if findings else "the gap"
+    share = percent(remainder.share) if remainder.share > 0.0 else "less than 1 %"
+    return f"{share} of the gap" if findings else "the gap"
 
 
 def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> str:
@@ -386,8 +387,11 @@ def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> str:
     formula = f" A candidate formula: {remainder.formula}." if remainder.formula else ""
     rest = scatter(remainder, findings)
     noted = (
-        f" The remaining {percent(rest)} has no structure: scatter, or the model-form error of what is named."
+        f" Another {percent(rest)} has neither name nor structure: scatter, or the error of the model's form."
         if rest
         else ""
     )
-    return f"{share[:1].upper()}{share[1:]} is explained by no effect of the catalogue.{lead}{formula}{noted}"
+    nameless = "is explained by no effect of the catalogue"
+    if rest:
+        nameless = "has a structure that no effect of the catalogue explains"
+    return f"{share[:1].upper()}{share[1:]} {nameless}.{lead}{formula}{noted}"

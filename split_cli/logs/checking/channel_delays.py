@@ -14,6 +14,8 @@ from split_cli.vehicle.parameters import Vehicle
 _WIDTH = 0.12
 _COURSE_WIDTH = 0.5
 _REFERENCE = "vx"
+_GENTLE = 0.4
+"""Share of the vehicle file's grip up to which tyres are taken as linear [1]; judgement."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,7 @@ class _Edge:
     signal: Callable[[], np.ndarray]
     regressors: Callable[[], list[np.ndarray]]
     doubts: Callable[[], list[np.ndarray]] = list
+    rows: np.ndarray | bool = True  # (N,), where it holds
 
 
 def estimate_delays(
@@ -110,7 +113,7 @@ def estimate_delays(
     fits: list[tuple[_Edge, LagFit]] = []
     for edge in _identities(k, vehicle, Kinematics(columns, period, segments, _COURSE_WIDTH)):
         if groups[edge.late] != groups[edge.early]:
-            fits.append((edge, _fit(edge, k.moving, period, segments)))
+            fits.append((edge, _fit(edge, k.moving & edge.rows, period, segments)))
     return tuple(_solve(fits, groups, columns, fixed, commands, vehicle))
 
 
@@ -142,10 +145,10 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
     have = set(k.columns)
     edges: list[_Edge] = []
 
-    def add(name: str, late: str, early: str, needs: set[str], signal, *regressors, doubts=()) -> None:
+    def add(name: str, late: str, early: str, needs: set[str], signal, *regressors, doubts=(), rows=True) -> None:
         if {late, early, *needs} <= have:
             made = _Edge(
-                name, late, early, signal, lambda: [f() for f in regressors], lambda: [f() for f in doubts]
+                name, late, early, signal, lambda: [f() for f in regressors], lambda: [f() for f in doubts], rows
             )
             edges.append(made)
 
@@ -177,10 +180,17 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
             f"turning of X, Y = {name} + dbeta/dt", "X", late, {"Y", "vx", "vy"},
             wide.course_rate, lambda late=late, turn=turn: turn(late) + _sideslip_rate(wide),
         )  # fmt: skip
-    if vehicle is not None:
-        add("steer angle of the single track", "delta", "r", {"vx", "vy"}, lambda: k.signal("delta"),
-            *_steer_regressors(k, vehicle))  # fmt: skip
+    if vehicle is not None and {"vx", "r"} <= have:
+        add(
+            "steer angle of the single track", "delta", "r", {"vx", "vy"}, lambda: k.signal("delta"),
+            *_steer_regressors(k, vehicle), rows=linear_tire_rows(c, vehicle),
+        )  # fmt: skip
     return edges
+
+
+def linear_tire_rows(columns: Mapping[str, np.ndarray], vehicle: Vehicle) -> np.ndarray:
+    """Return where the lateral acceleration v_x r leaves tyres linear, bool (N,)."""
+    return np.abs(columns["vx"] * columns["r"]) < _GENTLE * vehicle.lateral_grip
 
 
 def _is_driven(wheel: str, vehicle: Vehicle | None) -> bool:

@@ -30,6 +30,8 @@ LEAST_CORRELATION = 0.8
 _STRAIGHT_SECONDS = 3.0
 _STEER_TOLERANCE = 0.7
 """Of the logarithm of steer angle over the steady one: a factor of two, see `Checks._steer_angle`."""
+TORQUE_TOLERANCE = 0.5
+"""Of the logarithm of T over the torque that the motion takes [1]: a factor of 1.6, for losses and slopes."""
 ACROSS = "v_y/v_x against the path across yaw"
 _GRIP_MARGIN = 1.1
 """Over the sum of both D: banking of 5 degrees or a cresting road gives as much [1]."""
@@ -271,18 +273,26 @@ class Checks:
         self.relate(name, delta, sum(parts), {"delta": 1, "r": -1, "vx": 1}, _STEER_TOLERANCE, corrected)
 
     def _torque(self) -> None:
-        if not self.usable("T") or self.vehicle is None:
+        parts = self._torque_parts()
+        if parts is None:
             return
+        torque = self.k.signal("T")
+        corrected = scaled_parts(torque, parts, lambda vx, r: (1.0 / vx, 1.0 / vx**2), self.k.moving)
+        name = "T against the torque that dv_x/dt takes"
+        self.relate(name, torque, sum(parts), {"T": 1, "vx": -1}, TORQUE_TOLERANCE, corrected)
+
+    def _torque_parts(self) -> tuple[np.ndarray, np.ndarray] | None:
+        if not self.usable("T") or not self.known("vx") or self.vehicle is None:
+            return None
         k, car = self.k, self.vehicle
         inertial = k.rate("vx") - self.carried()
-        parts = (
-            car.wheel_radius * car.mass * inertial,
-            car.wheel_radius * car.drag_coefficient * k.signal("vx") ** 2,
-        )
-        torque = k.signal("T")
-        corrected = scaled_parts(torque, parts, lambda vx, r: (1.0 / vx, 1.0 / vx**2), k.moving)
-        name = "T against the torque that dv_x/dt takes"
-        self.relate(name, torque, sum(parts), {"T": 1, "vx": -1}, 0.5, corrected)
+        drag = car.drag_coefficient * k.signal("vx") ** 2
+        return car.wheel_radius * car.mass * inertial, car.wheel_radius * drag
+
+    def torque_needed(self) -> np.ndarray | None:
+        """Return the torque that dv_x/dt and drag take [N m], shape (N,); None without T or a vehicle file."""
+        parts = self._torque_parts()
+        return None if parts is None else parts[0] + parts[1]
 
     def straight_line(self) -> list[ConsistencyFinding]:
         """Look for v_y and a_y that are not zero where the car goes straight."""

@@ -13,6 +13,7 @@ from split_cli.logs.checking.jumps import speed_jumps
 from split_cli.logs.checking.measuring_point import place_of_lateral_velocity
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
+from split_cli.logs.checking.torque_sides import torque_sides
 from split_cli.logs.drive import Drive
 from split_cli.logs.drive_metadata import is_derived
 from split_cli.vehicle.parameters import Vehicle
@@ -134,7 +135,9 @@ def _fine(
     exchanged = exchanged_accelerations(finer)
     findings = [*findings, *exchanged]
     if "vx" not in wrong:
-        findings += speed_jumps(finer)
+        sides = torque_sides(finer)
+        # Where they differ, no one factor puts T right.
+        findings = [f for f in findings if not sides or f.channel != "T"] + [*speed_jumps(finer), *sides]
     if not {"vx", "r"} & set(wrong):
         across_is_right = not {"ay", "vy"} & set(wrong)
         placed = place_of_lateral_velocity(finer, across_is_right)

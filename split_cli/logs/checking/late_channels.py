@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.logs.checking.best_lag import fit_lag
-from split_cli.logs.checking.channel_delays import DelayEstimate, estimate_delays
+from split_cli.logs.checking.channel_delays import DelayEstimate, estimate_delays, linear_tire_rows
 from split_cli.logs.checking.checks import ACROSS, Unjudged
 from split_cli.logs.checking.consistency import Consistency, corrected_columns
 from split_cli.logs.checking.kinematics import Kinematics
@@ -26,8 +26,6 @@ _ROWS = 1500
 """Looked at, from the middle of the drive: a minute [1]."""
 _STEERED_ROWS = 6000
 """Of these, where only the steer angle is looked at: four minutes [1]."""
-_GENTLE = 0.4
-"""Share of the vehicle file's grip up to which tyres are taken as linear [1]; judgement."""
 _KNOWN_TO = 0.5
 """Of the car's own lag, as well as a file's yaw inertia and cornering stiffness are known [1]; judgement."""
 _BY_CHANCE = 3.0
@@ -135,7 +133,7 @@ def _steered_late(
         softness = 1.0 / front.cornering_stiffness + 1.0 / rear.cornering_stiffness
         reach = vehicle.yaw_inertia * softness / vehicle.wheelbase**2  # [s/m], of the lag at a speed
         needed = r + reach * vx * Kinematics(columns, period, segments, width=period).rate("r")
-        used = used & (np.abs(vx * r) < _GENTLE * (front.D + rear.D) / vehicle.mass)
+        used = used & linear_tire_rows(columns, vehicle)
         own = _KNOWN_TO * reach * float(np.nanmedian(speed))
     fit = fit_lag(columns["delta"], [needed / speed, vx * r], used, period, segments)
     lag = fit.lag - 0.5 * holds.get("delta", 0.0)

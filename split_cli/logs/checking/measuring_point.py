@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from split_cli.logs.checking.checks import Checks, Unjudged
+from split_cli.logs.checking.checks import ACROSS, Checks, Unjudged
 from split_cli.logs.checking.kinematics import fit_linear, has_dependent_columns
 from split_cli.logs.checking.relations import ConsistencyFinding
 
@@ -133,7 +133,9 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     without = np.delete(design, 0, axis=1)
     rest_without = float(np.var(y - without @ np.linalg.lstsq(without, y, rcond=None)[0]))
     of_place = float(np.var(y - design @ fitted))
-    of_factor, factor = (np.inf, 1.0) if checks.of_pose else _as_factor(k.rate("vy")[use], without, y)
+    # The path across yaw needs no accelerometer: where it judges v_y, its size is told by it.
+    sized_by_path = checks.of_pose or any(relation.name == ACROSS for relation in checks.relations)
+    of_factor, factor = (np.inf, 1.0) if sized_by_path else _as_factor(k.rate("vy")[use], without, y)
     sized = (
         f"v_y changes {factor:.2f} times as much as a_y - v_x r says: `scale: {1.0 / factor:.3f}` puts it right"
     )

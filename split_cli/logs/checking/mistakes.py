@@ -104,7 +104,7 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
         known += _steering_wheel()
     if channel == "T":
         known += _factor("T", 1e-3, "is in kN m", "set `unit: kN m`", COMMON, "kN m")
-        what = "is the torque of engine or motor, or of one wheel"
+        what = "is the torque of engine or motor, or of one wheel or axle"
         known.append(Mistake("T", 1 / 20.0, 1 / 2.5, False, what, "scale it to the sum at the wheels", 4.0))
     return known
 

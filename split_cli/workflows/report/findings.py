@@ -1,7 +1,7 @@
 """The report's section on what was left out: findings, what else was tried, and what remains."""
 
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate, RemainderTest, RivalSummary
-from split_cli.diagnosis.statement.sentences import gap_left
+from split_cli.diagnosis.statement.sentences import gap_left, scatter
 from split_cli.workflows.report.headline import finding_headline
 from split_cli.workflows.report.markup import bar, bar_row, items, section, table
 from split_cli.workflows.report.words import chance, escape, number, parameter, percent, term_title
@@ -103,10 +103,15 @@ def _remainder(remainder: RemainderTest, diagnosis: Diagnosis, level: float) -> 
     unexplained = diagnosis.unexplained
     how_much = gap_left(diagnosis.findings, remainder)
     title = "The residual has structure" if unexplained else "Residual"
+    rest = scatter(remainder, diagnosis.findings)
+    others = (
+        f" Another {percent(rest)} has neither name nor structure, and is not in these figures." if rest else ""
+    )
+    state = "has structure and no name" if rest else "is unexplained"
     words = (
-        f"{how_much[:1].upper()}{how_much[1:]} is unexplained, {number(remainder.effect_to_noise, 2)} times "
+        f"{how_much[:1].upper()}{how_much[1:]} {state}, {number(remainder.effect_to_noise, 2)} times "
         f"sensor noise in a prediction over 0.05 s. Probability that noise alone leaves as much: "
-        f"{chance(remainder.p_value)}. Below {level:g} it counts as unexplained."
+        f"{chance(remainder.p_value)}. Below {level:g} it counts as unexplained.{others}"
     )
     total = sum(max(saved, 0.0) for _, saved in remainder.by_group)
     bars = "".join(
