@@ -24,8 +24,8 @@ def wandering(witnesses: Sequence[KinematicResiduals | Witness], policy: Policy 
     Notes
     -----
     A stretch is as long as the evidence that a decision takes. Of what an instrument says beside the velocities,
-    scale, bias, delay and a steady drift are taken off by least squares: those have terms of their own. The mean of
-    n_j windows of a stretch has the variance tau^2 + sigma^2/n_j, sigma^2 that within stretches: a one-way analysis
+    scale, bias, delay and a steady drift are taken off by least squares: those have terms of their own. The mean
+    of n_j windows has the variance tau^2 + sigma^2/n_j, sigma^2 that within stretches: a one-way analysis
     of variance with random effects, whose moments give tau (DerSimonian and Laird, 1986). It is 0 where Fisher's F
     test finds no more than chance.
     """

@@ -64,8 +64,15 @@ def _first_judged(compared: ModelComparison) -> list[tuple[str, str, str]]:
     """Return whether the first model, which a gate in CI judges, is worse than another; it sets the colour."""
     if len(compared.models) < 2:
         return []
-    name, count = compared.models[0], len(compared.worse)
-    return [(f"{name} worse", f"{count} times", "than another model beyond chance, over states and horizons")]
+    name = compared.models[0]
+    judged = sum(len(score.states) for score in compared.scores if score.name != name)
+    return [
+        (
+            f"{name} worse in",
+            f"{len(compared.worse)} of {judged}",
+            "errors, states and horizons, than another model beyond chance",
+        )
+    ]
 
 
 def headline(compared: ModelComparison) -> str:
