@@ -48,7 +48,9 @@ class SourceFile:
         system, path = _system(self.address)
         with _in_one_line(self.address):
             info = system.info(path)
-        known = {key: str(info[key]) for key in sorted(info) if key.lower() in _IDENTITY}
+        known = {key.lower(): str(info[key]) for key in sorted(info) if key.lower() in _IDENTITY}
+        if "etag" in known:  # times are told more finely by a listing than by the file itself
+            known = {key: known[key] for key in ("etag", "size")}
         return "remote:" + hashlib.sha256(repr(known).encode()).hexdigest()
 
     @contextlib.contextmanager

@@ -113,7 +113,9 @@ def estimate_delays(
     fits: list[tuple[_Edge, LagFit]] = []
     for edge in _identities(k, vehicle, Kinematics(columns, period, segments, _COURSE_WIDTH)):
         if groups[edge.late] != groups[edge.early]:
-            fits.append((edge, _fit(edge, k.moving & edge.rows, period, segments)))
+            # What lags a command is never moved: of that more rows tell a little, of a sensor they could mislead.
+            rows = True if edge.late in commands else edge.rows
+            fits.append((edge, _fit(edge, k.moving & rows, period, segments)))
     return tuple(_solve(fits, groups, columns, fixed, commands, vehicle))
 
 

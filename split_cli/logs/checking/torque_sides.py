@@ -12,10 +12,11 @@ _LEAST_ROWS = 100
 """Samples of driving, and of braking, that a share is measured on [1]."""
 
 
-def torque_sides(checks: Checks) -> list[ConsistencyFinding]:
+def torque_sides(checks: Checks, has_factor: bool = False) -> list[ConsistencyFinding]:
     """Compare T with what the motion takes, apart where that drives and where it brakes.
 
-    T = s_d max(D, 0) + s_b min(D, 0) + c with D the torque that dv_x/dt and drag take; c holds rolling resistance.
+    With `has_factor` one factor was found that puts T right as a whole; the shares then have to differ by more than
+    the tolerance, too. T = s_d max(D, 0) + s_b min(D, 0) + c with D the torque that dv_x/dt and drag take; c holds rolling resistance.
     """
     needed = checks.torque_needed()
     if needed is None:
@@ -30,7 +31,8 @@ def torque_sides(checks: Checks) -> list[ConsistencyFinding]:
     shares, errors = (values[:2] for values in fit_linear(design, torque))
     within = np.exp(TORQUE_TOLERANCE)
     beyond = (shares + _SURE * errors < 1.0 / within) | (shares - _SURE * errors > within)
-    if not beyond.any() or abs(shares[0] - shares[1]) < _SURE * np.hypot(*errors):
+    one_will_do = has_factor and shares.min() * within > shares.max()
+    if not beyond.any() or one_will_do or abs(shares[0] - shares[1]) < _SURE * np.hypot(*errors):
         return []
     driving, braking = (f"{s:.2f} +- {max(e, 0.01):.2f}" for s, e in zip(shares, errors, strict=True))
     text = (
