@@ -16,8 +16,8 @@ def torque_sides(checks: Checks, has_factor: bool = False) -> list[ConsistencyFi
     """Compare T with what the motion takes, apart where that drives and where it brakes.
 
     T = s_d max(D, 0) + s_b min(D, 0) + c with D the torque that dv_x/dt and drag take; c holds rolling resistance.
-    With `has_factor` one factor was found that puts T right as a whole. The shares then have to differ by more than
-    the tolerance, too.
+    With `has_factor` one factor was found that puts T right as a whole. The shares then have to differ by more
+    than the tolerance, too.
     """
     needed = checks.torque_needed()
     if needed is None:
