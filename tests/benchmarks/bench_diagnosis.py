@@ -1,4 +1,7 @@
-"""One explanation of a diagnosis evaluated while a fit moves one of its parameters, against the same anew.
+"""What a diagnosis evaluates most, each against the same done otherwise in one run.
+
+One explanation while a fit moves one of its parameters, against the same anew; and the single track along a recording
+by compiled loops, against NumPy's functions.
 
 Run ``python -m tests.benchmarks.bench_diagnosis``. Times are the least of many in one process on one core, and
 each row is a ratio of two of them, so that neighbours on the machine count little.
@@ -12,10 +15,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pickle
 import time
 
+import numpy as np
+
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import use_threads
+from split_cli.vehicle.compiled_operations import COMPILED
 from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.operations import NUMPY
+from split_cli.vehicle.single_track import SingleTrack
 from tests.diagnosis.recordings import driven, noisy_objective
+from tests.factories import road_car
 
 _TURNS = 40
 #: Term, parameter that moves, its step: a tyre beside sensors, an accelerometer, a sensor of velocity.
@@ -51,6 +60,29 @@ def least_seconds(objective: MarginalLikelihood, moved: tuple[str, str, float], 
     return best
 
 
+def least_of_single_track(samples: int) -> dict[str, tuple[float, float]]:
+    """Return the least times of forces and of their balance [s], by NumPy and compiled."""
+    random = np.random.default_rng(0)
+    vx = np.abs(random.normal(15.0, 4.0, samples)) + 1.0
+    vy, r, delta = random.normal(0.0, [[0.3], [0.3], [0.05]], (3, samples))
+    torque = random.normal(0.0, 500.0, samples)
+    model, least = SingleTrack(road_car(), ()), {}
+    for name in ("forces", "balance"):
+        times = []
+        for ops in (NUMPY, COMPILED):
+            flow, best = model.flow(vx, vy, r, torque, delta, ops=ops), float("inf")
+            for _ in range(_TURNS):
+                begun = time.perf_counter()
+                if name == "balance":
+                    model.balance(flow)
+                else:
+                    model.flow(vx, vy, r, torque, delta, ops=ops)
+                best = min(best, time.perf_counter() - begun)
+            times.append(best)
+        least[name] = times[0], times[1]
+    return least
+
+
 def main() -> None:
     """Print a row a parameter that moves."""
     use_threads(1)
@@ -59,6 +91,9 @@ def main() -> None:
     for moved in _MOVED:
         anew, kept = (1e3 * least_seconds(objective, moved, anew=one) for one in (True, False))
         print(f"| `{moved[0]}` | {anew:.2f} | {kept:.2f} | {kept / anew:.2f} |")
+    print("\n| along 18,000 samples | NumPy [ms] | compiled [ms] | ratio |\n|---|---|---|---|")
+    for name, (plain, compiled) in least_of_single_track(18_000).items():
+        print(f"| {name} | {1e3 * plain:.2f} | {1e3 * compiled:.2f} | {compiled / plain:.2f} |")
 
 
 if __name__ == "__main__":
