@@ -1,7 +1,7 @@
 """What a diagnosis evaluates most, each against the same done otherwise in one run.
 
-One explanation while a fit moves one of its parameters, against the same anew; and the single track along a recording
-by compiled loops, against NumPy's functions.
+One explanation while a fit moves one of its parameters, against the same anew. And the single track along a
+recording by compiled loops, against NumPy's functions.
 
 Run ``python -m tests.benchmarks.bench_diagnosis``. Times are the least of many in one process on one core, and
 each row is a ratio of two of them, so that neighbours on the machine count little.
