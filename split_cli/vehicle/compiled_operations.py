@@ -73,9 +73,9 @@ class CompiledOperations(NumpyOperations):
 @cache
 def _loops() -> ModuleType:
     """Return the compiled loops, loaded on first use: most commands need none."""
-    from split_cli.vehicle import _compiled_single_track
+    from split_cli.vehicle import _single_track_numba
 
-    return _compiled_single_track
+    return _single_track_numba
 
 
 def is_along(values: Any) -> bool:
