@@ -281,7 +281,7 @@ def test_shares_that_do_not_add_up_are_told_with_what_is_left(explained, unnamed
         "%", " %"
     )
     assert (alone in said) == (rest is None) and (beside in said) == (rest is not None)
-    assert ("scatter, or the model-form error" in said) == (rest is not None)
+    assert ("scatter, or the error of the model's form" in said) == (rest is not None)
     assert rest is None or f"Another {rest} has neither name nor structure" in said
 
 
