@@ -1,4 +1,4 @@
-"""`Operations` along a whole recording, and the balance of forces there, by compiled _loops().
+"""`Operations` along a whole recording, and the balance of forces there, by compiled loops.
 
 They are for what evaluates one recording many times. They differ from NumPy's by some units of the last digit, so
 that what has to be the same to the bit for one sample and for many takes NumPy's.
@@ -60,14 +60,14 @@ class CompiledOperations(NumpyOperations):
         dvx, dvy, dr = _loops().balance(*varying, *map(float, body))
         return dvx, dvy, dr
 
-    @staticmethod
-    def with_change(total: Any, weight: float, after: Any, before: Any) -> Any:
-        """Return a sum with a weight times what an array has become beyond what it was; the sum may be altered."""
-        if not (is_along(after) and is_along(before) and after.size == before.size):
-            return total + weight * (after - before)
-        total = total if is_along(total) else np.full(after.size, total)
-        _loops().add_change(total, float(weight), after, before)
-        return total
+
+def with_change(total: Any, weight: float, after: Any, before: Any) -> Any:
+    """Return a sum with a weight times what an array has become beyond what it was; the sum may be altered."""
+    if not (is_along(after) and is_along(before) and after.size == before.size):
+        return total + weight * (after - before)
+    total = total if is_along(total) else np.full(after.size, total)
+    _loops().add_change(total, float(weight), after, before)
+    return total
 
 
 @cache

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from split_cli.vehicle.compiled_operations import CompiledOperations
+from split_cli.vehicle.compiled_operations import CompiledOperations, with_change
 from split_cli.vehicle.effects import build_terms
 from split_cli.vehicle.flow import AxleFlow, Flow, FlowTerm
 from split_cli.vehicle.operations import NUMPY, Operations
@@ -266,10 +266,8 @@ class SingleTrack:
                 continue
             for name, force in _FORCES.items():
                 after, before = force(flow), force(bare)
-                if after is not before and isinstance(flow.ops, CompiledOperations):
-                    sums[name] = flow.ops.with_change(sums[name], weight, after, before)
-                elif after is not before:
-                    sums[name] = sums[name] + weight * (after - before)
+                if after is not before:
+                    sums[name] = with_change(sums[name], weight, after, before)
         axles: dict[str, Any] = {
             axle: AxleFlow(0.0, 0.0, 0.0, 0.0, sums[f"{axle}_longitudinal"], sums[f"{axle}_lateral"])
             for axle in ("front", "rear")

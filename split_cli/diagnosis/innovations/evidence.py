@@ -98,14 +98,14 @@ def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
     return out
 
 
-def whitened_blocks(series: Series, whitener: Whitener, blocks: Iterable[np.ndarray]) -> np.ndarray:
-    """Return whitened rows of rates that come a few columns at a time, (N, 3, c) each, shape (G, 3, C)."""
-    return np.concatenate([whitener(block) for block in _integrated_blocks(series, blocks)], axis=2)
+def _integrated_blocks(series: Series, discrepancy: SharedDiscrepancy) -> Iterator[np.ndarray]:
+    """Yield what the discrepancy's columns come to over every sample, a few at a time, (N - 1, 3, c)."""
+    return (integrated(series, block) for block in discrepancy.blocks(series))
 
 
-def _integrated_blocks(series: Series, blocks: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yield what rates, (N, 3, c) each, come to over every sample, (N - 1, 3, c)."""
-    return (integrated(series, block) for block in blocks)
+def _whitened_blocks(whitener: Whitener, blocks: Iterable[np.ndarray]) -> np.ndarray:
+    """Return whitened rows of columns that come a few at a time, (N - 1, 3, c) each, shape (G, 3, C)."""
+    return np.concatenate([whitener(block) for block in blocks], axis=2)
 
 
 def gather_evidence(
@@ -135,22 +135,17 @@ def gather_evidence(
     kept[group[(group >= 0) & ~rolls[:-1]]] = False
     disturbance = np.full(3, 1e-2) * np.array([1.0, 1.0, vehicle.mass / vehicle.yaw_inertia])
     held = discrepancy.size(series) <= _KEPT_BYTES
-    held_blocks = list(_integrated_blocks(series, discrepancy.blocks(series))) if held else []
-
-    def whitened_columns(whitener: Whitener) -> np.ndarray:
-        blocks = held_blocks or _integrated_blocks(series, discrepancy.blocks(series))
-        return np.concatenate([whitener(block) for block in blocks], axis=2)
-
+    held_blocks = list(_integrated_blocks(series, discrepancy)) if held else []
     for _ in range(2):
         whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
-        columns = whitened_columns(whitener)
+        columns = _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy))
         w = _discrepancy_weights(whitener(plain), columns, kept)
         left = plain - integrated(series, discrepancy.rates(series, w))
         disturbance = _likely_disturbance(series, jacobian, left, begins, rolls, disturbance)
         if least_disturbance is not None:
             disturbance = np.maximum(disturbance, least_disturbance)
     whitener = build_whitener(jacobian, series.period, series.stated_noise, disturbance, begins, group)
-    u, phi = whitener(plain), whitened_columns(whitener)
+    u, phi = whitener(plain), _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy))
     left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
     return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls)
@@ -173,7 +168,7 @@ def rewhitened_with_noise(
         one.whitener.begins,
         one.whitener.group,
     )
-    columns = whitened_blocks(series, whitener, discrepancy.blocks(series))
+    columns = _whitened_blocks(whitener, _integrated_blocks(series, discrepancy))
     return replace(one, whitener=whitener, nominal_rows=whitener(one.defects(())), discrepancy=columns)
 
 

@@ -7,9 +7,9 @@ from split_cli.logs.checking.kinematics import fit_linear, has_dependent_columns
 from split_cli.logs.checking.relations import ConsistencyFinding
 
 _SURE = 3.0
-"""Standard errors by which a share is beyond the tolerance, and the two shares differ [1]."""
+"""Standard errors by which a share is beyond the tolerance, and the two shares differ [1]; judgement."""
 _LEAST_ROWS = 100
-"""Samples of driving, and of braking, that a share is measured on [1]."""
+"""Samples of driving, and of braking, that a share is measured on [1]; judgement."""
 
 
 def torque_sides(checks: Checks, has_factor: bool = False) -> list[ConsistencyFinding]:
