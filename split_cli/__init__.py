@@ -18,9 +18,21 @@ CACHE_NOTE = _provide_cache(_dirname(__file__))
 
 #: What `split_cli.api` offers, loaded when it is first used, so that `split --help` stays fast.
 _API = (
-    "DEG_PER_G", "charts", "compare", "diagnose", "draw_chart", "drive_table", "evaluate", "labels", "read_drive",
-    "read_set", "read_vehicle", "steering_response", "train", "understeer",
-)  # fmt: skip
+    "DEG_PER_G",
+    "charts",
+    "compare",
+    "diagnose",
+    "draw_chart",
+    "drive_table",
+    "evaluate",
+    "labels",
+    "read_drive",
+    "read_set",
+    "read_vehicle",
+    "steering_response",
+    "train",
+    "understeer",
+)
 
 
 def __getattr__(name: str) -> _Any:

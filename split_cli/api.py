@@ -37,10 +37,26 @@ from split_cli.workflows.report.evaluation import evaluation_charts, evaluation_
 from split_cli.workflows.report.page import report_page
 
 __all__ = [
-    "DEG_PER_G", "ComparisonResult", "DiagnosisResult", "EvaluationResult", "SteeringResponse", "Understeer",
-    "charts", "compare", "diagnose", "draw_chart", "drive_table", "evaluate", "labels", "read_drive", "read_set",
-    "read_vehicle", "steering_response", "train", "understeer",
-]  # fmt: skip
+    "DEG_PER_G",
+    "ComparisonResult",
+    "DiagnosisResult",
+    "EvaluationResult",
+    "SteeringResponse",
+    "Understeer",
+    "charts",
+    "compare",
+    "diagnose",
+    "draw_chart",
+    "drive_table",
+    "evaluate",
+    "labels",
+    "read_drive",
+    "read_set",
+    "read_vehicle",
+    "steering_response",
+    "train",
+    "understeer",
+]
 
 
 def _frame(rows: Any, columns: Sequence[str] | None = None) -> Any:
@@ -143,10 +159,7 @@ class EvaluationResult:
 
 
 def evaluate(
-    drives: Drive | Sequence[Drive],
-    vehicle: Vehicle | None = None,
-    trained: TrainingSet | None = None,
-    **settings: Any,
+    drives: Drive | Sequence[Drive], vehicle: Vehicle | None = None, trained: TrainingSet | None = None, **settings: Any
 ) -> EvaluationResult:
     """Score predictors on drives; settings are those of `EvaluationSettings`, as `split evaluate` takes them."""
     several = [drives] if isinstance(drives, Drive) else list(drives)
@@ -216,12 +229,20 @@ class DiagnosisResult:
     def findings(self) -> Any:
         """A row a parameter of every finding, as a DataFrame."""
         rows = [
-            {"term": one.term, "variant": one.variant, "parameter": name, "value": value.value,
-             "low_95": value.interval_95[0], "high_95": value.interval_95[1], "unit": value.unit,
-             "gap_explained": one.gap_explained, "alternatives": ", ".join(one.alternatives)}
+            {
+                "term": one.term,
+                "variant": one.variant,
+                "parameter": name,
+                "value": value.value,
+                "low_95": value.interval_95[0],
+                "high_95": value.interval_95[1],
+                "unit": value.unit,
+                "gap_explained": one.gap_explained,
+                "alternatives": ", ".join(one.alternatives),
+            }
             for one in self.diagnosis.findings
             for name, value in one.parameters.items()
-        ]  # fmt: skip
+        ]
         return _frame(rows)
 
     @cached_property

@@ -6,10 +6,22 @@ from pathlib import Path
 from typing import Any
 
 __all__ = [
-    "OUR_FAULT", "ClockError", "DriveError", "ExportError", "LogError", "MapError", "NumericalRepairWarning",
-    "SetError", "SplitError", "VehicleError", "damaged", "nearest_names", "printable", "reason_of",
+    "OUR_FAULT",
+    "ClockError",
+    "DriveError",
+    "ExportError",
+    "LogError",
+    "MapError",
+    "NumericalRepairWarning",
+    "SetError",
+    "SplitError",
+    "VehicleError",
+    "damaged",
+    "nearest_names",
+    "printable",
+    "reason_of",
     "spreadsheet_text",
-]  # fmt: skip
+]
 
 
 #: Characters of an error at most [1], and of its end that stay; judgement: a screen.

@@ -436,9 +436,7 @@ def _concerns(error: OSError, *output: Path) -> bool:
 
 
 def _not_written(error: OSError, shown: str) -> SplitError:
-    return SplitError(
-        f"cannot be written ({error.strerror or error}); what was there before is unchanged", where=shown
-    )
+    return SplitError(f"cannot be written ({error.strerror or error}); what was there before is unchanged", where=shown)
 
 
 def atomic_write_bytes(target: str | os.PathLike[str], content: bytes) -> None:

@@ -182,12 +182,30 @@ def _known_unit(spelled: str) -> Unit | None:
 
 #: Words within a unit's name. Some lack letters, since bus databases cut names (``Unit_MeterPerSeconSquar``).
 _WORDS_OF_UNITS = {
-    "percent": "%", "kilo": "k", "milli": "m", "centi": "c", "metre": "m", "meter": "m",
-    "degreeofarc": "deg", "degreofarc": "deg",
-    "radian": "rad", "radia": "rad", "second": "s", "secon": "s", "hour": "h", "minute": "min", "minut": "min",
-    "squared": "^2", "square": "^2", "squar": "^2", "newton": "N", "newto": "N", "bar": "bar", "per": "/",
+    "percent": "%",
+    "kilo": "k",
+    "milli": "m",
+    "centi": "c",
+    "metre": "m",
+    "meter": "m",
+    "degreeofarc": "deg",
+    "degreofarc": "deg",
+    "radian": "rad",
+    "radia": "rad",
+    "second": "s",
+    "secon": "s",
+    "hour": "h",
+    "minute": "min",
+    "minut": "min",
+    "squared": "^2",
+    "square": "^2",
+    "squar": "^2",
+    "newton": "N",
+    "newto": "N",
+    "bar": "bar",
+    "per": "/",
     "forceofgravi": "g",
-}  # fmt: skip
+}
 _PARTS_OF_UNITS = re.compile("|".join(sorted(_WORDS_OF_UNITS, key=len, reverse=True)))
 
 
@@ -265,10 +283,31 @@ _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$"
 _SUFFIXES = {
     suffix: suffix
     for suffix in (
-        "mps2", "mpss", "mps", "kmph", "kph", "kmh", "mph", "fps", "radps", "rad", "degps", "dps", "deg", "rpm",
-        "Nm", "bar", "kPa", "psi", "pct", "ns", "us", "sec", "mm",
+        "mps2",
+        "mpss",
+        "mps",
+        "kmph",
+        "kph",
+        "kmh",
+        "mph",
+        "fps",
+        "radps",
+        "rad",
+        "degps",
+        "dps",
+        "deg",
+        "rpm",
+        "Nm",
+        "bar",
+        "kPa",
+        "psi",
+        "pct",
+        "ns",
+        "us",
+        "sec",
+        "mm",
     )
-} | {"m_s": "m/s", "m_s2": "m/s2", "km_h": "km/h", "rad_s": "rad/s", "deg_s": "deg/s"}  # fmt: skip
+} | {"m_s": "m/s", "m_s2": "m/s2", "km_h": "km/h", "rad_s": "rad/s", "deg_s": "deg/s"}
 _SUFFIX_UNITS = {suffix.lower(): unit for suffix, symbol in _SUFFIXES.items() if (unit := find_unit(symbol))}
 # The longest first: deg_s before s, mps2 before any shorter one.
 _SUFFIX_ORDER = sorted(_SUFFIX_UNITS, key=len, reverse=True)

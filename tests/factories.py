@@ -63,9 +63,7 @@ def remembered(make: Callable[..., Drive]) -> Callable[..., Drive]:
         except (pickle.PicklingError, AttributeError):  # a function that has no name of its own
             return make(*values, **named)
         return replace(
-            drive,
-            columns={name: column.copy() for name, column in drive.columns.items()},
-            segment=drive.segment.copy(),
+            drive, columns={name: column.copy() for name, column in drive.columns.items()}, segment=drive.segment.copy()
         )
 
     return maker
@@ -115,13 +113,7 @@ def make_drive(
     for k in range(len(fine) - 1):
         window = slice(k, k + 2)
         state, memory = integrate_with_memory(
-            model,
-            state,
-            torque[:, window],
-            steer[:, window],
-            period,
-            round(period / 2.5e-3),
-            Situation(states=memory),
+            model, state, torque[:, window], steer[:, window], period, round(period / 2.5e-3), Situation(states=memory)
         )
         states.append(state)
     velocity = np.stack(states, axis=1)

@@ -30,9 +30,7 @@ def follow(page: str, folder: Path, sample_logs: Path) -> list[tuple[str, str]]:
             for line in block.splitlines():
                 name, *arguments = shlex.split(line)
                 assert name == "split"
-                arguments, target = (
-                    (arguments[:-2], arguments[-1]) if ">" in arguments[-2:-1] else (arguments, None)
-                )
+                arguments, target = (arguments[:-2], arguments[-1]) if ">" in arguments[-2:-1] else (arguments, None)
                 result = CliRunner().invoke(group, arguments)
                 if result.exception is not None and not isinstance(result.exception, SystemExit):
                     raise result.exception

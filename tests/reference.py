@@ -60,9 +60,17 @@ def steps_of(chosen: Sequence[str], cases: int) -> Iterator[list[str]]:
         pair = ["--real", "{out}/data_to_run.parquet", "--sim", "{out}/data_to_train_12.parquet"]
         yield ["diagnose", *pair, "--vehicle", "tum_sim", "--out", "{out}/tum"]
         yield [
-            "ingest", "{datasets}/genesis_slow/cpg_slow_lap.mat", "--vehicle", "genesis", "--map", "genesis_slow",
-            "--derive", "torque-from-acceleration", "-o", "{out}/genesis.parquet",
-        ]  # fmt: skip
+            "ingest",
+            "{datasets}/genesis_slow/cpg_slow_lap.mat",
+            "--vehicle",
+            "genesis",
+            "--map",
+            "genesis_slow",
+            "--derive",
+            "torque-from-acceleration",
+            "-o",
+            "{out}/genesis.parquet",
+        ]
         yield ["diagnose", "--real", "{out}/genesis.parquet", "--vehicle", "genesis", "--out", "{out}/genesis"]
     if "development" in chosen:
         yield ["prove", "generate", "{out}/proof", "--seed", str(SEED), "--cases", str(cases)]
@@ -77,8 +85,12 @@ def run(steps: Iterator[list[str]], folder: Path, code: Path, samples: Path, dat
         arguments = [part.format(**folders) for part in step]
         done = subprocess.run(
             [sys.executable, "-m", "split_cli", *arguments],
-            env=environment, cwd=code, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+            env=environment,
+            cwd=code,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         print(f"split {' '.join(step)}: {done.returncode}", flush=True)
         if done.returncode:
             print(done.stderr.strip(), flush=True)

@@ -64,9 +64,7 @@ def test_every_file_and_every_column_is_described_among_the_formats(followed):
 def test_the_gap_stands_beside_the_labels_it_belongs_to(followed):
     folder, _ = followed
     gap = pandas.read_parquet(folder / "diagnosis" / "gap.parquet")
-    labels = compute_labels(
-        read_drive(folder / "real.parquet"), read_vehicle(folder / "sample_logs/road_car.yaml"), Z2
-    )
+    labels = compute_labels(read_drive(folder / "real.parquet"), read_vehicle(folder / "sample_logs/road_car.yaml"), Z2)
     at = np.searchsorted(labels.row, gap["row"])
     np.testing.assert_array_equal(labels.row[at], gap["row"])
     np.testing.assert_array_equal(labels.y[at, 0], gap["y_vx"])
@@ -109,10 +107,6 @@ def test_every_field_of_the_document_is_explained():
     section = page_text("diagnosis_details.md").split("## diagnosis.json")[1].split("\n## ")[0]
     schema = read_schema()
     properties = schema["properties"]
-    names = [
-        *schema["required"],
-        *properties["location"]["properties"],
-        *properties["findings"]["items"]["properties"],
-    ]
+    names = [*schema["required"], *properties["location"]["properties"], *properties["findings"]["items"]["properties"]]
     for name in names:
         assert re.search(rf"`\.?{name}`", section), name

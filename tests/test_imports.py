@@ -59,9 +59,7 @@ HOMES = {
 }
 # The plant writes logs that the readers have never seen; its one writer of MCAP is the named exception.
 HOME_EXCEPTIONS = {("plant/recording.py", "mcap"), ("plant/recording.py", "mcap_ros2")}
-HEAVY = (
-    "numpy", "pandas", "scipy", "numba", "casadi", "matplotlib", "pyarrow", "mcap", "rosbags", "h5py", "asammdf",
-)  # fmt: skip
+HEAVY = ("numpy", "pandas", "scipy", "numba", "casadi", "matplotlib", "pyarrow", "mcap", "rosbags", "h5py", "asammdf")
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,7 @@ def test_no_two_classes_share_a_name(nodes):
 def test_the_map_of_the_data_names_what_there_is():
     """CONTRIBUTING leads a newcomer by files and functions: each is where it says."""
     page = (
-        (ROOT.parent / "CONTRIBUTING.md")
-        .read_text(encoding="utf-8")
-        .split("## Where data goes")[1]
-        .split("\n## ")[0]
+        (ROOT.parent / "CONTRIBUTING.md").read_text(encoding="utf-8").split("## Where data goes")[1].split("\n## ")[0]
     )
     named = re.findall(r"`([\w/]+\.py)(?:: (\w+))?`", page)
     assert len(named) > 8
@@ -49,11 +46,7 @@ def test_no_test_patches_a_private_name():
                 names = [one.value for one in node.args[:2] if isinstance(one, ast.Constant)]
                 patched += [f"{path.name}: {one}" for one in names if "._" in f".{one}" and "__" not in str(one)]
             for one in getattr(node, "targets", ()) if isinstance(node, ast.Assign) else ():
-                if (
-                    isinstance(one, ast.Attribute)
-                    and one.attr.startswith("_")
-                    and ast.unparse(one.value) != "self"
-                ):
+                if isinstance(one, ast.Attribute) and one.attr.startswith("_") and ast.unparse(one.value) != "self":
                     patched.append(f"{path.name}: {ast.unparse(one)}")
     assert not patched
 

@@ -64,9 +64,7 @@ def assert_the_demo_is_in(wheel: Path, folder: Path) -> None:
     """Assert that every sample the demo reads is installed where it is looked for."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-    read = {
-        Path(a).name for step in demo_steps(folder, Path("output")) for a in step.arguments if str(folder) in a
-    }
+    read = {Path(a).name for step in demo_steps(folder, Path("output")) for a in step.arguments if str(folder) in a}
     data = f"{wheel.name.rsplit('-', 3)[0]}.data/data/{INSTALLED}"
     assert read and {f"{data}/{name}" for name in read} <= set(names)
 

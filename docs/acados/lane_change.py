@@ -115,9 +115,7 @@ def main() -> None:
     print(f"largest difference of a state from {asked.name}_step.casadi: {apart:.2g} of its largest value")
     print(" t/s    X/m    Y/m  yaw/rad  v_x/m/s  v_y/m/s  r/rad/s   T/Nm  delta/rad")
     for k in range(0, STEPS + 1, 8):
-        print(
-            "{:4.2f} {:6.2f} {:6.3f} {:8.4f} {:8.3f} {:8.4f} {:8.4f} {:6.0f} {:10.5f}".format(k * STEP, *x[k, :8])
-        )
+        print("{:4.2f} {:6.2f} {:6.3f} {:8.4f} {:8.3f} {:8.4f} {:8.4f} {:6.0f} {:10.5f}".format(k * STEP, *x[k, :8]))
 
 
 if __name__ == "__main__":

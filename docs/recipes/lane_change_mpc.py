@@ -123,10 +123,14 @@ class LaneChangeMpc:
         bound, rate = np.tile(LARGEST, STEPS), np.tile(LARGEST_RATES, STEPS)
         scale = rate  # inputs of one size help any solver
         answer = self._solve(
-            h=H * scale * scale[:, None], g=q * scale, a=G[:, 6:8].reshape(2 * STEPS, -1) * scale / bound[:, None],
-            lba=(-bound - reached) / bound, uba=(bound - reached) / bound,
-            lbx=-1.0 - self.u.ravel() / scale, ubx=1.0 - self.u.ravel() / scale,
-        )  # fmt: skip
+            h=H * scale * scale[:, None],
+            g=q * scale,
+            a=G[:, 6:8].reshape(2 * STEPS, -1) * scale / bound[:, None],
+            lba=(-bound - reached) / bound,
+            uba=(bound - reached) / bound,
+            lbx=-1.0 - self.u.ravel() / scale,
+            ubx=1.0 - self.u.ravel() / scale,
+        )
         change = answer["x"].full().ravel() * scale
         if not self._solve.stats()["success"]:
             return  # the last plan goes on

@@ -19,9 +19,7 @@ from split_cli.cli.verbosity import print_notes
     metavar="LIST",
     help="What to fit: any of tires, drag, rolling, splits, inertia.",
 )
-@click.option(
-    "--training-blocks", is_flag=True, help="Leave out the blocks of time that `split evaluate` holds out."
-)
+@click.option("--training-blocks", is_flag=True, help="Leave out the blocks of time that `split evaluate` holds out.")
 @click.option("--offsets", is_flag=True, help="Also fit a constant offset of each slip angle.")
 @click.option(
     "--measured-ay", is_flag=True, help="Use the channel ay instead of v_y' + v_x r; correct on a banked road."
@@ -62,8 +60,23 @@ from split_cli.cli.verbosity import print_notes
     help="With --convert: write a vehicle file as that project's parameters.",
 )
 @shared.json_option
-def command(files, start, output, parts, training_blocks, offsets, measured_ay, max_ax, max_ay, alpha_max, smooth,
-            figure, convert, kind, as_json) -> None:  # fmt: skip
+def command(
+    files,
+    start,
+    output,
+    parts,
+    training_blocks,
+    offsets,
+    measured_ay,
+    max_ax,
+    max_ay,
+    alpha_max,
+    smooth,
+    figure,
+    convert,
+    kind,
+    as_json,
+) -> None:
     """Fit a vehicle file to gentle drives, or convert another project's file.
 
     Tyres are fitted to the axles' lateral forces, drag and rolling resistance to the longitudinal force balance.
@@ -128,9 +141,21 @@ def _show_calibration(calibration, used, output, as_json) -> None:
         shared.print_json({"vehicle": output, "drives": used, **values})
         return
     if calibration.curves:
-        header = ("axle", "B", "C", "D [N]", "determined", "stiffness [N/rad]", "+-", "covered to [rad]",
-                  "differ there [N]", "to alpha_max [N]", "held out [N]", "given file [N]",
-                  "force [N]")  # fmt: skip
+        header = (
+            "axle",
+            "B",
+            "C",
+            "D [N]",
+            "determined",
+            "stiffness [N/rad]",
+            "+-",
+            "covered to [rad]",
+            "differ there [N]",
+            "to alpha_max [N]",
+            "held out [N]",
+            "given file [N]",
+            "force [N]",
+        )
         rows = [
             (
                 c.axle,
@@ -164,9 +189,7 @@ def _show_calibration(calibration, used, output, as_json) -> None:
         rows = [(e.name, *pair_known(e.value, e.error), _yes(e.settled)) for e in calibration.estimates]
         shared.print_table(("from turning", "value", "+-", "determined"), rows)
     print_notes(calibration.remarks)
-    click.echo(
-        f"wrote {output} from {calibration.samples} samples in {calibration.blocks} blocks of time", err=True
-    )
+    click.echo(f"wrote {output} from {calibration.samples} samples in {calibration.blocks} blocks of time", err=True)
 
 
 def _yes(determined: bool) -> str:

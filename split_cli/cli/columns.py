@@ -43,16 +43,14 @@ COLUMNS: dict[str, dict[str, str]] = {
         "norm valid": "the same, inside the valid region only",
         "position": f"{_RMS} of position after the open-loop simulation [m]",
         "size": "requested size of the set",
-        "skill": "1 - MSE/MSE of persistence (velocities held): 1 is perfect, 0 as good as persistence, "
-        "below 0 worse",
+        "skill": "1 - MSE/MSE of persistence (velocities held): 1 is perfect, 0 as good as persistence, below 0 worse",
         "skill v_x,v_y,r": "skill of each state separately",
         "starts": "number of open-loop simulations, each from a start of its own",
         "threshold": "smallest marginal gain of a sample that is kept",
     },
     "compare": {
         "after s": "length of the open-loop simulation on the recorded inputs [s]",
-        "fit %": "100 (1 - |error|/|measured - mean|), the fit of identification tools; below 0 the mean is "
-        "better",
+        "fit %": "100 (1 - |error|/|measured - mean|), the fit of identification tools; below 0 the mean is better",
         "model": "vehicle file, or trained set with its predictor; * marks the best of a column",
         "of held": "mean over the three states of the rms error over that of velocities held [1]; less is better",
         "r": f"{_RMS} of yaw rate after the open-loop simulation [rad/s]",

@@ -32,9 +32,7 @@ _STAGES = {
 
 
 @click.command("diagnose")
-@click.option(
-    "--real", "real", type=shared.existing_file, required=True, multiple=True, help="Real drive; repeatable."
-)
+@click.option("--real", "real", type=shared.existing_file, required=True, multiple=True, help="Real drive; repeatable.")
 @click.option("--sim", "simulated", type=shared.existing_file, multiple=True, help="Simulated drive; repeatable.")
 @click.option(
     "--holdout",
@@ -48,9 +46,7 @@ _STAGES = {
 @shared.held_option
 @shared.engine_options(None, "threads")
 @shared.json_option
-def command(
-    real, simulated, holdout, vehicle_path, output, exit_code, held, engine, scheduler, jobs, as_json
-) -> None:
+def command(real, simulated, holdout, vehicle_path, output, exit_code, held, engine, scheduler, jobs, as_json) -> None:
     """Say where a simulation and a real drive differ, and name the physics that the simulation lacks.
 
     Without --sim the nominal model of the vehicle file serves as the simulation. The improvement is measured on

@@ -75,20 +75,14 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     help="Without --set: held-out applies the share of the correction that held-out blocks support; full applies "
     "all of it.",
 )
-@click.option(
-    "--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file."
-)
+@click.option("--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file.")
 @click.option(
     "--select",
     is_flag=True,
     help="Choose capacity, gain threshold, cell edge and --features by their error on held-out blocks.",
 )
 @click.option(
-    "--capacities",
-    default="5,10,20",
-    callback=shared.list_of(int),
-    metavar="LIST",
-    help="Capacities for --select.",
+    "--capacities", default="5,10,20", callback=shared.list_of(int), metavar="LIST", help="Capacities for --select."
 )
 @click.option(
     "--thresholds",
@@ -191,13 +185,42 @@ def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settin
         return
     click.echo(f"{found.vehicle}: {found.labels} labels on {found.blocks} held-out blocks, {found.folds} folds")
     click.echo("error: root mean over v_x, v_y, r of MSE/MSE of the nominal model; behind: of the mean square\n")
-    header = ("", "features", "capacity", "threshold", "cell edge", "points", "cells", "us/query", "error",
-              "behind", "+-", "v_x", "v_y", "r")  # fmt: skip
-    shared.print_table(header, [
-        (_mark(one), one.features, one.capacity, one.threshold, one.cell_edge, one.points, one.cells,
-         one.microseconds, one.error, one.behind, one.behind_error, *map(three_digits, one.rmse))
-        for one in found.candidates
-    ])  # fmt: skip
+    header = (
+        "",
+        "features",
+        "capacity",
+        "threshold",
+        "cell edge",
+        "points",
+        "cells",
+        "us/query",
+        "error",
+        "behind",
+        "+-",
+        "v_x",
+        "v_y",
+        "r",
+    )
+    shared.print_table(
+        header,
+        [
+            (
+                _mark(one),
+                one.features,
+                one.capacity,
+                one.threshold,
+                one.cell_edge,
+                one.points,
+                one.cells,
+                one.microseconds,
+                one.error,
+                one.behind,
+                one.behind_error,
+                *map(three_digits, one.rmse),
+            )
+            for one in found.candidates
+        ],
+    )
     click.echo("\nchosen: fewest points among those within one standard error of the best")
     click.echo(found.command)
 
@@ -217,8 +240,22 @@ def _print_report(report) -> None:
     drives = "1 drive" if len(report.drives) == 1 else f"{len(report.drives)} drives"
     click.echo(f"{tested} test samples of {drives}, {valid} in the valid region")
     click.echo("rms errors of one step: labels, in m/s^2, m/s^2, rad/s^2; --legend explains every column\n")
-    header = ("model", "features", "points", "norm", "v_x", "v_y", "r", "norm valid", "skill", "skill v_x,v_y,r",
-              "NLPD", "in 50 %", "in 95 %", "us/query")  # fmt: skip
+    header = (
+        "model",
+        "features",
+        "points",
+        "norm",
+        "v_x",
+        "v_y",
+        "r",
+        "norm valid",
+        "skill",
+        "skill v_x,v_y,r",
+        "NLPD",
+        "in 50 %",
+        "in 95 %",
+        "us/query",
+    )
     pooled = [score for score in report.scores if not score.drive]
     rows = [_score_row(score) for score in pooled]
     floor = report.noise_floor

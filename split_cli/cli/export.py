@@ -27,9 +27,7 @@ from split_cli.cli.verbosity import print_notes
     "The choices bcm and rbcm: committee of one Gaussian process a cell, and its robust form.",
 )
 @click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
-@click.option(
-    "--real", default="double", type=click.Choice(["double", "float"]), help="Number type of the C code."
-)
+@click.option("--real", default="double", type=click.Choice(["double", "float"]), help="Number type of the C code.")
 @click.option(
     "--queries",
     default=10_000,

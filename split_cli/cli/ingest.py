@@ -42,9 +42,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     help="Signal map: a YAML file or the name of a preset; repeatable. Logs that `split` wrote need none.",
 )
 @shared.output_option("Drive to write, or a folder if there are several logs.", required=False)
-@click.option(
-    "--clock", type=click.Choice(["log", "publish", "header"]), help="Which time stamp of a message to use."
-)
+@click.option("--clock", type=click.Choice(["log", "publish", "header"]), help="Which time stamp of a message to use.")
 @click.option(
     "--gap",
     type=float,
@@ -66,9 +64,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     help="Correct a channel that is late by S seconds.",
 )
 @click.option(
-    "--estimate-delays",
-    is_flag=True,
-    help="Estimate and correct delays between channels from kinematic identities.",
+    "--estimate-delays", is_flag=True, help="Estimate and correct delays between channels from kinematic identities."
 )
 @click.option(
     "--derive",
@@ -86,21 +82,13 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
 )
 @shared.log_options
 @click.option(
-    "--start",
-    type=float,
-    metavar="S",
-    help="Leave out everything before this time, counted from the first sample.",
+    "--start", type=float, metavar="S", help="Leave out everything before this time, counted from the first sample."
 )
 @click.option(
     "--end", type=float, metavar="S", help="Leave out everything after this time, counted from the first sample."
 )
 @click.option(
-    "--cut",
-    "cuts",
-    multiple=True,
-    type=shared.TimeSpan(),
-    metavar="A:B",
-    help="Leave out the time from A to B [s].",
+    "--cut", "cuts", multiple=True, type=shared.TimeSpan(), metavar="A:B", help="Leave out the time from A to B [s]."
 )
 @click.option("--keep-going", is_flag=True, help="Continue with the other logs when one fails.")
 @click.option(

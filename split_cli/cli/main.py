@@ -106,9 +106,7 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "s
 @click.option("--quiet", is_flag=True, help="Print only warnings and errors; results still go to stdout.")
 @click.option("--verbose", is_flag=True, help="Report every step, also without a terminal.")
 @click.option("--legend", is_flag=True, help="Explain the columns below every table.")
-@click.option(
-    "--config", metavar="FILE", help="YAML file with options; it overrides ./split.yaml and the user's file."
-)
+@click.option("--config", metavar="FILE", help="YAML file with options; it overrides ./split.yaml and the user's file.")
 @click.pass_context
 def group(context, quiet, verbose, legend, config) -> None:
     """Turn driving logs into vehicle models that a controller can trust, and explain what a simulation lacks.

@@ -73,10 +73,7 @@ from split_cli.control.policy import MODEL_CAR, P_LONG, SHARE_LEARNED, SHARE_NOM
     help="Train a new set on the first run, up to where an axle lets go, and write it.",
 )
 @click.option(
-    "--features",
-    default="z2",
-    metavar="LIST",
-    help="Inputs of the correction that --set trains; see `split race`.",
+    "--features", default="z2", metavar="LIST", help="Inputs of the correction that --set trains; see `split race`."
 )
 @shared.output_option("Drive of the first run to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @shared.json_option
@@ -95,10 +92,7 @@ def command(scenario, vehicle_path, output, set_output, no_delay, as_json, **opt
     from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 
     shared.refuse_without_use(
-        {
-            "predictor": (options["start_set"] is not None, "--start-set"),
-            "features": (set_output is not None, "--set"),
-        }
+        {"predictor": (options["start_set"] is not None, "--start-set"), "features": (set_output is not None, "--set")}
     )
     settings = ManeuverSettings(scenario=scenario, delay=not no_delay, **options)
     with StepBar(max(len(settings.speeds), 1)) as bar:

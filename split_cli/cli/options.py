@@ -35,9 +35,7 @@ class _PlaceOfFile(click.Path):
         other, kind = seen.setdefault(place, (param, self.kind))
         if param is not other and (self.kind, kind) != ("input", "input") and not os.path.isdir(place):
             name = other.opts[-1] if isinstance(other, click.Option) else other.human_readable_name
-            raise SplitError(
-                f"is {name} too, it would be overwritten", where=str(path), advice="Name another file."
-            )
+            raise SplitError(f"is {name} too, it would be overwritten", where=str(path), advice="Name another file.")
         return path
 
 
@@ -171,13 +169,24 @@ def engine_options(processes: int | None, workers: str = "processes") -> Callabl
 
     def decorate(function: Callable) -> Callable:
         for option in (
-            click.option("--jobs", type=click.IntRange(1), default=processes, show_default=False, metavar="N",
-                         help=f"Number of {workers}; default: {usual}."),
-            click.option("--scheduler", metavar="ADDRESS",
-                         help="Address of a running Dask scheduler, tcp://HOST:PORT."),
-            click.option("--engine", type=click.Choice(["process", "dask"]), default="process",
-                         help="Work on this machine or on a Dask cluster; the result is the same."),
-        ):  # fmt: skip
+            click.option(
+                "--jobs",
+                type=click.IntRange(1),
+                default=processes,
+                show_default=False,
+                metavar="N",
+                help=f"Number of {workers}; default: {usual}.",
+            ),
+            click.option(
+                "--scheduler", metavar="ADDRESS", help="Address of a running Dask scheduler, tcp://HOST:PORT."
+            ),
+            click.option(
+                "--engine",
+                type=click.Choice(["process", "dask"]),
+                default="process",
+                help="Work on this machine or on a Dask cluster; the result is the same.",
+            ),
+        ):
             function = option(function)
         return function
 
@@ -189,12 +198,8 @@ def log_options(function: Callable) -> Callable:
     for option in (
         _definitions("--dbc", "databases", "FILE", "DBC database that decodes a CAN log."),
         _definitions("--msg-path", "message_paths", "DIR", "Folder with .msg definitions of ROS messages."),
-        click.option(
-            "--row-rate", type=positive, metavar="HZ", help="Sampling rate of a table without a time column."
-        ),
-        click.option(
-            "--together", is_flag=True, help="Join the logs into one drive; each file keeps its own clock."
-        ),
+        click.option("--row-rate", type=positive, metavar="HZ", help="Sampling rate of a table without a time column."),
+        click.option("--together", is_flag=True, help="Join the logs into one drive; each file keeps its own clock."),
     ):
         function = option(function)
     return function
@@ -210,10 +215,7 @@ def label_options(function: Callable) -> Callable:
             help="Compute labels by the paper's plain damped difference, to reproduce the paper.",
         ),
         click.option(
-            "--stride",
-            type=int,
-            metavar="N",
-            help="Samples between two labels; default: as many as the horizon has.",
+            "--stride", type=int, metavar="N", help="Samples between two labels; default: as many as the horizon has."
         ),
     ):
         function = option(function)
@@ -235,16 +237,11 @@ def grip_option(function: Callable) -> Callable:
 def sensor_options(function: Callable) -> Callable:
     """``--width``, ``--seed``, ``--exact-sensors``, ``--no-delay``: what a controller has of the simulated car."""
     for option in (
-        click.option(
-            "--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later."
-        ),
+        click.option("--no-delay", is_flag=True, help="Apply commands at once instead of one sampling interval later."),
         click.option("--exact-sensors", is_flag=True, help="Simulate sensors without noise."),
         click.option("--seed", type=int, default=0, metavar="N", help="Random seed of the sensor noise."),
         click.option(
-            "--width",
-            type=float,
-            metavar="M",
-            help="Width of the car's body  [default: 1.15 times its track width].",
+            "--width", type=float, metavar="M", help="Width of the car's body  [default: 1.15 times its track width]."
         ),
     ):
         function = option(function)

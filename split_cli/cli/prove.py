@@ -108,12 +108,9 @@ def _numbers(text: str | None) -> list[float]:
 @shared.output_option("Folder to write into.")
 @click.option("--faults", help="Only these faults, separated by commas. A wrong name lists all names.")
 @click.option("--block", type=float, default=10.0, help="Length of the blocks of time [s].")
+@click.option("--halves", is_flag=True, help="Use the first and second half of a drive instead of alternating blocks.")
 @click.option(
-    "--halves", is_flag=True, help="Use the first and second half of a drive instead of alternating blocks."
-)
-@click.option(
-    "--multiples",
-    help="Fault sizes as multiples of the detection limit of the pair without a fault, e.g. 0.5,1,1.5.",
+    "--multiples", help="Fault sizes as multiples of the detection limit of the pair without a fault, e.g. 0.5,1,1.5."
 )
 @shared.json_option
 def recording(drives, vehicle_path, output, faults, block, halves, multiples, as_json) -> None:

@@ -127,10 +127,7 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
     "The choice auto takes z2 or z2,feature_lag: what has the smaller error on held-out tenths of the laps.",
 )
 @click.option(
-    "--hyperparameters",
-    default="fit",
-    metavar="KIND",
-    help="Kernel: fit (to lap 0), default, or a YAML file.",
+    "--hyperparameters", default="fit", metavar="KIND", help="Kernel: fit (to lap 0), default, or a YAML file."
 )
 @click.option(
     "--iol-update",
@@ -153,9 +150,21 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
 @shared.output_option("Drive to write (Parquet, or MCAP with ROS 2 messages).", required=False)
 @shared.json_option
 def command(
-    vehicle_path, output, set_output, report, p_ellipse, p_ellipse_lap0, p_unknown, guarded, p_long,
-    no_delay, iol_update, learners, as_json, **options,
-) -> None:  # fmt: skip
+    vehicle_path,
+    output,
+    set_output,
+    report,
+    p_ellipse,
+    p_ellipse_lap0,
+    p_unknown,
+    guarded,
+    p_long,
+    no_delay,
+    iol_update,
+    learners,
+    as_json,
+    **options,
+) -> None:
     """Race a simulated double-track car, with a contouring controller that learns while it drives.
 
     The controller (MPCC, 80 steps of 50 ms) drives with the vehicle's nominal model plus what the learner has
@@ -208,9 +217,7 @@ def command(
                 bar.say(f"{say}: {text}") if ":" in text else bar(text)
 
             results.append(
-                run_race(
-                    settings, vehicle_path, output=output, set_output=set_output, progress=tell, others=results
-                )
+                run_race(settings, vehicle_path, output=output, set_output=set_output, progress=tell, others=results)
             )
     if report is not None:
         from split_cli.files import atomic_write_text
@@ -232,16 +239,40 @@ def _tell(result) -> None:
     """Print the laps of one race."""
     click.echo(f"{result.track}, {result.length:.0f} m a lap; {result.car}, learner {result.learner}")
     header = [
-        "lap", "time s", "speed m/s", "|ay| g", "updates", "set", "cells", "error vx", "vy", "r", "of nominal",
-        "outside m", "at m", "failures",
-    ]  # fmt: skip
+        "lap",
+        "time s",
+        "speed m/s",
+        "|ay| g",
+        "updates",
+        "set",
+        "cells",
+        "error vx",
+        "vy",
+        "r",
+        "of nominal",
+        "outside m",
+        "at m",
+        "failures",
+    ]
     rows = []
     for lap in result.laps:
         share = [a / b if b else None for a, b in zip(lap.error_after, lap.error_before, strict=True)]
         trust = "/".join("-" if s is None else f"{s:.2f}" for s in share)
-        rows.append([lap.number, lap.time, *map(three_digits, (lap.mean_speed, lap.max_lateral)), lap.updates,
-                     lap.size, lap.cells, *map(three_digits, lap.error_after), trust, lap.outside,
-                     None if lap.outside_at is None else round(lap.outside_at), lap.failures])  # fmt: skip
+        rows.append(
+            [
+                lap.number,
+                lap.time,
+                *map(three_digits, (lap.mean_speed, lap.max_lateral)),
+                lap.updates,
+                lap.size,
+                lap.cells,
+                *map(three_digits, lap.error_after),
+                trust,
+                lap.outside,
+                None if lap.outside_at is None else round(lap.outside_at),
+                lap.failures,
+            ]
+        )
     shared.print_table(header, rows)
     shared.print_table(
         ["lap", "solver ms (median, 99 %, worst)", "step ms (median, 99 %, worst)", "learning ms"],

@@ -7,9 +7,7 @@ from split_cli.cli.verbosity import print_notes
 
 
 @click.command("simulate")
-@click.option(
-    "--car", default="road_car", metavar="NAME", help="Simulated car: road_car, f1tenth_car or formula_car."
-)
+@click.option("--car", default="road_car", metavar="NAME", help="Simulated car: road_car, f1tenth_car or formula_car.")
 @click.option("--track", metavar="NAME", help="Track for laps: handling (2.3 km), small (580 m), oval or f1tenth.")
 @click.option("--maneuver", metavar="NAME", help="Standard test instead of laps. A wrong name lists all names.")
 @click.option(
@@ -43,9 +41,7 @@ from split_cli.cli.verbosity import print_notes
     metavar="NAME",
     help="Sensors: full; lean (state, inertial at 50 Hz, commands); or perfect (no noise, no delay).",
 )
-@click.option(
-    "--workshop-units", is_flag=True, help="Write the CSV in km/h, deg, deg/s and g instead of SI units."
-)
+@click.option("--workshop-units", is_flag=True, help="Write the CSV in km/h, deg, deg/s and g instead of SI units.")
 @click.option(
     "--effect",
     "effects",

@@ -49,10 +49,7 @@ from split_cli.cli.verbosity import StepBar, print_notes
     help="Edge length of the cells as a multiple of the standard edge; default 1.",
 )
 @click.option(
-    "--forgetting",
-    type=float,
-    metavar="S",
-    help="Reduce the gain of old points with this time constant; default: off.",
+    "--forgetting", type=float, metavar="S", help="Reduce the gain of old points with this time constant; default: off."
 )
 @click.option(
     "--trust",
@@ -65,9 +62,7 @@ from split_cli.cli.verbosity import StepBar, print_notes
     type=click.Choice(["held-out", "none"]),
     help="Model a lag of the torque if held-out blocks improve by it (held-out, the default), or never (none).",
 )
-@click.option(
-    "--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file."
-)
+@click.option("--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file.")
 @click.option(
     "--exclude",
     type=shared.TimeSpan(),

@@ -124,10 +124,7 @@ class StepBar:
     """
 
     def __init__(
-        self,
-        total: int = 0,
-        shares: Mapping[str, float] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, total: int = 0, shares: Mapping[str, float] | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._total, self._done, self._now, self._begin = total, 0, clock, clock()
         self._shares, self._share, self.text = shares or {}, 0.0, ""
@@ -201,9 +198,7 @@ class StepBar:
             return
         with self._drawing:
             self._drawn = (self._done, begun)
-            click.echo(
-                f"{_WIPE}{self._line()}" if self._in_place else self._line(), err=True, nl=not self._in_place
-            )
+            click.echo(f"{_WIPE}{self._line()}" if self._in_place else self._line(), err=True, nl=not self._in_place)
         if self._in_place and self._clock is None:
             self._clock = threading.Thread(target=self._tick, daemon=True)
             self._clock.start()

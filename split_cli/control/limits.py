@@ -159,11 +159,7 @@ def slip_limit(
 
 
 def slip_rows(
-    limits: Limits,
-    found: Linearization,
-    free: float,
-    grip: np.ndarray | float = 1.0,
-    shift: np.ndarray | float = 0.0,
+    limits: Limits, found: Linearization, free: float, grip: np.ndarray | float = 1.0, shift: np.ndarray | float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return rows C (N, 5, n) of a step dx, with lower and upper bounds (N, 5).
 

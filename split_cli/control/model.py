@@ -186,9 +186,16 @@ def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casa
     slip = z2[:2]
     curve, force = _axles(track, x)
     outputs = [
-        rates, jacobian, slip, casadi.jacobian(slip, x), z, casadi.jacobian(z, x), curve, force,
+        rates,
+        jacobian,
+        slip,
+        casadi.jacobian(slip, x),
+        z,
+        casadi.jacobian(z, x),
+        curve,
+        force,
         casadi.jacobian(force, x),
-    ]  # fmt: skip
+    ]
     return casadi.Function("stage", [x], [casadi.densify(o) for o in outputs], {"cse": True})
 
 

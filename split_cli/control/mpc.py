@@ -46,14 +46,18 @@ class Mpc(RecedingController):
     """
 
     def __init__(
-        self, model: ControlModel, path: Path, actuators: Actuators, settings: MpcSettings, width: float,
+        self,
+        model: ControlModel,
+        path: Path,
+        actuators: Actuators,
+        settings: MpcSettings,
+        width: float,
         speed: Callable[[np.ndarray], np.ndarray],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.settings, self.speed = settings, speed
         super().__init__(
-            model, path, actuators, settings.weights, settings.limits, settings.horizon,
-            0.5 * width + settings.margin,
-        )  # fmt: skip
+            model, path, actuators, settings.weights, settings.limits, settings.horizon, 0.5 * width + settings.margin
+        )
         self.s = np.zeros(settings.horizon + 1)
 
     def first_plan(self, x: np.ndarray, s: float) -> Plan:
@@ -64,8 +68,18 @@ class Mpc(RecedingController):
         plan = Plan(np.zeros((self.horizon + 1, self.n)), np.zeros((self.horizon, self.m)))
         for k in range(self.horizon + 1):
             bend = point.curvature[k]
-            here = np.array([point.x[k], point.y[k], point.direction[k], speed[k], 0.0, speed[k] * bend, x[6],
-                             np.arctan(wheelbase * bend)])  # fmt: skip
+            here = np.array(
+                [
+                    point.x[k],
+                    point.y[k],
+                    point.direction[k],
+                    speed[k],
+                    0.0,
+                    speed[k] * bend,
+                    x[6],
+                    np.arctan(wheelbase * bend),
+                ]
+            )
             plan.x[k] = self.model.steady_states(here)
         plan.x[0] = x
         return plan

@@ -38,14 +38,25 @@ class Mpcc(RecedingController):
     EXTRA_INPUTS = 1
 
     def __init__(
-        self, model: ControlModel, path: Path, actuators: Actuators, settings: MpccSettings, width: float,
+        self,
+        model: ControlModel,
+        path: Path,
+        actuators: Actuators,
+        settings: MpccSettings,
+        width: float,
         tightening: float = 0.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.settings = settings
         super().__init__(
-            model, path, actuators, settings.weights, settings.limits, settings.horizon,
-            0.5 * width + settings.margin, tightening,
-        )  # fmt: skip
+            model,
+            path,
+            actuators,
+            settings.weights,
+            settings.limits,
+            settings.horizon,
+            0.5 * width + settings.margin,
+            tightening,
+        )
 
     def first_plan(self, x: np.ndarray, s: float) -> Plan:
         """Return a roll along the line at constant speed."""
@@ -55,8 +66,18 @@ class Mpcc(RecedingController):
         plan = Plan(np.zeros((N + 1, self.n)), np.zeros((N, self.m)))
         wheelbase = self.model.vehicle.wheelbase
         for k in range(N + 1):
-            here = np.array([point.x[k], point.y[k], point.direction[k], v, 0.0, v * point.curvature[k], x[6],
-                             np.arctan(wheelbase * point.curvature[k])])  # fmt: skip
+            here = np.array(
+                [
+                    point.x[k],
+                    point.y[k],
+                    point.direction[k],
+                    v,
+                    0.0,
+                    v * point.curvature[k],
+                    x[6],
+                    np.arctan(wheelbase * point.curvature[k]),
+                ]
+            )
             plan.x[k, : self.n_model] = self.model.steady_states(here)
         plan.x[:, -2], plan.x[:, -1] = theta, min(v, self.settings.max_speed)
         begin = np.array(x, dtype=float)

@@ -59,9 +59,7 @@ class Path:
             high, share = (low + 1) % count, position - low
             wrapped = (high == 0).astype(float)
             start = laps * self.turn
-            direction = self.direction[low] + share * (
-                self.direction[high] + wrapped * self.turn - self.direction[low]
-            )
+            direction = self.direction[low] + share * (self.direction[high] + wrapped * self.turn - self.direction[low])
             extra_x = extra_y = 0.0
         else:
             inside = np.clip(s, 0.0, self.length)

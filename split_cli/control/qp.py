@@ -57,9 +57,7 @@ class _Bound:
         arguments = {solver.name_in(k): np.zeros(solver.nnz_in(k)) for k in range(solver.n_in())}
         results = {solver.name_out(k): np.zeros(solver.nnz_out(k)) for k in range(solver.n_out())}
         arguments["h"], arguments["a"] = h, a
-        self.g, self.lba, self.uba, self.lbx, self.ubx = (
-            arguments[name] for name in ("g", "lba", "uba", "lbx", "ubx")
-        )
+        self.g, self.lba, self.uba, self.lbx, self.ubx = (arguments[name] for name in ("g", "lba", "uba", "lbx", "ubx"))
         self.x = results["x"]
         self._arguments, self._results = list(arguments.values()), list(results.values())
         self._buffer, self._evaluate = solver.buffer()

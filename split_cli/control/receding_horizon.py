@@ -286,11 +286,22 @@ class RecedingController(ABC):
         Q[:, np.arange(self.n), np.arange(self.n)] += 2.0 * weights.proximal
         slack = np.array([weights.track, *(4 * [weights.ellipse]), weights.slip_difference])
         return QPData(
-            A=A * xs / xs[:, None], B=B * us / xs[:, None], c=c / xs, Q=Q, q=q * xs, R=R * us * us, r=r * us,
-            C=C * xs, row_lower=lower, row_upper=upper, slack_weight=slack,
-            x_lower=(x_lower - plan.x[1:]) / xs, x_upper=(x_upper - plan.x[1:]) / xs,
-            u_lower=(u_lower - plan.u) / us, u_upper=(u_upper - plan.u) / us,
-        )  # fmt: skip
+            A=A * xs / xs[:, None],
+            B=B * us / xs[:, None],
+            c=c / xs,
+            Q=Q,
+            q=q * xs,
+            R=R * us * us,
+            r=r * us,
+            C=C * xs,
+            row_lower=lower,
+            row_upper=upper,
+            slack_weight=slack,
+            x_lower=(x_lower - plan.x[1:]) / xs,
+            x_upper=(x_upper - plan.x[1:]) / xs,
+            u_lower=(u_lower - plan.u) / us,
+            u_upper=(u_upper - plan.u) / us,
+        )
 
     def contour_rows(self, s: np.ndarray, point: PathPoint) -> tuple[np.ndarray, ...]:
         """Return e_c, e_l (N,) of stages 1 to N, and their slopes by the state (N, n)."""
@@ -307,8 +318,7 @@ class RecedingController(ABC):
         across = self.weights.contour
         contour, lag, of_contour, of_lag = self.contour_rows(s, point)
         Q = 2.0 * (
-            across * of_contour[:, :, None] * of_contour[:, None, :]
-            + along * of_lag[:, :, None] * of_lag[:, None, :]
+            across * of_contour[:, :, None] * of_contour[:, None, :] + along * of_lag[:, :, None] * of_lag[:, None, :]
         )
         return Q, 2.0 * (across * contour[:, None] * of_contour + along * lag[:, None] * of_lag)
 

@@ -74,11 +74,7 @@ def _iso_3888_1(width: float) -> tuple[Lane, ...]:
 def _iso_3888_2(width: float) -> tuple[Lane, ...]:
     entry, side, leave = 1.1 * width + 0.25, width + 1.0, max(1.3 * width + 0.25, 3.0)
     right = -0.5 * entry
-    return (
-        Lane(0.0, 12.0, right, entry),
-        Lane(25.5, 36.5, right + entry + 1.0, side),
-        Lane(49.0, 61.0, right, leave),
-    )
+    return (Lane(0.0, 12.0, right, entry), Lane(25.5, 36.5, right + entry + 1.0, side), Lane(49.0, 61.0, right, leave))
 
 
 def _brake_avoid(width: float) -> tuple[Lane, ...]:

@@ -32,19 +32,8 @@ from split_cli.diagnosis.statement.result import Diagnosis, Finding, InputFile, 
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import detection_limits
-from split_cli.diagnosis.verdict.findings import (
-    confirmed_by_witnesses,
-    describe,
-    is_autocorrelated,
-    with_shares,
-)
-from split_cli.diagnosis.verdict.heldout import (
-    HeldOut,
-    explained_shares,
-    explained_together,
-    fitted_alone,
-    hold_out,
-)
+from split_cli.diagnosis.verdict.findings import confirmed_by_witnesses, describe, is_autocorrelated, with_shares
+from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, fitted_alone, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.planted import planted_saving
@@ -207,9 +196,7 @@ def _screened(
         for reason in unfit(drive, vehicle, policy.screening, () if role == "sim" else taught)
     ]
     reasons = (
-        list(dict.fromkeys([*reasons, *notes]))
-        if reasons
-        else idle(drives[: len(real)], vehicle, policy.screening)
+        list(dict.fromkeys([*reasons, *notes])) if reasons else idle(drives[: len(real)], vehicle, policy.screening)
     )
     return [moving(one, vehicle, policy.screening) for one in drives if not reasons], roles, notes, reasons
 
@@ -268,9 +255,15 @@ def _match(
         stated = _undecided(open_questions, share, record)
         return replace(stated, not_judged=(*stated.not_judged, *not_judged))
     return Diagnosis(
-        "match", found.p_value, share, (*not_judged, *reasons), history=found.outcome.selection.history,
-        summary=summarise("match", reasons=reasons), gaps=_gaps(case), **record,
-    )  # fmt: skip
+        "match",
+        found.p_value,
+        share,
+        (*not_judged, *reasons),
+        history=found.outcome.selection.history,
+        summary=summarise("match", reasons=reasons),
+        gaps=_gaps(case),
+        **record,
+    )
 
 
 def _with_known_torque(candidates: Sequence[Candidate], real: Sequence[Drive]) -> list[Candidate]:
@@ -328,9 +321,7 @@ def _compare(
         selection.first_p if any(selection.named) or ends_beyond(selection, policy) else 1.0,
         1.0 if any(selection.named) else _p_of_a_part(selection),
         line.p_value if line else 1.0,
-        autocorrelation.p_value(usual, policy.self_test)
-        if is_autocorrelated(autocorrelation, usual, policy)
-        else 1.0,
+        autocorrelation.p_value(usual, policy.self_test) if is_autocorrelated(autocorrelation, usual, policy) else 1.0,
     ]
     p_value = 0.0 if contradictions else min(1.0, _TESTS * min(ways))
     return _Comparison(outcome, line, p_value, contradictions, scales)
@@ -379,9 +370,7 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
         leads=(
             *leads,
-            *find_leads(
-                found.outcome.structure.objective, found.outcome.selection, found.outcome.variance_inflation
-            ),
+            *find_leads(found.outcome.structure.objective, found.outcome.selection, found.outcome.variance_inflation),
         ),
         history=selection.history,
         summary=summarise(
@@ -409,9 +398,16 @@ def _improve(
     """Return findings and remainder with their shares of held-out time, the improvement there, and the vehicle."""
     findings, remainder = reported
     split = hold_out(
-        case.real, case.keep, case.holdout, case.keep_holdout, case.posterior, case.discrepancy, case.kinematics,
-        policy, fixed_baseline=found.outcome.structure.objective.fixed_baseline,
-    )  # fmt: skip
+        case.real,
+        case.keep,
+        case.holdout,
+        case.keep_holdout,
+        case.posterior,
+        case.discrepancy,
+        case.kinematics,
+        policy,
+        fixed_baseline=found.outcome.structure.objective.fixed_baseline,
+    )
     chosen = selection.chosen
     trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
     named = tuple(part.term for part in fitted_alone(split.training, trained, selection.named, findings))

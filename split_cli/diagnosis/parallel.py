@@ -58,9 +58,7 @@ def map_distributed(function: Callable[[_Item], _Out], items: Iterable[_Item]) -
     return list(_apply(function, items))
 
 
-def map_distributed_with(
-    held: _Held, function: Callable[[_Held, _Item], _Out], items: Iterable[_Item]
-) -> list[_Out]:
+def map_distributed_with(held: _Held, function: Callable[[_Held, _Item], _Out], items: Iterable[_Item]) -> list[_Out]:
     """Return ``function(held, item)`` of each item as `map_distributed` does; `held` travels once."""
     return map_distributed(partial(function, held), items)
 

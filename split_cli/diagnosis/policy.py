@@ -17,9 +17,20 @@ from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, kind_o
 from split_cli.diagnosis.policy_recordings import Believing, Screening, Unnamed
 
 __all__ = [
-    "STANDARD", "Abstention", "Allowances", "Believing", "ComparisonRules", "Policy", "Reporting", "Screening",
-    "SelectionRules", "SelfTestRules", "Unnamed", "deciding_numbers", "numbers_by_kind",
-]  # fmt: skip
+    "STANDARD",
+    "Abstention",
+    "Allowances",
+    "Believing",
+    "ComparisonRules",
+    "Policy",
+    "Reporting",
+    "Screening",
+    "SelectionRules",
+    "SelfTestRules",
+    "Unnamed",
+    "deciding_numbers",
+    "numbers_by_kind",
+]
 
 
 def _two_sided(level: float) -> float:
@@ -35,8 +46,7 @@ class ComparisonRules:
         0.001,
         "1",
         "p value below which simulation and reality differ",
-        CHOSEN
-        + "; true differences mostly give less than 1e-6, model-form error more often than chance 1e-4 to 1e-2",
+        CHOSEN + "; true differences mostly give less than 1e-6, model-form error more often than chance 1e-4 to 1e-2",
     )
     variance_inflation: float = number(
         1.5, "1", "variance inflation factor: by how much autocorrelation widens chi squared at least", CHOSEN
@@ -107,15 +117,11 @@ class SelectionRules:
         "named terms up to which the search over all terms at once is only run if structure is left",
         JUDGEMENT + "computing time: three effects at once are usual, and the search adds half a minute",
     )
-    full_fits: int = number(
-        9, "fits", "candidates that are fitted fully in each step", JUDGEMENT + "computing time"
-    )
+    full_fits: int = number(9, "fits", "candidates that are fitted fully in each step", JUDGEMENT + "computing time")
     form_error_across: float = number(
         0.07, "1", "model-form error over the size of the chosen terms, where they hardly act", CHOSEN
     )
-    considered: int = number(
-        3, "terms", "further terms that are considered in each step, those that save most", CHOSEN
-    )
+    considered: int = number(3, "terms", "further terms that are considered in each step, those that save most", CHOSEN)
     sure: float = number(
         15.0,
         "standard errors",
@@ -154,9 +160,7 @@ class SelectionRules:
         "rounds in which terms are added again after rivals have taken places",
         JUDGEMENT + "computing time",
     )
-    swaps: int = number(
-        2, "swaps", "rounds in which a rival may take a term's place", JUDGEMENT + "computing time"
-    )
+    swaps: int = number(2, "swaps", "rounds in which a rival may take a term's place", JUDGEMENT + "computing time")
     tie: float = number(
         1.0,
         "chi squared",

@@ -13,9 +13,7 @@ class Screening:
     longest_period: float = number(
         0.1, "s", "sample period above which a drive is refused", JUDGEMENT + "a yaw mode of 1 to 2 Hz needs ten"
     )
-    least_fast: float = number(
-        0.2, "1", "share of the time at a valid speed below which a drive is refused", CHOSEN
-    )
+    least_fast: float = number(0.2, "1", "share of the time at a valid speed below which a drive is refused", CHOSEN)
     valid_speed: float = number(
         0.6, "1", "speed over the vehicle's minimum speed from which on rows are compared", CHOSEN
     )
@@ -23,10 +21,7 @@ class Screening:
         0.5, "1", "the same below which rows are left out before anything is computed", JUDGEMENT + "below the one"
     )
     shortest_run: float = number(
-        0.5,
-        "s",
-        "length below which a run between crawling is left out",
-        THEORY + "longer than a smoothing window",
+        0.5, "s", "length below which a run between crawling is left out", THEORY + "longer than a smoothing window"
     )
     stuck_seconds: float = number(1.0, "s", "time after which a velocity that repeats itself stands still", CHOSEN)
     turn_spread: float = number(
@@ -42,12 +37,8 @@ class Screening:
         "time in which a car answers a step of an input: what torque does more slowly, resistance balances",
         JUDGEMENT + "a driver's torque steps last less, a change of speed that alters resistance takes longer",
     )
-    position_gap_seconds: float = number(
-        0.5, "s", "gap of position and yaw that is filled by straight lines", CHOSEN
-    )
-    least_torque: float = number(
-        0.05, "1", "range of torque over the car's largest below which it is constant", CHOSEN
-    )
+    position_gap_seconds: float = number(0.5, "s", "gap of position and yaw that is filled by straight lines", CHOSEN)
+    least_torque: float = number(0.05, "1", "range of torque over the car's largest below which it is constant", CHOSEN)
     least_acceleration: float = number(
         0.5,
         "m/s^2",
@@ -79,10 +70,7 @@ class Screening:
         0.7, "1", "correlation below which such a factor is not judged", JUDGEMENT + "half the variance explained"
     )
     least_scale_error: float = number(
-        0.01,
-        "1",
-        "error of a sensor's scale that is reported",
-        JUDGEMENT + "wheels wear and gyroscopes drift by less",
+        0.01, "1", "error of a sensor's scale that is reported", JUDGEMENT + "wheels wear and gyroscopes drift by less"
     )
     late_samples: float = number(
         2.0,
@@ -90,9 +78,7 @@ class Screening:
         "delay against position from which on a velocity that was derived from it has been shifted since",
         JUDGEMENT + "differences and filters leave less than one",
     )
-    sure_scale_error: float = number(
-        6.0, "standard errors", "size of that error from which on it is reported", CHOSEN
-    )
+    sure_scale_error: float = number(6.0, "standard errors", "size of that error from which on it is reported", CHOSEN)
 
     @property
     def least_surge(self) -> float:
@@ -145,7 +131,5 @@ class Unnamed:
     slowest: float = number(
         3.0, "Hz", "least frequency of a line in time, for a full-size car", JUDGEMENT + "drivers steer slower"
     )
-    longest: float = number(
-        4.0, "wheelbases", "longest wave over distance", JUDGEMENT + "longer waves are the track's"
-    )
+    longest: float = number(4.0, "wheelbases", "longest wave over distance", JUDGEMENT + "longer waves are the track's")
     fewest: int = number(2048, "samples", "length of a recording below which no line is sought", CHOSEN)

@@ -25,12 +25,44 @@ from split_cli.learning.trust import kept_share, supported_variance
 _TEMPLATES = {BcmTables: "committee.c.in", TableData: "table.c.in", ProjectionData: "projection.c.in"}
 _KEYWORDS = frozenset(
     (
-        "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
-        "float", "for", "goto", "if", "inline", "int", "long", "main", "real", "register", "restrict", "return",
-        "short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void",
-        "volatile", "while",
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "main",
+        "real",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
     )
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -128,9 +160,7 @@ def c_source(
     return CSource(name, real, header, source, with_step, tables.feature_count, needs, memory, table_bytes)
 
 
-def _texts(
-    tables: Constants, graph: NominalGraph, provenance: Provenance, name: str, plain: bool
-) -> dict[str, str]:
+def _texts(tables: Constants, graph: NominalGraph, provenance: Provenance, name: str, plain: bool) -> dict[str, str]:
     """Return what stands for the placeholders of header and source but tables, predictor and step."""
     supported = supported_variance(tables.trust, tables.doubt, tables.signal_variance)
     return {
@@ -231,8 +261,7 @@ def _predictor_values(tables: Constants) -> dict[str, str]:
         "OUTSIDE": f"Far cells are skipped; together they\n"
         f" * change a mean by at most {tables.skip_tolerance:g} signal deviations and a variance by at most\n"
         f" * {tables.skip_tolerance:g} signal variances.",
-        "SIZES": f", CELLS = {tables.cell_count}, POINTS = {len(tables.points)}, "
-        f"LARGEST_CELL = {tables.largest_cell}",
+        "SIZES": f", CELLS = {tables.cell_count}, POINTS = {len(tables.points)}, LARGEST_CELL = {tables.largest_cell}",
     }
 
 
@@ -343,9 +372,7 @@ def _tables(tables: Constants) -> tuple[str, int]:
     real, parts, size = tables.real, [_macros(tables.real)], 0
     if isinstance(tables, BcmTables):
         for label, values in (("first_point", tables.offsets), ("first_square", tables.square_offsets)):
-            parts.append(
-                _array(f"static const unsigned long {label}[CELLS + 1]", [f"{v}UL" for v in values.tolist()])
-            )
+            parts.append(_array(f"static const unsigned long {label}[CELLS + 1]", [f"{v}UL" for v in values.tolist()]))
             size += 8 * len(values)
     if isinstance(tables, TableData):
         lines = lines_of(tables.coefficients)

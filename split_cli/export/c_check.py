@@ -81,9 +81,7 @@ _CASES = """    case 1:
 """
 
 
-def build_driver(
-    source: CSource, folder: Path, compiler: Compiler, flags: tuple[str, ...] = (OPTIMISATION,)
-) -> Driver:
+def build_driver(source: CSource, folder: Path, compiler: Compiler, flags: tuple[str, ...] = (OPTIMISATION,)) -> Driver:
     """Write the C and a driver into `folder`, compile them strictly, return the program.
 
     Raises

@@ -197,9 +197,7 @@ def _sparse(matrix: scipy.sparse.csc_matrix) -> casadi.DM:
     return casadi.DM(pattern, matrix.data)
 
 
-def model_step(
-    predict: casadi.Function, graph: NominalGraph, name: str, plain: bool = False
-) -> casadi.Function | None:
+def model_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: bool = False) -> casadi.Function | None:
     """Return (x, u, h[, p]) -> x_next: linearised exact nominal step plus the residual; None without features.
 
     Parameters
@@ -262,9 +260,7 @@ def check_casadi(
         error = max(error, compare_states(wholly, steps.exact, steps, "double", "CasADi: the step with all trust"))
     if functions.trust:
         substeps = casadi_substeps(steps.model.graph)
-        compare_observer(
-            observer_answer(functions.trust[1]), steps, substeps, "double", "CasADi: the running trust"
-        )
+        compare_observer(observer_answer(functions.trust[1]), steps, substeps, "double", "CasADi: the running trust")
     if steps.drives is not None:
         error = max(error, compare_drives(step, steps, "exact", "double", "CasADi: the step over a drive"))
         for function in functions.memory:
@@ -364,11 +360,7 @@ def check_hessian(predict: casadi.Function, oracle: Oracle) -> float:
             near = np.asarray(first(query + move)) - np.asarray(first(query - move))
             far = np.asarray(first(query + 2 * move)) - np.asarray(first(query - 2 * move))
             expected = (8.0 * near - far) / (12.0 * step)
-            size = (
-                (oracle.reference.deviation / ratio)[:, None]
-                / kernel.length_scales
-                / kernel.length_scales[feature]
-            )
+            size = (oracle.reference.deviation / ratio)[:, None] / kernel.length_scales / kernel.length_scales[feature]
             worst = max(worst, float((np.abs(found[:, :, feature].T - expected) / size).max()))
     if not worst <= 1e-6:
         what = f"CasADi: the Hessian is {worst:.3g} off finite differences; nothing was written"
@@ -392,8 +384,7 @@ def generate_c(functions: CasadiFunctions, name: str, folder: Path) -> tuple[Pat
         generator.add(functions.valid)
     if functions.step is not None:
         symbols = [
-            casadi.MX.sym(functions.step.name_in(k), functions.step.size1_in(k))
-            for k in range(functions.step.n_in())
+            casadi.MX.sym(functions.step.name_in(k), functions.step.size1_in(k)) for k in range(functions.step.n_in())
         ]
         following = functions.step(*symbols)
         by_inputs = casadi.densify(casadi.jacobian(following, casadi.vertcat(symbols[1], symbols[0])))

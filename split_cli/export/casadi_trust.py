@@ -36,9 +36,7 @@ def observation() -> casadi.Function:
     products = []
     for state in range(3):
         row = driven[state, :].T
-        products.append(
-            casadi.exp(-h / MEMORY) * trust[15 + 16 * state : 31 + 16 * state] + casadi.vec(row @ row.T)
-        )
+        products.append(casadi.exp(-h / MEMORY) * trust[15 + 16 * state : 31 + 16 * state] + casadi.vec(row @ row.T))
     normal, harms = casadi.SX.zeros(4, 4), casadi.SX(0.0)
     for own in products:
         beside = casadi.reshape(own, 4, 4)[:3, :]

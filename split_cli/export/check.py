@@ -162,9 +162,7 @@ def check_predictions(answer: ExportAnswer, oracle: Oracle, real: str, what: str
     mean, variance = answer.predict(oracle.z)
     deviation = oracle.reference.deviation
     mean_error = _worst(mean, oracle.mean, deviation, oracle.z, tolerance, real, f"{what}: mean")
-    variance_error = _worst(
-        variance, oracle.variance, deviation**2, oracle.z, tolerance, real, f"{what}: variance"
-    )
+    variance_error = _worst(variance, oracle.variance, deviation**2, oracle.z, tolerance, real, f"{what}: variance")
     jacobian_error = None
     if answer.jacobian is not None:
         slopes = answer.jacobian(oracle.slope_z)
@@ -183,13 +181,7 @@ _ADVICE = {
 
 
 def _worst(
-    found: np.ndarray,
-    expected: np.ndarray,
-    scale: np.ndarray,
-    z: np.ndarray,
-    tolerance: float,
-    real: str,
-    what: str,
+    found: np.ndarray, expected: np.ndarray, scale: np.ndarray, z: np.ndarray, tolerance: float, real: str, what: str
 ) -> float:
     """Return the largest scaled error; raise when it, or anything that is not a number, exceeds the tolerance."""
     error = np.abs(found - expected) / scale

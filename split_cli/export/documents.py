@@ -27,9 +27,17 @@ from split_cli.prediction.projected import learning_order, process_of_labels, su
 
 DOCUMENT_FORMAT = "split-export/2"
 ARRAYS = (
-    "cell_numbers", "offsets", "z", "y", "gamma", "length_scales", "signal_variance", "noise_variance", "trust",
+    "cell_numbers",
+    "offsets",
+    "z",
+    "y",
+    "gamma",
+    "length_scales",
+    "signal_variance",
+    "noise_variance",
+    "trust",
     "doubt",
-)  # fmt: skip
+)
 #: What a table adds.
 TABLE_ARRAYS = ("origin", "spacing", "least", "unit", "coefficients")
 #: Stands before the names of `PROJECTION_ARRAYS`, which a projected process adds.
@@ -184,9 +192,7 @@ def _checked(document: Document, path: Path) -> Document:
     a = document.arrays
     points, cells, width = len(a["z"]), len(a["cell_numbers"]), len(a["length_scales"])
     fits = document.metadata.get("format") == DOCUMENT_FORMAT
-    fits = (
-        fits and a["z"].shape == (points, width) and a["y"].shape == (points, 3) and a["gamma"].shape == (points,)
-    )
+    fits = fits and a["z"].shape == (points, width) and a["y"].shape == (points, 3) and a["gamma"].shape == (points,)
     fits = fits and a["signal_variance"].shape == a["noise_variance"].shape == a["trust"].shape == (3,)
     fits = fits and a["doubt"].shape == (3,)
     fits = fits and a["offsets"].shape == (cells + 1,) and a["offsets"][0] == 0 and a["offsets"][-1] == points
@@ -301,8 +307,7 @@ def _table_answer(a: dict[str, np.ndarray], z: np.ndarray) -> tuple[np.ndarray, 
     t = place - first
     left = 1.0 - t
     weight = (
-        np.stack([left**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * left**2 + 3.0 * left**3, t**3], axis=-1)
-        / 6.0
+        np.stack([left**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * left**2 + 3.0 * left**3, t**3], axis=-1) / 6.0
     )
     value = np.zeros((len(z), 6))
     for i, j, k in np.ndindex(4, 4, 4):

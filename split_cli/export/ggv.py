@@ -47,9 +47,7 @@ def limits_over_speed(vehicle: Vehicle, region: Region) -> SpeedLimits:
     length = vehicle.wheelbase
     lateral = np.minimum(front * length / vehicle.cg_to_rear_axle, rear * length / vehicle.cg_to_front_axle)
     one = np.zeros_like(speed)
-    machine = np.broadcast_to(
-        model.velocity_derivative(speed, one, one, one + vehicle.max_torque, one)[0], speed.shape
-    )
+    machine = np.broadcast_to(model.velocity_derivative(speed, one, one, one + vehicle.max_torque, one)[0], speed.shape)
     used = slice(0, max(2, int(np.count_nonzero(machine > 0.0))))
     mass = vehicle.mass
     return SpeedLimits(speed[used], ((front + rear) / mass)[used], (lateral / mass)[used], machine[used])

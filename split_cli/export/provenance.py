@@ -41,9 +41,7 @@ class Provenance:
     predictor: str
     version: str = __version__  # of split
     reservations: tuple[str, ...] = ()  # where the correction may do harm, `scoring.export_warnings`
-    memory: dict[str, Any] | None = (
-        None  # states of the step beyond the first eight, as `Memory.to_mapping` has it
-    )
+    memory: dict[str, Any] | None = None  # states of the step beyond the first eight, as `Memory.to_mapping` has it
 
     @property
     def conventions(self) -> dict[str, str]:
@@ -53,9 +51,7 @@ class Provenance:
         return {**CONVENTIONS, "state": CONVENTIONS["state"] + "; x continues with the states named in `memory`"}
 
 
-def provenance_of(
-    training_set: TrainingSet, predictor: str, set_name: str = "", set_sha256: str = ""
-) -> Provenance:
+def provenance_of(training_set: TrainingSet, predictor: str, set_name: str = "", set_sha256: str = "") -> Provenance:
     """Return the provenance of a set; without a file, its SHA-256 is that of its content."""
     return Provenance(
         set_name=set_name,

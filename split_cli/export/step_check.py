@@ -223,8 +223,7 @@ def _require(found: np.ndarray, expected: np.ndarray, size: np.ndarray, toleranc
     worst = float(np.where(np.isnan(error), np.inf, error).max())
     if not worst <= tolerance:
         raise ExportError(
-            f"{what} is {worst:.3g} off Python where {tolerance:g} is allowed; nothing was written",
-            advice=OUR_FAULT,
+            f"{what} is {worst:.3g} off Python where {tolerance:g} is allowed; nothing was written", advice=OUR_FAULT
         )
     return worst
 

@@ -88,9 +88,7 @@ class SteppedModel:
             slopes = np.insert(slopes, [8, 8], 0.0, axis=2)
         return np.asarray(z).T, slopes
 
-    def linear(
-        self, acting: np.ndarray, driven: np.ndarray, place_time: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def linear(self, acting: np.ndarray, driven: np.ndarray, place_time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return f (N, 8 + S) and A of what acts; `driven` (N, 2 + P): rates of commands and plays."""
         count, size = acting.shape
         found = self.graph.rates.map(count)(acting[:, 2:].T, place_time.T)
@@ -149,9 +147,14 @@ class SteppedModel:
         """Return what acts after a step of Runge-Kutta, as labels are made; `last` arrives at its end."""
         torque, steer = (np.column_stack([acting[:, 6 + c], last[:, c]]) for c in (0, 1))
         moved, states = integrate_with_memory(
-            self.model, acting[:, :6], torque, steer, self.step, self.substeps,
+            self.model,
+            acting[:, :6],
+            torque,
+            steer,
+            self.step,
+            self.substeps,
             Situation(place_time[:, 0], place_time[:, 1], states=acting[:, 8:]),
-        )  # fmt: skip
+        )
         _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), place_time)
         moved[:, 3:6] += self.residual(acting, command, u, A)[0]
         return np.column_stack([moved, last, states])
@@ -291,10 +294,7 @@ def roll_drives(memory_model: SteppedModel) -> Drives:
     u, nodes, x0, place_time = _commands(m)
     clock = Recording.single(h, _STEPS + 1)
     late = np.stack(
-        [
-            np.stack([shifted(series, m.memory.delays[c], clock) for series in nodes[:, :, c].T], axis=1)
-            for c in (0, 1)
-        ],
+        [np.stack([shifted(series, m.memory.delays[c], clock) for series in nodes[:, :, c].T], axis=1) for c in (0, 1)],
         axis=2,
     )
     driven = (late[1:] - late[:-1]) / h
@@ -346,9 +346,7 @@ def _commands(m: SteppedModel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     zero = np.zeros(_DRIVES)
     x = np.column_stack([zero, zero, rng.uniform(-3, 3, _DRIVES), speed, zero, zero, nodes[0]])
     # Stretches are entered and left in the middle of drives.
-    edges = [
-        term.parameters[key] for term in m.model.terms for key in ("s_start", "s_end") if key in term.parameters
-    ]
+    edges = [term.parameters[key] for term in m.model.terms for key in ("s_start", "s_end") if key in term.parameters]
     middle = np.resize(edges, _DRIVES) if edges else rng.uniform(0.0, 900.0, _DRIVES)
     half = 0.5 * _STEPS * h
     place_time = np.stack(

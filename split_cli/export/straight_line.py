@@ -14,20 +14,42 @@ _UNARY = {
     casadi.OP_SIGN: "(real)(({0} > @ZERO@) - ({0} < @ZERO@))",
 }
 _FUNCTIONS = {
-    casadi.OP_SIN: "sin", casadi.OP_COS: "cos", casadi.OP_TAN: "tan", casadi.OP_ASIN: "asin",
-    casadi.OP_ACOS: "acos", casadi.OP_ATAN: "atan", casadi.OP_ATAN2: "atan2", casadi.OP_TANH: "tanh",
-    casadi.OP_SINH: "sinh", casadi.OP_COSH: "cosh", casadi.OP_EXP: "exp", casadi.OP_LOG: "log",
-    casadi.OP_SQRT: "sqrt", casadi.OP_FABS: "fabs", casadi.OP_FMIN: "fmin", casadi.OP_FMAX: "fmax",
-    casadi.OP_POW: "pow", casadi.OP_CONSTPOW: "pow", casadi.OP_FLOOR: "floor", casadi.OP_CEIL: "ceil",
-    casadi.OP_FMOD: "fmod", casadi.OP_HYPOT: "hypot",
-}  # fmt: skip
+    casadi.OP_SIN: "sin",
+    casadi.OP_COS: "cos",
+    casadi.OP_TAN: "tan",
+    casadi.OP_ASIN: "asin",
+    casadi.OP_ACOS: "acos",
+    casadi.OP_ATAN: "atan",
+    casadi.OP_ATAN2: "atan2",
+    casadi.OP_TANH: "tanh",
+    casadi.OP_SINH: "sinh",
+    casadi.OP_COSH: "cosh",
+    casadi.OP_EXP: "exp",
+    casadi.OP_LOG: "log",
+    casadi.OP_SQRT: "sqrt",
+    casadi.OP_FABS: "fabs",
+    casadi.OP_FMIN: "fmin",
+    casadi.OP_FMAX: "fmax",
+    casadi.OP_POW: "pow",
+    casadi.OP_CONSTPOW: "pow",
+    casadi.OP_FLOOR: "floor",
+    casadi.OP_CEIL: "ceil",
+    casadi.OP_FMOD: "fmod",
+    casadi.OP_HYPOT: "hypot",
+}
 _BINARY = {
-    casadi.OP_ADD: "{0} + {1}", casadi.OP_SUB: "{0} - {1}", casadi.OP_MUL: "{0} * {1}", casadi.OP_DIV: "{0} / {1}",
-    casadi.OP_LT: "(real)({0} < {1})", casadi.OP_LE: "(real)({0} <= {1})", casadi.OP_EQ: "(real)({0} == {1})",
-    casadi.OP_NE: "(real)({0} != {1})", casadi.OP_AND: "(real)(({0} != @ZERO@) && ({1} != @ZERO@))",
+    casadi.OP_ADD: "{0} + {1}",
+    casadi.OP_SUB: "{0} - {1}",
+    casadi.OP_MUL: "{0} * {1}",
+    casadi.OP_DIV: "{0} / {1}",
+    casadi.OP_LT: "(real)({0} < {1})",
+    casadi.OP_LE: "(real)({0} <= {1})",
+    casadi.OP_EQ: "(real)({0} == {1})",
+    casadi.OP_NE: "(real)({0} != {1})",
+    casadi.OP_AND: "(real)(({0} != @ZERO@) && ({1} != @ZERO@))",
     casadi.OP_OR: "(real)(({0} != @ZERO@) || ({1} != @ZERO@))",
     casadi.OP_IF_ELSE_ZERO: "({0} != @ZERO@) ? {1} : @ZERO@",
-}  # fmt: skip
+}
 
 
 def number(value: float, real: str) -> str:
@@ -83,9 +105,7 @@ def straight_line(function: casadi.Function, name: str, real: str, comment: str)
     for token, value in (("@ZERO@", 0.0), ("@ONE@", 1.0), ("@TWO@", 2.0)):
         body = body.replace(token, number(value, real))
     unused = "" if inputs else "    (void)in;\n"
-    return (
-        f"/* {comment} */\nstatic void {name}(const real *const *in, real *const *out)\n{{\n{unused}{body}\n}}\n"
-    )
+    return f"/* {comment} */\nstatic void {name}(const real *const *in, real *const *out)\n{{\n{unused}{body}\n}}\n"
 
 
 def _constant(value: float, real: str) -> str:

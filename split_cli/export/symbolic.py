@@ -130,13 +130,7 @@ def _trace(model: SingleTrack, low_speed: float) -> _Trace:
     speed = guarded_speed(a[1], low_speed)
     try:
         flow = model.flow(
-            speed,
-            *(a[i] for i in range(2, 6)),
-            yaw=a[0],
-            t=place_time[0],
-            s=place_time[1],
-            ops=CASADI,
-            states=states,
+            speed, *(a[i] for i in range(2, 6)), yaw=a[0], t=place_time[0], s=place_time[1], ops=CASADI, states=states
         )
         rates = casadi.vertcat(*model.balance(flow))
     except (TypeError, NotImplementedError, RuntimeError, AttributeError) as error:

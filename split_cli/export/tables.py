@@ -75,9 +75,19 @@ class BcmTables:
     def digest(self) -> str:
         """Return the SHA-256 of every number in the tables."""
         names = (
-            "length_scales", "signal_variance", "noise_ratio", "trust", "doubt", "offsets",
-            "reference", "points", "eigenvectors", "gains", "weights", "reach",
-        )  # fmt: skip
+            "length_scales",
+            "signal_variance",
+            "noise_ratio",
+            "trust",
+            "doubt",
+            "offsets",
+            "reference",
+            "points",
+            "eigenvectors",
+            "gains",
+            "weights",
+            "reach",
+        )
         what = self.real + (" robust" if self.robust else "")
         return digest_of(what, (getattr(self, name) for name in names))
 

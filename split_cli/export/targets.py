@@ -12,13 +12,7 @@ import numpy as np
 from split_cli.errors import ExportError, nearest_names
 from split_cli.export.c99 import c_identifier, c_source, fill, memory_parts, template
 from split_cli.export.c_check import check_c, selftest_source
-from split_cli.export.casadi_function import (
-    CasadiFunctions,
-    check_casadi,
-    generate_c,
-    model_step,
-    predictor_function,
-)
+from split_cli.export.casadi_function import CasadiFunctions, check_casadi, generate_c, model_step, predictor_function
 from split_cli.export.casadi_step import casadi_substeps, memory_functions
 from split_cli.export.casadi_trust import trust_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
@@ -212,18 +206,22 @@ def _write_c(
     }
     for name, text in written.items():
         (folder / name).write_text(text, encoding="ascii")
-    missing = (
-        "" if source.with_step else f"no model step: {', '.join(graph.foreign_features)} is not in the state; "
-    )
+    missing = "" if source.with_step else f"no model step: {', '.join(graph.foreign_features)} is not in the state; "
     if compiler is None:
         note = f"{missing}not compiled, hence not verified: there is no C compiler here"
         return TargetResult("c", tuple(written), None, None, None, source.table_bytes, None, note)
     with ScratchFolder() as scratch:
         found = check_c(source, graph, training_set, oracle, compiler, scratch, written[f"{plan.name}_selftest.c"])
     return TargetResult(
-        "c", tuple(written), found.predictions, found.step_error, found.seconds_predict,
-        source.table_bytes, found.code_bytes, f"{missing}{plan.real}, {found.compiler}",
-    )  # fmt: skip
+        "c",
+        tuple(written),
+        found.predictions,
+        found.step_error,
+        found.seconds_predict,
+        source.table_bytes,
+        found.code_bytes,
+        f"{missing}{plan.real}, {found.compiler}",
+    )
 
 
 def predictor_tables(predictor: Predictor, real: str = "double") -> Constants:
@@ -236,9 +234,7 @@ def predictor_tables(predictor: Predictor, real: str = "double") -> Constants:
     return build_tables(inner.training_set, real, robust=inner.name == "rbcm")
 
 
-def casadi_functions(
-    tables: Constants, graph: NominalGraph, name: str, training_set: TrainingSet
-) -> CasadiFunctions:
+def casadi_functions(tables: Constants, graph: NominalGraph, name: str, training_set: TrainingSet) -> CasadiFunctions:
     """Return the predictor, the model step and the valid region as CasADi functions."""
     predict = predictor_function(tables, name)
     step = model_step(predict, graph, f"{name}_step", training_set.plain)
@@ -253,9 +249,7 @@ def acados_source(name: str, graph: NominalGraph, horizon: float) -> str:
     n = 8 if memory is None else memory.whole
     step = memory.step if memory is not None and memory.line else horizon
     values = {"NAME": name, "UPPER": name.upper(), "HORIZON": repr(float(step)), "N": str(n), "NV": str(n + 2)}
-    values["MEMORY"] = (
-        "".join(f"\n *   x[{8 + k}]  {label}" for k, label in enumerate(memory.labels)) if memory else ""
-    )
+    values["MEMORY"] = "".join(f"\n *   x[{8 + k}]  {label}" for k, label in enumerate(memory.labels)) if memory else ""
     kept = [*memory_parts(memory), *(["place_time"] if graph.needs_place_and_time else [])]
     return fill(template("acados.c.in"), values, kept)
 

@@ -40,10 +40,7 @@ def is_valid(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:
 
 def _bounds(s: TrainingSet) -> tuple[np.ndarray, np.ndarray]:
     lower, upper = np.array(s.grid.lower), np.array(s.grid.upper)
-    return (
-        np.where(np.isfinite(lower), lower, s.z.min(axis=0)),
-        np.where(np.isfinite(upper), upper, s.z.max(axis=0)),
-    )
+    return (np.where(np.isfinite(lower), lower, s.z.min(axis=0)), np.where(np.isfinite(upper), upper, s.z.max(axis=0)))
 
 
 def _region(s: TrainingSet, front: casadi.SX, rear: casadi.SX, ratio: casadi.SX) -> list[casadi.SX]:

@@ -14,13 +14,7 @@ from split_cli.export.c_check import run_selftest
 from split_cli.export.casadi_function import casadi_answer, observer_answer
 from split_cli.export.check import TOLERANCE, ExportAnswer, reference_of
 from split_cli.export.compiler import find_compiler
-from split_cli.export.documents import (
-    document_answer,
-    other_than_set,
-    read_json,
-    read_npz,
-    relearned_error,
-)
+from split_cli.export.documents import document_answer, other_than_set, read_json, read_npz, relearned_error
 from split_cli.export.step_check import OBSERVER_TOLERANCE, STEP_TOLERANCE
 from split_cli.export.targets import MANIFEST, MANIFEST_FORMAT
 from split_cli.export.verified import VerifiedItem

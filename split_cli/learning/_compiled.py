@@ -155,10 +155,21 @@ def _hand_over(slot: int, n: int, k: ndarray, sums: ndarray) -> None:
 
 @compiled(cache=True)
 def update_cells(
-    groups: ndarray, cell_of_group: ndarray, order: ndarray, samples: ndarray, clock_new: ndarray,
-    inverse_scales: ndarray, threshold: float, forgetting: float, count: ndarray, z: ndarray, gamma: ndarray,
-    clock: ndarray, sums: ndarray, origin: ndarray,
-) -> tuple[ndarray, int, int]:  # fmt: skip
+    groups: ndarray,
+    cell_of_group: ndarray,
+    order: ndarray,
+    samples: ndarray,
+    clock_new: ndarray,
+    inverse_scales: ndarray,
+    threshold: float,
+    forgetting: float,
+    count: ndarray,
+    z: ndarray,
+    gamma: ndarray,
+    clock: ndarray,
+    sums: ndarray,
+    origin: ndarray,
+) -> tuple[ndarray, int, int]:
     """Offer samples to their cells, cell by cell, each cell's samples in their order.
 
     Parameters
@@ -210,8 +221,7 @@ def update_cells(
                     _absorb(spans, k, sample, samples, c, sums)
                 continue
             if n < capacity and (
-                forgetting <= 0.0
-                or _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
+                forgetting <= 0.0 or _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
             ):
                 slot = n
                 count[c] = n + 1
@@ -243,9 +253,19 @@ def update_cells(
 
 @compiled(cache=True)
 def update_cell(
-    cell: int, sample: int, time: float, samples: ndarray, inverse_scales: ndarray, threshold: float,
-    forgetting: float, count: ndarray, z: ndarray, gamma: ndarray, clock: ndarray, sums: ndarray,
-) -> tuple[int, int, int]:  # fmt: skip
+    cell: int,
+    sample: int,
+    time: float,
+    samples: ndarray,
+    inverse_scales: ndarray,
+    threshold: float,
+    forgetting: float,
+    count: ndarray,
+    z: ndarray,
+    gamma: ndarray,
+    clock: ndarray,
+    sums: ndarray,
+) -> tuple[int, int, int]:
     """Offer row `sample` of `samples` to one cell: `update_cells` for a label alone, to the bit.
 
     Every array that Python hands over costs some 50 ns, as much as a sixth of the update. So those that only sort
@@ -256,10 +276,21 @@ def update_cell(
     origin = np.full((1, z.shape[1]), -1, dtype=np.int64)
     one = slice(cell, cell + 1)
     outcome, repairs, broken = update_cells(
-        np.arange(2), first, first, samples[sample : sample + 1], np.full(1, time),
-        inverse_scales, threshold, forgetting, count[one], z[one], gamma[one], clock[one], sums[one],
+        np.arange(2),
+        first,
+        first,
+        samples[sample : sample + 1],
+        np.full(1, time),
+        inverse_scales,
+        threshold,
+        forgetting,
+        count[one],
+        z[one],
+        gamma[one],
+        clock[one],
+        sums[one],
         origin,
-    )  # fmt: skip
+    )
     return outcome[0], int(np.argmax(origin[0])), repairs if broken < 0 else -1
 
 

@@ -148,9 +148,18 @@ def _solve(a: ndarray, b0: float, b1: float, b2: float) -> tuple[float, float, f
 
 @compiled(cache=True)
 def window_errors(
-    vx: ndarray, vy: ndarray, r: ndarray, T: ndarray, delta: ndarray, starts: ndarray, window: int,
-    period: float, p: ndarray, plain: bool, run_on: ndarray,
-) -> ndarray:  # fmt: skip
+    vx: ndarray,
+    vy: ndarray,
+    r: ndarray,
+    T: ndarray,
+    delta: ndarray,
+    starts: ndarray,
+    window: int,
+    period: float,
+    p: ndarray,
+    plain: bool,
+    run_on: ndarray,
+) -> ndarray:
     """Return the labels y of windows, shape (N, 3); the compiled twin of labels._window_errors_reference.
 
     `run_on` is 1 for T and for delta where they run on to the next sample in a straight line, 0 where held.

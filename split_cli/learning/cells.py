@@ -84,9 +84,17 @@ def without_points(training_set: TrainingSet) -> TrainingSet:
     """Return an empty set with the settings and the kernel of another."""
     s = training_set
     empty = empty_set(
-        s.vehicle, s.features, s.region, s.grid, s.kernel, horizon=s.horizon, capacity=s.capacity,
-        threshold=s.threshold, forgetting=s.forgetting, plain=s.plain,
-    )  # fmt: skip
+        s.vehicle,
+        s.features,
+        s.region,
+        s.grid,
+        s.kernel,
+        horizon=s.horizon,
+        capacity=s.capacity,
+        threshold=s.threshold,
+        forgetting=s.forgetting,
+        plain=s.plain,
+    )
     return replace(empty, found_effects=s.found_effects)
 
 
@@ -284,9 +292,7 @@ class _Cells:
             remarks=labels.remarks,
         )
 
-    def _offer(
-        self, labels: Labels, rows: np.ndarray, numbers: np.ndarray, source: int, begin: float
-    ) -> np.ndarray:
+    def _offer(self, labels: Labels, rows: np.ndarray, numbers: np.ndarray, source: int, begin: float) -> np.ndarray:
         """Offer the labels at `rows`, which lie in the cells `numbers`; return what became of each, shape (N,).
 
         0 (gain too small), 1 (inserted) or 2 (replaced a point).
@@ -339,10 +345,19 @@ class _Cells:
             position = self._new_cell(number)
         slots = self.slots
         became, slot, repairs = self.update_cell(
-            position, 0, begin + t, self._row, self.inverse_scales, self.set.threshold,
-            self.set.forgetting or 0.0, self.count, slots["z"], slots["gamma"], slots["clock"],
+            position,
+            0,
+            begin + t,
+            self._row,
+            self.inverse_scales,
+            self.set.threshold,
+            self.set.forgetting or 0.0,
+            self.count,
+            slots["z"],
+            slots["gamma"],
+            slots["clock"],
             slots["sums"],
-        )  # fmt: skip
+        )
         if repairs:
             self._check(drive, max(repairs, 0), -1 if repairs > 0 else position)
         if became:

@@ -83,21 +83,14 @@ def scatter_variance(labels: Labels) -> np.ndarray:
         return np.zeros(3)
     median = np.zeros(3)
     for output in range(3):  # one by one: a long drive's labels have no room for more
-        steps = [
-            np.diff(labels.y[rows.start : rows.stop + 1, output])[together[rows]] for rows in in_pieces(len(good))
-        ]
+        steps = [np.diff(labels.y[rows.start : rows.stop + 1, output])[together[rows]] for rows in in_pieces(len(good))]
         median[output] = np.median(np.abs(np.concatenate(steps)), overwrite_input=True)
     variance: np.ndarray = 0.5 * (median / 0.6745) ** 2
     return variance
 
 
 def fit_kernel(
-    z: np.ndarray,
-    y: np.ndarray,
-    grid: Grid,
-    start: Kernel,
-    *,
-    longest: float | np.ndarray = LENGTH_BOUNDS[1],
+    z: np.ndarray, y: np.ndarray, grid: Grid, start: Kernel, *, longest: float | np.ndarray = LENGTH_BOUNDS[1]
 ) -> KernelFit:
     """Fit length scales, signal and noise variances by maximum likelihood.
 
@@ -233,9 +226,7 @@ def _bounds(grid: Grid, mean_square: np.ndarray, longest: float | np.ndarray) ->
     scale = np.log(mean_square)
     spans = ((LENGTH_BOUNDS[0], longest), SIGNAL_BOUNDS, NOISE_BOUNDS)
     low, high = (
-        np.concatenate(
-            [base + np.log(span[side]) for base, span in zip((edges, scale, scale), spans, strict=True)]
-        )
+        np.concatenate([base + np.log(span[side]) for base, span in zip((edges, scale, scale), spans, strict=True)])
         for side in (0, 1)
     )
     return low, high
@@ -282,9 +273,7 @@ def neighbour_blocks(index: np.ndarray, most: int) -> list[np.ndarray]:
     return [rows for rows in blocks if len(rows)]
 
 
-def block_likelihood(
-    theta: np.ndarray, parts: Sequence[tuple[np.ndarray, np.ndarray]]
-) -> tuple[float, np.ndarray]:
+def block_likelihood(theta: np.ndarray, parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[float, np.ndarray]:
     """Return the negative log likelihood summed over blocks and outputs, and its gradient; the plain version.
 
     Parameters

@@ -26,9 +26,7 @@ def train_in_memory(labels: Sequence[Labels], vehicle: Vehicle) -> TrainingSet:
     return learn(labels, vehicle=vehicle, grid=grid, kernel=kernel)
 
 
-def fitted_grid_and_kernel(
-    labels: Sequence[Labels], vehicle: Vehicle, cell_edge: float = 1.0
-) -> tuple[Grid, Kernel]:
+def fitted_grid_and_kernel(labels: Sequence[Labels], vehicle: Vehicle, cell_edge: float = 1.0) -> tuple[Grid, Kernel]:
     """Return the grid, its cells `cell_edge` times as long as usual, and the kernel fitted to training labels.
 
     With fewer than 60 valid labels the defaults stay (the kernel then says so).

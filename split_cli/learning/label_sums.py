@@ -30,10 +30,7 @@ def sums_by_cell(
         strict=True,
     )
     return [
-        {
-            name.encode(): base64.b64encode(one.astype("<f8").tobytes())
-            for name, one in zip(SUMS, cell, strict=True)
-        }
+        {name.encode(): base64.b64encode(one.astype("<f8").tobytes()) for name, one in zip(SUMS, cell, strict=True)}
         for cell in parts
     ]
 

@@ -323,11 +323,24 @@ def _nominal_constants(car: Vehicle) -> np.ndarray:
     front, rear = car.front_tire, car.rear_tire
     return np.array(
         [
-            car.mass, car.yaw_inertia, car.cg_to_front_axle, car.cg_to_rear_axle, car.wheel_radius,
-            car.drive_split_front, car.brake_split_front, car.rolling_resistance_front,
-            car.rolling_resistance_rear, car.drag_coefficient, front.B, front.C, front.D, rear.B, rear.C, rear.D,
+            car.mass,
+            car.yaw_inertia,
+            car.cg_to_front_axle,
+            car.cg_to_rear_axle,
+            car.wheel_radius,
+            car.drive_split_front,
+            car.brake_split_front,
+            car.rolling_resistance_front,
+            car.rolling_resistance_rear,
+            car.drag_coefficient,
+            front.B,
+            front.C,
+            front.D,
+            rear.B,
+            rear.C,
+            rear.D,
         ]
-    )  # fmt: skip
+    )
 
 
 def _window_starts(drive: Drive, window: int, stride: int) -> np.ndarray:

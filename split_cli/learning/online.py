@@ -86,9 +86,7 @@ class OnlineSet:
         z, y, t, row, reason = labels.z, labels.y, labels.t, labels.row, labels.reason
         if len(row) == 1:
             return self.offer_one(z[0], y[0], t.item(), row.item(), reason.item())
-        changes = [
-            self.offer_one(z[at], y[at], t.item(at), row.item(at), reason.item(at)) for at in range(len(row))
-        ]
+        changes = [self.offer_one(z[at], y[at], t.item(at), row.item(at), reason.item(at)) for at in range(len(row))]
         cells = [cell for change in changes for cell in change.changed]
         return CellChange(tuple(dict.fromkeys(cells)), len(cells))
 

@@ -24,9 +24,7 @@ class DrivePiece:
     recording: Recording | None
 
 
-def pieces(
-    model: SingleTrack, drive: Drive, starts: np.ndarray, window: int
-) -> Iterator[tuple[slice, DrivePiece]]:
+def pieces(model: SingleTrack, drive: Drive, starts: np.ndarray, window: int) -> Iterator[tuple[slice, DrivePiece]]:
     """Yield a drive in pieces of `PIECE_ROWS`, each with the range of `starts` whose windows lie in it.
 
     Parameters

@@ -43,7 +43,5 @@ class RunningWidth:
         """
         size = np.abs(ratio)
         inside: np.ndarray = size <= self.widths
-        self.widths = np.where(
-            np.isfinite(size), self.widths * np.exp(_STEP * (~inside - self._outside)), self.widths
-        )
+        self.widths = np.where(np.isfinite(size), self.widths * np.exp(_STEP * (~inside - self._outside)), self.widths)
         return inside

@@ -176,8 +176,7 @@ def check_points(
     counts = described["counts"]
     if (counts["points"], counts["cells"]) != (sum(lengths), len(lengths)):
         raise ValueError(
-            f"it says {counts['points']} points in {counts['cells']} cells, and holds {sum(lengths)} in "
-            f"{len(lengths)}"
+            f"it says {counts['points']} points in {counts['cells']} cells, and holds {sum(lengths)} in {len(lengths)}"
         )
 
 

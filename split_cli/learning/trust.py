@@ -112,9 +112,7 @@ class Trust:
 
     def words(self) -> str:
         """Return the trust for a reader, for example ``v_x 0.52, v_y 0.60, r 1 (found on 20 held-out blocks)``."""
-        shares = ", ".join(
-            f"{name} {value:.2g}" for name, value in zip(("v_x", "v_y", "r"), self.share, strict=True)
-        )
+        shares = ", ".join(f"{name} {value:.2g}" for name, value in zip(("v_x", "v_y", "r"), self.share, strict=True))
         how = {
             "full": "the plain method, not judged on held-out driving",
             "given": "as given",

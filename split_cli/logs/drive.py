@@ -28,9 +28,17 @@ from split_cli.logs.scratch import LONG, GrowingColumn, in_pieces, let_go
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, split_name_and_unit
 
 __all__ = [
-    "INPUT_CHANNELS", "Drive", "DriveMetadata", "NoiseEstimate", "Source", "metadata_of_drive", "open_drive",
-    "read_drive", "unstated_inputs", "write_drive",
-]  # fmt: skip
+    "INPUT_CHANNELS",
+    "Drive",
+    "DriveMetadata",
+    "NoiseEstimate",
+    "Source",
+    "metadata_of_drive",
+    "open_drive",
+    "read_drive",
+    "unstated_inputs",
+    "write_drive",
+]
 
 INPUT_CHANNELS = ("T", "delta")
 _GROUP_ROWS = 2**20

@@ -165,8 +165,7 @@ def metadata_from_schema(raw: Mapping[bytes, bytes], path: Path) -> tuple[DriveM
             raise DriveError(what, where=str(path), advice="Ingest the recording again.")
         _check_kinds_of_values(stored)
         noise = tuple(
-            NoiseEstimate(**{**entry, "autocorrelation": tuple(entry["autocorrelation"])})
-            for entry in stored["noise"]
+            NoiseEstimate(**{**entry, "autocorrelation": tuple(entry["autocorrelation"])}) for entry in stored["noise"]
         )
         metadata = DriveMetadata(
             sources=tuple(Source(**entry) for entry in stored["sources"]),
@@ -201,9 +200,14 @@ def metadata_of_drive(path: Path) -> DriveMetadata | None:
 def _check_kinds_of_values(stored: Mapping[str, Any]) -> None:
     """Refuse a forged file whose values are of another kind than those that `schema_of` writes."""
     kinds = {
-        "sources": list, "vehicle": str, "kinds": dict, "signal_map": dict, "conversions": list, "noise": list,
+        "sources": list,
+        "vehicle": str,
+        "kinds": dict,
+        "signal_map": dict,
+        "conversions": list,
+        "noise": list,
         "quality": dict,
-    }  # fmt: skip
+    }
     wrong = [name for name, kind in kinds.items() if not isinstance(stored[name], kind)]
     between = stored.get("between", {})
     texts = {

@@ -13,9 +13,20 @@ from split_cli.signals import CHANNELS, UNITS, find_unit
 from split_cli.yaml_file import read_yaml_mapping
 
 _MAP_KEYS = (
-    "name", "about", "preset", "time", "frame", "world", "topics", "extras", "datum", "derivations", "despike",
-    "kinds", "channels",
-)  # fmt: skip
+    "name",
+    "about",
+    "preset",
+    "time",
+    "frame",
+    "world",
+    "topics",
+    "extras",
+    "datum",
+    "derivations",
+    "despike",
+    "kinds",
+    "channels",
+)
 _SOURCE_KEYS = ("source", "convert", "scale", "offset", "curve", "unit", "delay", "frame", "world")
 _CHANNEL_KEYS = (*_SOURCE_KEYS, "sum", "position", "kind", "resample", "optional", "note")
 _TIME_KEYS = ("source", "unit", *STAMP_PARTS, "period", "clock")

@@ -25,9 +25,7 @@ from split_cli.plant._compiled import (
 )
 
 # What faults remember.
-MEM_WHEEL_ANGLE, MEM_BRAKE_HEAT, MEM_TIRE_HEAT, MEM_STUCK, MEM_SLOSH, MEM_SLOSH_RATE, MEM_PULSE = (
-    0, 1, 2, 3, 4, 5, 6,
-)  # fmt: skip
+MEM_WHEEL_ANGLE, MEM_BRAKE_HEAT, MEM_TIRE_HEAT, MEM_STUCK, MEM_SLOSH, MEM_SLOSH_RATE, MEM_PULSE = (0, 1, 2, 3, 4, 5, 6)
 MEM_SIZE = 7
 
 inner = njit(error_model="numpy")  # not kept by itself: the loops keep it, see `_loops_numba`

@@ -52,15 +52,28 @@ DRIVER_STYLES = {
         DriverStyle("smooth", preview_time=1.3, overlap=1.3, braking=0.75, driving=0.8, pedal_time=0.5),
         DriverStyle("brisk"),
         DriverStyle(
-            "racer", preview_time=1.0, overlap=2.0, braking=1.0, driving=1.0, line_wander=0.10,
-            pace_wander=0.01, pedal_time=0.18,
+            "racer",
+            preview_time=1.0,
+            overlap=2.0,
+            braking=1.0,
+            driving=1.0,
+            line_wander=0.10,
+            pace_wander=0.01,
+            pedal_time=0.18,
         ),
         DriverStyle(
-            "novice", preview_time=1.1, overlap=1.1, braking=0.85, driving=0.7, line_wander=0.22,
-            pace_wander=0.04, steer_noise=0.004, torque_noise=0.15,
+            "novice",
+            preview_time=1.1,
+            overlap=1.1,
+            braking=0.85,
+            driving=0.7,
+            line_wander=0.22,
+            pace_wander=0.04,
+            steer_noise=0.004,
+            torque_noise=0.15,
         ),
     )
-}  # fmt: skip
+}
 
 
 def find_driver(name: str) -> DriverStyle:
@@ -106,11 +119,21 @@ def grip_of(car: CarParameters) -> Grip:
         trial = len(differences) * spacing
         needed = []
         for static, share, height, track, tire in (
-            (car.static_load_front, car.roll_stiffness_front_share, car.roll_center_front, car.track_front,
-             car.front_tire),
-            (car.static_load_rear, 1 - car.roll_stiffness_front_share, car.roll_center_rear, car.track_rear,
-             car.rear_tire),
-        ):  # fmt: skip
+            (
+                car.static_load_front,
+                car.roll_stiffness_front_share,
+                car.roll_center_front,
+                car.track_front,
+                car.front_tire,
+            ),
+            (
+                car.static_load_rear,
+                1 - car.roll_stiffness_front_share,
+                car.roll_center_rear,
+                car.track_rear,
+                car.rear_tire,
+            ),
+        ):
             part = static / (car.mass * STANDARD_GRAVITY)
             moment = car.mass * trial * (part * height + share * (car.cg_height - roll_axis))
             shift = min(moment / track, 0.5 * static)
@@ -197,9 +220,7 @@ def speed_profile(
         return min(most * gain, limit) * (1.0 - used**style.overlap) ** (1.0 / style.overlap)
 
     speed = corner.copy()
-    braking = (
-        aggressiveness * style.braking * min(grip.braking, car.max_brake_torque / car.wheel_radius / car.mass)
-    )
+    braking = aggressiveness * style.braking * min(grip.braking, car.max_brake_torque / car.wheel_radius / car.mass)
     for i in range(2 * count, 0, -1):
         here, before = i % count, (i - 1) % count
         ability = forward(speed[here], bend[here], braking, np.inf)
@@ -255,13 +276,7 @@ def driver_tables(car: CarParameters, style: DriverStyle, grip: Grip) -> _Driver
 
 
 def driver_plan(
-    car: CarParameters,
-    style: DriverStyle,
-    half_width: float,
-    distance: float,
-    steps: int,
-    period: float,
-    seed: int,
+    car: CarParameters, style: DriverStyle, half_width: float, distance: float, steps: int, period: float, seed: int
 ) -> _PlanTables:
     """Return a driver's seeded unrest: over distance for line and pace, over time for hand and foot."""
     rng = np.random.default_rng([seed, 1])

@@ -30,11 +30,22 @@ from split_cli.plant.cars import CarParameters
 
 _CORNERS = ("fl", "fr", "rl", "rr")
 STATE_NAMES = (
-    "X", "Y", "yaw", "vx", "vy", "r",
-    *(f"wheel_speed_{c}" for c in _CORNERS), *(f"slip_ratio_{c}" for c in _CORNERS),
+    "X",
+    "Y",
+    "yaw",
+    "vx",
+    "vy",
+    "r",
+    *(f"wheel_speed_{c}" for c in _CORNERS),
+    *(f"slip_ratio_{c}" for c in _CORNERS),
     *(f"tan_slip_angle_{c}" for c in _CORNERS),
-    "torque", "steer", "ax_load", "ax_load_rate", "ay_load", "ay_load_rate",
-)  # fmt: skip
+    "torque",
+    "steer",
+    "ax_load",
+    "ax_load_rate",
+    "ay_load",
+    "ay_load_rate",
+)
 """The state vector: pose [m, m, rad], velocities [m/s, m/s, rad/s], wheel spins [rad/s], relaxed slips [1],
 delivered torque [N m] and steer angle [rad], specific forces as the suspension passes them on [m/s^2] with their
 rates.
@@ -110,13 +121,7 @@ def state_rate(
     rate, out = np.empty(_compiled.STATE_SIZE), np.empty(_compiled.OUT_SIZE)
     around = (surroundings or Surroundings()).vector()
     _compiled.derivative(
-        np.asarray(state, dtype=float),
-        float(torque_command),
-        float(steer_command),
-        around,
-        as_numbers(car),
-        rate,
-        out,
+        np.asarray(state, dtype=float), float(torque_command), float(steer_command), around, as_numbers(car), rate, out
     )
     return rate, outputs_from(out)
 
@@ -146,7 +151,12 @@ def advance(
     count = max(1, int(round(duration / step)))
     around = (surroundings or Surroundings()).vector()
     after, out = _compiled.advance(
-        np.asarray(state, dtype=float), float(torque_command), float(steer_command), around, as_numbers(car),
-        float(step), count,
-    )  # fmt: skip
+        np.asarray(state, dtype=float),
+        float(torque_command),
+        float(steer_command),
+        around,
+        as_numbers(car),
+        float(step),
+        count,
+    )
     return after, outputs_from(out)

@@ -153,9 +153,7 @@ def _along_lap(setting: Setting, **tables: Callable[[np.ndarray], np.ndarray]) -
     road = setting.road
     old = {name: np.broadcast_to(getattr(road, name), _PLACES).copy() for name in ("friction", "grade", "bank")}
     new = {name: change(old[name], s) for name, change in tables.items()}
-    return replace(
-        setting, road=replace(road, spacing=setting.lap_length / _PLACES, closed=True, **{**old, **new})
-    )
+    return replace(setting, road=replace(road, spacing=setting.lap_length / _PLACES, closed=True, **{**old, **new}))
 
 
 def _inside(s: np.ndarray, v: Mapping[str, float], lap: float) -> np.ndarray:
@@ -227,23 +225,25 @@ _PLACE = {"s_start": Bounds("m", 0.0, 1e5), "s_end": Bounds("m", 0.0, 1e5)}
 
 EFFECTS: dict[str, EffectKind] = {
     "steer_offset": EffectKind(
-        "the road wheels' zero is off", {"offset": Bounds("rad", -0.1, 0.1)},
+        "the road wheels' zero is off",
+        {"offset": Bounds("rad", -0.1, 0.1)},
         _car(steer_offset=lambda car, v: car.steer_offset + v["offset"]),
     ),
     "steer_gain": EffectKind(
-        "the wheels turn by a share of the command", {"gain": _scale(0.3, 2.0)},
+        "the wheels turn by a share of the command",
+        {"gain": _scale(0.3, 2.0)},
         _car(steer_gain=lambda car, v: car.steer_gain * v["gain"]),
     ),
     "steer_delay": EffectKind(
-        "steering begins late", _DELAY, _car(steer_delay=lambda car, v: car.steer_delay + v["delay"]),
+        "steering begins late", _DELAY, _car(steer_delay=lambda car, v: car.steer_delay + v["delay"])
     ),
     "steer_lag": EffectKind(
-        "steering builds up with this time constant, instead of the car's own", _LAG,
+        "steering builds up with this time constant, instead of the car's own",
+        _LAG,
         _car(steer_lag=lambda car, v: v["tau"]),
     ),
     "steer_backlash": EffectKind(
-        "total play of the steering", {"width": Bounds("rad", 0.0, 0.2)},
-        _car(steer_backlash=lambda car, v: v["width"]),
+        "total play of the steering", {"width": Bounds("rad", 0.0, 0.2)}, _car(steer_backlash=lambda car, v: v["width"])
     ),
     "drive_gain": EffectKind(
         "driving and braking torque arrive scaled",
@@ -254,33 +254,33 @@ EFFECTS: dict[str, EffectKind] = {
         ),
     ),
     "drive_delay": EffectKind(
-        "torque begins late", _DELAY, _car(drive_delay=lambda car, v: car.drive_delay + v["delay"]),
+        "torque begins late", _DELAY, _car(drive_delay=lambda car, v: car.drive_delay + v["delay"])
     ),
     "drive_lag": EffectKind(
-        "torque builds up with this time constant, instead of the car's own", _LAG,
+        "torque builds up with this time constant, instead of the car's own",
+        _LAG,
         _car(drive_lag=lambda car, v: v["tau"]),
     ),
-    "mass": EffectKind(
-        "a load at the CG", {"scale": _scale(0.5)},
-        _car(mass=lambda car, v: car.mass * v["scale"]),
-    ),
+    "mass": EffectKind("a load at the CG", {"scale": _scale(0.5)}, _car(mass=lambda car, v: car.mass * v["scale"])),
     "yaw_inertia": EffectKind(
-        "another yaw inertia", {"scale": _scale()},
-        _car(yaw_inertia=lambda car, v: car.yaw_inertia * v["scale"]),
+        "another yaw inertia", {"scale": _scale()}, _car(yaw_inertia=lambda car, v: car.yaw_inertia * v["scale"])
     ),
     "cg_shift": EffectKind(
-        "the CG lies further forward", {"dx": Bounds("m", -1.0, 1.0)},
+        "the CG lies further forward",
+        {"dx": Bounds("m", -1.0, 1.0)},
         _car(
             cg_to_front_axle=lambda car, v: car.cg_to_front_axle - v["dx"],
             cg_to_rear_axle=lambda car, v: car.cg_to_rear_axle + v["dx"],
         ),
     ),
     "load_transfer": EffectKind(
-        "the CG's height, instead of the car's own", {"cg_height": Bounds("m", 0.0, 1.5)},
+        "the CG's height, instead of the car's own",
+        {"cg_height": Bounds("m", 0.0, 1.5)},
         _car(cg_height=lambda car, v: v["cg_height"]),
     ),
     "aero_drag": EffectKind(
-        "added drag", {"drag": Bounds("N/(m/s)^2", -2.0, 10.0)},
+        "added drag",
+        {"drag": Bounds("N/(m/s)^2", -2.0, 10.0)},
         _car(drag_area=lambda car, v: max(car.drag_area + 2.0 * v["drag"] / car.air_density, 0.0)),
     ),
     "aero_downforce": EffectKind(
@@ -292,15 +292,15 @@ EFFECTS: dict[str, EffectKind] = {
         ),
     ),
     "yaw_moment_differential": EffectKind(
-        "viscous torque between the rear wheels", {"locking": Bounds("N m s/rad", 0.0, 1e5)},
+        "viscous torque between the rear wheels",
+        {"locking": Bounds("N m s/rad", 0.0, 1e5)},
         _car(differential_locking_rear=lambda car, v: v["locking"]),
     ),
-    "rolling_resistance": EffectKind(
-        "added rolling resistance", {"force": Bounds("N", -1e3, 1e4)}, _tires(_rolling),
-    ),
+    "rolling_resistance": EffectKind("added rolling resistance", {"force": Bounds("N", -1e3, 1e4)}, _tires(_rolling)),
     "tire_stiffness": EffectKind(
         "cornering stiffness of the axles",
-        {"front_scale": Bounds("", 0.3, 3.0, 1.0), "rear_scale": Bounds("", 0.3, 3.0, 1.0)}, _tires(_stiff),
+        {"front_scale": Bounds("", 0.3, 3.0, 1.0), "rear_scale": Bounds("", 0.3, 3.0, 1.0)},
+        _tires(_stiff),
     ),
     "tire_relaxation": EffectKind(
         "distance over which lateral force builds up, instead of the tyre's own",
@@ -314,27 +314,29 @@ EFFECTS: dict[str, EffectKind] = {
     ),
     "friction_scale": EffectKind("grip of the whole road", {"scale": _scale(0.2, 1.5)}, _grip),
     "friction_patch": EffectKind(
-        "grip between two places of the centreline", {"scale": _scale(0.2, 1.5), **_PLACE}, _patch,
+        "grip between two places of the centreline", {"scale": _scale(0.2, 1.5), **_PLACE}, _patch
     ),
     "grip_fade": EffectKind(
-        "grip that drifts with time", {"final_loss": Bounds("", -0.5, 0.8), "tau": Bounds("s", 1.0, 1e4)}, _fade,
+        "grip that drifts with time", {"final_loss": Bounds("", -0.5, 0.8), "tau": Bounds("s", 1.0, 1e4)}, _fade
     ),
     "road_grade": EffectKind("waves a lap of grade, uphill positive", _WAVE, _incline("grade")),
     "road_bank": EffectKind("waves a lap of bank, left side higher positive", _WAVE, _incline("bank")),
     "wind": EffectKind(
-        "air that moves over the ground", {"wx": Bounds("m/s", -40, 40), "wy": Bounds("m/s", -40, 40)}, _wind,
+        "air that moves over the ground", {"wx": Bounds("m/s", -40, 40), "wy": Bounds("m/s", -40, 40)}, _wind
     ),
     "sensor_delay": EffectKind("every measured channel is late", _DELAY, _late),
     "sensor_misalignment": EffectKind(
-        "the velocity sensor is turned counter-clockwise", {"angle": Bounds("rad", -0.3, 0.3)}, _turned,
+        "the velocity sensor is turned counter-clockwise", {"angle": Bounds("rad", -0.3, 0.3)}, _turned
     ),
     "torque_bend": EffectKind(
         "not in the catalogue: driving torque T arrives as T (1 - bend T/T_max)",
-        {"bend": Bounds("", 0.0, 0.95)}, _fault(torque_bend=lambda car, v: v["bend"]),
+        {"bend": Bounds("", 0.0, 0.95)},
+        _fault(torque_bend=lambda car, v: v["bend"]),
     ),
     "torque_steer": EffectKind(
         "not in the catalogue: full driving torque turns the front wheels by this angle",
-        {"angle": Bounds("rad", -0.2, 0.2)}, _fault(torque_steer=lambda car, v: v["angle"]),
+        {"angle": Bounds("rad", -0.2, 0.2)},
+        _fault(torque_steer=lambda car, v: v["angle"]),
     ),
     "brake_fade": EffectKind(
         "not in the catalogue: brakes that lose this share of their torque when hot",
@@ -345,5 +347,5 @@ EFFECTS: dict[str, EffectKind] = {
             brake_heat_capacity=lambda car, v: 0.5 * car.mass * 18.0**2 * car.wheelbase / 2.7,
         ),
     ),
-}  # fmt: skip
+}
 """What a drive can have that its simulation lacks; most share their name with a term of the diagnosis."""

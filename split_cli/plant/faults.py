@@ -55,9 +55,16 @@ class Faults:
 
     def __post_init__(self) -> None:
         for name in (
-            "ripple_order", "brake_heat_capacity", "brake_cooling_time", "rear_steer_speed", "tire_heat_power",
-            "tire_heat_time", "stuck_brake_time", "slosh_frequency", "pulse_time",
-        ):  # fmt: skip
+            "ripple_order",
+            "brake_heat_capacity",
+            "brake_cooling_time",
+            "rear_steer_speed",
+            "tire_heat_power",
+            "tire_heat_time",
+            "stuck_brake_time",
+            "slosh_frequency",
+            "pulse_time",
+        ):
             if not getattr(self, name) > 0.0:
                 raise SplitError(f"{name} must be above 0, got {getattr(self, name)!r}", where="faults")
 

@@ -16,9 +16,14 @@ from split_cli.plant.simulation import CONTROL_PERIOD, Script, Trajectory, drive
 from split_cli.plant.tracks import Track, circle
 
 CALIBRATION_TESTS = (
-    "coast_down", "throttle_steps", "brake_steps", "constant_radius", "constant_radius_right", "sine_sweep",
+    "coast_down",
+    "throttle_steps",
+    "brake_steps",
+    "constant_radius",
+    "constant_radius_right",
+    "sine_sweep",
     "step_steer",
-)  # fmt: skip
+)
 """The gentle tests from which a nominal model can be calibrated honestly."""
 
 
@@ -175,10 +180,17 @@ def _throttle_in_turn(setting: _ManeuverCar) -> Maneuver:
 _BUILDERS: dict[str, Callable[[_ManeuverCar], Maneuver]] = {
     build.__name__.removeprefix("_"): build
     for build in (
-        _step_steer, _sine_sweep, _constant_radius, _constant_radius_right, _throttle_steps, _brake_steps,
-        _coast_down, _brake_in_turn, _throttle_in_turn,
+        _step_steer,
+        _sine_sweep,
+        _constant_radius,
+        _constant_radius_right,
+        _throttle_steps,
+        _brake_steps,
+        _coast_down,
+        _brake_in_turn,
+        _throttle_in_turn,
     )
-}  # fmt: skip
+}
 MANEUVER_NAMES = tuple(_BUILDERS)
 
 

@@ -21,14 +21,30 @@ EPOCH = 1_700_000_000
 """When every simulated drive begins, seconds since 1970: fixed, so that equal seeds give equal files [s]."""
 
 TABLE_CHANNELS = {
-    "t": "s", "X": "m", "Y": "m", "yaw": "rad", "vx": "m/s", "vy": "m/s", "r": "rad/s", "T": "N m", "delta": "rad",
-    "ax": "m/s^2", "ay": "m/s^2",
-}  # fmt: skip
+    "t": "s",
+    "X": "m",
+    "Y": "m",
+    "yaw": "rad",
+    "vx": "m/s",
+    "vy": "m/s",
+    "r": "rad/s",
+    "T": "N m",
+    "delta": "rad",
+    "ax": "m/s^2",
+    "ay": "m/s^2",
+}
 """Columns of a table in their order, with their units in the order of the drive's channels."""
 
 WORKSHOP_UNITS = {
-    "yaw": "deg", "vx": "km/h", "vy": "km/h", "r": "deg/s", "T": "N m", "delta": "deg", "ax": "g", "ay": "g",
-}  # fmt: skip
+    "yaw": "deg",
+    "vx": "km/h",
+    "vy": "km/h",
+    "r": "deg/s",
+    "T": "N m",
+    "delta": "deg",
+    "ax": "g",
+    "ay": "g",
+}
 """What a data logger of a workshop would use."""
 
 
@@ -123,6 +139,11 @@ def write_parquet(readings: tuple[Reading, ...], path: str | Path) -> None:
     with atomic_path(path) as temporary:
         # Noise has few equal values, so a dictionary only costs; an even clock has bytes that hardly change.
         pyarrow.parquet.write_table(
-            table, temporary, compression="zstd", compression_level=15, use_dictionary=False,
-            column_encoding={"t": "BYTE_STREAM_SPLIT"}, write_page_checksum=True,
-        )  # fmt: skip
+            table,
+            temporary,
+            compression="zstd",
+            compression_level=15,
+            use_dictionary=False,
+            column_encoding={"t": "BYTE_STREAM_SPLIT"},
+            write_page_checksum=True,
+        )

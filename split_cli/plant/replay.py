@@ -51,6 +51,15 @@ def predict(
         raise SplitError(f"a horizon of {horizon:g} s is no whole number of samples of {period:g} s")
     motion = recorded_motion(run) if motion is None else np.ascontiguousarray(motion, dtype=float)
     return _loops_numba.follow(
-        motion, np.ascontiguousarray(run.s), run.torque_command, run.steer_command, run.states[0].copy(),
-        as_numbers(car), road.tables(), CONTROL_PERIOD, STEP, int(round(period / STEP)), window,
-    )  # fmt: skip
+        motion,
+        np.ascontiguousarray(run.s),
+        run.torque_command,
+        run.steer_command,
+        run.states[0].copy(),
+        as_numbers(car),
+        road.tables(),
+        CONTROL_PERIOD,
+        STEP,
+        int(round(period / STEP)),
+        window,
+    )

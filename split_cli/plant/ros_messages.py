@@ -23,8 +23,7 @@ _PARTS = {
     "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
     "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
     "ackermann_msgs/AckermannDrive": (
-        "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\n"
-        "float32 jerk\n"
+        "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
     ),
     "sensor_msgs/NavSatStatus": (
         "int8 STATUS_NO_FIX=-1\nint8 STATUS_FIX=0\nint8 STATUS_SBAS_FIX=1\nint8 STATUS_GBAS_FIX=2\nint8 status\n"
@@ -40,8 +39,7 @@ _TYPES = {
     + "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
     + "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
     "ackermann_msgs/msg/AckermannDriveStamped": _HEADER + "ackermann_msgs/AckermannDrive drive\n",
-    "sensor_msgs/msg/JointState": _HEADER
-    + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+    "sensor_msgs/msg/JointState": _HEADER + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
     "sensor_msgs/msg/NavSatFix": _HEADER
     + "sensor_msgs/NavSatStatus status\nfloat64 latitude\nfloat64 longitude\nfloat64 altitude\n"
     + "float64[9] position_covariance\nuint8 COVARIANCE_TYPE_UNKNOWN=0\nuint8 COVARIANCE_TYPE_APPROXIMATED=1\n"

@@ -74,10 +74,7 @@ def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
             "ay": ChannelSpec(0.08, 0.02, 5e-3),
         }
         command = {"T": ChannelSpec(resolution=1e-4), "delta": ChannelSpec(resolution=1e-5)}
-        report = {
-            "delta_actual": ChannelSpec(0.001, 0.0, 5e-4, delay=0.010),
-            "T_actual": ChannelSpec(0.01, 0, 1e-3),
-        }
+        report = {"delta_actual": ChannelSpec(0.001, 0.0, 5e-4, delay=0.010), "T_actual": ChannelSpec(0.01, 0, 1e-3)}
         wheels = {f"wheel_speed_{corner}": ChannelSpec(0.3, 0.0, 0.05) for corner in corners}
     else:
         state = {
@@ -94,10 +91,7 @@ def sensors_of(car_name: str) -> tuple[SensorSpec, ...]:
             "ay": ChannelSpec(0.03, 0.01, 2e-3),
         }
         command = {"T": ChannelSpec(resolution=0.01), "delta": ChannelSpec(resolution=1e-5)}
-        report = {
-            "delta_actual": ChannelSpec(0.0004, 0.0, 1e-4, delay=0.015),
-            "T_actual": ChannelSpec(8.0, 0.0, 1.0),
-        }
+        report = {"delta_actual": ChannelSpec(0.0004, 0.0, 1e-4, delay=0.015), "T_actual": ChannelSpec(8.0, 0.0, 1.0)}
         wheels = {f"wheel_speed_{corner}": ChannelSpec(0.03, 0.0, 0.01) for corner in corners}
     return (
         SensorSpec("state", 100.0, state, 2e-4, 0.004, 0.001),

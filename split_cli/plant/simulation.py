@@ -77,9 +77,14 @@ class Trajectory:
 
 
 _STATE_CHANNELS = {
-    "X": _compiled.X, "Y": _compiled.Y, "yaw": _compiled.YAW, "vx": _compiled.VX, "vy": _compiled.VY,
-    "r": _compiled.R, "T_actual": _compiled.TORQUE,
-}  # fmt: skip
+    "X": _compiled.X,
+    "Y": _compiled.Y,
+    "yaw": _compiled.YAW,
+    "vx": _compiled.VX,
+    "vy": _compiled.VY,
+    "r": _compiled.R,
+    "T_actual": _compiled.TORQUE,
+}
 _CORNERS = ("fl", "fr", "rl", "rr")
 
 
@@ -185,11 +190,21 @@ def drive_laps(
     free = np.full(steps, np.nan)
     return _simulate(
         _Course(
-            car, initial_state(car, float(profile.speed[0]), track), Script(free, free, free), person, seed,
-            track=track, profile=profile, road=road or Road(), faults=faults, believed=believed, distance=distance,
-            sample_period=sample_period, may_time_out=duration is not None,
+            car,
+            initial_state(car, float(profile.speed[0]), track),
+            Script(free, free, free),
+            person,
+            seed,
+            track=track,
+            profile=profile,
+            road=road or Road(),
+            faults=faults,
+            believed=believed,
+            distance=distance,
+            sample_period=sample_period,
+            may_time_out=duration is not None,
         )
-    )  # fmt: skip
+    )
 
 
 def drive_script(
@@ -217,10 +232,18 @@ def drive_script(
     calm = DriverStyle(style.name, preview_time=style.preview_time, line_wander=0, pace_wander=0)
     return _simulate(
         _Course(
-            car, initial_state(car, speed, track), script, calm, seed, track=track, profile=profile,
-            road=road or Road(), faults=faults, sample_period=sample_period,
+            car,
+            initial_state(car, speed, track),
+            script,
+            calm,
+            seed,
+            track=track,
+            profile=profile,
+            road=road or Road(),
+            faults=faults,
+            sample_period=sample_period,
         )
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -247,9 +270,16 @@ class _Course:
             return _PathTables(1.0, 0.0, 0.0, *([np.zeros(1)] * 6))
         line = self.track
         return _PathTables(
-            line.spacing, line.length, line.turn, line.x, line.y, line.direction, line.curvature,
-            self.profile.speed, self.profile.acceleration,
-        )  # fmt: skip
+            line.spacing,
+            line.length,
+            line.turn,
+            line.x,
+            line.y,
+            line.direction,
+            line.curvature,
+            self.profile.speed,
+            self.profile.acceleration,
+        )
 
     def stop(self) -> _StopTables:
         """Return what ends the drive. On a test circle the steer may be held on purpose; only laps have edges."""
@@ -273,15 +303,33 @@ def _simulate(course: _Course) -> Trajectory:
     slope = np.gradient(script.speed, CONTROL_PERIOD) if steps > 1 else np.zeros(steps)
     tables = _ScriptTables(script.torque, script.steer, script.speed, np.where(np.isnan(slope), 0.0, slope))
     times, states, outputs, places, torques, steers, reason = _loops_numba.run(
-        course.start, 0.0, as_numbers(car), as_numbers(course.faults), course.road.tables(), course.tables(), plan,
-        tables, driver_tables(believed, course.style, grip_of(believed)), CONTROL_PERIOD, STEP, substeps, keep,
+        course.start,
+        0.0,
+        as_numbers(car),
+        as_numbers(course.faults),
+        course.road.tables(),
+        course.tables(),
+        plan,
+        tables,
+        driver_tables(believed, course.style, grip_of(believed)),
+        CONTROL_PERIOD,
+        STEP,
+        substeps,
+        keep,
         course.stop(),
-    )  # fmt: skip
+    )
     if reason in _ENDINGS and not (course.may_time_out and reason == _loops_numba.OUT_OF_TIME):
         at = f"at {times[-1]:.1f} s, s = {places[-1]:.0f} m" if len(times) else "at once"
         raise SplitError(f"{_ENDINGS[reason]} {at}", where=car.name, advice="Use less aggressiveness.")
     return Trajectory(
-        car=car, t=times, states=states, outputs=outputs, s=places,
-        command_t=np.arange(len(torques)) * CONTROL_PERIOD, torque_command=torques, steer_command=steers,
-        lap_length=track.length if track else 0.0, ended_early=reason == _loops_numba.TOO_SLOW,
-    )  # fmt: skip
+        car=car,
+        t=times,
+        states=states,
+        outputs=outputs,
+        s=places,
+        command_t=np.arange(len(torques)) * CONTROL_PERIOD,
+        torque_command=torques,
+        steer_command=steers,
+        lap_length=track.length if track else 0.0,
+        ended_early=reason == _loops_numba.TOO_SLOW,
+    )

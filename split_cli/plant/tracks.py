@@ -49,30 +49,64 @@ class _Outline:
 _OUTLINES = {
     "handling": _Outline(
         corners=(
-            (430, 0, 45), (500, 150, 60), (360, 215, 38), (420, 330, 36), (270, 420, 70), (175, 290, 40),
-            (60, 330, 55), (-10, 230, 45), (-130, 300, 42), (-260, 190, 60), (-150, 90, 30), (-270, 0, 28),
+            (430, 0, 45),
+            (500, 150, 60),
+            (360, 215, 38),
+            (420, 330, 36),
+            (270, 420, 70),
+            (175, 290, 40),
+            (60, 330, 55),
+            (-10, 230, 45),
+            (-130, 300, 42),
+            (-260, 190, 60),
+            (-150, 90, 30),
+            (-270, 0, 28),
         ),
-        length=2300.0, smoothing=7.0, spacing=0.5, half_width=6.0,
+        length=2300.0,
+        smoothing=7.0,
+        spacing=0.5,
+        half_width=6.0,
     ),
     "small": _Outline(
         corners=(
-            (75, 0, 16), (95, 55, 18), (50, 62, 11), (55, 110, 16), (-5, 115, 22), (-15, 62, 12), (-65, 72, 14),
+            (75, 0, 16),
+            (95, 55, 18),
+            (50, 62, 11),
+            (55, 110, 16),
+            (-5, 115, 22),
+            (-15, 62, 12),
+            (-65, 72, 14),
             (-70, 0, 20),
         ),
-        length=580.0, smoothing=3.0, spacing=0.25, half_width=4.0,
+        length=580.0,
+        smoothing=3.0,
+        spacing=0.25,
+        half_width=4.0,
     ),
     "oval": _Outline(
         corners=((250, 0, 105), (250, 220, 105), (-250, 220, 105), (-250, 0, 105)),
-        length=1250.0, smoothing=15.0, spacing=0.5, half_width=7.0,
+        length=1250.0,
+        smoothing=15.0,
+        spacing=0.5,
+        half_width=7.0,
     ),
     "f1tenth": _Outline(
         corners=(
-            (7, 0, 1.9), (7.6, 5, 1.7), (3.6, 4.4, 1.3), (2.6, 8, 1.5), (-2.4, 8.4, 2.0), (-2.6, 3.9, 1.4),
-            (-6.6, 4.6, 1.5), (-6.8, 0, 1.8),
+            (7, 0, 1.9),
+            (7.6, 5, 1.7),
+            (3.6, 4.4, 1.3),
+            (2.6, 8, 1.5),
+            (-2.4, 8.4, 2.0),
+            (-2.6, 3.9, 1.4),
+            (-6.6, 4.6, 1.5),
+            (-6.8, 0, 1.8),
         ),
-        length=52.0, smoothing=0.3, spacing=0.025, half_width=0.9,
+        length=52.0,
+        smoothing=0.3,
+        spacing=0.025,
+        half_width=0.9,
     ),
-}  # fmt: skip
+}
 
 TRACK_NAMES = tuple(_OUTLINES)
 
@@ -90,11 +124,7 @@ def find_track(name: str) -> Track:
         raise SplitError(f"no track is called {name!r}", where="--track", advice=nearest_names(name, _OUTLINES))
     outline = _OUTLINES[name]
     return _from_closed_points(
-        name,
-        _smooth_closed(_rounded_polygon(outline), outline),
-        outline.length,
-        outline.spacing,
-        outline.half_width,
+        name, _smooth_closed(_rounded_polygon(outline), outline), outline.length, outline.spacing, outline.half_width
     )
 
 

@@ -81,12 +81,7 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
     if calibration.resistance is not None:
         found = calibration.resistance
         axes[-1].fill_between(
-            found.speed,
-            found.force - found.half_width,
-            found.force + found.half_width,
-            color="C0",
-            alpha=0.35,
-            lw=0,
+            found.speed, found.force - found.half_width, found.force + found.half_width, color="C0", alpha=0.35, lw=0
         )
         axes[-1].plot(found.speed, found.force, color="C0")
         axes[-1].set(title="resistance", xlabel="speed [m/s]", ylabel="force [N]")

@@ -16,8 +16,16 @@ from split_cli.plots.style import quiet, save
 CHARTS = (
     *(f"{kind}-{of}" for kind in ("strip", "white", "coverage", "ratio", "label") for of in ("vx", "vy", "r")),
     *(f"strip-{channel}" for channel in ("ay", "delta", "T")),
-    "gg", "path", "growth", "tire-front", "tire-rear", "force-x", "understeer", "response-gain", "response-phase",
-)  # fmt: skip
+    "gg",
+    "path",
+    "growth",
+    "tire-front",
+    "tire-rear",
+    "force-x",
+    "understeer",
+    "response-gain",
+    "response-phase",
+)
 
 
 def write_charts(charts: Iterable[Chart], folder: Path) -> tuple[str, ...]:

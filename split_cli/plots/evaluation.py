@@ -53,7 +53,7 @@ def write_figures(
 def draw_figures(run: EvaluationRun) -> tuple[dict[str, Figure], tuple[str, ...]]:
     """Return figures beside the report's charts by file name, and ``name: reason`` of those without content."""
     drawing: dict[str, tuple[bool, str, Callable[[], Figure]]] = {
-        "sizes.png": (bool(run.report.sizes), "one feature set, no --sizes", lambda: draw_sizes(run)),
+        "sizes.png": (bool(run.report.sizes), "one feature set, no --sizes", lambda: draw_sizes(run))
     }
     at = next((i for i, own in enumerate(run.sets) if own.features.is_z2), None)
     other = "it is drawn for the features z2 only"

@@ -69,11 +69,7 @@ def draw_coverage(trained: TrainingSet) -> Figure:
         empty = np.where((points.values == 0) & (cells.values > 0), 1.0, np.nan)
         _mesh(axis, trained, empty, cmap=ListedColormap([EMPTY]))
         mesh = _mesh(
-            axis,
-            trained,
-            np.where(points.values > 0, points.values, np.nan),
-            cmap=ListedColormap(colours),
-            norm=norm,
+            axis, trained, np.where(points.values > 0, points.values, np.nan), cmap=ListedColormap(colours), norm=norm
         )
         filled, total = int(points.values.sum()), int(cells.values.sum())
         axis.set_title(f"{_slice_name(points)}\n{filled} points, {total} valid cells", fontsize="medium")
@@ -147,9 +143,7 @@ def draw_labels(trained: TrainingSet, drives: Sequence[HeldOutSamples], output: 
     for axis in axes.flat:
         axis.set_facecolor("0.93")
     _label_axes(axes, trained, (*labels, *learned))
-    figure.colorbar(
-        mesh, ax=axes, label=f"label of {STATES[output]} [{LABEL_UNITS[output]}]", extend="both", pad=0.01
-    )
+    figure.colorbar(mesh, ax=axes, label=f"label of {STATES[output]} [{LABEL_UNITS[output]}]", extend="both", pad=0.01)
     figure.suptitle(_finding(labels, output))
     return figure
 

@@ -34,8 +34,14 @@ def draw_selection(selection: SetSelection) -> Figure:
             label=f"{kind[0]}, cell edge {kind[1]:g}",
         )
     front = [one for one in selection.candidates if one.on_front]
-    axes.step([one.points for one in front], [one.error for one in front], where="post", color="black",
-              linewidth=1.0, label="front")  # fmt: skip
+    axes.step(
+        [one.points for one in front],
+        [one.error for one in front],
+        where="post",
+        color="black",
+        linewidth=1.0,
+        label="front",
+    )
     best = next(one for one in selection.candidates if one.chosen)
     axes.plot(best.points, best.error, "o", markersize=14, markerfacecolor="none", color="black", label="chosen")
     axes.set_xscale("log")

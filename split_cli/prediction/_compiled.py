@@ -34,10 +34,23 @@ def _correlations(z: ndarray, points: ndarray, begin: int, count: int, c: ndarra
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def _predict_one(
-    z: ndarray, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray, offsets: ndarray,
-    vector_offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray, floor: ndarray, robust: bool,
-    c: ndarray, t: ndarray, mean: ndarray, spread: ndarray,
-) -> None:  # fmt: skip
+    z: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    offsets: ndarray,
+    vector_offsets: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    reach: ndarray,
+    floor: ndarray,
+    robust: bool,
+    c: ndarray,
+    t: ndarray,
+    mean: ndarray,
+    spread: ndarray,
+) -> None:
     """Fill `mean` with Sum mu/(1-p) / precision and `spread` with 1/precision, both over the three outputs."""
     n0 = n1 = n2 = 0.0
     d0 = d1 = d2 = 1.0
@@ -88,28 +101,62 @@ def _predict_one(
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def predict(
-    z: ndarray, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray, offsets: ndarray,
-    vector_offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray, floor: ndarray, robust: bool,
+    z: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    offsets: ndarray,
+    vector_offsets: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    reach: ndarray,
+    floor: ndarray,
+    robust: bool,
     capacity: int,
-) -> tuple[ndarray, ndarray]:  # fmt: skip
+) -> tuple[ndarray, ndarray]:
     """Return mean (N, 3) and variance in units of the signal variance (N, 3), one thread."""
     mean = np.empty((z.shape[0], 3))
     spread = np.empty((z.shape[0], 3))
     c, t = np.empty(capacity), np.empty(capacity)
     for i in range(z.shape[0]):
         _predict_one(
-            z[i], points, turned, gains, vectors, offsets, vector_offsets, lower, upper, reach, floor, robust,
-            c, t, mean[i], spread[i],
-        )  # fmt: skip
+            z[i],
+            points,
+            turned,
+            gains,
+            vectors,
+            offsets,
+            vector_offsets,
+            lower,
+            upper,
+            reach,
+            floor,
+            robust,
+            c,
+            t,
+            mean[i],
+            spread[i],
+        )
     return mean, spread
 
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def jacobian(
-    z: ndarray, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray, offsets: ndarray,
-    vector_offsets: ndarray, lower: ndarray, upper: ndarray, reach: ndarray, floor: ndarray, robust: bool,
+    z: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    offsets: ndarray,
+    vector_offsets: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    reach: ndarray,
+    floor: ndarray,
+    robust: bool,
     capacity: int,
-) -> ndarray:  # fmt: skip
+) -> ndarray:
     """Return the mean's Jacobian with respect to scaled features, (N, 3, D).
 
     mean = A/P with A = Sum b mu u, P = 1 + Sum b p u, u = 1/(1-p); b = 1 or, robust, log(u)/2, so that b' = u/2;

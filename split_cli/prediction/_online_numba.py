@@ -10,9 +10,18 @@ _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 @compiled(cache=True)
 def decompose(
-    cell: int, z: ndarray, y: ndarray, scales: ndarray, ratio: ndarray, points: ndarray, turned: ndarray,
-    gains: ndarray, vectors: ndarray, lower: ndarray, upper: ndarray,
-) -> None:  # fmt: skip
+    cell: int,
+    z: ndarray,
+    y: ndarray,
+    scales: ndarray,
+    ratio: ndarray,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+) -> None:
     """Write what `committee` needs of a cell with points `z` (n, D) and labels `y` (n, 3) into the row `cell`.
 
     C = V diag(lambda) V^T of the correlations between points, gains 1/(lambda + rho) and V^T y times them.
@@ -54,9 +63,18 @@ def _decay(x: float) -> float:
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def committee(
-    z: ndarray, count: ndarray, cells: int, points: ndarray, turned: ndarray, gains: ndarray, vectors: ndarray,
-    lower: ndarray, upper: ndarray, ratio: ndarray, reach: float,
-) -> tuple[ndarray, ndarray, ndarray]:  # fmt: skip
+    z: ndarray,
+    count: ndarray,
+    cells: int,
+    points: ndarray,
+    turned: ndarray,
+    gains: ndarray,
+    vectors: ndarray,
+    lower: ndarray,
+    upper: ndarray,
+    ratio: ndarray,
+    reach: float,
+) -> tuple[ndarray, ndarray, ndarray]:
     """Return mean (3, N), variance over signal variance (3, N) and Jacobian by scaled features (3, D, N).
 
     As `_compiled.predict` and `_compiled.jacobian`, for arrays whose first axis are cells and whose second are

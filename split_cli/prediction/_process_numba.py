@@ -43,9 +43,18 @@ def _correlate(z: ndarray, points: ndarray, count: int, correlations: ndarray) -
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def absorb(
-    z: ndarray, y: ndarray, count: int, signal: ndarray, ratio: ndarray, threshold: float, points: ndarray,
-    inverse: ndarray, weights: ndarray, learned: ndarray, unspanned: ndarray,
-) -> int:  # fmt: skip
+    z: ndarray,
+    y: ndarray,
+    count: int,
+    signal: ndarray,
+    ratio: ndarray,
+    threshold: float,
+    points: ndarray,
+    inverse: ndarray,
+    weights: ndarray,
+    learned: ndarray,
+    unspanned: ndarray,
+) -> int:
     """Absorb one label `y` (3,) at the scaled features `z` (D,) in place; return how many points span now.
 
     Parameters as `OnlineProcess` has them; `learned` (3, U, U) is what data have added to the prior's covariance,
@@ -92,9 +101,16 @@ def absorb(
 
 @compiled(cache=True, fastmath=_FASTMATH)
 def answer(
-    z: ndarray, count: int, points: ndarray, inverse: ndarray, weights: ndarray, learned: ndarray,
-    threshold: float, absent: ndarray, certainty: bool,
-) -> tuple[ndarray, ndarray, ndarray]:  # fmt: skip
+    z: ndarray,
+    count: int,
+    points: ndarray,
+    inverse: ndarray,
+    weights: ndarray,
+    learned: ndarray,
+    threshold: float,
+    absent: ndarray,
+    certainty: bool,
+) -> tuple[ndarray, ndarray, ndarray]:
     """Return mean (N, 3), variance over signal variance (N, 3) and Jacobian by scaled features (N, 3, D).
 
     The share `absent` (3,) of a gain up to `threshold` is left out of the variance, fading as points span less.

@@ -62,27 +62,26 @@ def committee_tables(training_set: TrainingSet) -> CommitteeTables:
         weight_sum[members] = np.abs(np.einsum("cje,ceo->cjo", columns, turned[rows])).sum(axis=1)
     floor = np.ascontiguousarray(ratio / (counts[:, None] + ratio))
     return CommitteeTables(
-        points,
-        offsets,
-        vectors,
-        vector_offsets,
-        gains,
-        turned,
-        weight_sum,
-        box[0],
-        box[1],
-        smallest,
-        energy,
-        floor,
+        points, offsets, vectors, vector_offsets, gains, turned, weight_sum, box[0], box[1], smallest, energy, floor
     )
 
 
 #: As `_compiled.predict` takes them after the queries: points, turned, gains, vectors, offsets, vector offsets,
 #: lower, upper, reach, floor, robust, capacity.
 CompiledArguments = tuple[
-    np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray,
-    np.ndarray, bool, int,
-]  # fmt: skip
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    np.ndarray,
+    bool,
+    int,
+]
 
 
 class BcmPredictor(Predictor):
@@ -126,9 +125,19 @@ class BcmPredictor(Predictor):
         capacity = int(counts.max(initial=1))
         reach_squared = self._reach_squared(counts)
         return (
-            t.points, t.turned, t.gains, t.vectors, t.offsets, t.vector_offsets, t.lower, t.upper, reach_squared,
-            t.floor, self.robust, capacity,
-        )  # fmt: skip
+            t.points,
+            t.turned,
+            t.gains,
+            t.vectors,
+            t.offsets,
+            t.vector_offsets,
+            t.lower,
+            t.upper,
+            reach_squared,
+            t.floor,
+            self.robust,
+            capacity,
+        )
 
     def _reach_squared(self, counts: np.ndarray) -> np.ndarray:
         """Return the squared distance in length scales beyond which a cell is skipped, shape (C,)."""

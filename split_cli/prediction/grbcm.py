@@ -149,9 +149,9 @@ class GrbcmPredictor(Predictor):
                 db = 0.5 * (dv_c[k] / v_c - dv / v)
                 if first:
                     db[0] = 0.0
-                d_precision[k] = d_precision[k] + (
-                    db * (1.0 / v - 1.0 / v_c) + b * (dv_c[k] / v_c**2 - dv / v**2)
-                ).sum(axis=0)
+                d_precision[k] = d_precision[k] + (db * (1.0 / v - 1.0 / v_c) + b * (dv_c[k] / v_c**2 - dv / v**2)).sum(
+                    axis=0
+                )
                 d_shift = np.einsum("cin,cio->cno", dd, e.weights)
                 d_top[k] += np.einsum("cn,cno->no", db / v - b * dv / v**2, shift)
                 d_top[k] += np.einsum("cn,cno->no", b / v, d_shift)

@@ -47,9 +47,14 @@ class OnlineCommittee:
     def _allocate(self, room: int) -> None:
         M, D = self.capacity, self.width
         shapes: dict[str, tuple[int, ...]] = {
-            "count": (), "points": (M, D), "turned": (M, 3), "gains": (M, 3), "vectors": (M, M), "lower": (D,),
+            "count": (),
+            "points": (M, D),
+            "turned": (M, 3),
+            "gains": (M, 3),
+            "vectors": (M, M),
+            "lower": (D,),
             "upper": (D,),
-        }  # fmt: skip
+        }
         for name, shape in shapes.items():
             kind = np.int64 if name == "count" else float
             grown = np.zeros((room, *shape), dtype=kind)
@@ -76,15 +81,33 @@ class OnlineCommittee:
                 y = np.ascontiguousarray(self.beyond(z, y))
             self.count[position] = len(z)
             decompose(
-                position, z, y, self.scales, self.ratio, self.points, self.turned, self.gains, self.vectors,
-                self.lower, self.upper,
-            )  # fmt: skip
+                position,
+                z,
+                y,
+                self.scales,
+                self.ratio,
+                self.points,
+                self.turned,
+                self.gains,
+                self.vectors,
+                self.lower,
+                self.upper,
+            )
 
     def along(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mean (N, 3), latent variance (N, 3) and the mean's Jacobian (N, 3, D) at `z`, shape (N, D)."""
         scales = self.kernel.length_scales
         mean, spread, slope = committee(
-            np.ascontiguousarray((z / scales).T), self.count, self.cells, self.points, self.turned, self.gains,
-            self.vectors, self.lower, self.upper, self.ratio, self.reach,
-        )  # fmt: skip
+            np.ascontiguousarray((z / scales).T),
+            self.count,
+            self.cells,
+            self.points,
+            self.turned,
+            self.gains,
+            self.vectors,
+            self.lower,
+            self.upper,
+            self.ratio,
+            self.reach,
+        )
         return mean.T, spread.T * self.kernel.signal_variance, slope.transpose(2, 0, 1) / scales

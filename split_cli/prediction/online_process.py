@@ -183,17 +183,21 @@ class OnlineProcess:
         """Absorb labels `y`, shape (N, 3), at features `z`, shape (N, D), one after the other."""
         for at, label in zip(z / self._scales, np.asarray(y, dtype=float), strict=True):
             self.count = absorb(
-                at, label, self.count, self._signal, self._ratio, self._threshold, self._points, self._inverse,
-                self._weights, self._learned, self._unspanned,
-            )  # fmt: skip
+                at,
+                label,
+                self.count,
+                self._signal,
+                self._ratio,
+                self._threshold,
+                self._points,
+                self._inverse,
+                self._weights,
+                self._learned,
+                self._unspanned,
+            )
 
     def inform(
-        self,
-        z: np.ndarray,
-        offsets: np.ndarray,
-        information: np.ndarray,
-        absorbed: np.ndarray,
-        open_share: np.ndarray,
+        self, z: np.ndarray, offsets: np.ndarray, information: np.ndarray, absorbed: np.ndarray, open_share: np.ndarray
     ) -> None:
         """Absorb the sums over all labels of a set, in place of the labels learned so far; the points stay.
 
@@ -238,9 +242,16 @@ class OnlineProcess:
         Without `certainty` the variance is not computed, and is the prior's.
         """
         mean, spread, slope = answer(
-            np.ascontiguousarray(z / self._scales), self.count, self._points, self._inverse, self._weights,
-            self._learned, self._threshold, 1.0 - self.unspanned_share, certainty,
-        )  # fmt: skip
+            np.ascontiguousarray(z / self._scales),
+            self.count,
+            self._points,
+            self._inverse,
+            self._weights,
+            self._learned,
+            self._threshold,
+            1.0 - self.unspanned_share,
+            certainty,
+        )
         return mean, spread * self.kernel.signal_variance, slope / self._scales
 
 

@@ -9,9 +9,7 @@ from split_cli.prediction.online_process import MOST_SPANNING, OnlineProcess, no
 from split_cli.prediction.predictor import Prediction, Predictor
 
 
-def process_of(
-    training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None
-) -> OnlineProcess:
+def process_of(training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None) -> OnlineProcess:
     """Return the online process after all labels of a set; parameters as of `OnlineProcess`.
 
     The points are learned in order of time, which decides which of them span the process. Then the process takes
@@ -72,9 +70,7 @@ class ProjectedPredictor(Predictor):
 
     name: str = "projected"
 
-    def __init__(
-        self, training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None
-    ) -> None:
+    def __init__(self, training_set: TrainingSet, most: int = MOST_SPANNING, threshold: float | None = None) -> None:
         super().__init__(training_set)
         self.process = process_of(training_set, most, threshold)
 

@@ -99,9 +99,7 @@ def _large_terms(vehicle: Vehicle) -> list[Term]:
     return [*scales, *fades, *stiffness, *body, *moved, *plays, *late, *slow]
 
 
-def build_library(
-    columns: Mapping[str, np.ndarray], vehicle: Vehicle, lap_length: float, noise: np.ndarray
-) -> Library:
+def build_library(columns: Mapping[str, np.ndarray], vehicle: Vehicle, lap_length: float, noise: np.ndarray) -> Library:
     """Return the regressors of a recording: `window_errors` of the plain model less that with each term."""
     nominal = window_errors(columns, vehicle, ())
     found, names = [], []

@@ -208,8 +208,17 @@ def _starting_vehicle(car: CarParameters) -> Vehicle:
         angles = np.linspace(0.0, 0.6, 301)
         return MagicFormula(10.0, 1.3, float(2.0 * tire_force(tire, 0.0, angles, load / 2.0)[1].max()))
 
-    given = ("mass", "yaw_inertia", "cg_to_front_axle", "cg_to_rear_axle", "wheel_radius", "max_torque",
-             "max_brake_torque", "drive_split_front", "brake_split_front")  # fmt: skip
+    given = (
+        "mass",
+        "yaw_inertia",
+        "cg_to_front_axle",
+        "cg_to_rear_axle",
+        "wheel_radius",
+        "max_torque",
+        "max_brake_torque",
+        "drive_split_front",
+        "brake_split_front",
+    )
     return Vehicle(
         name="car",
         **{name: float(getattr(car, name)) for name in given},

@@ -192,10 +192,18 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
     if plan.kind in ("single", "pair", "hard-pair"):
         _require_named(heldout, removed, source)
     answer = Answer(
-        number=plan.number, kind=plan.kind, tier=plan.tier, effects=concealed, car=source.car.name,
-        base=setting.base, simulation=setting.simulation, base_severity=setting.base_severity,
-        total_severity=total, removed=removed, **_places(run),
-    )  # fmt: skip
+        number=plan.number,
+        kind=plan.kind,
+        tier=plan.tier,
+        effects=concealed,
+        car=source.car.name,
+        base=setting.base,
+        simulation=setting.simulation,
+        base_severity=setting.base_severity,
+        total_severity=total,
+        removed=removed,
+        **_places(run),
+    )
     return Case(real, sim, source.vehicle, answer, heldout, source.noise)
 
 
@@ -225,12 +233,7 @@ def _base_severity(without: ProofWorld, trip: Trip, source: CarOfProof) -> float
 
 
 def _sized(
-    effect: Concealed,
-    without: ProofWorld,
-    trip: Trip,
-    plan: CasePlan,
-    rng: np.random.Generator,
-    source: CarOfProof,
+    effect: Concealed, without: ProofWorld, trip: Trip, plan: CasePlan, rng: np.random.Generator, source: CarOfProof
 ) -> tuple[float, float]:
     """Return the size of an effect with a severity drawn for the plan, and that severity."""
 
@@ -268,9 +271,7 @@ def _concealed(
     # Held out is another driver again, so that nothing fitted to the real drive is at home there.
     heldout = _exact(world, without, replace(trips[2], duration=60.0), source)
     if plan.kind == "strange":
-        left, names = beyond_catalogue(
-            heldout.error, heldout.columns, source.vehicle, world.track.length, source.noise
-        )
+        left, names = beyond_catalogue(heldout.error, heldout.columns, source.vehicle, world.track.length, source.noise)
         beyond = severity(left, source.noise)
         ((effect, (size, found)),) = effects
         total = severity(heldout.error, source.noise)

@@ -101,11 +101,7 @@ def _combined_slip(rng, world):
         return lambda tire: replace(tire, combined_slip=value)
 
     return Concealed(
-        "combined_slip",
-        lambda w, size: _tires(w, strength(size)),
-        0.5,
-        1.0,
-        neutral=lambda w: _tires(w, strength(0.0)),
+        "combined_slip", lambda w, size: _tires(w, strength(size)), 0.5, 1.0, neutral=lambda w: _tires(w, strength(0.0))
     )
 
 
@@ -286,9 +282,7 @@ def _drive_gain(rng, world):
     def gains(size):
         return {"drive_gain": 1.0 + drive * size, "brake_gain": 1.0 + brake * size}
 
-    return Concealed(
-        "drive_gain", lambda w, size: _car(w, **gains(size)), 0.1, 0.5, known=lambda w, size: gains(size)
-    )
+    return Concealed("drive_gain", lambda w, size: _car(w, **gains(size)), 0.1, 0.5, known=lambda w, size: gains(size))
 
 
 def _rolling_resistance(rng, world):

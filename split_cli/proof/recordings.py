@@ -66,11 +66,7 @@ def exact_motion(run: Trajectory, fault: SensorFault, at: np.ndarray) -> np.ndar
 
 
 def record(
-    run: Trajectory,
-    alignment: Alignment,
-    name: str,
-    rng: np.random.Generator | None,
-    fault: SensorFault | None = None,
+    run: Trajectory, alignment: Alignment, name: str, rng: np.random.Generator | None, fault: SensorFault | None = None
 ) -> Drive:
     """Return a run as a drive at 100 Hz.
 
@@ -85,12 +81,7 @@ def record(
     torque, steer = command_channels(run, t, alignment)
     if rng is not None:
         motion = motion + noise_of(run.car.name) * rng.standard_normal(motion.shape)
-    columns = {
-        "t": np.round(t - first, 6),
-        **dict(zip(_MEASURED, motion.T, strict=True)),
-        "T": torque,
-        "delta": steer,
-    }
+    columns = {"t": np.round(t - first, 6), **dict(zip(_MEASURED, motion.T, strict=True)), "T": torque, "delta": steer}
     length = len(t)
     noise = tuple(estimate_noise(c, columns[c], [(0, length)]) for c in _MEASURED)
     kinds = {c: "measured" for c in _MEASURED} | {"T": "command", "delta": "command"}

@@ -141,8 +141,7 @@ def summarise(scores: Sequence[CaseScore]) -> CaseSetScore:
         confusion=_confusion(scores),
         coverage=coverage,
         coverage_by_parameter=tuple(
-            (parameter, rate_of([inside for name, inside in covered if name == parameter]))
-            for parameter in parameters
+            (parameter, rate_of([inside for name, inside in covered if name == parameter])) for parameter in parameters
         ),
         removed_median=median,
     )
@@ -163,20 +162,8 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
     entries = (
         [
             ("sets: effects named, or in class", "at least 95 %", _recall(sets), 0.95, True),
-            (
-                "sets: names that are none of theirs, of all named",
-                "at most 2 %",
-                _wrongly_named(sets),
-                0.02,
-                False,
-            ),
-            (
-                "sets complete",
-                "at least 80 %",
-                rate_of([s.outcome in ("exact", "class") for s in sets]),
-                0.80,
-                True,
-            ),
+            ("sets: names that are none of theirs, of all named", "at most 2 %", _wrongly_named(sets), 0.02, False),
+            ("sets complete", "at least 80 %", rate_of([s.outcome in ("exact", "class") for s in sets]), 0.80, True),
         ]
         if sets
         else []
@@ -268,6 +255,4 @@ def statement_of(diagnosis: dict) -> Statement:
         values = {name: (entry["value"], *entry["interval_95"]) for name, entry in finding["parameters"].items()}
         return Named(finding["term"], values, tuple(finding["alternatives"]), finding.get("variant", "") or "")
 
-    return Statement(
-        diagnosis["verdict"], tuple(map(named, diagnosis["findings"])), bool(diagnosis["unexplained"])
-    )
+    return Statement(diagnosis["verdict"], tuple(map(named, diagnosis["findings"])), bool(diagnosis["unexplained"]))

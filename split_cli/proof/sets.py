@@ -76,10 +76,17 @@ def _drawn(plan: CasePlan, rng: np.random.Generator) -> Case:
         for term, found in sizes.values()
     )
     answer = Answer(
-        number=plan.number, kind=plan.kind, tier=plan.tier, effects=effects, car=vehicle.name, base="nominal",
-        simulation="nominal" if sim is None else "same equations", base_severity=0.0,
-        total_severity=float(np.sqrt(sum(one.severity**2 for one in effects))), removed=1.0,
-    )  # fmt: skip
+        number=plan.number,
+        kind=plan.kind,
+        tier=plan.tier,
+        effects=effects,
+        car=vehicle.name,
+        base="nominal",
+        simulation="nominal" if sim is None else "same equations",
+        base_severity=0.0,
+        total_severity=float(np.sqrt(sum(one.severity**2 for one in effects))),
+        removed=1.0,
+    )
     return Case(real, sim, vehicle, answer, None, noise)
 
 
@@ -106,9 +113,7 @@ def scripted_drive(
     torque = rng.uniform(-0.9, 1.0, (runs, knots)) * most
     at = np.arange(count + 1) * _STEP
     kept = np.floor(at / _HELD + 1e-6) * _HELD
-    commands = [
-        np.array([np.interp(kept / _KNOT, np.arange(knots), row) for row in each]) for each in (torque, angle)
-    ]
+    commands = [np.array([np.interp(kept / _KNOT, np.arange(knots), row) for row in each]) for each in (torque, angle)]
     arrived = [_arrived(row, terms, channel) for row, channel in zip(commands, ("T", "delta"), strict=True)]
     model = SingleTrack(vehicle, [one for one in terms if one.exported and one.id not in _ON_COMMANDS])
     zero = np.zeros(runs)
@@ -139,9 +144,15 @@ def _integrated(model: SingleTrack, state: np.ndarray, arrived, every: int, subs
     for k in range(0, arrived[0].shape[1] - 1, every):
         window = slice(k, k + every + 1)
         state, memory = integrate_with_memory(
-            model, state, arrived[0][:, window], arrived[1][:, window], _STEP, substeps,
-            Situation(t=k * _STEP, states=memory), held=("T", "delta"),
-        )  # fmt: skip
+            model,
+            state,
+            arrived[0][:, window],
+            arrived[1][:, window],
+            _STEP,
+            substeps,
+            Situation(t=k * _STEP, states=memory),
+            held=("T", "delta"),
+        )
         states.append(state)
     return states
 
@@ -173,9 +184,14 @@ def _varied(rng: np.random.Generator) -> Vehicle:
 
     mass, inertia = (float(x) for x in np.exp(rng.normal(0.0, 0.1, 2)))
     return replace(
-        car, name="car", effects=(), mass=car.mass * mass, yaw_inertia=car.yaw_inertia * mass * inertia,
-        front_tire=tire(car.front_tire), rear_tire=tire(car.rear_tire),
-    )  # fmt: skip
+        car,
+        name="car",
+        effects=(),
+        mass=car.mass * mass,
+        yaw_inertia=car.yaw_inertia * mass * inertia,
+        front_tire=tire(car.front_tire),
+        rear_tire=tire(car.rear_tire),
+    )
 
 
 def _sized(vehicle: Vehicle, term: str, plan: CasePlan, rng: np.random.Generator) -> tuple[Term, float]:

@@ -64,10 +64,7 @@ def _slosh(rng, world):
     arm = -0.2 * world.car.wheelbase
     mass = world.car.mass
     return Concealed(
-        "slosh",
-        lambda w, size: _fault(w, slosh_mass=size * mass, slosh_arm=arm, slosh_frequency=frequency),
-        0.05,
-        0.35,
+        "slosh", lambda w, size: _fault(w, slosh_mass=size * mass, slosh_arm=arm, slosh_frequency=frequency), 0.05, 0.35
     )
 
 
@@ -76,9 +73,7 @@ def _pulses(rng, world):
     car = world.car
     threshold = float(rng.uniform(0.02, 0.035))
     unit = 0.05 * car.max_brake_torque
-    return Concealed(
-        "pulses", lambda w, size: _fault(w, pulse_torque=size * unit, pulse_threshold=threshold), 1.0, 8.0
-    )
+    return Concealed("pulses", lambda w, size: _fault(w, pulse_torque=size * unit, pulse_threshold=threshold), 1.0, 8.0)
 
 
 def _gusts(rng, world):
@@ -131,9 +126,7 @@ STRANGE: dict[str, Callable[[np.random.Generator, ProofWorld], Concealed]] = {
     # A yaw-rate sensor that alone is late.
     "gyro_late": of_one_number("gyro_late", "gyro_delay", "", 0.03, 0.15, put=sensor_with),
     # A speed sensor with the wrong scale.
-    "speed_gain": of_one_number(
-        "speed_gain", "speed_gain", "", 0.03, 0.3, base=1.0, both_sides=True, put=sensor_with
-    ),
+    "speed_gain": of_one_number("speed_gain", "speed_gain", "", 0.03, 0.3, base=1.0, both_sides=True, put=sensor_with),
 }
 
 

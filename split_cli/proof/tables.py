@@ -35,9 +35,7 @@ def markdown_of(result) -> str:
     ]
     lines += _table(["what", "goal", "diagnosis", "met"], target_rows(score))
     lines += ["Outcomes, with 95 % Wilson intervals:", ""]
-    lines += _table(
-        ["cases", *OUTCOMES], [[name, *(str(rates[o]) for o in OUTCOMES)] for name, rates in score.groups]
-    )
+    lines += _table(["cases", *OUTCOMES], [[name, *(str(rates[o]) for o in OUTCOMES)] for name, rates in score.groups])
     lines += ["Every case that was not answered exactly:", ""]
     lines += _table(["concealed", "said", "times"], [[t, s, str(n)] for t, s, n in score.confusion])
     lines += ["Exactly named, by term:", ""]

@@ -14,9 +14,18 @@ from split_cli.vehicle.parameters import Vehicle
 
 #: Where the fit of a parameter begins, in SI units; lengths are those of a wheelbase of 2.7 m.
 GUESSES = {
-    "strength": 0.5, "scale": 1.0, "final_loss": 0.05, "length": 0.1, "cg_height": 0.2, "front_scale": 1.0,
-    "rear_scale": 1.0, "front": 0.0, "rear": 0.0, "force": 0.0, "yaw_damping": 0.0,
-}  # fmt: skip
+    "strength": 0.5,
+    "scale": 1.0,
+    "final_loss": 0.05,
+    "length": 0.1,
+    "cg_height": 0.2,
+    "front_scale": 1.0,
+    "rear_scale": 1.0,
+    "front": 0.0,
+    "rear": 0.0,
+    "force": 0.0,
+    "yaw_damping": 0.0,
+}
 
 
 class Unreachable(SplitError):
@@ -106,9 +115,15 @@ def exact_drive(run: Trajectory, alignment: Alignment, fault: SensorFault, error
     torque, steer = command_channels(run, t, alignment)
     s = np.interp(t, run.t, run.s) % run.lap_length
     columns = {
-        "t": t, "s": s, "yaw": motion[:, 2], "vx": motion[:, 3], "vy": motion[:, 4], "r": motion[:, 5],
-        "T": torque, "delta": steer,
-    }  # fmt: skip
+        "t": t,
+        "s": s,
+        "yaw": motion[:, 2],
+        "vx": motion[:, 3],
+        "vy": motion[:, 4],
+        "r": motion[:, 5],
+        "T": torque,
+        "delta": steer,
+    }
     return ExactDrive(columns, error)
 
 
@@ -131,12 +146,7 @@ def removed_share(exact: ExactDrive, vehicle: Vehicle, terms: Sequence[Term], no
 
 
 def fit_effective(
-    exact: ExactDrive,
-    vehicle: Vehicle,
-    term: str,
-    given: Mapping[str, float],
-    noise: np.ndarray,
-    variant: str = "",
+    exact: ExactDrive, vehicle: Vehicle, term: str, given: Mapping[str, float], noise: np.ndarray, variant: str = ""
 ) -> dict[str, float]:
     """Return the parameters of a term that say an effect best; `given` ones are kept.
 

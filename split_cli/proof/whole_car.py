@@ -38,9 +38,15 @@ class Piece:
 
 
 _AXLES = (
-    "cg_height", "roll_center_front", "roll_center_rear", "track_front", "track_rear",
-    "ackermann_fraction", "toe_front", "toe_rear",
-)  # fmt: skip
+    "cg_height",
+    "roll_center_front",
+    "roll_center_rear",
+    "track_front",
+    "track_rear",
+    "ackermann_fraction",
+    "toe_front",
+    "toe_rear",
+)
 _WHEELS = ("wheel_inertia_front", "wheel_inertia_rear")
 _CURVES = ("p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2")
 PIECES = (
@@ -108,8 +114,17 @@ def _drawn(plan: CasePlan, rng: np.random.Generator, draws: int) -> Case:
         known = dict(piece.known(car))
         effects.append(ConcealedEffect(piece.term, 1.0, found, known, tuple(known), "", 1.0))
     answer = Answer(
-        number=plan.number, kind=plan.kind, tier="", effects=tuple(effects), car=name, base="own",
-        simulation="nominal", base_severity=0.0, total_severity=size(bare(car)), removed=1.0, draws=draws,
-    )  # fmt: skip
+        number=plan.number,
+        kind=plan.kind,
+        tier="",
+        effects=tuple(effects),
+        car=name,
+        base="own",
+        simulation="nominal",
+        base_severity=0.0,
+        total_severity=size(bare(car)),
+        removed=1.0,
+        draws=draws,
+    )
     real = record(run, source.alignment, "real", rng, world.sensor)
     return Case(real, None, source.vehicle, answer, None, source.noise)

@@ -39,9 +39,7 @@ class Trip:
     seed: int
 
 
-def drive(
-    world: ProofWorld, trip: Trip, *, duration: float | None = None, sample_period: float = SAMPLE
-) -> Trajectory:
+def drive(world: ProofWorld, trip: Trip, *, duration: float | None = None, sample_period: float = SAMPLE) -> Trajectory:
     """Drive a trip.
 
     Raises
@@ -85,9 +83,7 @@ def road_of(track: Track, road: Road, **tables: np.ndarray) -> Road:
     """Return a road with tables along the lap, shape (P,) over s = 0 to the lap's length, closed."""
     count = len(next(iter(tables.values())))
     flat = {
-        name: np.full(count, float(getattr(road, name)[0]))
-        if len(getattr(road, name)) == 1
-        else getattr(road, name)
+        name: np.full(count, float(getattr(road, name)[0])) if len(getattr(road, name)) == 1 else getattr(road, name)
         for name in ("friction", "grade", "bank")
     }
     return replace(road, spacing=track.length / count, closed=True, **{**flat, **tables})

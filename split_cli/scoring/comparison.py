@@ -160,12 +160,17 @@ def _rank_at(one: RunErrors) -> list[ModelScore]:
             own = float(rmse[name][0, k])
             states.append(
                 StateScore(
-                    STATES[k], UNITS[k], own, (float(ends[0, k]), float(ends[1, k])),
+                    STATES[k],
+                    UNITS[k],
+                    own,
+                    (float(ends[0, k]), float(ends[1, k])),
                     float(1.0 - draws[name][0, k] / max(draws[""][0, k], 1e-300)),
                     float(100.0 * (1.0 - own / max(spread[k], 1e-300))),
-                    to_best, name == best[k], name == best[k] or to_best[1] <= 1.0,
+                    to_best,
+                    name == best[k],
+                    name == best[k] or to_best[1] <= 1.0,
                 )
-            )  # fmt: skip
+            )
         low, high = _ends(total[name][1:])
         scores.append(
             ModelScore(

@@ -100,9 +100,7 @@ class Score:
     uses_recorded_future: bool = False
 
 
-def baseline_tallies(
-    held: HeldOutSamples, model: SingleTrack, variance: np.ndarray | None
-) -> dict[str, ScoreTally]:
+def baseline_tallies(held: HeldOutSamples, model: SingleTrack, variance: np.ndarray | None) -> dict[str, ScoreTally]:
     """Return the tallies of the nominal model and both persistences on a drive's test samples.
 
     Parameters

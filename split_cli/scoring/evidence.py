@@ -127,9 +127,7 @@ def held_out_evidence(
         tests = [its == fold for its in folds]
         if not any(test.any() for test in tests):
             continue
-        near = [
-            with_guards(test, int(np.ceil(_GUARD / p.drive.period))) for p, test in zip(drives, tests, strict=True)
-        ]
+        near = [with_guards(test, int(np.ceil(_GUARD / p.drive.period))) for p, test in zip(drives, tests, strict=True)]
         kept = [p.labels.within(~its) for p, its in zip(drives, near, strict=True)]
         if not sum(int(labels.accepted.sum()) for labels in kept):
             continue
@@ -201,9 +199,14 @@ def _conditions(drive: Drive, number: int, model: SingleTrack) -> np.ndarray:
         return change
 
     columns = [
-        rate("T"), rate("delta"), drive["vx"], np.abs(drive["vx"] * drive["r"]), drive["T"], drive["t"],
+        rate("T"),
+        rate("delta"),
+        drive["vx"],
+        np.abs(drive["vx"] * drive["r"]),
+        drive["T"],
+        drive["t"],
         np.full(len(drive), float(number)),
-    ]  # fmt: skip
+    ]
     conditions: np.ndarray = np.nan_to_num(np.stack(columns, axis=1))
     return conditions
 
@@ -249,9 +252,7 @@ def _rivals(drive: Drive, labels: Labels) -> np.ndarray:
     first = np.concatenate([[0], change])[np.searchsorted(change, labels.row, side="right")]
     edges = [np.maximum(labels.row - back * window, first) for back in (-1, 0, 1, 2)]
     edges[0] = np.minimum(labels.row + window, len(drive) - 1)
-    columns = [
-        drive[name][late] - drive[name][early] for name in ("T", "delta") for late, early in pairwise(edges)
-    ]
+    columns = [drive[name][late] - drive[name][early] for name in ("T", "delta") for late, early in pairwise(edges)]
     speed = drive["vx"][labels.row]
     rivals: np.ndarray = np.nan_to_num(np.stack([*columns, speed, speed**2], axis=1))
     return rivals
@@ -277,9 +278,7 @@ def _rolled_out(held: _HeldOut) -> list[TrustEvidence]:
         for asked in [h for h in HORIZONS if h <= horizon]:
             step = max(1, round(asked / labels.horizon)) - 1
             rows = starts + (step + 1) * window
-            begin, end = (
-                np.stack([drive[name][at_rows] for name in _STATES], axis=1) for at_rows in (starts, rows)
-            )
+            begin, end = (np.stack([drive[name][at_rows] for name in _STATES], axis=1) for at_rows in (starts, rows))
             error = end - nominal[:, step]
             file_error = end - by_file[:, step]
             good = np.isfinite(error + file_error).all(axis=1) & np.isfinite(change[:, step]).all(axis=(1, 2))

@@ -66,6 +66,5 @@ def informative_sets(
     everything = np.unique(np.linspace(0, len(accepted) - 1, min(MOST_SAMPLES, len(accepted))).astype(int))
     chosen = [everything if size == ALL else order[:size] for size in sizes]
     return [
-        (size, point_set(vehicle, labels, kernel, accepted[index]))
-        for size, index in zip(sizes, chosen, strict=True)
+        (size, point_set(vehicle, labels, kernel, accepted[index])) for size, index in zip(sizes, chosen, strict=True)
     ]

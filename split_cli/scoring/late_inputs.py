@@ -18,15 +18,10 @@ _FEWEST = 200
 _CHUNK = 2**16  # labels looked at at once
 #: Delays that are worth a word [s]: a quarter of a label's interval, and the slowest actuator of a road car.
 _RANGE = (0.012, 0.5)
-_INPUTS = (
-    ("T", 0, "v_x", "dT/dt", "torque", "drive_lag"),
-    ("delta", 2, "r", "ddelta/dt", "steering", "steer_lag"),
-)
+_INPUTS = (("T", 0, "v_x", "dT/dt", "torque", "drive_lag"), ("delta", 2, "r", "ddelta/dt", "steering", "steer_lag"))
 
 
-def late_inputs(
-    drive: Drive, labels: Labels, vehicle: Vehicle, found: Sequence[EffectSpec] = ()
-) -> tuple[str, ...]:
+def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle, found: Sequence[EffectSpec] = ()) -> tuple[str, ...]:
     """Return what the labels say of late inputs, in words; empty where they say nothing beyond chance.
 
     Parameters

@@ -47,9 +47,7 @@ class EvaluationSettings:
             advice = "Leave out --features or --predictor for the default."
             raise SplitError("no feature set or no predictor was named", advice=advice)
         if any(size < 0 for size in self.sizes) or not all(0 < time < np.inf for time in self.rollout):
-            raise SplitError(
-                f"--sizes {self.sizes} or --rollout {self.rollout} holds a number that is not positive"
-            )
+            raise SplitError(f"--sizes {self.sizes} or --rollout {self.rollout} holds a number that is not positive")
         for name in self.predictors:
             refuse_unknown(name)
         if self.protocol not in ("held-out", "paper"):

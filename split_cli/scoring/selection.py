@@ -95,9 +95,7 @@ def choose(found: Sequence[tuple[SetCandidate, np.ndarray]]) -> tuple[SetCandida
         difference, count = parts - best, len(parts)
         spread = float(np.sqrt(count * np.var(difference, ddof=1))) if count > 1 else 0.0
         judged.append(
-            replace(
-                candidate, error=float(np.sqrt(parts.sum())), behind=float(difference.sum()), behind_error=spread
-            )
+            replace(candidate, error=float(np.sqrt(parts.sum())), behind=float(difference.sum()), behind_error=spread)
         )
     judged.sort(key=lambda one: (one.points, one.error))
     good = [one for one in judged if one.behind <= one.behind_error]

@@ -125,9 +125,7 @@ def _divide(above: float, below: float) -> float:
     return float(above / below) if below > 0.0 else float("nan")
 
 
-def _ratio(
-    ours: float, theirs: float, ours_drawn: np.ndarray, theirs_drawn: np.ndarray
-) -> tuple[float, float, float]:
+def _ratio(ours: float, theirs: float, ours_drawn: np.ndarray, theirs_drawn: np.ndarray) -> tuple[float, float, float]:
     """Return the ratio and the ends of its interval."""
     good = theirs_drawn > 0.0
     if not good.any():
@@ -194,9 +192,7 @@ def _left_while_driving(running: Sequence[Comparison]) -> str:
         return ""
     worst = max(filter(does_harm, running), key=lambda c: c.to_nominal[0], default=None)
     left = (
-        f"{worst.state} is {_beside_one(worst.to_nominal[0])} times as wrong at most"
-        if worst
-        else "no state is worse"
+        f"{worst.state} is {_beside_one(worst.to_nominal[0])} times as wrong at most" if worst else "no state is worse"
     )
     return f". With a running trust (NAME_observe in an export) {left}"
 

@@ -19,10 +19,20 @@ _SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(12))
 # atan(y)/y in y^2: the polynomial through 13 Chebyshev nodes of 0 to tan(pi/8)^2, worked out with 40 digits; it is
 # off by less than 1e-17.
 _ATAN = (
-    1.0, -0.33333333333333326, 0.19999999999997015, -0.1428571428532971, 0.11111111085322109, -0.09090908059031191,
-    0.07692281099937744, -0.06666205259976526, 0.05876834004614161, -0.05217312574061591, 0.04499500728984032,
-    -0.03338782450121195, 0.015113765096600925,
-)  # fmt: skip
+    1.0,
+    -0.33333333333333326,
+    0.19999999999997015,
+    -0.1428571428532971,
+    0.11111111085322109,
+    -0.09090908059031191,
+    0.07692281099937744,
+    -0.06666205259976526,
+    0.05876834004614161,
+    -0.05217312574061591,
+    0.04499500728984032,
+    -0.03338782450121195,
+    0.015113765096600925,
+)
 
 
 @compiled(cache=True, nogil=True, inline="always")
@@ -90,10 +100,24 @@ def cosine(x: ndarray) -> ndarray:
 
 @compiled(cache=True, nogil=True, error_model="numpy")
 def balance(
-    front_along: ndarray, front_across: ndarray, rear_along: ndarray, rear_across: ndarray, along: ndarray,
-    across: ndarray, moment: ndarray, sine: ndarray, cosine: ndarray, vx: ndarray, vy: ndarray, r: ndarray,
-    mass: float, rotating_mass: float, yaw_inertia: float, l_f: float, l_r: float,
-) -> ndarray:  # fmt: skip
+    front_along: ndarray,
+    front_across: ndarray,
+    rear_along: ndarray,
+    rear_across: ndarray,
+    along: ndarray,
+    across: ndarray,
+    moment: ndarray,
+    sine: ndarray,
+    cosine: ndarray,
+    vx: ndarray,
+    vy: ndarray,
+    r: ndarray,
+    mass: float,
+    rotating_mass: float,
+    yaw_inertia: float,
+    l_f: float,
+    l_r: float,
+) -> ndarray:
     """Return v_x', v_y' [m/s^2] and r' [rad/s^2], shape (3, N); see `SingleTrack.balance`."""
     out = np.empty((3, vx.size))
     driven = mass / (mass + rotating_mass)

@@ -87,9 +87,7 @@ def convert_parameters(sources: Sequence[str | Path], *, alpha_max: float = 0.18
             content |= _read(beside)
         return _finish("CommonRoad", *_commonroad(content, where), name, where, alpha_max)
     if {"C_Pf", "C_Pr"} <= content.keys() or ("l_f" in content and {"C_Sf", "C_Sr"} <= content.keys()):
-        return _finish(
-            "ForzaETH", *_forzaeth(content, where), str(content.get("model_name", name)), where, alpha_max
-        )
+        return _finish("ForzaETH", *_forzaeth(content, where), str(content.get("model_name", name)), where, alpha_max)
     flat = {_F1TENTH_LONG_NAMES.get(key, key): value for key, value in content.items()}
     if {"C_Sf", "C_Sr", "lf", "lr"} <= flat.keys():
         return _finish("F1TENTH", *_f1tenth(flat, where), name, where, alpha_max)
@@ -100,14 +98,27 @@ def convert_parameters(sources: Sequence[str | Path], *, alpha_max: float = 0.18
 
 # The C++ simulator of F1TENTH names the same parameters otherwise than the gym.
 _F1TENTH_LONG_NAMES = {
-    "friction_coeff": "mu", "C_S_front": "C_Sf", "C_S_rear": "C_Sr", "l_cg2front": "lf", "l_cg2rear": "lr",
-    "height_cg": "h", "mass": "m", "moment_inertia": "I", "max_accel": "a_max",
-}  # fmt: skip
+    "friction_coeff": "mu",
+    "C_S_front": "C_Sf",
+    "C_S_rear": "C_Sr",
+    "l_cg2front": "lf",
+    "l_cg2rear": "lr",
+    "height_cg": "h",
+    "mass": "m",
+    "moment_inertia": "I",
+    "max_accel": "a_max",
+}
 #: Keys of each project, and ours; those in `_OPTIONAL` may be missing.
 _COMMONROAD = {
-    "m": "mass", "I_z": "yaw_inertia", "a": "cg_to_front_axle", "b": "cg_to_rear_axle", "R_w": "wheel_radius",
-    "T_se": "drive_split_front", "T_sb": "brake_split_front", "h_cg": "cg_height",
-}  # fmt: skip
+    "m": "mass",
+    "I_z": "yaw_inertia",
+    "a": "cg_to_front_axle",
+    "b": "cg_to_rear_axle",
+    "R_w": "wheel_radius",
+    "T_se": "drive_split_front",
+    "T_sb": "brake_split_front",
+    "h_cg": "cg_height",
+}
 _F1TENTH = {
     "m": "mass",
     "I": "yaw_inertia",
@@ -154,9 +165,7 @@ def _axle_loads(m: float, l_f: float, l_r: float) -> tuple[float, float]:
 def _published(content: Mapping[str, Any], names: Mapping[str, str], where: str) -> dict[str, Any]:
     """Return our keys with what a source says of them."""
     there = {ours: theirs for theirs, ours in names.items() if theirs in content or theirs not in _OPTIONAL}
-    return {
-        ours: {"value": _value(content, theirs, where), "source": "published"} for ours, theirs in there.items()
-    }
+    return {ours: {"value": _value(content, theirs, where), "source": "published"} for ours, theirs in there.items()}
 
 
 def _commonroad(content: Mapping[str, Any], where: str) -> _Read:
@@ -187,9 +196,7 @@ def _f1tenth(content: Mapping[str, Any], where: str) -> _Read:
 
     mu = get("mu")
     loads = _axle_loads(get("m"), get("lf"), get("lr"))
-    tires = tuple(
-        _linear(mu * get(key) * load, mu * load) for key, load in zip(("C_Sf", "C_Sr"), loads, strict=True)
-    )
+    tires = tuple(_linear(mu * get(key) * load, mu * load) for key, load in zip(("C_Sf", "C_Sr"), loads, strict=True))
     mapping = _published(content, _F1TENTH, where) | _small_car(content, get("m"))
     return mapping, tires, [*_SMALL_CAR_ASSUMED, "C = 1.4: the source's tyre is linear"]
 
@@ -205,13 +212,10 @@ def _forzaeth(content: Mapping[str, Any], where: str) -> _Read:
     assumed = list(_SMALL_CAR_ASSUMED)
     if "C_Pf" in content:
         tires = tuple(
-            _pacejka(*_four(content[key], key, load, where))
-            for key, load in zip(("C_Pf", "C_Pr"), loads, strict=True)
+            _pacejka(*_four(content[key], key, load, where)) for key, load in zip(("C_Pf", "C_Pr"), loads, strict=True)
         )
     else:
-        tires = tuple(
-            _linear(get(key) * load, mu * load) for key, load in zip(("C_Sf", "C_Sr"), loads, strict=True)
-        )
+        tires = tuple(_linear(get(key) * load, mu * load) for key, load in zip(("C_Sf", "C_Sr"), loads, strict=True))
         assumed.append("C = 1.4: the source's tyre is linear")
     return _published(content, _FORZAETH, where) | _small_car(content, get("m")), tires, assumed
 
@@ -297,9 +301,7 @@ def fit_magic_formula(
     return tire, *_deviation(force, tire, grid)
 
 
-def _deviation(
-    force: Callable[[np.ndarray], np.ndarray], tire: MagicFormula, grid: np.ndarray
-) -> tuple[float, float]:
+def _deviation(force: Callable[[np.ndarray], np.ndarray], tire: MagicFormula, grid: np.ndarray) -> tuple[float, float]:
     error = np.abs(lateral_force(tire.B, tire.C, tire.D, grid) - force(grid))
     return float(error.max()), float(abs(grid[error.argmax()]))
 

@@ -190,9 +190,7 @@ def _rk4(model: SingleTrack, rows: list[np.ndarray], inputs: Any, step: float, t
     k2 = derivative([x + 0.5 * step * k for x, k in zip(rows, k1, strict=True)], 0.5)
     k3 = derivative([x + 0.5 * step * k for x, k in zip(rows, k2, strict=True)], 0.5)
     k4 = derivative([x + step * k for x, k in zip(rows, k3, strict=True)], 1.0)
-    return [
-        x + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for x, a, b, c, d in zip(rows, k1, k2, k3, k4, strict=True)
-    ]
+    return [x + step / 6.0 * (a + 2.0 * b + 2.0 * c + d) for x, a, b, c, d in zip(rows, k1, k2, k3, k4, strict=True)]
 
 
 def phi_matrix(jacobian: np.ndarray, horizon: float) -> np.ndarray:

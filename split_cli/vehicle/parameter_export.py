@@ -75,10 +75,15 @@ def _f1tenth(vehicle: Vehicle, loads: np.ndarray, tires: tuple[MagicFormula, Mag
     slopes = [t.B * t.C * t.D for t in tires]
     stiffness = [slope / (mu * load) for slope, load in zip(slopes, loads.tolist(), strict=True)]
     content = {
-        "mu": mu, "C_Sf": stiffness[0], "C_Sr": stiffness[1], "lf": vehicle.cg_to_front_axle,
-        "lr": vehicle.cg_to_rear_axle, "m": vehicle.mass, "I": vehicle.yaw_inertia,
+        "mu": mu,
+        "C_Sf": stiffness[0],
+        "C_Sr": stiffness[1],
+        "lf": vehicle.cg_to_front_axle,
+        "lr": vehicle.cg_to_rear_axle,
+        "m": vehicle.mass,
+        "I": vehicle.yaw_inertia,
         "a_max": _largest_acceleration(vehicle),
-    }  # fmt: skip
+    }
     laws: list[_Law] = [partial(np.multiply, slope) for slope in slopes]
     return content, laws, ["the tyres' saturation: the format is linear", "limits of steering and size of the car"]
 
@@ -86,13 +91,20 @@ def _f1tenth(vehicle: Vehicle, loads: np.ndarray, tires: tuple[MagicFormula, Mag
 def _forzaeth(vehicle: Vehicle, loads: np.ndarray, tires: tuple[MagicFormula, MagicFormula]) -> _Parts:
     rows = [[t.B, t.C, t.D / load, 0.0] for t, load in zip(tires, loads.tolist(), strict=True)]
     content: dict[str, Any] = {
-        "C_Pf": rows[0], "C_Pr": rows[1], "I_z": vehicle.yaw_inertia, "l_f": vehicle.cg_to_front_axle,
-        "l_r": vehicle.cg_to_rear_axle, "l_wb": vehicle.wheelbase, "m": vehicle.mass, "mu": 1.0,
-        "a_max": _largest_acceleration(vehicle), "model_name": vehicle.name, "tire_model": "pacejka",
-    }  # fmt: skip
+        "C_Pf": rows[0],
+        "C_Pr": rows[1],
+        "I_z": vehicle.yaw_inertia,
+        "l_f": vehicle.cg_to_front_axle,
+        "l_r": vehicle.cg_to_rear_axle,
+        "l_wb": vehicle.wheelbase,
+        "m": vehicle.mass,
+        "mu": 1.0,
+        "a_max": _largest_acceleration(vehicle),
+        "model_name": vehicle.name,
+        "tire_model": "pacejka",
+    }
     laws: list[_Law] = [
-        partial(full_magic_formula, r[0], r[1], r[2] * load, 0.0)
-        for r, load in zip(rows, loads.tolist(), strict=True)
+        partial(full_magic_formula, r[0], r[1], r[2] * load, 0.0) for r, load in zip(rows, loads.tolist(), strict=True)
     ]
     return content, laws, ["wheel radius and torque split"]
 
@@ -102,14 +114,17 @@ def _commonroad(vehicle: Vehicle, loads: np.ndarray, tires: tuple[MagicFormula, 
     slope = float(sum(t.B * t.C * t.D for t in tires) / loads.sum())
     C = float(np.average([t.C for t in tires], weights=loads))
     content: dict[str, Any] = {
-        "m": vehicle.mass, "I_z": vehicle.yaw_inertia, "a": vehicle.cg_to_front_axle, "b": vehicle.cg_to_rear_axle,
-        "R_w": vehicle.wheel_radius, "T_sb": vehicle.brake_split_front, "T_se": vehicle.drive_split_front,
+        "m": vehicle.mass,
+        "I_z": vehicle.yaw_inertia,
+        "a": vehicle.cg_to_front_axle,
+        "b": vehicle.cg_to_rear_axle,
+        "R_w": vehicle.wheel_radius,
+        "T_sb": vehicle.brake_split_front,
+        "T_se": vehicle.drive_split_front,
         "longitudinal": {"a_max": _largest_acceleration(vehicle)},
         "tire": {"p_cy1": C, "p_dy1": mu, "p_ey1": 0.0, "p_ky1": -slope},
-    }  # fmt: skip
-    laws: list[_Law] = [
-        partial(full_magic_formula, slope / (C * mu), C, mu * load, 0.0) for load in loads.tolist()
-    ]
+    }
+    laws: list[_Law] = [partial(full_magic_formula, slope / (C * mu), C, mu * load, 0.0) for load in loads.tolist()]
     return content, laws, ["the difference of the axles' tyres", "limits of steering and size of the car"]
 
 

@@ -153,15 +153,27 @@ class Vehicle:
 
 
 _POSITIVE = (
-    "mass", "yaw_inertia", "cg_to_front_axle", "cg_to_rear_axle", "wheel_radius", "max_torque", "max_brake_torque",
-    "cg_height", "friction_coefficient",
-)  # fmt: skip
+    "mass",
+    "yaw_inertia",
+    "cg_to_front_axle",
+    "cg_to_rear_axle",
+    "wheel_radius",
+    "max_torque",
+    "max_brake_torque",
+    "cg_height",
+    "friction_coefficient",
+)
 _NOT_NEGATIVE = ("rolling_resistance_front", "rolling_resistance_rear", "drag_coefficient")
 _SHARES = ("drive_split_front", "brake_split_front")
 _OPTIONAL = {
-    "brake_split_front", "max_brake_torque", "rolling_resistance_front", "rolling_resistance_rear",
-    "drag_coefficient", "cg_height", "friction_coefficient",
-}  # fmt: skip
+    "brake_split_front",
+    "max_brake_torque",
+    "rolling_resistance_front",
+    "rolling_resistance_rear",
+    "drag_coefficient",
+    "cg_height",
+    "friction_coefficient",
+}
 _NUMBERS = (*_POSITIVE, *_NOT_NEGATIVE, *_SHARES)
 _KEYS = ("name", *_NUMBERS, "front_tire", "rear_tire", "effects")
 
@@ -296,14 +308,22 @@ def _tire(key: str, content: Any, source: _Values) -> MagicFormula:
 # What any vehicle on wheels can have, from a model on a desk to a loaded mining truck. A value outside is a unit
 # gone wrong (g for kg, mm for m), not a choice.
 _VALUES_OF_CARS = {
-    "mass": (0.01, 1e6, "kg"), "yaw_inertia": (1e-6, 1e8, "kg m^2"),
-    "cg_to_front_axle": (5e-3, 50.0, "m"), "cg_to_rear_axle": (5e-3, 50.0, "m"),
-    "wheel_radius": (2e-3, 5.0, "m"), "max_torque": (1e-4, 1e7, "N m"), "max_brake_torque": (1e-4, 1e7, "N m"),
-    "cg_height": (1e-3, 20.0, "m"), "friction_coefficient": (1e-3, 10.0, ""),
-    "rolling_resistance_front": (0.0, 1e6, "N"), "rolling_resistance_rear": (0.0, 1e6, "N"),
-    "drag_coefficient": (0.0, 1e4, "N/(m/s)^2"), "B": (1e-2, 1e3, "1/rad"), "C": (1e-3, 2.0, ""),
+    "mass": (0.01, 1e6, "kg"),
+    "yaw_inertia": (1e-6, 1e8, "kg m^2"),
+    "cg_to_front_axle": (5e-3, 50.0, "m"),
+    "cg_to_rear_axle": (5e-3, 50.0, "m"),
+    "wheel_radius": (2e-3, 5.0, "m"),
+    "max_torque": (1e-4, 1e7, "N m"),
+    "max_brake_torque": (1e-4, 1e7, "N m"),
+    "cg_height": (1e-3, 20.0, "m"),
+    "friction_coefficient": (1e-3, 10.0, ""),
+    "rolling_resistance_front": (0.0, 1e6, "N"),
+    "rolling_resistance_rear": (0.0, 1e6, "N"),
+    "drag_coefficient": (0.0, 1e4, "N/(m/s)^2"),
+    "B": (1e-2, 1e3, "1/rad"),
+    "C": (1e-3, 2.0, ""),
     "D": (1e-3, 1e8, "N"),
-}  # fmt: skip
+}
 
 
 def _refuse_no_car(values: Mapping[str, float], where: str, prefix: str = "") -> None:

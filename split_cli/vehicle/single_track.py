@@ -32,9 +32,7 @@ _FORCES = {
 _BALANCED_BY = ("mass", "yaw_inertia", "l_f", "l_r", "rotating_mass", "sine", "cosine")
 
 
-def slip_angles(
-    vx: Any, vy: Any, r: Any, delta: Any, l_f: Any, l_r: Any, ops: Operations = NUMPY
-) -> tuple[Any, Any]:
+def slip_angles(vx: Any, vy: Any, r: Any, delta: Any, l_f: Any, l_r: Any, ops: Operations = NUMPY) -> tuple[Any, Any]:
     """Return front and rear slip angle [rad]; a positive angle gives a positive (leftward) force.
 
     Notes
@@ -156,9 +154,20 @@ class SingleTrack:
         return flow
 
     def actuated(
-        self, vx: Any, vy: Any, r: Any, T: Any, delta: Any, *, yaw: Any = 0.0, t: Any = 0.0, s: Any = 0.0,
-        ops: Operations = NUMPY, states: Mapping[str, Any] | None = None, recording: Any = None,
-    ) -> Flow:  # fmt: skip
+        self,
+        vx: Any,
+        vy: Any,
+        r: Any,
+        T: Any,
+        delta: Any,
+        *,
+        yaw: Any = 0.0,
+        t: Any = 0.0,
+        s: Any = 0.0,
+        ops: Operations = NUMPY,
+        states: Mapping[str, Any] | None = None,
+        recording: Any = None,
+    ) -> Flow:
         """Return the flow as far as its first stage: what has become of the commands; parameters as of `flow`."""
         car = self.vehicle
         flow = Flow(

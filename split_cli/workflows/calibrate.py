@@ -127,9 +127,7 @@ def convert_files(sources: Sequence[str | Path], output: str | Path, *, alpha_ma
     return conversion
 
 
-def write_foreign(
-    source: str | Path, output: str | Path, kind: str, *, alpha_max: float = 0.18
-) -> ForeignParameters:
+def write_foreign(source: str | Path, output: str | Path, kind: str, *, alpha_max: float = 0.18) -> ForeignParameters:
     """Write a vehicle file as another project's parameters, YAML.
 
     Raises

@@ -144,9 +144,15 @@ def compare_models(
     scores = rank(pooled)
     by_drive = tuple((name, rank(found)) for name, found, _ in parts) if len(parts) > 1 else ()
     return ModelComparison(
-        tuple(names), tuple(name for name, *_ in parts), len(pooled[0].held), sum(d for *_, d in parts), scores,
-        by_drive, worse_than(scores, pooled, names[0]), (*repeated, *_notes(models, drives, parts)),
-    )  # fmt: skip
+        tuple(names),
+        tuple(name for name, *_ in parts),
+        len(pooled[0].held),
+        sum(d for *_, d in parts),
+        scores,
+        by_drive,
+        worse_than(scores, pooled, names[0]),
+        (*repeated, *_notes(models, drives, parts)),
+    )
 
 
 def _each_once(drives: Sequence[Drive]) -> tuple[list[Drive], list[str]]:

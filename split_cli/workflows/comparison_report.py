@@ -21,9 +21,21 @@ from split_cli.workflows.report.comparison import comparison_page
 
 _SHOWN = 4
 _COLUMNS = (
-    "drive", "model", "horizon_s", "state", "unit", "rmse", "low_95", "high_95", "fit_percent", "skill", "to_best",
-    "to_best_low", "to_best_high", "best",
-)  # fmt: skip
+    "drive",
+    "model",
+    "horizon_s",
+    "state",
+    "unit",
+    "rmse",
+    "low_95",
+    "high_95",
+    "fit_percent",
+    "skill",
+    "to_best",
+    "to_best_low",
+    "to_best_high",
+    "best",
+)
 
 
 def write_comparison(

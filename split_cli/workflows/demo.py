@@ -55,31 +55,46 @@ def find_samples(folder: str | Path | None = None) -> Path:
 def demo_steps(samples: Path, output: Path) -> tuple[DemoStep, ...]:
     """Return the commands of the demo, reading `samples` and writing into `output`."""
     vehicle = typed_path(samples / VEHICLE)
-    drives = {
-        log: typed_path(output / Path(log).with_suffix(".parquet").name) for log in (TRAINING_LOG, HELD_OUT_LOG)
-    }
+    drives = {log: typed_path(output / Path(log).with_suffix(".parquet").name) for log in (TRAINING_LOG, HELD_OUT_LOG)}
     trained = typed_path(output / "road_car.split")
 
     def ingest(log: str) -> tuple[str, ...]:
         return ("ingest", typed_path(samples / log), "--vehicle", vehicle, "--map", "split_sim", "-o", drives[log])
 
     return (
-        DemoStep("Read a recording: ROS 2 messages in MCAP, each channel with a rate and a clock of its own.",
-                 ingest(TRAINING_LOG)),
+        DemoStep(
+            "Read a recording: ROS 2 messages in MCAP, each channel with a rate and a clock of its own.",
+            ingest(TRAINING_LOG),
+        ),
         DemoStep("Read another one, which the training will not see.", ingest(HELD_OUT_LOG)),
-        DemoStep("Learn what the nominal model gets wrong.",
-                 ("train", drives[TRAINING_LOG], "--vehicle", vehicle, "-o", trained)),
-        DemoStep("Score it on the recording it has not seen, beside persistence and the noise floor.",
-                 ("evaluate", drives[HELD_OUT_LOG], "--set", trained, "-o", typed_path(output / "figures"))),
-        DemoStep("Write it as C99 and as a CasADi function, verified against Python.",
-                 ("export", trained, "--target", "c", "--target", "casadi",
-                  "-o", typed_path(output / "controller"))),
+        DemoStep(
+            "Learn what the nominal model gets wrong.",
+            ("train", drives[TRAINING_LOG], "--vehicle", vehicle, "-o", trained),
+        ),
+        DemoStep(
+            "Score it on the recording it has not seen, beside persistence and the noise floor.",
+            ("evaluate", drives[HELD_OUT_LOG], "--set", trained, "-o", typed_path(output / "figures")),
+        ),
+        DemoStep(
+            "Write it as C99 and as a CasADi function, verified against Python.",
+            ("export", trained, "--target", "c", "--target", "casadi", "-o", typed_path(output / "controller")),
+        ),
         DemoStep("Ask what a file is.", ("info", trained)),
-        DemoStep("Another pair: a real drive and its simulation, which differ in one thing. Say what it is.",
-                 ("diagnose", "--real", typed_path(samples / REAL_LOG),
-                  "--sim", typed_path(samples / SIMULATED_LOG),
-                  "--vehicle", vehicle, "--out", typed_path(output / DIAGNOSIS))),
-    )  # fmt: skip
+        DemoStep(
+            "Another pair: a real drive and its simulation, which differ in one thing. Say what it is.",
+            (
+                "diagnose",
+                "--real",
+                typed_path(samples / REAL_LOG),
+                "--sim",
+                typed_path(samples / SIMULATED_LOG),
+                "--vehicle",
+                vehicle,
+                "--out",
+                typed_path(output / DIAGNOSIS),
+            ),
+        ),
+    )
 
 
 def closing_words(output: Path) -> str:

@@ -12,14 +12,7 @@ from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart, thinned
-from split_cli.plots.charts import (
-    Subject,
-    drive_charts,
-    handling_charts,
-    tire_charts,
-    track_chart,
-    whiteness_chart,
-)
+from split_cli.plots.charts import Subject, drive_charts, handling_charts, tire_charts, track_chart, whiteness_chart
 from split_cli.plots.charts.tires import LearnedForces
 from split_cli.prediction import DEFAULT_PREDICTOR, make_predictor
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
@@ -61,8 +54,7 @@ def diagnosis_charts(
     drive = max(drives, key=len)
     nominal_drive = RecordingCorrection(vehicle)(drive)
     effects = [
-        EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant)
-        for f in diagnosis.findings
+        EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant) for f in diagnosis.findings
     ]
     subjects = [Subject("measured", "measured", drive)]
     if simulated:

@@ -155,8 +155,7 @@ def evaluate(
         vehicle=vehicle.name,
         drives=facts,
         sets=tuple(
-            SetFacts(name, own.size, own.cell_count, own.kernel, own.trust, own.found)
-            for name, _, own in labelled_sets
+            SetFacts(name, own.size, own.cell_count, own.kernel, own.trust, own.found) for name, _, own in labelled_sets
         ),
         scores=tuple(scores),
         noise_floor=pooled_noise_floor(model, nominal),
@@ -171,11 +170,7 @@ def evaluate(
             *_not_unseen(labelled_sets[0], settings, trained is None),
             *_notes_of_sets(labelled_sets, settings, trained is None),
             *correct.notes,
-            *(
-                text
-                for s in _not_judged(trained, drives)
-                for text in ingest_found(s.name, (*s.faults, *s.remarks))
-            ),
+            *(text for s in _not_judged(trained, drives) for text in ingest_found(s.name, (*s.faults, *s.remarks))),
             *(lag_note(own) for *_, own in labelled_sets if found_lag(own) is not None),
             *warnings_of(says_something([c for c in comparisons if c.name in settings.predictors], drives)),
             *(interval_warnings(shown, intervals) if trained else ()),
@@ -247,8 +242,7 @@ def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: Evaluatio
 
     def relabelled(late: Vehicle) -> Prepared[TrainingSet]:
         again = [
-            compute_labels(h.drive, late, h.labels.features, h.labels.region, horizon=settings.horizon)
-            for h in held
+            compute_labels(h.drive, late, h.labels.features, h.labels.region, horizon=settings.horizon) for h in held
         ]
         return prepared(late, [replace(h, labels=made) for h, made in zip(held, again, strict=True)])
 

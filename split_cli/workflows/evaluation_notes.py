@@ -29,9 +29,7 @@ def derived_states(drives: Iterable[DriveMetadata]) -> dict[str, str]:
     """Return the states whose error says nothing, since an input was made of the motion itself, and why."""
     if not any(one.torque_follows_motion for one in drives):
         return {}
-    return {
-        "v_x": "T was derived from the acceleration, so the error of v_x says nothing. The headline leaves it out"
-    }
+    return {"v_x": "T was derived from the acceleration, so the error of v_x says nothing. The headline leaves it out"}
 
 
 def says_something(comparisons: Sequence[Comparison], drives: Sequence[Drive]) -> list[Comparison]:
@@ -106,9 +104,7 @@ def in_sample(model: str, drive: str) -> str:
     return f"IN SAMPLE: {model} was trained on {drive}; its scores say nothing of other drives"
 
 
-def not_unseen(
-    model: str, trained: TrainingSet, drive: Drive, z: np.ndarray, its_own: int | None = None
-) -> list[str]:
+def not_unseen(model: str, trained: TrainingSet, drive: Drive, z: np.ndarray, its_own: int | None = None) -> list[str]:
     """Return which other drives of a set share rows with the one that is scored.
 
     Parameters

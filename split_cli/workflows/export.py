@@ -33,13 +33,9 @@ def export_doubts(training_set: TrainingSet) -> tuple[str, ...]:
     doubts = [text for s in training_set.sources for text in ingest_found(s.name, s.faults)]
     accepted = sum(source.accepted for source in training_set.sources)
     if training_set.sources and accepted < FEWEST_TO_FIT:
-        doubts.append(
-            f"{accepted} labels were learned, fewer than the {FEWEST_TO_FIT} that fitting a kernel needs"
-        )
+        doubts.append(f"{accepted} labels were learned, fewer than the {FEWEST_TO_FIT} that fitting a kernel needs")
     if not any(training_set.trust.share):
-        doubts.append(
-            "the correction helped no output on held-out driving, so the export would be the nominal model"
-        )
+        doubts.append("the correction helped no output on held-out driving, so the export would be the nominal model")
     return tuple(doubts)
 
 

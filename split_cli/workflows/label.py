@@ -112,9 +112,7 @@ def label_drives(
     SplitError
         If two drives would have one label file, or a drive cannot be labelled.
     """
-    sources = [
-        s for s in find_sources(addresses, (".parquet",), what="drive") if ".labels" not in Path(s.place).name
-    ]
+    sources = [s for s in find_sources(addresses, (".parquet",), what="drive") if ".labels" not in Path(s.place).name]
     if not sources:
         what = "there are label files and no drive"
         raise SplitError(what, where=", ".join(map(str, addresses)), advice="Name the drives, or their folder.")

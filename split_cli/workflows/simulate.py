@@ -24,9 +24,18 @@ FORMATS = ("mcap", "csv", "parquet")
 INSTRUMENTS = ("full", "lean", "perfect")
 TABLE_RATE = 100.0
 _TRUTH_EXTRAS = (
-    "s", "T_actual", "delta_actual", "load_fl", "load_fr", "load_rl", "load_rr",
-    "wheel_speed_fl", "wheel_speed_fr", "wheel_speed_rl", "wheel_speed_rr",
-)  # fmt: skip
+    "s",
+    "T_actual",
+    "delta_actual",
+    "load_fl",
+    "load_fr",
+    "load_rl",
+    "load_rr",
+    "wheel_speed_fl",
+    "wheel_speed_fr",
+    "wheel_speed_rl",
+    "wheel_speed_rr",
+)
 _PAUSE_BETWEEN_TESTS = 10.0
 # A car's actuators keep a command until the next one.
 _BETWEEN = {"T": "held", "delta": "held"}
@@ -81,9 +90,7 @@ def effect_kinds() -> dict[str, EffectKind]:
     return dict(EFFECTS)
 
 
-def simulate_log(
-    settings: SimulateSettings, output: str | Path, *, truth: str | Path | None = None
-) -> SimulatedLog:
+def simulate_log(settings: SimulateSettings, output: str | Path, *, truth: str | Path | None = None) -> SimulatedLog:
     """Drive the plant once and write the log; with `truth`, the noise-free states as a drive too.
 
     Raises

@@ -18,9 +18,30 @@ from split_cli.logs.readers.numpy_arrays import is_array_folder
 from split_cli.logs.readers.opening import is_prose
 
 LOG_SUFFIXES = (
-    ".mcap", ".bag", ".db3", ".csv", ".txt", ".vbo", ".parquet", ".feather", ".mat", ".mf4", ".mdf", ".blf",
-    ".asc", ".trc", ".jsonl", ".ascii", ".lvm", ".tsv", ".arrow", ".mcap.zstd", ".db3.zstd", ".npz", ".ibt",
-)  # fmt: skip
+    ".mcap",
+    ".bag",
+    ".db3",
+    ".csv",
+    ".txt",
+    ".vbo",
+    ".parquet",
+    ".feather",
+    ".mat",
+    ".mf4",
+    ".mdf",
+    ".blf",
+    ".asc",
+    ".trc",
+    ".jsonl",
+    ".ascii",
+    ".lvm",
+    ".tsv",
+    ".arrow",
+    ".mcap.zstd",
+    ".db3.zstd",
+    ".npz",
+    ".ibt",
+)
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
 _COPY_BYTES = 1 << 22
 
@@ -68,8 +89,16 @@ class SourceFile:
 
 
 _IDENTITY = {
-    "size", "etag", "mtime", "lastmodified", "last_modified", "modified", "created", "generation", "version_id",
-}  # fmt: skip
+    "size",
+    "etag",
+    "mtime",
+    "lastmodified",
+    "last_modified",
+    "modified",
+    "created",
+    "generation",
+    "version_id",
+}
 
 
 def is_remote(address: str | Path) -> bool:

@@ -155,8 +155,12 @@ def compare(name: str, grid, z: np.ndarray, capacity: int = 10, repeat: int = 5)
         updates = printed_way(groups, cells, order, z, scales, 1e-3, count, points, gains, kept)
         times["printed"] = min(times["printed"], time.process_time() - begin)
         own, own_gains, then, origin, number = (
-            np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape), np.full(shape, -1), np.zeros(len(cells), int)
-        )  # fmt: skip
+            np.zeros((*shape, 3)),
+            np.zeros(shape),
+            np.zeros(shape),
+            np.full(shape, -1),
+            np.zeros(len(cells), int),
+        )
         sums, samples = np.zeros((*shape, capacity + 3)), np.concatenate([z, z[::-1]], axis=1)
         begin = time.process_time()
         update_cells(

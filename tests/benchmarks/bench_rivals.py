@@ -162,8 +162,7 @@ def projected(stream: Stream, full: np.ndarray | None) -> Row:
     make().learn(stream.z[:1], stream.y[:1])
     process = make()
     times = [
-        spent(lambda at=k: process.learn(stream.z[at : at + 1], stream.y[at : at + 1]))
-        for k in range(len(stream.z))
+        spent(lambda at=k: process.learn(stream.z[at : at + 1], stream.y[at : at + 1])) for k in range(len(stream.z))
     ]
     query = each(process.along, [z[None] for z in stream.queries])
     mean, variance, _ = process.along(stream.queries)
@@ -305,17 +304,11 @@ def casadi_full(stream: Stream, compiler: Compiler) -> Row:
         times = each(call, list(stream.queries))
         size = (Path(scratch) / "full.c").stat().st_size / 1e6
     name = "full GP, CasADi's C, mean and Jacobian"
-    return Row(
-        name, len(stream.z), s.size, None, None, None, None, None, *times, megabytes=size, compile_s=seconds
-    )
+    return Row(name, len(stream.z), s.size, None, None, None, None, None, *times, megabytes=size, compile_s=seconds)
 
 
 def measure(
-    stream: Stream,
-    repeats: int,
-    compiler: Compiler | None,
-    log_gp: Path | None = None,
-    sky_gp: Path | None = None,
+    stream: Stream, repeats: int, compiler: Compiler | None, log_gp: Path | None = None, sky_gp: Path | None = None
 ) -> list[Row]:
     """Return the rows of one stream; every contestant `repeats` times, the median taken of each figure."""
     size, dense = len(stream.z), stream.trained.size <= 6000
@@ -435,9 +428,7 @@ def table_text(rows: list[Row]) -> str:
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Rows and machine.")
 @click.option("--stream", "stream_path", type=click.Path(path_type=Path), help="Samples and queries, npz.")
 @click.option("--log-gp", type=click.Path(exists=True, path_type=Path), help="Folder that holds LoGGP.py.")
-@click.option(
-    "--sky-gp", type=click.Path(exists=True, path_type=Path), help="Folder that holds models/SkyGP_BCM.py."
-)
+@click.option("--sky-gp", type=click.Path(exists=True, path_type=Path), help="Folder that holds models/SkyGP_BCM.py.")
 def main(
     sizes: str,
     length_scale: float,

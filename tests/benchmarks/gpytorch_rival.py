@@ -69,7 +69,16 @@ def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) 
     how = ", one output after the other" if alone else ""
     size, count = len(stream.z), len(points)
     return [
-        Row(f"GPyTorch, exact{how}", size, count, build, None, None, *percentiles(list(cached)),
-            **accuracy(mean, variance, stream, full, ours=False), megabytes=peak),
+        Row(
+            f"GPyTorch, exact{how}",
+            size,
+            count,
+            build,
+            None,
+            None,
+            *percentiles(list(cached)),
+            **accuracy(mean, variance, stream, full, ours=False),
+            megabytes=peak,
+        ),
         Row(f"GPyTorch, update then predict{how}", size, count, None, None, None, *percentiles(list(anew))),
-    ]  # fmt: skip
+    ]

@@ -98,9 +98,7 @@ def section(case: Case, folder: Path, datasets: Path | None) -> str:
 
 def split(*arguments: str) -> str:
     """Run the command line and return its stdout."""
-    finished = subprocess.run(
-        [sys.executable, "-m", "split_cli", *arguments], capture_output=True, text=True, cwd=ROOT
-    )
+    finished = subprocess.run([sys.executable, "-m", "split_cli", *arguments], capture_output=True, text=True, cwd=ROOT)
     if finished.returncode:
         raise SystemExit(f"split {' '.join(arguments)}: {finished.stderr}")
     return finished.stdout
@@ -117,8 +115,16 @@ def score_table(report: dict) -> list[str]:
         coverage = "/".join(f"{100 * c:.0f}" for c in s["coverage_95"]) if s["coverage_95"] else ""
         time = f"{1e6 * s['time_per_query']:.0f}" if s["time_per_query"] else ""
         v_x, v_y, r, norm = s["rmse"]
-        cells = [s["name"], s["features"], s["points"] or "", *map(number, (norm, v_x, v_y, r)),
-                 f"{s['skill_velocity_held'][3]:.3f}", likelihood, coverage, time]  # fmt: skip
+        cells = [
+            s["name"],
+            s["features"],
+            s["points"] or "",
+            *map(number, (norm, v_x, v_y, r)),
+            f"{s['skill_velocity_held'][3]:.3f}",
+            likelihood,
+            coverage,
+            time,
+        ]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     floor = report["noise_floor"]
     if floor and floor["rms"]:
@@ -158,9 +164,7 @@ def rollout_table(report: dict) -> list[str]:
     for r in report["rollouts"]:
         if r["features"] in ("", "z2") and r["name"] in ("nominal", "velocity held", "bcm"):
             place = number(r["distance"]) if r.get("distance") is not None else ""
-            lines.append(
-                f"| {r['horizon']:g} s | {r['name']} | {' | '.join(map(number, r['rmse'][:3]))} | {place} |"
-            )
+            lines.append(f"| {r['horizon']:g} s | {r['name']} | {' | '.join(map(number, r['rmse'][:3]))} | {place} |")
     return lines
 
 

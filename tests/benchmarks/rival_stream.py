@@ -122,8 +122,9 @@ def stream_of(size: int, length_scale: float, tuned: bool = False) -> Stream:
     capacity = 10 if size <= 10_000 else 60
     if tuned:
         kernel = fit_kernel(z, y, start.grid, kernel).kernel
-    trained = learn([make_labels(z, y, start.vehicle)], vehicle=start.vehicle, grid=start.grid, kernel=kernel,
-                    capacity=capacity)  # fmt: skip
+    trained = learn(
+        [make_labels(z, y, start.vehicle)], vehicle=start.vehicle, grid=start.grid, kernel=kernel, capacity=capacity
+    )
     queries = valid_features(start.vehicle, start.region, QUERIES, seed=7)
     rivals = RivalKernel.fitted(z, y, kernel) if tuned else RivalKernel.of(kernel)
     points, nothing = (z, y) if tuned else (trained.z, trained.y), np.zeros(3)

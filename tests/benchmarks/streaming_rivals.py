@@ -71,12 +71,21 @@ def sky_gp_rows(folder: Path, stream: Stream, full: np.ndarray | None) -> list[R
     kernel, rows = stream.rivals, []
     for points, nearest, looked_at in SKY_SETTINGS:
         models = [
-            One(3, 1, max_data_per_expert=points, nearest_k=nearest, max_experts=looked_at or 10**6,
-                 timescale=0.03 if looked_at else 1e-3,  # how far a query moves until all are looked at
-                 pretrained_params=(np.sqrt(kernel.signal_variance[[k]]), np.sqrt(kernel.noise_variance[[k]]),
-                                    kernel.length_scales[k].copy()))
+            One(
+                3,
+                1,
+                max_data_per_expert=points,
+                nearest_k=nearest,
+                max_experts=looked_at or 10**6,
+                timescale=0.03 if looked_at else 1e-3,  # how far a query moves until all are looked at
+                pretrained_params=(
+                    np.sqrt(kernel.signal_variance[[k]]),
+                    np.sqrt(kernel.noise_variance[[k]]),
+                    kernel.length_scales[k].copy(),
+                ),
+            )
             for k in range(3)
-        ]  # fmt: skip
+        ]
 
         def predict(z: np.ndarray, models: list = models) -> tuple[np.ndarray, np.ndarray]:
             answers = [model.predict(z) for model in models]

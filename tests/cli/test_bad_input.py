@@ -62,12 +62,8 @@ def test_an_input_is_never_overwritten(here, command, lost):
 
 def test_a_log_is_not_its_own_truth_and_both_places_are_checked_before_driving(here):
     common = ("simulate", "--track", "small", "--duration", 3)
-    refused(
-        *common, "--truth", "z.parquet", "-o", "z.parquet", says=("--truth", "overwritten"), output="z.parquet"
-    )
-    refused(
-        *common, "--truth", "no/t.parquet", "-o", "z.mcap", says=("no/t.parquet", "Create no"), output="z.mcap"
-    )
+    refused(*common, "--truth", "z.parquet", "-o", "z.parquet", says=("--truth", "overwritten"), output="z.parquet")
+    refused(*common, "--truth", "no/t.parquet", "-o", "z.mcap", says=("no/t.parquet", "Create no"), output="z.mcap")
     assert not (here / "z.mcap").exists()
 
 
@@ -116,9 +112,7 @@ def test_ingest_counts_impossible_numbers_and_keeps_the_rest(here):
         cells[place] = "-1e308"
         rows[row] = ",".join(cells)
     Path("hit.csv").write_text("\n".join(rows) + "\n")
-    refused(
-        "ingest", "hit.csv", "-o", "hit.parquet", says=("hit.csv", "vx", "no measurement"), output="hit.parquet"
-    )
+    refused("ingest", "hit.csv", "-o", "hit.parquet", says=("hit.csv", "vx", "no measurement"), output="hit.parquet")
 
 
 def read_ingested(log: str):
@@ -175,19 +169,14 @@ def test_damaged_metadata_of_a_drive_is_told(here, change, says):
     table = pa.parquet.read_table("d0.parquet")
     stored = {**json.loads(table.schema.metadata[b"split"]), **change}
     pa.parquet.write_table(table.replace_schema_metadata({"split": json.dumps(stored)}), "p.parquet")
-    refused(
-        "train", "p.parquet", "--vehicle", "car.yaml", "-o", "a.split", says=("p.parquet", *says), output="a.split"
-    )
+    refused("train", "p.parquet", "--vehicle", "car.yaml", "-o", "a.split", says=("p.parquet", *says), output="a.split")
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
         (("--vehicle", "other.yaml"), ("a.split", "was trained for the vehicle 'test car'")),
-        (
-            ("--vehicle", "car.yaml", "--features", "z1"),
-            ("features: alpha_f, alpha_r, torque_ratio; asked for: vx",),
-        ),
+        (("--vehicle", "car.yaml", "--features", "z1"), ("features: alpha_f, alpha_r, torque_ratio; asked for: vx",)),
         (("--vehicle", "car.yaml", "--capacity", 5), ("its capacity: 10; asked for: 5",)),
         (("--vehicle", "car.yaml", "--plain-labels"), ("its plain labels: False; asked for: True",)),
         (("--vehicle", "car.yaml", "--hyperparameters", "fit"), ("keeps its hyperparameters",)),
@@ -228,14 +217,10 @@ def test_a_set_cut_or_hit_anywhere_is_refused_by_every_command(here):
 
 
 # The others: tests/vehicle/test_parameters.py.
-@pytest.mark.parametrize(
-    ("text", "says"), [("[" * 1000, "nested too deeply"), ("masss: 5\n", "Did you mean mass")]
-)
+@pytest.mark.parametrize(("text", "says"), [("[" * 1000, "nested too deeply"), ("masss: 5\n", "Did you mean mass")])
 def test_a_vehicle_file_that_is_none_is_told_in_a_line(here, text, says):
     Path("v.yaml").write_text(text)
-    refused(
-        "label", "d0.parquet", "--vehicle", "v.yaml", "-o", "l.parquet", says=("v.yaml", says), output="l.parquet"
-    )
+    refused("label", "d0.parquet", "--vehicle", "v.yaml", "-o", "l.parquet", says=("v.yaml", says), output="l.parquet")
 
 
 def test_numbers_in_yaml_may_be_written_as_in_c(here):
@@ -258,18 +243,12 @@ def test_an_effect_too_fast_to_follow_is_not_waited_for(here):
     [
         ("preset: split_sim\nchannels: {w: {source: '/wheels/velocity[7]'}}", ("'/wheels/velocity[7]'", "to w")),
         ("preset: split_sim\nchannels: {vx: {source: /odometry/twist.twist.linear.x, scale: 0}}", ("scale is 0",)),
-        (
-            "preset: split_sim\nchannels: {vx: {source: /odometry/twist.x}}",
-            ("'/odometry/twist.x'", "Did you mean"),
-        ),
+        ("preset: split_sim\nchannels: {vx: {source: /odometry/twist.x}}", ("'/odometry/twist.x'", "Did you mean")),
         ("preset: split_sim\ntime: {source: stamp}", ("for tables", "header, publish, log")),
         ("preset: nope", ("no preset 'nope'",)),
         ("preset: 5", ("preset is 5", "a list of names was expected")),
         ("preset: [split_sim, split_sim]", ("names a preset twice",)),
-        (
-            f"preset: split_sim\nchannels: {{vx: {{source: {'x' * 100_000}}}}}",
-            ("the recording has no 'xxx", "[...]"),
-        ),
+        (f"preset: split_sim\nchannels: {{vx: {{source: {'x' * 100_000}}}}}", ("the recording has no 'xxx", "[...]")),
     ],
 )
 def test_a_map_that_cannot_be_right_is_refused(here, text, says):
@@ -281,9 +260,7 @@ def test_a_map_that_cannot_be_right_is_refused(here, text, says):
 
 def test_an_optional_element_past_the_end_of_every_list_is_said_not_to_be_recorded(here):
     Path("m.yaml").write_text("preset: split_sim\nchannels: {w: {source: '/wheels/velocity[7]', optional: true}}")
-    code, out, _ = tool(
-        "ingest", "lap.mcap", "--vehicle", "car.yaml", "--map", "m.yaml", "-o", "o.parquet", "--json"
-    )
+    code, out, _ = tool("ingest", "lap.mcap", "--vehicle", "car.yaml", "--map", "m.yaml", "-o", "o.parquet", "--json")
     assert code == 0
     assert json.loads(out)[0]["quality"]["skipped"] == ["w: no message has an element /wheels/velocity[7]"]
     assert "w" not in read_drive("o.parquet")

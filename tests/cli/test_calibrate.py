@@ -82,9 +82,14 @@ def test_two_runs_give_equal_files(calibrated, sample_logs, tmp_path):
 
 def test_tables_go_to_stdout_and_notes_to_stderr(sample_logs, tmp_path):
     result = run(
-        sample_logs / "f1tenth_car_tests.parquet", "--vehicle", sample_logs / "f1tenth_car_start.yaml",
-        "-o", tmp_path / "car.yaml", "--fit", "drag,rolling",
-    )  # fmt: skip
+        sample_logs / "f1tenth_car_tests.parquet",
+        "--vehicle",
+        sample_logs / "f1tenth_car_start.yaml",
+        "-o",
+        tmp_path / "car.yaml",
+        "--fit",
+        "drag,rolling",
+    )
     assert result.exit_code == 0
     assert "drag [N/(m/s)^2]" in result.stdout
     assert "note:" in result.stderr
@@ -152,10 +157,17 @@ def test_convert_writes_a_vehicle_and_tells_the_deviation(tmp_path):
     source = tmp_path / "car_model.yaml"
     source.write_text(
         yaml.safe_dump(
-            {"C_Pf": [4.8, 2.16, 0.65, 0.37], "C_Pr": [7.8, 2.9, 0.54, 0.66], "I_z": 0.058, "l_f": 0.162,
-             "l_r": 0.145, "m": 3.54, "a_max": 3}
+            {
+                "C_Pf": [4.8, 2.16, 0.65, 0.37],
+                "C_Pr": [7.8, 2.9, 0.54, 0.66],
+                "I_z": 0.058,
+                "l_f": 0.162,
+                "l_r": 0.145,
+                "m": 3.54,
+                "a_max": 3,
+            }
         )
-    )  # fmt: skip
+    )
     result = run("--convert", source, "-o", tmp_path / "car.yaml", "--json")
     assert result.exit_code == 0
     report = json.loads(result.stdout)

@@ -127,9 +127,7 @@ def test_the_gap_stands_beside_labels_that_know_where_effects_act(tmp_path):
     drive = one_run({"X": 20.0 * t, "Y": zero, "yaw": zero, "vx": 20.0 + zero}, 0.01, "real.parquet")
     at = np.arange(2, len(t), 4)
     nowhere, three = np.full(len(at), np.nan), np.zeros((len(at), 3))
-    gap = GapSeries(
-        drive.name, t[at], 20.0 * t[at], at, nowhere, nowhere, np.zeros((len(at), 4)), at > 0, three, three
-    )
+    gap = GapSeries(drive.name, t[at], 20.0 * t[at], at, nowhere, nowhere, np.zeros((len(at), 4)), at > 0, three, three)
     told = Diagnosis("match", 0.5, 1.0, gaps=(gap,))
     workflow.write_diagnosis(told, road_car(effects=(climb,)), tmp_path / "out", [drive])
     table = pandas.read_parquet(tmp_path / "out" / "gap.parquet")

@@ -40,8 +40,18 @@ def run(*arguments: object):
 @pytest.fixture(scope="module")
 def told(garage) -> dict:
     """What the held-out protocol says of both drives, as JSON."""
-    outcome = run("evaluate", garage / "d0.parquet", garage / "d1.parquet", "--vehicle", garage / "car.yaml",
-                  "--predictor", "bcm,full", "--rollout", "0.4,0.8", "--json")  # fmt: skip
+    outcome = run(
+        "evaluate",
+        garage / "d0.parquet",
+        garage / "d1.parquet",
+        "--vehicle",
+        garage / "car.yaml",
+        "--predictor",
+        "bcm,full",
+        "--rollout",
+        "0.4,0.8",
+        "--json",
+    )
     assert outcome.exit_code == 0, outcome.output
     return json.loads(outcome.stdout)
 
@@ -122,9 +132,7 @@ def test_the_tables_show_baselines_and_the_floor(garage):
 def test_scores_on_a_drive_the_set_was_trained_on_are_marked(garage, tmp_path):
     renamed = tmp_path / "another_name.parquet"
     renamed.write_bytes((garage / "d0.parquet").read_bytes())
-    outcome = run(
-        "evaluate", renamed, garage / "d1.parquet", "--set", garage / "a.split", "--rollout", "", "--json"
-    )
+    outcome = run("evaluate", renamed, garage / "d1.parquet", "--set", garage / "a.split", "--rollout", "", "--json")
     found = json.loads(outcome.stdout)
     assert [drive["in_sample"] for drive in found["drives"]] == [True, False]
     assert "note: IN SAMPLE: the set was trained on another_name.parquet" in outcome.stderr
@@ -191,9 +199,7 @@ def test_rollouts_longer_than_every_drive_are_said_to_be_missing(garage):
 
 
 def test_figures_are_written_and_named(garage, tmp_path):
-    outcome = run(
-        "evaluate", garage / "d1.parquet", "--set", garage / "a.split", "-o", tmp_path / "figures", "--json"
-    )
+    outcome = run("evaluate", garage / "d1.parquet", "--set", garage / "a.split", "-o", tmp_path / "figures", "--json")
     json.loads(outcome.stdout)
     names = {path.name for path in (tmp_path / "figures").iterdir()}
     assert {"label-vy.png", "growth.png", "coverage.png", "gg.png", "coverage-r.png", "strip-vy.png"} <= names
@@ -241,10 +247,7 @@ def test_a_drive_too_short_or_too_slow_is_refused(garage, tmp_path):
 
 def test_figures_need_a_folder_to_be_in(garage, tmp_path):
     (tmp_path / "file").touch()
-    for place, said in (
-        (tmp_path / "no" / "figures", "does not exist"),
-        (tmp_path / "file", "is a file, a folder"),
-    ):
+    for place, said in ((tmp_path / "no" / "figures", "does not exist"), (tmp_path / "file", "is a file, a folder")):
         outcome = run("evaluate", garage / "d1.parquet", "--set", garage / "a.split", "-o", place)
         assert said in str(outcome.exception)
         # Before any work: half a minute of a diagnosis ended so.

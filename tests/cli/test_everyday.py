@@ -103,12 +103,17 @@ class TestSettings:
 
     @pytest.mark.parametrize(
         ("content", "said"),
-        [("evalute: {}", "evaluate"), ("train: {predictr: x}", "train has no option"), ("train: 3", "no options"),
-         ("all: {vehicel: a.yaml}", "no command has an option 'vehicel'. Did you mean vehicle"),
-         ("- a", "keys"), ("train: {horizon: ~}", "horizon is None"),
-         ("train: {horizon: {a: 1}}", "a value or a list"),
-         ("ingest: {map: [[a]]}", "a value or a list")],
-    )  # fmt: skip
+        [
+            ("evalute: {}", "evaluate"),
+            ("train: {predictr: x}", "train has no option"),
+            ("train: 3", "no options"),
+            ("all: {vehicel: a.yaml}", "no command has an option 'vehicel'. Did you mean vehicle"),
+            ("- a", "keys"),
+            ("train: {horizon: ~}", "horizon is None"),
+            ("train: {horizon: {a: 1}}", "a value or a list"),
+            ("ingest: {map: [[a]]}", "a value or a list"),
+        ],
+    )
     def test_what_is_wrong_is_named(self, tmp_path, content, said):
         with pytest.raises(SplitError, match=said):
             self.read(tmp_path, content)

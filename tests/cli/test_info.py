@@ -47,8 +47,16 @@ def test_a_vehicle_tells_where_its_values_come_from(sample_logs):
     assert "front_tire.B" in dict(described.facts)["calibrated"]
 
 
-@pytest.mark.parametrize("name, content", [("a.split", b"ARROW1"), ("a.parquet", b"PAR1"), ("a.json", b"[1"),
-                                           ("a.yaml", b"a: [1"), ("a.mcap", b"\x89MCAP0\r\n")])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, content",
+    [
+        ("a.split", b"ARROW1"),
+        ("a.parquet", b"PAR1"),
+        ("a.json", b"[1"),
+        ("a.yaml", b"a: [1"),
+        ("a.mcap", b"\x89MCAP0\r\n"),
+    ],
+)
 def test_a_damaged_file_is_a_clear_error(tmp_path, name, content):
     path = tmp_path / name
     path.write_bytes(content)

@@ -24,9 +24,15 @@ def test_the_drafted_files_are_read_and_every_missing_value_is_named_at_once(tmp
     # Filled in as a user would, the file is a vehicle.
     text = (tmp_path / "car" / "vehicle.yaml").read_text()
     for key, value in {
-        "mass:": 1500, "yaw_inertia:": 2500, "cg_to_front_axle:": 1.2, "cg_to_rear_axle:": 1.5,
-        "wheel_radius:": 0.3, "max_torque:": 2000, "cg_height:": 0.5, "drive_split_front:": 0,
-    }.items():  # fmt: skip
+        "mass:": 1500,
+        "yaw_inertia:": 2500,
+        "cg_to_front_axle:": 1.2,
+        "cg_to_rear_axle:": 1.5,
+        "wheel_radius:": 0.3,
+        "max_torque:": 2000,
+        "cg_height:": 0.5,
+        "drive_split_front:": 0,
+    }.items():
         text = text.replace(f"\n{key} ", f"\n{key} {value} ")
     (tmp_path / "full.yaml").write_text(text.replace("D: }", "D: 7000}"))
     assert read_vehicle(tmp_path / "full.yaml").mass == 1500.0
@@ -47,16 +53,10 @@ def test_nothing_is_overwritten(tmp_path, sample_logs):
 def test_a_preset_that_fits_is_named_in_the_map_and_among_the_steps(tmp_path):
     """Autoware's reports, of which the draft cannot know that the base link is the rear axle."""
     status = "/vehicle/status"
-    names = [
-        f"{status}/velocity_status/{one}" for one in ("longitudinal_velocity", "lateral_velocity", "heading_rate")
-    ]
+    names = [f"{status}/velocity_status/{one}" for one in ("longitudinal_velocity", "lateral_velocity", "heading_rate")]
     names += [f"{status}/steering_status/steering_tire_angle", "t"]
-    rows = "\n".join(
-        ",".join(f"{np.sin(0.01 * k + j):.4f}" for j in range(4)) + f",{0.02 * k}" for k in range(200)
-    )
+    rows = "\n".join(",".join(f"{np.sin(0.01 * k + j):.4f}" for j in range(4)) + f",{0.02 * k}" for k in range(200))
     (tmp_path / "lap.csv").write_text(",".join(names) + "\n" + rows)
-    done = CliRunner().invoke(
-        command, [str(tmp_path / "lap.csv"), "-o", str(tmp_path / "car")], catch_exceptions=False
-    )
+    done = CliRunner().invoke(command, [str(tmp_path / "lap.csv"), "-o", str(tmp_path / "car")], catch_exceptions=False)
     told = "The preset autoware fits this log: --map autoware can replace this draft."
     assert told in done.output and f"# {told}" in (tmp_path / "car" / "map.yaml").read_text()

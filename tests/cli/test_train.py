@@ -144,9 +144,7 @@ def test_points_are_the_labels_of_their_rows(garage, tmp_path):
 def test_excluded_time_is_not_learned(garage, tmp_path):
     path = tmp_path / "a.split"
     options = ("--vehicle", garage / "car.yaml", "-o", path, "--hyperparameters", "default", "--trust", "full")
-    assert (
-        run("train", drives_of(garage)[0], *options, "--exclude", "20:60", "--exclude", "100:120").exit_code == 0
-    )
+    assert run("train", drives_of(garage)[0], *options, "--exclude", "20:60", "--exclude", "100:120").exit_code == 0
     trained = read_set(path)
     window = trained.sources[0].horizon
     for begin, end in ((20.0, 60.0), (100.0, 120.0)):
@@ -225,8 +223,6 @@ def test_a_torque_derived_from_acceleration_is_told(garage, tmp_path):
     kinds = {"T": "derived: torque from measured a_x by the nominal model of test car"}
     write_drive(replace(drive, metadata=replace(drive.metadata, kinds=kinds)), tmp_path / "derived.parquet")
     for name, output in (("label", "l.parquet"), ("train", "s.split")):
-        outcome = run(
-            name, tmp_path / "derived.parquet", "--vehicle", garage / "car.yaml", "-o", tmp_path / output
-        )
+        outcome = run(name, tmp_path / "derived.parquet", "--vehicle", garage / "car.yaml", "-o", tmp_path / output)
         assert outcome.exit_code == 0
         assert "the longitudinal label then says nothing" in outcome.stderr

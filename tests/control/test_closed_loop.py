@@ -28,12 +28,7 @@ from split_cli.vehicle.parameters import EffectSpec, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
-from split_cli.workflows.racing.choice import (
-    FeatureChoice,
-    choose_features,
-    what_lap_0_asks,
-    whether_learning_helped,
-)
+from split_cli.workflows.racing.choice import FeatureChoice, choose_features, what_lap_0_asks, whether_learning_helped
 from split_cli.workflows.racing.driving import Race, acceleration_error, uncollected
 from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.first_lap import blank_header, remembering
@@ -67,9 +62,21 @@ def invoke(*arguments: str):
 def test_two_laps_of_a_ring_are_driven_learned_and_written(tmp_path):
     drive, trained = tmp_path / "ring.parquet", tmp_path / "ring.split"
     done = invoke(
-        "race", "--vehicle", CAR, "--track", str(ring(tmp_path)), "--laps", "1", "--max-speed", "14",
-        "-o", str(drive), "--set", str(trained), "--json",
-    )  # fmt: skip
+        "race",
+        "--vehicle",
+        CAR,
+        "--track",
+        str(ring(tmp_path)),
+        "--laps",
+        "1",
+        "--max-speed",
+        "14",
+        "-o",
+        str(drive),
+        "--set",
+        str(trained),
+        "--json",
+    )
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
     nominal, learned = result["laps"]
@@ -160,8 +167,16 @@ def test_a_choice_is_undecided_within_one_standard_error(monkeypatch, behind, un
 
 def test_the_race_says_whether_learning_helped():
     def driven(number, time, outside=0.0, share=0.75):
-        return SimpleNamespace(number=number, time=time, outside=outside, clean=outside == 0.0, share=share,
-                               margin=1.1, error_after=(0.2, 0.1, 0.3), error_before=(0.4, 0.4, 0.4))  # fmt: skip
+        return SimpleNamespace(
+            number=number,
+            time=time,
+            outside=outside,
+            clean=outside == 0.0,
+            share=share,
+            margin=1.1,
+            error_after=(0.2, 0.1, 0.3),
+            error_before=(0.4, 0.4, 0.4),
+        )
 
     # Lap 0 is driven carefully, and a verdict that knows no other lap of the nominal model says so.
     laps = [driven(0, 40.0), driven(1, 38.0, share=0.85)]
@@ -223,9 +238,14 @@ def test_a_choice_that_later_laps_turn_learns_all_laps_as_if_it_had_been_made_at
     def race(file):
         one = Race(settings, read_vehicle(CAR), tmp_path / file, lambda text: None)
         one.header = blank_header(one.vehicle, one.features, one.mpcc)
-        one.world = SimpleNamespace(recording=lambda first, last, name: replace(
-            drive, name=name, segment=drive.segment[first:last],
-            columns={key: column[first:last] for key, column in drive.columns.items()}))  # fmt: skip
+        one.world = SimpleNamespace(
+            recording=lambda first, last, name: replace(
+                drive,
+                name=name,
+                segment=drive.segment[first:last],
+                columns={key: column[first:last] for key, column in drive.columns.items()},
+            )
+        )
         one.controller = SimpleNamespace(grip=np.ones(2), model=None)
         return one
 
@@ -293,9 +313,7 @@ def test_the_error_of_acceleration_is_that_of_a_force_at_its_lever_whatever_the_
     noise, force = np.array([0.2, 0.2, 0.1]), rng.normal(0.0, 600.0, 50_000)
     radius = np.sqrt(car.yaw_inertia / car.mass)
     for lever, factor in ((0.0, 1.0), (radius, np.sqrt(2.0))):
-        left_out = np.stack(
-            [rng.normal(size=len(force)), force / car.mass, lever * force / car.yaw_inertia], axis=1
-        )
+        left_out = np.stack([rng.normal(size=len(force)), force / car.mass, lever * force / car.yaw_inertia], axis=1)
         labels = left_out + noise * rng.normal(size=left_out.shape)
         assert acceleration_error(rms(labels), noise, len(force), car) == pytest.approx(
             factor * 600.0 / car.mass, rel=0.01
@@ -377,9 +395,18 @@ def test_a_small_car_keeps_lengths_in_proportion_and_its_plans_to_its_actuators(
 def test_a_lane_change_is_driven_between_its_cones(tmp_path):
     trained = tmp_path / "run.split"
     done = invoke(
-        "maneuver", "iso3888-2", "--vehicle", CAR, "-o", str(tmp_path / "run.parquet"), "--json",
-        "--set", str(trained), "--features", "z2,feature_lag",
-    )  # fmt: skip
+        "maneuver",
+        "iso3888-2",
+        "--vehicle",
+        CAR,
+        "-o",
+        str(tmp_path / "run.parquet"),
+        "--json",
+        "--set",
+        str(trained),
+        "--features",
+        "z2,feature_lag",
+    )
     assert done.exit_code == 0, done.output
     (run,) = json.loads(done.stdout)["runs"]
     assert run["hit"] == 0 and not run["ended"] and run["failures"] == 0
@@ -472,10 +499,25 @@ def test_a_lap_may_take_as_long_as_its_bends_ask_whatever_the_largest_speed(tmp_
 def test_learners_are_compared_in_one_report(tmp_path):
     report = tmp_path / "laps.html"
     done = invoke(
-        "race", "--vehicle", CAR, "--track", str(ring(tmp_path)), "--laps", "0", "--max-speed", "10",
-        "--learner", "none", "--learner", "split", "--report", str(report), "--json",
-        "--features", "z2",
-    )  # fmt: skip
+        "race",
+        "--vehicle",
+        CAR,
+        "--track",
+        str(ring(tmp_path)),
+        "--laps",
+        "0",
+        "--max-speed",
+        "10",
+        "--learner",
+        "none",
+        "--learner",
+        "split",
+        "--report",
+        str(report),
+        "--json",
+        "--features",
+        "z2",
+    )
     assert done.exit_code == 0, done.output
     (first,), (second,) = (result["laps"] for result in json.loads(done.stdout))
     # Nothing is known in lap 0, so both drive the same one.

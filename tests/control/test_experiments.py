@@ -15,12 +15,24 @@ from tests.studies.experiments_page import fill_page, tables
 
 def lap(number: int, time: float | None, outside: float = 0.0) -> dict:
     return {
-        "number": number, "time": time, "outside": outside, "margin": 0.8, "mean_speed": 16.0,
-        "max_lateral": 0.85, "updates": 4, "size": 3, "cells": 2, "failures": 0,
-        "error_before": [0.4, 0.5, 0.3], "error_after": [0.4, 0.25, 0.1],
-        "motion_before": [0.4, 0.5, 0.3], "motion_after": [0.2, 0.1, 0.03],
-        "solver_ms": [5.0, 9.0, 10.0], "step_ms": [8.0, 12.0, 15.0], "update_ms": [1.0, 2.0, 3.0],
-    }  # fmt: skip
+        "number": number,
+        "time": time,
+        "outside": outside,
+        "margin": 0.8,
+        "mean_speed": 16.0,
+        "max_lateral": 0.85,
+        "updates": 4,
+        "size": 3,
+        "cells": 2,
+        "failures": 0,
+        "error_before": [0.4, 0.5, 0.3],
+        "error_after": [0.4, 0.25, 0.1],
+        "motion_before": [0.4, 0.5, 0.3],
+        "motion_after": [0.2, 0.1, 0.03],
+        "solver_ms": [5.0, 9.0, 10.0],
+        "step_ms": [8.0, 12.0, 15.0],
+        "update_ms": [1.0, 2.0, 3.0],
+    }
 
 
 def result(name: str, model: str, laps: list[dict], group: str = "small", grip: float = 1.0) -> dict:

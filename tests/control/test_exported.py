@@ -28,9 +28,7 @@ def learned(tmp_path_factory) -> tuple[Path, Path]:
     """A set of one lane change on a wet road, and the folder of its export."""
     folder = tmp_path_factory.mktemp("exported")
     run_maneuvers(replace(WET, speeds=(12.0,)), CAR, set_output=folder / "wet.split")
-    export_set(
-        folder / "wet.split", folder / "controller", ["casadi"], predictor="projected", queries=200, insist=True
-    )
+    export_set(folder / "wet.split", folder / "controller", ["casadi"], predictor="projected", queries=200, insist=True)
     return folder / "wet.split", folder / "controller"
 
 
@@ -58,9 +56,21 @@ def test_an_export_passes_where_the_file_of_a_dry_road_does_not(learned):
 
 def test_a_lap_is_driven_with_an_export(learned, tmp_path):
     done = invoke(
-        "race", "--vehicle", CAR, "--track", str(ring(tmp_path)), "--laps", "1", "--max-speed", "10", "--learner",
-        "none", "--start-set", str(learned[1]), "--json",
-    )  # fmt: skip
+        "race",
+        "--vehicle",
+        CAR,
+        "--track",
+        str(ring(tmp_path)),
+        "--laps",
+        "1",
+        "--max-speed",
+        "10",
+        "--learner",
+        "none",
+        "--start-set",
+        str(learned[1]),
+        "--json",
+    )
     assert done.exit_code == 0, done.output
     (lap,) = json.loads(done.stdout)["laps"]
     assert not lap["ended"] and lap["outside"] == 0.0 and lap["failures"] == 0

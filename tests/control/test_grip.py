@@ -22,18 +22,23 @@ CAR = read_vehicle(Path(__file__).resolve().parents[2] / "sample_logs" / "road_c
 def labels(reach: float, scales=(0.86, 0.94), count: int = 800):
     """Return z and y of a car whose peaks are `scales` of the file's, with the noise of usual sensors."""
     rng = np.random.default_rng(4)
-    z = np.stack([reach * rng.uniform(-1, 1, count), 0.8 * reach * rng.uniform(-1, 1, count),
-                  rng.uniform(-0.5, 0.4, count)], axis=1)  # fmt: skip
+    z = np.stack(
+        [reach * rng.uniform(-1, 1, count), 0.8 * reach * rng.uniform(-1, 1, count), rng.uniform(-0.5, 0.4, count)],
+        axis=1,
+    )
     missing = []
     for tire, alpha, s in zip((CAR.front_tire, CAR.rear_tire), z.T, scales, strict=False):
         true = s * lateral_force(tire.B / s, tire.C, tire.D, alpha)
         missing.append(true - lateral_force(tire.B, tire.C, tire.D, alpha))
     front, rear = missing
-    y = np.stack([
-        np.zeros(count),
-        (front + rear) / CAR.mass,
-        (CAR.cg_to_front_axle * front - CAR.cg_to_rear_axle * rear) / CAR.yaw_inertia,
-    ], axis=1)  # fmt: skip
+    y = np.stack(
+        [
+            np.zeros(count),
+            (front + rear) / CAR.mass,
+            (CAR.cg_to_front_axle * front - CAR.cg_to_rear_axle * rear) / CAR.yaw_inertia,
+        ],
+        axis=1,
+    )
     return z, y + rng.normal(0.0, [0.23, 0.23, 0.04], (count, 3))
 
 
@@ -96,9 +101,17 @@ def half_grip_set():
     y = 1.1 * shift.at(z)[0] + 0.1 * rng.normal(size=z.shape)  # forces that the shift alone does not explain
     number = np.zeros(len(z))
     return replace(
-        blank, z=z, y=y, cell_numbers=np.array([0]), offsets=np.array([0, len(z)]), gamma=number, t=number,
-        source=number.astype(np.int16), row=np.arange(len(z)), capacity=len(z),
-    ), shift  # fmt: skip
+        blank,
+        z=z,
+        y=y,
+        cell_numbers=np.array([0]),
+        offsets=np.array([0, len(z)]),
+        gamma=number,
+        t=number,
+        source=number.astype(np.int16),
+        row=np.arange(len(z)),
+        capacity=len(z),
+    ), shift
 
 
 def test_the_prior_mean_is_that_of_a_dense_process():

@@ -62,9 +62,14 @@ def test_without_bounds_the_answer_solves_the_normal_equations():
     wide = {
         name: np.full_like(getattr(data, name), sign * 1e3)
         for name, sign in (
-            ("x_lower", -1), ("x_upper", 1), ("u_lower", -1), ("u_upper", 1), ("row_lower", -1), ("row_upper", 1)
+            ("x_lower", -1),
+            ("x_upper", 1),
+            ("u_lower", -1),
+            ("u_upper", 1),
+            ("row_lower", -1),
+            ("row_upper", 1),
         )
-    }  # fmt: skip
+    }
     data = replace(data, **wide)
     solver = StageQP(4, 3, 2, 2)
     found = solver.solve(data)

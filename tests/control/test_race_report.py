@@ -27,9 +27,24 @@ def race(name: str = "ring") -> RaceResult:
         trace[:, 2], trace[:, 3], trace[:, 11] = 40 * np.cos(turn), 40 * np.sin(turn), speed**2 / 40
         errors = (0.4, 0.5, 0.3), (0.3, 0.2, 0.1)
         laps.append(
-            Lap(number, path.length / speed, speed, speed**2 / 40 / 9.81, 9, 8, 7, *errors, len(t), len(t),
-                (5.0, 9.0, 12.0), (8.0, 15.0, 20.0), (1.0, 2.0, 3.0), 0, 0.0)
-        )  # fmt: skip
+            Lap(
+                number,
+                path.length / speed,
+                speed,
+                speed**2 / 40 / 9.81,
+                9,
+                8,
+                7,
+                *errors,
+                len(t),
+                len(t),
+                (5.0, 9.0, 12.0),
+                (8.0, 15.0, 20.0),
+                (1.0, 2.0, 3.0),
+                0,
+                0.0,
+            )
+        )
         traces.append(trace)
     told = name, "road_car", "car", "split", path.length
     return RaceResult(*told, tuple(laps), None, None, (), tuple(traces), path)

@@ -89,9 +89,13 @@ def driven(
         window = slice(k, k + 5)
         before = state
         state, memory = integrate_with_memory(
-            model, state, arrived[0][:, window], arrived[1][:, window], step,
+            model,
+            state,
+            arrived[0][:, window],
+            arrived[1][:, window],
+            step,
             situation=Situation(t=spaced * np.arange(runs) + k * step, s=places[-1], states=memory),
-        )  # fmt: skip
+        )
         places.append(np.mod(places[-1] + 0.5 * 0.01 * (before[:, 3] + state[:, 3]), LAP))
         states.append(state)
     path = np.stack(states, axis=1)
@@ -132,9 +136,17 @@ def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
     strength = disturbance * np.array([1.0, 1.0, car.mass / car.yaw_inertia])
     whitener = build_whitener(jacobian, series.period, series.noise, strength, series.transitions_begin(), group)
     evidence = Evidence(
-        car, series, jacobian, whitener, np.zeros((len(at), 3)), np.zeros((len(at), 3, 0)),
-        np.array(at, dtype=np.int64), strength, np.ones(len(at)), rolling(series, car),
-    )  # fmt: skip
+        car,
+        series,
+        jacobian,
+        whitener,
+        np.zeros((len(at), 3)),
+        np.zeros((len(at), 3, 0)),
+        np.array(at, dtype=np.int64),
+        strength,
+        np.ones(len(at)),
+        rolling(series, car),
+    )
     return replace(evidence, nominal_rows=evidence.rows(()))
 
 

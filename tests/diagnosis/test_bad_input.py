@@ -47,8 +47,7 @@ def with_position(drive: Drive) -> Drive:
 def noisy(drive: Drive, seed: int) -> Drive:
     rng = np.random.default_rng(seed)
     columns = {
-        name: values + NOISE.get(name, 0.0) * rng.standard_normal(len(drive))
-        for name, values in drive.columns.items()
+        name: values + NOISE.get(name, 0.0) * rng.standard_normal(len(drive)) for name, values in drive.columns.items()
     }
     return replace(drive, columns=columns)
 
@@ -98,11 +97,19 @@ def test_recordings_that_hardly_overlap_are_not_compared_(real):
 
 def formula_car() -> Vehicle:
     return road_car(
-        name="other", mass=280.0, yaw_inertia=120.0, cg_to_front_axle=0.75, cg_to_rear_axle=0.78,
-        wheel_radius=0.23, front_tire=MagicFormula(12.0, 1.5, 2200.0),
-        rear_tire=MagicFormula(12.0, 1.5, 2200.0), rolling_resistance_front=20.0, rolling_resistance_rear=20.0,
-        max_torque=900.0, max_brake_torque=1200.0,
-    )  # fmt: skip
+        name="other",
+        mass=280.0,
+        yaw_inertia=120.0,
+        cg_to_front_axle=0.75,
+        cg_to_rear_axle=0.78,
+        wheel_radius=0.23,
+        front_tire=MagicFormula(12.0, 1.5, 2200.0),
+        rear_tire=MagicFormula(12.0, 1.5, 2200.0),
+        rolling_resistance_front=20.0,
+        rolling_resistance_rear=20.0,
+        max_torque=900.0,
+        max_brake_torque=1200.0,
+    )
 
 
 def test_a_simulation_of_another_car_is_called_that(real):
@@ -158,9 +165,13 @@ def cruising(seed: int) -> Drive:
     rng, zero, car = np.random.default_rng(seed), np.zeros(4000), road_car()
     force = car.rolling_resistance_front + car.rolling_resistance_rear + car.drag_coefficient * 400.0
     columns = {
-        "X": 0.4 * np.arange(4000), "Y": zero, "yaw": zero, "vx": zero + 20.0,
-        "T": zero + force * car.wheel_radius, "delta": 1e-4 * rng.standard_normal(4000),
-    }  # fmt: skip
+        "X": 0.4 * np.arange(4000),
+        "Y": zero,
+        "yaw": zero,
+        "vx": zero + 20.0,
+        "T": zero + force * car.wheel_radius,
+        "delta": 1e-4 * rng.standard_normal(4000),
+    }
     return noisy(one_run(columns, 0.02, f"cruise{seed}.parquet"), seed)
 
 
@@ -175,9 +186,7 @@ def test_straight_driving_with_a_derived_torque_shows_nothing():
     drive = cruising(1)
     wave = np.sin(0.2 * drive["t"])
     told = altered(drive, vx=drive["vx"] + 3.0 * wave, T=drive["T"] + 200.0 * wave)
-    derived = DriveMetadata(
-        kinds={"T": "derived: torque from measured a_x by the nominal model", "delta": "command"}
-    )
+    derived = DriveMetadata(kinds={"T": "derived: torque from measured a_x by the nominal model", "delta": "command"})
     assert idle([told], road_car()) == []
     (reason,) = idle([replace(told, metadata=derived)], road_car())
     assert "hardly turns" in reason and "derived" in reason and "slalom" in reason
@@ -370,9 +379,16 @@ class TestSpeedThatIsHeld:
         rate = 0.8 * np.sin(2.0 * t) * (t > 5.0)
         yaw = np.cumsum(rate) * 0.02
         columns = {
-            "t": t, "vx": speed, "vy": -0.2 * rate, "r": rate, "T": np.sin(t), "delta": 0.3 * rate, "yaw": yaw,
-            "X": np.cumsum(true * np.cos(yaw)) * 0.02, "Y": np.cumsum(true * np.sin(yaw)) * 0.02,
-        }  # fmt: skip
+            "t": t,
+            "vx": speed,
+            "vy": -0.2 * rate,
+            "r": rate,
+            "T": np.sin(t),
+            "delta": 0.3 * rate,
+            "yaw": yaw,
+            "X": np.cumsum(true * np.cos(yaw)) * 0.02,
+            "Y": np.cumsum(true * np.sin(yaw)) * 0.02,
+        }
         return one_run(columns, 0.02, "slalom")
 
     def test_what_the_path_confirms_is_kept_with_the_position_of_a_car_at_rest(self):

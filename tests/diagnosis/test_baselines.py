@@ -97,9 +97,7 @@ def test_with_a_fixed_baseline_a_cost_is_that_of_the_simulations_own_function(re
 
 def test_with_a_fixed_baseline_a_fit_is_where_a_scan_finds_the_least(restless):
     objective = fixed_objective(restless)
-    candidate = next(
-        one for one in build_candidates(road_car(), restless.real[0].series) if one.term == "steer_gain"
-    )
+    candidate = next(one for one in build_candidates(road_car(), restless.real[0].series) if one.term == "steer_gain")
     fit = fit_parts(objective, (Part(candidate, {"gain": 0.9}),))
     scan = {gain: objective.cost((term("steer_gain", gain=gain),)) for gain in np.arange(0.6, 1.0, 0.01)}
     best = min(scan, key=scan.get)
@@ -111,8 +109,7 @@ def test_with_a_fixed_baseline_a_fit_is_where_a_scan_finds_the_least(restless):
 def test_beside_a_sensors_fault_a_fault_of_commands_promises_what_it_saves_there(restless):
     objective = fixed_objective(restless)
     arm, gain = (
-        next(one for one in candidates_of(restless) if one.term == name)
-        for name in ("sensor_lever_arm", "steer_gain")
+        next(one for one in candidates_of(restless) if one.term == name) for name in ("sensor_lever_arm", "steer_gain")
     )
     displaced = Part(arm, {**arm.starts[0], "dx": 0.8})
     residuals = objective.left_by([displaced.term])
@@ -186,9 +183,7 @@ def searched_first(names: list[str], rivals: tuple[Rival, ...] = (), named: bool
         (2.0, False, 0.0, False),  # nothing is named, and has no class
     ],
 )
-def test_what_the_first_search_cannot_tell_from_its_name_is_believed(
-    monkeypatch, excess, named, p_value, expected
-):
+def test_what_the_first_search_cannot_tell_from_its_name_is_believed(monkeypatch, excess, named, p_value, expected):
     monkeypatch.setattr("split_cli.diagnosis.search.selection.part_over_allowance", lambda *_: 100.0)
     rival = Rival(SimpleNamespace(parts=[part_of("mass")]), excess, 9.0)
     first = searched_first(["friction_scale"], (rival,), named)
@@ -242,9 +237,7 @@ def test_a_sure_name_lends_its_sureness_to_no_other(restless):
     objective = fixed_objective(restless)
 
     def named(second: Selection) -> list[str]:
-        one, other = (
-            SearchOutcome(SimpleNamespace(objective=objective), None, s, None, 1.5) for s in (both, second)
-        )
+        one, other = (SearchOutcome(SimpleNamespace(objective=objective), None, s, None, 1.5) for s in (both, second))
         return [term.id for term in settled(one, other, STANDARD.selection).selection.terms]
 
     assert named(nobody) == ["steer_offset"]
@@ -256,9 +249,7 @@ def test_a_sure_name_lends_its_sureness_to_no_other(restless):
 def test_a_surer_name_takes_none_from_a_sure_one_beside_it(restless, saved, expected):
     """Both searches name an offset; the first is surer of it, and only the second sees a weak torque."""
     candidates = {one.label: one for one in build_candidates(road_car(), restless.real[0].series)}
-    offset, torque = (
-        Part(candidates[one], dict(candidates[one].starts[0])) for one in ("steer_offset", "drive_gain")
-    )
+    offset, torque = (Part(candidates[one], dict(candidates[one].starts[0])) for one in ("steer_offset", "drive_gain"))
     objective, every = fixed_objective(restless), ((), ())
 
     def outcome(parts, p_value) -> SearchOutcome:
@@ -266,13 +257,7 @@ def test_a_surer_name_takes_none_from_a_sure_one_beside_it(restless, saved, expe
         rest = [(parts[:k] + parts[k + 1 :], saved if part is torque else 1e5) for k, part in enumerate(parts)]
         without = tuple(replace(chosen, parts=some, cost=1000.0 + more) for some, more in rest)
         selection = Selection(
-            chosen,
-            chosen,
-            without,
-            every[: len(parts)],
-            every[: len(parts)],
-            (True,) * len(parts),
-            first_p=p_value,
+            chosen, chosen, without, every[: len(parts)], every[: len(parts)], (True,) * len(parts), first_p=p_value
         )
         return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
 
@@ -344,9 +329,7 @@ def test_what_would_need_more_than_a_car_has_is_a_difference_without_a_name(rest
 
 
 def test_wide_starts_lie_to_both_sides_and_inside_the_bounds():
-    candidates = {
-        one.label: one for one in build_candidates(road_car(), build_series(drive(1), "sim", np.zeros(4000)))
-    }
+    candidates = {one.label: one for one in build_candidates(road_car(), build_series(drive(1), "sim", np.zeros(4000)))}
     gain = candidates["steer_gain"]
     assert sorted(one["gain"] for one in gain.widely_started().starts) == pytest.approx(
         [0.76, 0.92, 0.98, 1.02, 1.08, 1.24]

@@ -48,13 +48,16 @@ def test_defects_beside_sensors_are_those_of_a_model_evaluated_alone(objective):
             measured, smooth = (_without(term, series, velocity) for velocity in (measured, smooth))
         model = extended_model(one.vehicle, terms)
         rates = model.velocity_derivative(
-            *over_samples(smooth, series.recording).T, series.torque, series.steer_angle,
-            yaw=series.yaw, t=series.t, s=series.s, recording=series.recording,
-        )  # fmt: skip
-        inside = series.inside()[:, None]
-        expected = (
-            motion(series, one.jacobian, measured, smooth) - inside * series.period * np.stack(rates, 1)[:-1]
+            *over_samples(smooth, series.recording).T,
+            series.torque,
+            series.steer_angle,
+            yaw=series.yaw,
+            t=series.t,
+            s=series.s,
+            recording=series.recording,
         )
+        inside = series.inside()[:, None]
+        expected = motion(series, one.jacobian, measured, smooth) - inside * series.period * np.stack(rates, 1)[:-1]
         np.testing.assert_allclose(one.defects(terms), expected, rtol=0.0, atol=1e-13)
 
 

@@ -103,9 +103,7 @@ def test_forgiveness_goes_with_the_rows(restless):
         from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 
         empty = np.zeros(0)
-        return MarginalLikelihood(
-            (one,), None, car, (np.ones(rows, dtype=bool),), empty, empty, empty, empty, empty
-        )
+        return MarginalLikelihood((one,), None, car, (np.ones(rows, dtype=bool),), empty, empty, empty, empty, empty)
 
     once, fourfold = (restless.allow(objective(k * restless.rows)).term_floors["wind"] for k in (1, 4))
     assert fourfold == pytest.approx(2.0 * once)

@@ -31,8 +31,7 @@ def simulated() -> tuple[Evidence, SharedDiscrepancy]:
 def asked_alike(one: Evidence, other: Evidence, discrepancy: SharedDiscrepancy) -> np.ndarray:
     """Return the rows near in what was asked for, by every distance there is."""
     mine, theirs = (
-        (features(each.series, each.vehicle)[each.at] - discrepancy.center) / discrepancy.width
-        for each in (one, other)
+        (features(each.series, each.vehicle)[each.at] - discrepancy.center) / discrepancy.width for each in (one, other)
     )
     return np.array([np.min(np.linalg.norm(theirs - point, axis=1)) <= REACH for point in mine])
 

@@ -134,9 +134,7 @@ def test_model_form_errors_as_large_as_the_prior_has_them_are_none_too_many():
 
     def p_value(size: float) -> float:
         drawn = columns @ rng.normal(0.0, size, columns.shape[1])
-        (found,) = beyond_form_error(
-            objective, replace(fit, residuals=fit.residuals + drawn), [True], 1.0
-        ).values()
+        (found,) = beyond_form_error(objective, replace(fit, residuals=fit.residuals + drawn), [True], 1.0).values()
         return found
 
     assert sum(p_value(1.0) < 0.1 for _ in range(40)) <= 8

@@ -103,9 +103,17 @@ def improvement_of(last: HorizonErrors, removed=(0.5, 0.4, 0.6)) -> Improvement:
 def test_the_summary_tells_what_changed_most_in_noise_and_what_got_worse():
     """v_x changes most in m/s, r most in noise (90 against 20 times), v_y gets worse beyond chance."""
     last = HorizonErrors(
-        2.0, (3.0, 0.2, 0.1), (1.0, 0.3, 0.01), (3.0, 0.2, 0.1), (1.0, 0.3, 0.01), (2.0, 0.25, 0.05),
-        (0.1, 0.01, 0.001), {}, 40, {"physics": (0.5, 3.0, -5.0)},
-    )  # fmt: skip
+        2.0,
+        (3.0, 0.2, 0.1),
+        (1.0, 0.3, 0.01),
+        (3.0, 0.2, 0.1),
+        (1.0, 0.3, 0.01),
+        (2.0, 0.25, 0.05),
+        (0.1, 0.01, 0.001),
+        {},
+        40,
+        {"physics": (0.5, 3.0, -5.0)},
+    )
     finding = found(CorrectedVehicle(())).findings
     text = summarise("mismatch", finding, improvement=improvement_of(last))
     assert "error of r changes from 0.10 to 0.010 rad/s (persistence: 0.050; noise floor: 0.0010)" in text

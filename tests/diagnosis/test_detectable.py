@@ -108,9 +108,7 @@ def test_a_size_that_is_told_has_an_interval_without_no_effect(sound):
     candidates = candidates_of(vague, *NAMES)
     for one in detection_limits((vague,), candidates, VARIANCE_INFLATION, LEVEL):
         for name, (value, _) in one.parameters.items():
-            own = next(
-                one_way for one_way in candidates if one_way.term == one.term and {*one_way.ranges} == {name}
-            )
+            own = next(one_way for one_way in candidates if one_way.term == one.term and {*one_way.ranges} == {name})
             part = Part(own, {name: value})
             slopes = tangent(vague, vague.left_by(()), part).slopes / own.ranges[name].step
             residuals = nothing(vague).residuals

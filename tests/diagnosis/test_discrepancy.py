@@ -15,9 +15,7 @@ from tests.factories import road_car
 def tire(vehicle: Vehicle, axle: str, **factors: float) -> dict:
     """Return the change of a vehicle whose tire's numbers are multiplied."""
     own = getattr(vehicle, f"{axle}_tire")
-    return {
-        f"{axle}_tire": replace(own, **{name: factor * getattr(own, name) for name, factor in factors.items()})
-    }
+    return {f"{axle}_tire": replace(own, **{name: factor * getattr(own, name) for name, factor in factors.items()})}
 
 
 def unit_of(car: Vehicle, term: str, parameter: str) -> float:
@@ -133,19 +131,13 @@ def test_shared_discrepancy_answers_to_what_arrives_of_the_inputs(discrepancy, n
     gain = CATALOGUE["steer_gain"]({"gain": 0.8})
     steered = replace(nominal_series, steer_angle=0.8 * nominal_series.steer_angle)
     np.testing.assert_allclose(
-        discrepancy.rates(nominal_series, weights, (gain,)),
-        discrepancy.rates(steered, weights),
-        rtol=1e-9,
-        atol=1e-9,
+        discrepancy.rates(nominal_series, weights, (gain,)), discrepancy.rates(steered, weights), rtol=1e-9, atol=1e-9
     )
     turned = CATALOGUE["sensor_lever_arm"]({"dx": 0.3})
     vx, vy, r = nominal_series.smooth.T
     moved = replace(nominal_series, smooth=np.stack([vx, vy - 0.3 * r, r], axis=1))
     np.testing.assert_allclose(
-        discrepancy.rates(nominal_series, weights, (turned,)),
-        discrepancy.rates(moved, weights),
-        rtol=1e-9,
-        atol=1e-9,
+        discrepancy.rates(nominal_series, weights, (turned,)), discrepancy.rates(moved, weights), rtol=1e-9, atol=1e-9
     )
 
 

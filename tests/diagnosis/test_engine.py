@@ -69,9 +69,18 @@ def run(reality, simulation, tmp_path_factory) -> tuple[Path, subprocess.Complet
     write_vehicle(road_car(), folder / "car.yaml")
     ours, theirs = pty.openpty()
     words = [
-        "diagnose", "--real", "real.parquet", "--sim", "sim.parquet", "--vehicle", "car.yaml", "--out", "out",
-        "--json", "--exit-code",
-    ]  # fmt: skip
+        "diagnose",
+        "--real",
+        "real.parquet",
+        "--sim",
+        "sim.parquet",
+        "--vehicle",
+        "car.yaml",
+        "--out",
+        "out",
+        "--json",
+        "--exit-code",
+    ]
     shown = []
     # A terminal that nobody reads holds a few thousand characters, and then the command waits.
     reader = threading.Thread(target=lambda: shown.extend(iter(lambda: read_terminal(ours), b"")), daemon=True)

@@ -157,9 +157,7 @@ def test_an_end_of_a_stretch_is_known_as_far_as_the_cost_says(patched, name, tru
     (part,) = fit.parts
     rise = 3.84 * 1.0
     places = np.arange(max(low - 20.0, 0.0), high + 20.0, 0.4)
-    costs = np.array(
-        [objective.cost((Part(part.candidate, {**part.values, name: place}).term,)) for place in places]
-    )
+    costs = np.array([objective.cost((Part(part.candidate, {**part.values, name: place}).term,)) for place in places])
     inside = places[costs <= fit.cost + rise]
     # The rise is that of one parameter at 95 %, or more where blocks say so: never a smaller interval than this.
     step = part.candidate.ranges[name].step

@@ -31,10 +31,7 @@ def lagging(inputs: np.ndarray, step: float, tau: float) -> np.ndarray:
 def explore() -> Explorer:
     drive = driven(
         71,
-        [
-            CATALOGUE["load_transfer"](TRUE["load_transfer"], "late"),
-            CATALOGUE["rotating_mass"](TRUE["rotating_mass"]),
-        ],
+        [CATALOGUE["load_transfer"](TRUE["load_transfer"], "late"), CATALOGUE["rotating_mass"](TRUE["rotating_mass"])],
         steer=lambda inputs, step: lagging(inputs, step, TRUE["steer_lag"]["tau"]),
         torque=lambda inputs, step: lagging(inputs, step, TRUE["drive_lag"]["tau"]),
     )

@@ -115,9 +115,7 @@ def test_how_much_is_not_compared_is_said(spinning, discrepancy):
     assert not [text for text in what_was_not_excited([one], road_car()) if "spin or lock" in text]
     longer = asked_for(spinning.drive, 0.95, slice(FIRST, FIRST + 500))
     (text,) = (
-        text
-        for text in what_was_not_excited([light_evidence(prepared(longer))], road_car())
-        if "spin or lock" in text
+        text for text in what_was_not_excited([light_evidence(prepared(longer))], road_car()) if "spin or lock" in text
     )
     assert text.startswith(f"{100 * 540 / len(spinning):.0f} % of the real drive")
 
@@ -131,9 +129,17 @@ def test_what_commands_become_is_kept_for_other_terms(noisy_nominal):
         model = extended_model(road_car(), [*before, CATALOGUE[name](values, variant)])
         bare = series.flow(extended_model(road_car()))
         whole = model.flow(
-            bare.vx, bare.vy, bare.r, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s,
-            recording=series.recording, bare=bare,
-        )  # fmt: skip
+            bare.vx,
+            bare.vy,
+            bare.r,
+            series.torque,
+            series.steer_angle,
+            yaw=series.yaw,
+            t=series.t,
+            s=series.s,
+            recording=series.recording,
+            bare=bare,
+        )
         for _ in range(2):
             for row, expected in zip(series.rate_rows(model), model.balance(whole), strict=True):
                 np.testing.assert_allclose(row, expected, rtol=0.0, atol=1e-11, err_msg=name)

@@ -112,9 +112,7 @@ def test_what_explains_no_more_than_is_left_and_its_untrusted_look_alikes_has_no
         (2.0, "vx vy r ay", 10.0, set()),  # the shape of the effect tells
     ],
 )
-def test_a_missing_channel_leaves_look_alikes_where_neither_shape_nor_witness_tells(
-    inflation, columns, left, declared
-):
+def test_a_missing_channel_leaves_look_alikes_where_neither_shape_nor_witness_tells(inflation, columns, left, declared):
     own = SimpleNamespace(term="sensor_lever_arm", variant="")
     part = SimpleNamespace(candidate=own, term=SimpleNamespace(corrects=True))
     selection = SimpleNamespace(

@@ -9,15 +9,7 @@ from scipy.optimize import minimize
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.fitting import (
-    Fit,
-    Part,
-    effect_everywhere,
-    fit_parts,
-    raw_slopes,
-    scan_places,
-    tangent,
-)
+from split_cli.diagnosis.search.fitting import Fit, Part, effect_everywhere, fit_parts, raw_slopes, scan_places, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -162,8 +154,7 @@ class TestLinearTerms:
         drag, push = candidate(pushed, "aero_drag"), candidate(pushed, "rolling_resistance")
         base = pushed.residual(())
         columns = np.stack(
-            [pushed.residual((one,)) - base for one in (drag.build({"drag": 1.0}), push.build({"force": 1.0}))],
-            axis=1,
+            [pushed.residual((one,)) - base for one in (drag.build({"drag": 1.0}), push.build({"force": 1.0}))], axis=1
         )
         expected = float(np.linalg.lstsq(columns, base, rcond=None)[1][0])
         current = fit_parts(pushed, [Part(drag, {"drag": 0.3})])
@@ -267,6 +258,4 @@ def test_wrong_derivatives_of_another_fit_do_not_end_a_fit(pushed):
     both = fit_parts(pushed, [Part(drag, {"drag": 0.2}), Part(resistance, {"force": 100.0})])
     turned = replace(both, sensitivity=-both.sensitivity)
     for parts in ((*both.parts[:1], Part(resistance, {"force": 20.0})), both.parts[:1]):
-        assert fit_parts(pushed, parts, known=turned).cost == pytest.approx(
-            fit_parts(pushed, parts).cost, abs=0.05
-        )
+        assert fit_parts(pushed, parts, known=turned).cost == pytest.approx(fit_parts(pushed, parts).cost, abs=0.05)

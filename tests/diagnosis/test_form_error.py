@@ -93,9 +93,7 @@ def test_a_form_error_that_favours_another_term_does_not_decide(behind, delay, l
     column = columns[:, np.argmax(np.abs(columns.T @ between) / np.linalg.norm(columns, axis=0))]
     size = -1.5 * (lag.cost - delay.cost) / (2.0 * float(column @ between))
     moved = [
-        replace(
-            fit, residuals=fit.residuals + size * column, cost=float(np.sum((fit.residuals + size * column) ** 2))
-        )
+        replace(fit, residuals=fit.residuals + size * column, cost=float(np.sum((fit.residuals + size * column) ** 2)))
         for fit in (delay, lag)
     ]
     assert abs(size) < 0.5 and moved[0].cost > moved[1].cost
@@ -135,9 +133,7 @@ def test_an_alternative_takes_the_place_where_it_is_better_beside_form_error(beh
     assert "beside model-form error" in turned.history[-1]
     # What it was compared with is reported as seen from the one that is chosen now.
     (rival, *_) = turned.rivals[0]
-    assert rival.fit.names == ("steer_delay",) and rival.excess == pytest.approx(
-        -plain.rivals[0][0].excess, rel=1e-6
-    )
+    assert rival.fit.names == ("steer_delay",) and rival.excess == pytest.approx(-plain.rivals[0][0].excess, rel=1e-6)
 
 
 def test_residuals_beside_form_error_are_what_a_dense_gaussian_leaves(behind, delay):
@@ -274,8 +270,7 @@ def test_how_tyres_carry_another_load_is_free_between_the_laws(behind, heavier, 
     stacked = np.block([[laws, form_error], [np.zeros((free, 2)), np.eye(free)]])
     low, high = (np.r_[bound, bound, np.full(free, far)] for bound, far in ((0.0, -np.inf), (1.0, np.inf)))
     here, there = (
-        2.0 * lsq_linear(stacked, np.append(fit.residuals, np.zeros(free)), (low, high)).cost
-        for fit in (wrong, calm)
+        2.0 * lsq_linear(stacked, np.append(fit.residuals, np.zeros(free)), (low, high)).cost for fit in (wrong, calm)
     )
     assert saved == pytest.approx(here - there, rel=1e-4, abs=0.05)
     assert bool(saved > 100.0) is (share > 1.0)
@@ -283,9 +278,7 @@ def test_how_tyres_carry_another_load_is_free_between_the_laws(behind, heavier, 
 
 def test_what_an_explanation_may_get_wrong_is_worked_out_once(behind, delay, heavier, monkeypatch):
     """However many further terms are asked beside it; anew for another one, or with a fixed baseline."""
-    afters = [
-        moved(heavier, 0.1 * rows) for rows in np.random.default_rng(3).standard_normal((3, len(behind.block)))
-    ]
+    afters = [moved(heavier, 0.1 * rows) for rows in np.random.default_rng(3).standard_normal((3, len(behind.block)))]
     calls, made = [], module.form_error_columns
     monkeypatch.setattr(module, "form_error_columns", lambda *asked: calls.append(asked) or made(*asked))
     several = [saved_beside_form_error(behind, heavier, after) for after in afters]
@@ -321,6 +314,4 @@ def test_a_law_of_load_divides_a_term_and_does_not_turn_its_sign(twice):
     # Of two parameters the whole effect is divided; what moves between them stays.
     slopes, away = np.eye(50)[:, :2], np.array([0.3, 0.4])
     between = np.array([0.4, -0.3])
-    assert divided_out(between - twice * away, away, slopes) == pytest.approx(
-        between + away / (1.0 + twice) - away
-    )
+    assert divided_out(between - twice * away, away, slopes) == pytest.approx(between + away / (1.0 + twice) - away)

@@ -69,9 +69,7 @@ def test_the_force_that_is_explained_most_is_told(nominal_evidence, columns):
 
 
 def test_noise_has_no_formula(nominal_evidence):
-    found = [
-        formula_of(nominal_evidence, noise(seed, (len(nominal_evidence.series), 3))) for seed in range(20, 26)
-    ]
+    found = [formula_of(nominal_evidence, noise(seed, (len(nominal_evidence.series), 3))) for seed in range(20, 26)]
     # Twenty-six functions of three forces each: the criterion asks for 2.4 deviations, stability for most halves.
     assert sum(bool(text) for text in found) <= 2
 

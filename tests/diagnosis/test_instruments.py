@@ -304,9 +304,7 @@ def test_witnesses_alone_tell_how_late_a_channel_is(late_yaw_rate):
     assert with_late_channel(same, without_a_name(same), every, 1.5) is None
     base = told.base
     denied = replace(base, cost=base.cost - 2.0 * seen - (base.cost - told.chosen.cost))
-    assert (
-        with_late_channel(late_yaw_rate, replace(without_a_name(late_yaw_rate), base=denied), every, 1.5) is None
-    )
+    assert with_late_channel(late_yaw_rate, replace(without_a_name(late_yaw_rate), base=denied), every, 1.5) is None
 
 
 def test_a_late_channel_is_told_beside_a_name(late_yaw_rate):

@@ -34,11 +34,7 @@ def evaluated(objective, parts) -> Fit:
     return Fit(tuple(parts), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
 
 
-TRUE = {
-    "aero_drag": {"drag": 0.6},
-    "yaw_inertia": {"scale": 1.15},
-    "yaw_moment_differential": {"yaw_damping": 1500.0},
-}
+TRUE = {"aero_drag": {"drag": 0.6}, "yaw_inertia": {"scale": 1.15}, "yaw_moment_differential": {"yaw_damping": 1500.0}}
 OTHERS = ("aero_downforce", "tire_stiffness", "friction_scale", "cg_shift", "rolling_resistance", "steer_gain")
 
 

@@ -122,9 +122,7 @@ def test_no_rows_without_position_or_with_too_few_windows(nominal_drive):
     ("name", "variant", "values"),
     [("channel_delay", "vy", {"vy": 0.05}), ("velocity_bias", "", {"angle": 0.0, "drift": 0.001})],
 )
-def test_a_fault_of_the_sensor_is_no_noise_and_does_not_hide_in_its_own_spread(
-    nominal_drive, name, variant, values
-):
+def test_a_fault_of_the_sensor_is_no_noise_and_does_not_hide_in_its_own_spread(nominal_drive, name, variant, values):
     sound = noisy(nominal_drive, 3, position=POSITION)
     recording = Recording(sound.period, tuple((run.start, run.stop) for run in sound.segments()))
     columns = CATALOGUE[name](values, variant).corrupt(dict(sound.columns), recording)

@@ -34,8 +34,7 @@ def test_every_size_has_limits_with_a_source_and_starts_inside():
                     assert limits.lower <= neutral <= limits.upper, (kind.id, name)
             for start in search.starts:
                 assert all(
-                    search.ranges[name].lower <= value <= search.ranges[name].upper
-                    for name, value in start.items()
+                    search.ranges[name].lower <= value <= search.ranges[name].upper for name, value in start.items()
                 )
 
 

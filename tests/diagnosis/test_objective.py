@@ -37,9 +37,7 @@ def written(seed: int, rows: int = ROWS, columns: int = COLUMNS, size: float = 1
     )
 
 
-def objective_of(
-    *evidence: WrittenEvidence, posterior: DiscrepancyPosterior | None, keep=None
-) -> MarginalLikelihood:
+def objective_of(*evidence: WrittenEvidence, posterior: DiscrepancyPosterior | None, keep=None) -> MarginalLikelihood:
     keep = keep or [np.ones(len(one.at), dtype=bool) for one in evidence]
     return build_objective(evidence, posterior, None, keep)
 

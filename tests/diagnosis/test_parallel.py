@@ -82,7 +82,5 @@ def test_what_travels_forgets_what_it_found_by_ids():
 
 def test_what_is_held_comes_first():
     assert map_distributed_with(10, lambda held, item: held - item, [3, 4]) == [7, 6]
-    with distributing_by(
-        lambda function, items: [function.func(*function.args, item) for item in reversed(items)]
-    ):
+    with distributing_by(lambda function, items: [function.func(*function.args, item) for item in reversed(items)]):
         assert map_distributed_with(10, lambda held, item: held - item, [3, 4]) == [6, 7]

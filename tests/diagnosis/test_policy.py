@@ -14,8 +14,7 @@ ROOT = Path(__file__).resolve().parents[2] / "split_cli" / "diagnosis"
 
 
 @pytest.mark.parametrize(
-    ("group", "one", "value"),
-    [pytest.param(*entry, id=f"{entry[0]}-{entry[1].name}") for entry in deciding_numbers()],
+    ("group", "one", "value"), [pytest.param(*entry, id=f"{entry[0]}-{entry[1].name}") for entry in deciding_numbers()]
 )
 def test_a_number_says_its_unit_its_meaning_and_its_origin(group, one, value):
     assert isinstance(value, int | float)
@@ -74,13 +73,7 @@ BESIDE_THEIR_ALGORITHM = {
     "baseline/discrepancy.py": {"_SMOOTH_DEVIATION", "_AT_ONCE"},
     "innovations/autocovariance.py": {"LAG_ROWS"},
     "innovations/evidence.py": {"ROW_SECONDS", "_TUNING_ROWS", "_KEPT_BYTES"},
-    "innovations/objective.py": {
-        "_BLOCK_SECONDS",
-        "_FILTERED_AT_ONCE",
-        "_LEAST_INFORMED",
-        "_REMEMBERED",
-        "_SHIFTS",
-    },  # fmt: skip
+    "innovations/objective.py": {"_BLOCK_SECONDS", "_FILTERED_AT_ONCE", "_LEAST_INFORMED", "_REMEMBERED", "_SHIFTS"},
     "innovations/projection.py": {"_FEW"},
     "innovations/rollouts.py": {"_STEP_SECONDS", "_MOST_STARTS", "_FEWEST_STARTS"},
     "innovations/effect_to_noise.py": {"_HORIZON", "_ROWS_AT_ONCE"},

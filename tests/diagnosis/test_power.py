@@ -91,9 +91,13 @@ def circles(noise: float, *, frozen: bool = False) -> Drive:
     r = 0.03 * speed / (2.7 + 0.003 * speed**2) * (np.sin(0.5 * t) if frozen else 1.0)
     rng = np.random.default_rng(5)
     columns = {
-        "t": t, "vx": speed + rng.normal(0.0, noise, 6000), "vy": rng.normal(0.0, noise, 6000),
-        "r": r + rng.normal(0.0, 0.1 * noise, 6000), "T": 100.0 * np.sin(t), "delta": np.full(6000, 0.03),
-    }  # fmt: skip
+        "t": t,
+        "vx": speed + rng.normal(0.0, noise, 6000),
+        "vy": rng.normal(0.0, noise, 6000),
+        "r": r + rng.normal(0.0, 0.1 * noise, 6000),
+        "T": 100.0 * np.sin(t),
+        "delta": np.full(6000, 0.03),
+    }
     return one_run(columns, 0.01, "circles.parquet")
 
 
@@ -110,8 +114,11 @@ def test_torque_of_pedals_is_not_taken_for_torque_of_motion():
     by_motion = "derived: torque from measured a_x by the nominal model of brake_car"
     unknown = "derived"
     for kind, pedals, motion in (
-        (by_pedals, True, False), (by_motion, False, True), (unknown, False, True), ("command", False, False),
-    ):  # fmt: skip
+        (by_pedals, True, False),
+        (by_motion, False, True),
+        (unknown, False, True),
+        ("command", False, False),
+    ):
         one = replace(drive, metadata=replace(drive.metadata, kinds={"T": kind}))
         assert one.metadata.torque_is_from_pedals == pedals
         assert one.metadata.torque_follows_motion == motion

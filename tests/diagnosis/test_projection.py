@@ -23,6 +23,4 @@ def test_columns_that_are_no_block_of_memory_are_damped_alike():
     rng = np.random.default_rng(4)
     basis, _ = np.linalg.qr(rng.standard_normal((50, 5)))
     rows = rng.standard_normal((6, 50)).T[:, ::2]
-    np.testing.assert_allclose(
-        damped(rows, basis, np.ones(5)), rows - basis @ (basis.T @ rows), rtol=0.0, atol=1e-13
-    )
+    np.testing.assert_allclose(damped(rows, basis, np.ones(5)), rows - basis @ (basis.T @ rows), rtol=0.0, atol=1e-13)

@@ -46,9 +46,17 @@ def gap_along_a_circle(name: str = "lap.parquet", rows: int = 2000) -> GapSeries
     shape = np.stack([0.0 * angle, np.sin(angle), 0.1 * np.cos(angle)], axis=1)
     point = np.stack([0.1 * np.sin(angle), 0.08 * np.sin(angle + 0.2), np.cos(3 * angle), 15 + angle], axis=1)
     return GapSeries(
-        name, t, np.mod(30.0 * angle, 60.0 * np.pi), np.arange(rows), 30.0 * np.cos(angle), 30.0 * np.sin(angle),
-        point, np.arange(rows) < 0.9 * rows, 100.0 * shape + noise, 10.0 * shape + noise,
-    )  # fmt: skip
+        name,
+        t,
+        np.mod(30.0 * angle, 60.0 * np.pi),
+        np.arange(rows),
+        30.0 * np.cos(angle),
+        30.0 * np.sin(angle),
+        point,
+        np.arange(rows) < 0.9 * rows,
+        100.0 * shape + noise,
+        10.0 * shape + noise,
+    )
 
 
 def rollout(horizon: float, before: float) -> HorizonErrors:
@@ -63,33 +71,60 @@ def mismatch(name: str = "lap.parquet") -> Diagnosis:
     """Return a diagnosis in which every part of the report has something to say."""
     rivals = (RivalSummary("mass", "loaded", 4.0, 0.3), RivalSummary("wind", "", 900.0, 12.0))
     finding = Finding(
-        "steer_gain", "", {"gain": ParameterEstimate(0.9512, 0.01, "1", (0.9312, 0.9712))}, 0.8, ("mass", CLASS),
-        f"In reality the wheels turn less. On this data it cannot be told from mass, {CLASS}.", 0.9, rivals,
+        "steer_gain",
+        "",
+        {"gain": ParameterEstimate(0.9512, 0.01, "1", (0.9312, 0.9712))},
+        0.8,
+        ("mass", CLASS),
+        f"In reality the wheels turn less. On this data it cannot be told from mass, {CLASS}.",
+        0.9,
+        rivals,
         ("a drive with ballast",),
-    )  # fmt: skip
+    )
     errors = Improvement(
-        (0.5, 0.9, 0.2), (0.5, 0.5, 0.15), (0.5, 0.45, 0.14), (0.5, 0.7, 0.16), (4.0, 3.0, 2.0), (0.4, 0.4, 0.1),
+        (0.5, 0.9, 0.2),
+        (0.5, 0.5, 0.15),
+        (0.5, 0.45, 0.14),
+        (0.5, 0.7, 0.16),
+        (4.0, 3.0, 2.0),
+        (0.4, 0.4, 0.1),
         {"before": [[0.4, 0.6], [0.8, 1.0], [0.1, 0.3]], "blocks": 12},
         (rollout(0.5, 0.1), rollout(1.0, 0.2), rollout(2.0, 0.4)),
         {"physics": (0.6, 0.4, 0.7), "split_only": None, "after": (0.65, 0.5, 0.8)},
-    )  # fmt: skip
+    )
     shares = {"longitudinal": 0.1, "front_lateral": 0.8, "rear_lateral": 0.1}
     remainder = RemainderTest(1e-5, 0.2, 0.1, (("memory", 60.0), ("time", 20.0)), "F ~ 3 N sign(r)")
     place = Place(150.0, 20.0, 188.5, "position", 30.0, 0.0)
     return Diagnosis(
-        "mismatch", 1e-9, 0.9, ("brake gain: there is no braking; brake hard once",),
+        "mismatch",
+        1e-9,
+        0.9,
+        ("brake gain: there is no braking; brake hard once",),
         Location(shares, (("delta", 0.5), ("s", 0.2)), {"delta": (0.01, 0.05)}, place, (10.0, 20.0), 0.6, 0.2),
-        (finding,), True, remainder, errors,
-        (InputFile(name, "ab" * 32, "real"), InputFile("car.yaml", "cd" * 32, "vehicle")), {"holdout_share": 0.25},
-        (gap_along_a_circle(name),), ("added steer_gain, saves 100",),
+        (finding,),
+        True,
+        remainder,
+        errors,
+        (InputFile(name, "ab" * 32, "real"), InputFile("car.yaml", "cd" * 32, "vehicle")),
+        {"holdout_share": 0.25},
+        (gap_along_a_circle(name),),
+        ("added steer_gain, saves 100",),
         "Simulation and reality differ. In reality the wheels turn less.",
-    )  # fmt: skip
+    )
 
 
 MATCH = replace(
-    mismatch(), verdict="match", p_value=0.4, location=None, findings=(), unexplained=False, remainder=None,
-    improvement=None, history=(), summary="Simulation and reality agree within noise wherever both have been.",
-)  # fmt: skip
+    mismatch(),
+    verdict="match",
+    p_value=0.4,
+    location=None,
+    findings=(),
+    unexplained=False,
+    remainder=None,
+    improvement=None,
+    history=(),
+    summary="Simulation and reality agree within noise wherever both have been.",
+)
 UNDECIDED = Diagnosis("undecided", None, 0.02, ("lap.parquet has 3.0 s without a gap; drive for 8 s.",))
 
 
@@ -175,9 +210,7 @@ class Reader(HTMLParser):
             self.scripts.append((self.found[-1][1], data))
 
 
-@pytest.mark.parametrize(
-    "diagnosis", [mismatch(HOSTILE), MATCH, UNDECIDED], ids=["mismatch", "match", "undecided"]
-)
+@pytest.mark.parametrize("diagnosis", [mismatch(HOSTILE), MATCH, UNDECIDED], ids=["mismatch", "match", "undecided"])
 class TestPage:
     def test_is_well_formed_and_ids_are_unique(self, diagnosis):
         page = Reader(report_page(diagnosis))

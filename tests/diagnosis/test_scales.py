@@ -20,15 +20,7 @@ from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.findings import _stays_beside
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import (
-    bare_objective,
-    candidates_of,
-    driven,
-    faulty,
-    light_evidence,
-    noisy,
-    prepared,
-)
+from tests.diagnosis.recordings import bare_objective, candidates_of, driven, faulty, light_evidence, noisy, prepared
 from tests.factories import road_car
 
 
@@ -116,9 +108,12 @@ def test_where_drives_have_little_in_common_only_witnessed_faults_keep_their_nam
     fit = Fit(parts, 0.0, np.zeros(0), np.zeros((0, 0)))
     none = ((),) * len(parts)
     outcome = SearchOutcome(
-        SimpleNamespace(objective=objective), None, Selection(fit, fit, (fit,), none, none, (True,) * len(parts)),
-        None, 1.5,
-    )  # fmt: skip
+        SimpleNamespace(objective=objective),
+        None,
+        Selection(fit, fit, (fit,), none, none, (True,) * len(parts)),
+        None,
+        1.5,
+    )
     assert len(parts) == 3
     assert [one.id for one in with_witnessed_names(outcome).selection.terms] == ["yaw_rate_scale"]
 
@@ -130,8 +125,7 @@ def test_an_offset_of_the_steering_stays_beside_a_yaw_rate_out_of_scale_and_what
     scales = scales_as_terms([build_kinematics(series)], [])
     assert scales["yaw_rate_scale"] == pytest.approx(0.95, abs=2e-3)
     chosen = fit_parts(
-        objective,
-        [Part(one, dict(one.starts[0])) for one in candidates_of(objective, "steer_gain", "steer_offset")],
+        objective, [Part(one, dict(one.starts[0])) for one in candidates_of(objective, "steer_gain", "steer_offset")]
     )
     about = {"offset": (0.009, 0.011), "gain": (0.5, 1.5)}
     findings = [

@@ -17,13 +17,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit, Part, fit_parts, without_parts
 from split_cli.diagnosis.search.form_error import form_error_columns, saved_beside_form_error
 from split_cli.diagnosis.search.forward import other_beginnings
-from split_cli.diagnosis.search.selection import (
-    Selection,
-    explaining_as_well,
-    nothing,
-    rivals_of,
-    select_terms,
-)
+from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, rivals_of, select_terms
 from split_cli.diagnosis.search.term_tests import is_form_error, term_p, term_size
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
@@ -70,9 +64,7 @@ def named(selection: Selection) -> set[str]:
 
 
 def test_nothing_is_named_where_nothing_is_planted(nominal_objective):
-    selection = select_terms(
-        nominal_objective, candidates_of(nominal_objective, *NAMES, "mass"), VARIANCE_INFLATION
-    )
+    selection = select_terms(nominal_objective, candidates_of(nominal_objective, *NAMES, "mass"), VARIANCE_INFLATION)
     assert not selection.terms and not selection.rivals
     assert selection.first_p > 0.01
     assert selection.chosen.cost == pytest.approx(nominal_objective.cost(()), rel=1e-12)
@@ -186,9 +178,7 @@ def test_a_fast_effect_is_seen_beside_a_slow_one_of_ten_thousand_times_its_cost(
 def test_a_further_term_no_larger_than_a_form_error_is_not_named():
     """A little steering offset beside a third of the inertia more: a tenth of its size, in its channel."""
     objective = objective_of(*planted(yaw_inertia=1.33, steer_offset=0.00035))
-    selection = select_terms(
-        objective, candidates_of(objective, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION
-    )
+    selection = select_terms(objective, candidates_of(objective, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION)
     assert named(selection) == {"yaw_inertia"}
     assert "steer_offset" in selection.history[-1] and "model-form error" in selection.history[-1]
     # Alone, as large as it is, it would be named.
@@ -286,9 +276,7 @@ def test_what_settles_a_channel_is_asked_beside_the_form_error_of_what_acts_ther
     size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
 
     def refused(parts: tuple[Part, ...], after: float) -> bool:
-        before, still = (
-            replace(chosen, parts=parts, residuals=(noise + wrong + k * wave).ravel()) for k in (1, after)
-        )
+        before, still = (replace(chosen, parts=parts, residuals=(noise + wrong + k * wave).ravel()) for k in (1, after))
         return is_form_error(pair, size, other, before, still, STANDARD.selection)
 
     assert refused((), 0.0) and not refused(chosen.parts, 0.0) and refused(chosen.parts, 0.6)
@@ -400,12 +388,7 @@ def test_form_error_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
     widened = saved / 30.0
     # The same as chance that is so wide, unless chance is wider itself.
     assert p_value(form_error_inflation=widened) == pytest.approx(term_p(pair, fit, k, saved, widened), rel=1e-12)
-    assert (
-        p_value(form_error_inflation=widened)
-        > 1e-8
-        > p_value(form_error_inflation=VARIANCE_INFLATION)
-        == p_value()
-    )
+    assert p_value(form_error_inflation=widened) > 1e-8 > p_value(form_error_inflation=VARIANCE_INFLATION) == p_value()
     both = p_value(form_error_inflation=widened, term_floors=floors)
     assert both == max(p_value(form_error_inflation=widened), p_value(term_floors=floors))
     assert both < term_p(replace(pair, term_floors=floors), fit, k, saved, widened)
@@ -452,9 +435,7 @@ def test_a_stretch_over_nearly_the_whole_lap_is_none():
     for fit in Explorer(objective, patches, VARIANCE_INFLATION)(nothing(objective)):
         values = fit.parts[0].values
         assert (values["s_end"] - values["s_start"]) % LAP <= 0.8 * LAP
-    selection = select_terms(
-        objective, [*patches, *candidates_of(objective, "friction_scale")], VARIANCE_INFLATION
-    )
+    selection = select_terms(objective, [*patches, *candidates_of(objective, "friction_scale")], VARIANCE_INFLATION)
     assert named(selection) == {"friction_scale"}
 
 

@@ -21,9 +21,7 @@ def test_every_number_of_a_group_is_diagnosed_once_and_told(tmp_path, monkeypatc
 
     monkeypatch.setattr(policy, "outcome_of", diagnosed)
     monkeypatch.setattr(
-        policy,
-        "deciding_numbers",
-        lambda: [one for one in deciding if (one[0], one[1].name) == ("selection", "level")],
+        policy, "deciding_numbers", lambda: [one for one in deciding if (one[0], one[1].name) == ("selection", "level")]
     )
     for _ in range(2):  # the second time all is there
         study(tmp_path, ["selection"], [3], tmp_path / "rows.csv")

@@ -22,15 +22,25 @@ from tests.factories import road_car
 VARIANTS = [(term, variant) for term, kind in CATALOGUE.items() for variant in kind.variants]
 #: Words for more than in the simulation, and for less; terms that have no other side are not here.
 SIDES = {
-    "friction_scale": ("higher", "lower"), "friction_patch": ("higher", "lower"), "grip_fade": ("fades", "grows"),
-    "tire_stiffness": ("stiffer", "softer"), "aero_downforce": ("more", "less"), "aero_drag": ("more", "less"),
-    "rolling_resistance": ("more", "less"), "wind": ("along", "against"), "road_grade": ("climbs", "falls"),
-    "road_bank": ("to the left", "to the right"), "drive_gain": ("too strong", "too weak"),
-    "steer_gain": ("more", "less"), "steer_offset": ("to the left", "to the right"),
-    "cg_shift": ("further forward", "further back"), "mass": ("heavier", "lighter"),
-    "yaw_inertia": ("larger", "smaller"), "sensor_lever_arm": ("further forward", "further back"),
+    "friction_scale": ("higher", "lower"),
+    "friction_patch": ("higher", "lower"),
+    "grip_fade": ("fades", "grows"),
+    "tire_stiffness": ("stiffer", "softer"),
+    "aero_downforce": ("more", "less"),
+    "aero_drag": ("more", "less"),
+    "rolling_resistance": ("more", "less"),
+    "wind": ("along", "against"),
+    "road_grade": ("climbs", "falls"),
+    "road_bank": ("to the left", "to the right"),
+    "drive_gain": ("too strong", "too weak"),
+    "steer_gain": ("more", "less"),
+    "steer_offset": ("to the left", "to the right"),
+    "cg_shift": ("further forward", "further back"),
+    "mass": ("heavier", "lighter"),
+    "yaw_inertia": ("larger", "smaller"),
+    "sensor_lever_arm": ("further forward", "further back"),
     "sensor_misalignment": ("counter-clockwise", " clockwise"),
-}  # fmt: skip
+}
 
 
 def estimate(value: float, error: float, unit: str = "1") -> ParameterEstimate:
@@ -75,14 +85,8 @@ def test_every_term_reads_right_for_either_sign(term, variant, size):
 @pytest.mark.parametrize(
     ("said", "expected"),
     [
-        (
-            amount(estimate(-0.00302, 0.00045, "m"), more="forward", less="back"),
-            "3.02 mm back (95 %: 2.12 to 3.92 mm)",
-        ),
-        (
-            amount(estimate(0.213, 0.011, "m"), more="forward", less="back"),
-            "0.213 m forward (95 %: 0.191 to 0.235 m)",
-        ),
+        (amount(estimate(-0.00302, 0.00045, "m"), more="forward", less="back"), "3.02 mm back (95 %: 2.12 to 3.92 mm)"),
+        (amount(estimate(0.213, 0.011, "m"), more="forward", less="back"), "0.213 m forward (95 %: 0.191 to 0.235 m)"),
         (
             amount(estimate(0.988, 0.011), neutral=1.0, share=True, more="more", less="less"),
             "1.2 % less (95 %: 3.4 % less to 1.0 % more)",
@@ -158,10 +162,7 @@ def test_exactness_depends_on_the_variant():
 
 def test_what_a_missing_channel_alone_would_tell_apart_is_declared_by_either():
     inertial = {"vx", "vy", "r", "ay", "yaw"}
-    assert set(separable_by_lacking("sensor_lever_arm", "", inertial)) == {
-        "cg_shift+tire_stiffness",
-        "tire_stiffness",
-    }
+    assert set(separable_by_lacking("sensor_lever_arm", "", inertial)) == {"cg_shift+tire_stiffness", "tire_stiffness"}
     assert set(separable_by_lacking("steer_delay", "", inertial)) == {"channel_delay"}
     assert set(separable_by_lacking("channel_delay", "r", inertial)) == {"steer_lag", "steer_delay"}
     assert set(separable_by_lacking("channel_delay", "vx", inertial)) == {"drive_lag", "drive_delay"}
@@ -187,13 +188,16 @@ def improvement() -> Improvement:
 
 
 def test_the_summary_says_what_where_and_whether_it_helps():
-    finding = Finding(
-        "friction_patch", "", planted("friction_patch", "", 0.22, -1.0), 0.9, ("grip_fade",), "", 1.0
-    )
+    finding = Finding("friction_patch", "", planted("friction_patch", "", 0.22, -1.0), 0.9, ("grip_fade",), "", 1.0)
     location = Location(
-        {"longitudinal": 0.1, "front_lateral": 0.8, "rear_lateral": 0.1}, (("s", 0.91), ("delta", 0.2)), {},
-        Place(311.0, 421.0, 1200.0, "position", None, None), None, 0.87, 0.09,
-    )  # fmt: skip
+        {"longitudinal": 0.1, "front_lateral": 0.8, "rear_lateral": 0.1},
+        (("s", 0.91), ("delta", 0.2)),
+        {},
+        Place(311.0, 421.0, 1200.0, "position", None, None),
+        None,
+        0.87,
+        0.09,
+    )
     said = summarise("mismatch", (finding,), False, location, None, (), improvement())
     for part in (
         "between s = 310 and 420 m grip is 22.0 % lower",
@@ -214,8 +218,7 @@ def test_held_out_time_without_the_gap_tells_nothing():
     blind = Improvement(*([quiet] * 5), quiet, {}, (last,), {"physics": None})
     said = summarise("mismatch", (finding,), improvement=blind)
     assert (
-        "The held-out data show too little of the gap to tell whether the identified effects would reduce it."
-        in said
+        "The held-out data show too little of the gap to tell whether the identified effects would reduce it." in said
     )
     assert not blind.tells and improvement().tells
 
@@ -224,9 +227,15 @@ def test_what_persistence_predicts_better_is_told_with_its_mean_error():
     """A force of 50 N too much on 1,000 kg is 0.1 m/s after 2 s: most of an error of 0.11 m/s."""
     car = replace(road_car(), mass=1000.0)
     last = HorizonErrors(
-        2.0, (0.2, 0.3, 0.01), (0.11, 0.1, 0.01), *([(0.05, 0.2, 0.02)] * 3), (0.01, 0.01, 0.001), {}, 40,
+        2.0,
+        (0.2, 0.3, 0.01),
+        (0.11, 0.1, 0.01),
+        *([(0.05, 0.2, 0.02)] * 3),
+        (0.01, 0.01, 0.001),
+        {},
+        40,
         mean={"physics": (0.1, 0.0, 0.0)},
-    )  # fmt: skip
+    )
     finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), 0.9, (), "", 1.0)
     helped = Improvement(*([(0.1,) * 3] * 5), (0.05,) * 3, {}, (last,), {"physics": (0.5, 0.4, 0.6)})
     said = summarise("mismatch", (finding,), improvement=helped, vehicle=car)
@@ -239,9 +248,17 @@ def test_a_correction_that_is_not_applied_changes_no_error():
     last = HorizonErrors(2.0, *([(0.5, 0.1, 0.02)] * 4), (0.2, 0.2, 0.2), (0.01, 0.01, 0.001), {}, 40)
     row = (0.1, 0.1, 0.1)
     helped = Improvement(
-        row, row, row, row, row, (0.05,) * 3, {}, (last,), {"split_only": (0.0, 0.0, 0.0)},
+        row,
+        row,
+        row,
+        row,
+        row,
+        (0.05,) * 3,
+        {},
+        (last,),
+        {"split_only": (0.0, 0.0, 0.0)},
         trust={"split_only": (0.0, 0.0, 0.0)},
-    )  # fmt: skip
+    )
     said = summarise("mismatch", (), True, improvement=helped)
     assert "does not hold on training time, and none is applied. After 2 s of open-loop simulation" in said
     assert "0.50 m/s in v_x (persistence: 0.20), 0.10 m/s in v_y (persistence: 0.20) and 0.020 rad/s in r" in said
@@ -277,9 +294,7 @@ def test_shares_that_do_not_add_up_are_told_with_what_is_left(explained, unnamed
     finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), explained, (), "", 1.0)
     said = summarise("mismatch", (finding,), True, None, RemainderTest(1e-9, unnamed, 3.0, ()))
     alone = f"{unnamed:.0%} of the gap is explained by no effect of the catalogue".replace("%", " %")
-    beside = f"{unnamed:.0%} of the gap has a structure that no effect of the catalogue explains".replace(
-        "%", " %"
-    )
+    beside = f"{unnamed:.0%} of the gap has a structure that no effect of the catalogue explains".replace("%", " %")
     assert (alone in said) == (rest is None) and (beside in said) == (rest is not None)
     assert ("scatter, or the error of the model's form" in said) == (rest is not None)
     assert rest is None or f"Another {rest} has neither name nor structure" in said
@@ -297,9 +312,7 @@ def test_what_acts_in_a_part_is_told_with_its_interval_and_what_else_it_may_be()
     gain = ("drive_gain", "brake_gain", ParameterEstimate(0.85, 0.02, "1", (0.81, 0.89)))
     delay = ("drive_delay", "delay", ParameterEstimate(0.12, 0.01, "s", (0.1, 0.14)))
     told = acting_in_a_part([gain, delay], 24.9, 55.9, 4)
-    assert told.startswith(
-        "Between 24.9 and 55.9 s it looks like drive gain (drive_gain) with brake_gain = 0.850 (95"
-    )
+    assert told.startswith("Between 24.9 and 55.9 s it looks like drive gain (drive_gain) with brake_gain = 0.850 (95")
     assert "0.810 to 0.890" in told and "not all along the drive" in told and "a lead, not a finding" in told
     assert "nearly as well there by drive delay (drive_delay) with delay = 0.120 s" in told
     assert "55.9 s of real drive 2 it" in acting_in_a_part([gain], 24.9, 55.9, 4, 2)

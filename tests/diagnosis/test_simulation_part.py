@@ -79,10 +79,19 @@ def test_no_real_pair_is_compared_with_a_simulation_that_diverges(tmp_path, data
     vehicle = read_vehicle(vehicle_file("genesis"))
     shown = CliRunner().invoke(
         command,
-        [str(source), "--map", "genesis_slow", "--vehicle", "genesis", "--derive", "torque-from-acceleration",
-         "-o", str(tmp_path / "drive.parquet")],
+        [
+            str(source),
+            "--map",
+            "genesis_slow",
+            "--vehicle",
+            "genesis",
+            "--derive",
+            "torque-from-acceleration",
+            "-o",
+            str(tmp_path / "drive.parquet"),
+        ],
         catch_exceptions=False,
-    )  # fmt: skip
+    )
     assert shown.exit_code == 0
     drive = read_drive(tmp_path / "drive.parquet")
     halves = [replace(half, name=name) for half, name in zip(split_in_blocks(drive, 10.0), "ab", strict=True)]

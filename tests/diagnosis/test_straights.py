@@ -64,9 +64,13 @@ def test_an_offset_that_a_search_passed_over_is_added_where_straights_show_it(se
     for parts in ((), (Part(candidates[1], {"angle": 0.02}),)):
         chosen = fit_parts(objective, parts)
         passed_over = Selection(
-            nothing(objective), chosen, (nothing(objective),) * len(parts), ((),) * len(parts), ((),) * len(parts),
+            nothing(objective),
+            chosen,
+            (nothing(objective),) * len(parts),
+            ((),) * len(parts),
+            ((),) * len(parts),
             (True,) * len(parts),
-        )  # fmt: skip
+        )
         found = with_offset_of_straights(objective, passed_over, candidates, 1.5)
         assert found.terms[-1].id == "steer_offset" and len(found.without) == len(found.named) == len(parts) + 1
         assert found.chosen.parts[-1].values["offset"] == pytest.approx(OFFSET, rel=0.3)
@@ -79,9 +83,7 @@ def test_no_offset_is_added_to_a_car_that_goes_straight():
     objective = bare_objective(light_evidence(prepared(noisy(driven(45, [softer], seconds=16.0), 545))))
     candidates = candidates_of(objective, "steer_offset")
     empty = nothing(objective)
-    assert (
-        with_offset_of_straights(objective, Selection(empty, empty, (), (), (), ()), candidates, 1.5).named == ()
-    )
+    assert with_offset_of_straights(objective, Selection(empty, empty, (), (), (), ()), candidates, 1.5).named == ()
 
 
 LEAN = 0.1

@@ -67,9 +67,7 @@ def test_blocks_in_which_an_effect_acts_alike_are_students_sample_and_one_block_
     assert 0.5 * student.pvalue < blocks_p(objective, fit_of(left), fit_of(without)) < student.pvalue
     # All that acts lies in one block: there is no other that could agree.
     without[10:] -= sizes.repeat(10)[10:]
-    assert blocks_p(
-        objective, fit_of(without - sizes[0] * d * (without != 0.0)), fit_of(without)
-    ) == pytest.approx(1.0)
+    assert blocks_p(objective, fit_of(without - sizes[0] * d * (without != 0.0)), fit_of(without)) == pytest.approx(1.0)
 
 
 def test_few_blocks_that_agree_are_believed_and_few_that_do_not_are_not(monkeypatch):
@@ -89,8 +87,6 @@ def test_few_blocks_that_agree_are_believed_and_few_that_do_not_are_not(monkeypa
         fit = replace(fit_of(left), parts=(Part(SimpleNamespace(located=""), {}),))
         assert block_z(objective, fit, fit_of(without)) < STANDARD.comparison.deviations
         for effect_to_noise in (0.9, 1.1):
-            monkeypatch.setattr(
-                term_tests, "term_size", lambda *_, effect_to_noise=effect_to_noise: effect_to_noise
-            )
+            monkeypatch.setattr(term_tests, "term_size", lambda *_, effect_to_noise=effect_to_noise: effect_to_noise)
             expected = believed or effect_to_noise > 1.0
             assert is_spread(objective, fit, 0, fit_of(without), rules) == expected

@@ -48,9 +48,7 @@ def test_each_axle_has_its_own_peak_and_the_force_along_the_car_stays():
     found = at_other_tires(rates, series, car, (load,)) @ np.linalg.inv(car.force_matrix()).T
     ratio = series.flow(extended_model(car, (load,))).rear.D / car.rear_tire.D
     assert np.all(ratio > 1.0)
-    np.testing.assert_allclose(
-        found, forces * np.stack([np.ones(len(series)), np.ones(len(series)), ratio], axis=1)
-    )
+    np.testing.assert_allclose(found, forces * np.stack([np.ones(len(series)), np.ones(len(series)), ratio], axis=1))
 
 
 def test_a_lower_peak_changes_nothing_at_small_slip_and_all_at_the_limit():

@@ -45,10 +45,7 @@ def everyday(ours: list, theirs: list) -> dict[str, dict[str, float]]:
 
 def test_the_deviation_between_stretches_is_that_of_random_effects():
     """1000 stretches of 20 windows: 0.3 between beside 1 within; of noise none, but at the level."""
-    rng, stretches = (
-        np.random.default_rng(5),
-        np.stack([np.zeros(20_000), np.repeat(np.arange(1000), 20)], axis=1),
-    )
+    rng, stretches = (np.random.default_rng(5), np.stack([np.zeros(20_000), np.repeat(np.arange(1000), 20)], axis=1))
     noise = rng.normal(0.0, 1.0, 20_000)
     wander = np.repeat(rng.normal(0.0, 0.3, 1000), 20)
     # A variance of 0.09 is known to (0.09 + 1/20) sqrt(2/1000).

@@ -32,10 +32,18 @@ TOGETHER = {
     "wind+grip_fade+load_transfer": ("wind", "grip_fade", "load_transfer"),
     "every term there is": tuple(name for name, kind in CATALOGUE.items() if kind.exported),
     "everything with a memory": (
-        "steer_delay", "steer_gain", "steer_backlash", "steer_lag", "drive_delay", "drive_gain", "drive_lag",
-        "tire_relaxation", "combined_slip", "friction_patch",
+        "steer_delay",
+        "steer_gain",
+        "steer_backlash",
+        "steer_lag",
+        "drive_delay",
+        "drive_gain",
+        "drive_lag",
+        "tire_relaxation",
+        "combined_slip",
+        "friction_patch",
     ),
-}  # fmt: skip
+}
 
 
 def effect(term: str, variant: str = "") -> EffectSpec:
@@ -119,9 +127,7 @@ def silent_set(effects: tuple[EffectSpec, ...] = (), seed: int = 8) -> TrainingS
     return replace(small, y=np.zeros_like(small.y))
 
 
-def build_library(
-    compiler: Compiler, folder: Path, cases: dict[str, tuple[EffectSpec, ...]]
-) -> dict[str, Exported]:
+def build_library(compiler: Compiler, folder: Path, cases: dict[str, tuple[EffectSpec, ...]]) -> dict[str, Exported]:
     """Compile the C of all cases into one library, as strictly as users do but without optimisation, for speed."""
     plain = silent_set()
     tables, sources, parts = build_tables(plain), [], {}

@@ -35,9 +35,7 @@ static void blasfeo_pack_dmat(int m, int n, double *a, int lda, struct blasfeo_d
 """
 
 
-def source_of(
-    training_set: TrainingSet, real: str = "double", name: str = "car", predictor: str = "bcm"
-) -> CSource:
+def source_of(training_set: TrainingSet, real: str = "double", name: str = "car", predictor: str = "bcm") -> CSource:
     """Return the exported C of a set."""
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
     tables = predictor_tables(make_predictor(predictor, training_set), real)

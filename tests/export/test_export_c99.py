@@ -148,10 +148,7 @@ def test_the_bound_on_skipped_cells_holds_and_is_used(small_set, small_oracle, c
 
 
 def test_effects_of_the_vehicle_are_in_the_step(compiler, tmp_path):
-    effects = (
-        EffectSpec("aero_drag", {"drag": 0.4}),
-        EffectSpec("yaw_moment_differential", {"yaw_damping": 900.0}),
-    )
+    effects = (EffectSpec("aero_drag", {"drag": 0.4}), EffectSpec("yaw_moment_differential", {"yaw_damping": 900.0}))
     training_set = make_training_set(seed=5, points=150, vehicle=road_car(effects=effects))
     assert checked(training_set, compiler, tmp_path, queries=300).step_error < 1e-11
     plain = graph_of(replace(training_set, vehicle=road_car()))
@@ -215,9 +212,7 @@ def test_terms_that_cannot_be_exported_are_refused(small_set, term, message):
 
 
 def test_a_feature_that_no_state_determines_leaves_the_predictor(compiler, tmp_path):
-    training_set = replace(
-        make_training_set(seed=6, points=100), features=FeatureSet(("alpha_f", "alpha_r", "ax"))
-    )
+    training_set = replace(make_training_set(seed=6, points=100), features=FeatureSet(("alpha_f", "alpha_r", "ax")))
     source = source_of(training_set)
     assert not source.with_step and "car_step" not in source.header
     oracle = oracle_of(training_set, 300)
@@ -229,11 +224,21 @@ def test_a_feature_that_no_state_determines_leaves_the_predictor(compiler, tmp_p
 def test_straight_line_c_computes_what_casadi_does(compiler, tmp_path, real):
     a, b = casadi.SX.sym("a"), casadi.SX.sym("b")
     expressions = [
-        casadi.if_else(a < b, casadi.sin(a), casadi.cos(b)), casadi.atan2(a, b), casadi.tanh(a) / b,
-        casadi.fmin(a, b) - casadi.fmax(a, 2 * b), casadi.sqrt(a * a + 1), casadi.exp(-a), 1 / b, -a,
-        casadi.fabs(a), casadi.sign(a), a**3, casadi.if_else(casadi.logic_and(a > 0, b > 0), a, b),
-        casadi.if_else(casadi.logic_not(a >= b), 1, -2.5), a**b * 0 + casadi.log(a * a + 2),
-    ]  # fmt: skip
+        casadi.if_else(a < b, casadi.sin(a), casadi.cos(b)),
+        casadi.atan2(a, b),
+        casadi.tanh(a) / b,
+        casadi.fmin(a, b) - casadi.fmax(a, 2 * b),
+        casadi.sqrt(a * a + 1),
+        casadi.exp(-a),
+        1 / b,
+        -a,
+        casadi.fabs(a),
+        casadi.sign(a),
+        a**3,
+        casadi.if_else(casadi.logic_and(a > 0, b > 0), a, b),
+        casadi.if_else(casadi.logic_not(a >= b), 1, -2.5),
+        a**b * 0 + casadi.log(a * a + 2),
+    ]
     count = len(expressions)
     function = casadi.Function("f", [casadi.vertcat(a, b)], [casadi.vertcat(*expressions)], {"cse": True})
     body = straight_line(function, "computed", real, "test")
@@ -263,11 +268,17 @@ def test_straight_line_c_computes_what_casadi_does(compiler, tmp_path, real):
 @pytest.mark.parametrize(
     ("text", "identifier"),
     [
-        ("road_car", "road_car"), ("my car.v2", "my_car_v2"), ("9 lives", "model_9_lives"), ("", "model"),
-        ("while", "model_while"), ("größe", "gr_e"), ("__x__", "x"), ("../../etc/passwd", "etc_passwd"),
+        ("road_car", "road_car"),
+        ("my car.v2", "my_car_v2"),
+        ("9 lives", "model_9_lives"),
+        ("", "model"),
+        ("while", "model_while"),
+        ("größe", "gr_e"),
+        ("__x__", "x"),
+        ("../../etc/passwd", "etc_passwd"),
         ("a" * 90, "a" * 48),
     ],
-)  # fmt: skip
+)
 def test_any_name_becomes_an_identifier(text, identifier):
     assert c_identifier(text) == identifier
     assert c_identifier(identifier) == identifier

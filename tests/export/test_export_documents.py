@@ -59,9 +59,7 @@ def test_both_read_back_bit_for_bit(written):
     z = document.arrays["z"].copy()
     z[3, 1] = np.nextafter(z[3, 1], 1.0)
     with pytest.raises(ExportError, match="z does not read back"):
-        require_equal(
-            replace(document, arrays={**document.arrays, "z": z}), read_json(folder / "car.json"), "json"
-        )
+        require_equal(replace(document, arrays={**document.arrays, "z": z}), read_json(folder / "car.json"), "json")
 
 
 def test_the_json_meets_its_schema(written, z1_set):

@@ -98,9 +98,7 @@ def test_what_is_not_finite_begins_the_errors_anew(exported):
     predict = committee(build_tables(exported.training_set), "car")
     _, observe = trust_functions(predict, exported.graph, "car", plain=False)
     given = np.arange(63.0) / 100.0
-    np.testing.assert_array_equal(
-        np.asarray(observe(x, u, STEP, np.full(exported.size, np.nan), given)).ravel(), trust
-    )
+    np.testing.assert_array_equal(np.asarray(observe(x, u, STEP, np.full(exported.size, np.nan), given)).ravel(), trust)
 
 
 def _plain(car: Exported, x: np.ndarray, u: np.ndarray) -> np.ndarray:

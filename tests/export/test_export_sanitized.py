@@ -72,8 +72,9 @@ def test_the_step_at_any_input(sanitized):
 def test_the_sanitizer_sees_a_fault(small_set, compiler, tmp_path):
     broken = tmp_path / "broken.c"
     broken.write_text("int main(int n, char **v) { int a[2] = {0}; (void)v; return a[n + 4]; }\n")
-    done = subprocess.run([*compiler.command, *SANITIZERS, str(broken), "-o", str(tmp_path / "broken")],
-                          capture_output=True, check=False)  # fmt: skip
+    done = subprocess.run(
+        [*compiler.command, *SANITIZERS, str(broken), "-o", str(tmp_path / "broken")], capture_output=True, check=False
+    )
     if done.returncode:
         pytest.skip("the compiler has no sanitizers here")
     assert subprocess.run([str(tmp_path / "broken")], capture_output=True, check=False).returncode != 0

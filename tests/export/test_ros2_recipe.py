@@ -91,8 +91,7 @@ MESSAGES = {
     "std_msgs/msg/float64.hpp": "struct Float64 { double data = 0; };",
     "std_msgs/msg/float64_multi_array.hpp": "struct Float64MultiArray { std::vector<double> data; };",
     "ackermann_msgs/msg/ackermann_drive_stamped.hpp": (
-        "struct AckermannDrive { double steering_angle = 0; };"
-        "struct AckermannDriveStamped { AckermannDrive drive; };"
+        "struct AckermannDrive { double steering_angle = 0; };struct AckermannDriveStamped { AckermannDrive drive; };"
     ),
     "nav_msgs/msg/odometry.hpp": (
         "struct V { double x = 0, y = 0, z = 0; }; struct Q { double x = 0, y = 0, z = 0, w = 1; };"
@@ -127,8 +126,18 @@ def built(tmp_path_factory) -> tuple[Path, Path]:
 
     compiled("gcc", "-std=c99", "-O1", "-fPIC", *warnings, "-c", model / "my_car.c", "-o", "my_car.o")
     includes = ["-I.", f"-I{model}"]
-    compiled("g++", "-std=c++17", "-O1", *warnings, *includes, RECIPE / "model_node.cpp", "my_car.o", "-lm",
-             "-o", "model_node")  # fmt: skip
+    compiled(
+        "g++",
+        "-std=c++17",
+        "-O1",
+        *warnings,
+        *includes,
+        RECIPE / "model_node.cpp",
+        "my_car.o",
+        "-lm",
+        "-o",
+        "model_node",
+    )
     compiled("gcc", "-shared", "my_car.o", "-lm", "-o", "libmy_car.so")
     return folder / "model_node", folder / "libmy_car.so"
 

@@ -38,9 +38,12 @@ def dart_drive(datasets: Path, name: str, folder: Path, *, start: float = 0.0, e
     if not path.exists():
         settings = IngestSettings(derive=("velocity-from-pose",))
         ingest_logs(
-            [datasets / "dart" / f"{name}.csv"], path, maps=[MAPS / "dart.yaml"], vehicle_path=DART_CAR,
+            [datasets / "dart" / f"{name}.csv"],
+            path,
+            maps=[MAPS / "dart.yaml"],
+            vehicle_path=DART_CAR,
             settings=settings,
-        )  # fmt: skip
+        )
     drive = read_drive(path)
     falling = np.clip(1.0 - drive["vx"] / _NO_THRUST_SPEED, 0.0, 1.0)
     columns = {**drive.columns, "T": drive["T"] * falling}
@@ -69,9 +72,7 @@ def at_equal_slips(real: Drive, simulated: Drive, vehicle: Vehicle) -> tuple[flo
         bins, pushed = zip(*(_pushed_at_slips(one, vehicle, axle) for one in (real, simulated)), strict=True)
         both = [k for k in np.unique(bins[0]) if k >= 2 and min(np.sum(one == k) for one in bins) >= 25]
         medians = np.array([[np.median(a[b == k]) for b, a in zip(bins, pushed, strict=True)] for k in both])
-        found.append(
-            float(np.average(medians[:, 0] / medians[:, 1], weights=[np.sum(bins[0] == k) for k in both]))
-        )
+        found.append(float(np.average(medians[:, 0] / medians[:, 1], weights=[np.sum(bins[0] == k) for k in both])))
     return found[0], found[1]
 
 
@@ -212,10 +213,7 @@ EXPERIMENTS = {
     ),
     "kth-yaw-rate": Experiment(
         "the same slalom twice: the yaw rate of the CAN bus is some 40 ms later than the IMU's",
-        lambda datasets, folder: (
-            kth_drive(datasets, "038", folder),
-            kth_drive(datasets, "038", folder, "imu"),
-        ),
+        lambda datasets, folder: (kth_drive(datasets, "038", folder), kth_drive(datasets, "038", folder, "imu")),
         KTH_CAR,
     ),
     "kth-nominal": Experiment(
@@ -258,10 +256,7 @@ def main() -> None:
         start = time.perf_counter()
         told = run(name, arguments.datasets, arguments.out)
         print(f"{name} ({time.perf_counter() - start:.0f} s)\n  known: {EXPERIMENTS[name].known}")
-        print(
-            f"  said: {told.verdict}, p = {told.p_value}, unexplained {told.unexplained}. {told.summary}",
-            flush=True,
-        )
+        print(f"  said: {told.verdict}, p = {told.p_value}, unexplained {told.unexplained}. {told.summary}", flush=True)
 
 
 if __name__ == "__main__":

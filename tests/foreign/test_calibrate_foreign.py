@@ -27,9 +27,20 @@ def test_tum_tyres_come_out_of_their_training_blocks(tmp_path, datasets):
         run(ingest, log, "--vehicle", "tum_sim", "--map", "tum_sim", "-o", drives[-1])
     output = tmp_path / "car.yaml"
     report = json.loads(
-        run(calibrate, *drives, "--vehicle", "tum_sim", "--fit", "tires,rolling", "--offsets", "--training-blocks",
-            "-o", output, "--json")
-    )  # fmt: skip
+        run(
+            calibrate,
+            *drives,
+            "--vehicle",
+            "tum_sim",
+            "--fit",
+            "tires,rolling",
+            "--offsets",
+            "--training-blocks",
+            "-o",
+            output,
+            "--json",
+        )
+    )
     ours, library = read_vehicle(output), read_vehicle("tum_sim")
     for axle in ("front_tire", "rear_tire"):
         assert library.origins[f"{axle}.B"] == "calibrated"
@@ -45,12 +56,33 @@ def test_tum_tyres_come_out_of_their_training_blocks(tmp_path, datasets):
 def test_genesis_leaves_its_slopes_open_and_its_published_stiffness_stands(tmp_path, datasets):
     drive, output = tmp_path / "genesis.parquet", tmp_path / "car.yaml"
     log = datasets / "genesis_slow" / "cpg_slow_lap.mat"
-    run(ingest, log, "--vehicle", "genesis", "--map", "genesis_slow", "--derive", "torque-from-acceleration",
-        "-o", drive)  # fmt: skip
+    run(
+        ingest,
+        log,
+        "--vehicle",
+        "genesis",
+        "--map",
+        "genesis_slow",
+        "--derive",
+        "torque-from-acceleration",
+        "-o",
+        drive,
+    )
     report = json.loads(
-        run(calibrate, drive, "--vehicle", "genesis", "--fit", "tires", "--offsets", "--training-blocks",
-            "-o", output, "--json")
-    )  # fmt: skip
+        run(
+            calibrate,
+            drive,
+            "--vehicle",
+            "genesis",
+            "--fit",
+            "tires",
+            "--offsets",
+            "--training-blocks",
+            "-o",
+            output,
+            "--json",
+        )
+    )
     assert any("tyres are kept on both axles" in remark for remark in report["remarks"])
     kept = read_vehicle(output)
     assert kept.digest() == read_vehicle("genesis").digest()

@@ -15,9 +15,7 @@ pytestmark = pytest.mark.foreign
 
 def ingest(tmp_path, log, *arguments: str) -> tuple[Drive, dict]:
     output = tmp_path / "drive.parquet"
-    shown = CliRunner().invoke(
-        command, [str(log), *arguments, "-o", str(output), "--json"], catch_exceptions=False
-    )
+    shown = CliRunner().invoke(command, [str(log), *arguments, "-o", str(output), "--json"], catch_exceptions=False)
     assert shown.exit_code == 0
     return read_drive(output), json.loads(shown.output)[0]
 
@@ -32,10 +30,16 @@ def delays(report: dict) -> dict[str, dict]:
 
 def test_genesis_its_biases_on_straights_are_found_and_its_held_steering_is_held(tmp_path, datasets):
     drive, report = ingest(
-        tmp_path, datasets / "genesis_slow" / "cpg_slow_lap.mat",
-        "--map", "genesis_slow", "--vehicle", "genesis", "--derive", "torque-from-acceleration",
+        tmp_path,
+        datasets / "genesis_slow" / "cpg_slow_lap.mat",
+        "--map",
+        "genesis_slow",
+        "--vehicle",
+        "genesis",
+        "--derive",
+        "torque-from-acceleration",
         "--estimate-delays",
-    )  # fmt: skip
+    )
     assert drive.rate == pytest.approx(100.0) and len(drive) > 36000
     # Its folder's own description: v_y about -0.12 m/s and a_lat about -0.64 m/s^2 on straights.
     found = findings(report)
@@ -52,10 +56,16 @@ def test_genesis_its_biases_on_straights_are_found_and_its_held_steering_is_held
 
 def test_av21_its_shifted_channels_are_found(tmp_path, datasets):
     drive, report = ingest(
-        tmp_path, datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",
-        "--map", "av21_lvms", "--vehicle", "av21", "--derive", "torque-from-throttle-and-brake",
+        tmp_path,
+        datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",
+        "--map",
+        "av21_lvms",
+        "--vehicle",
+        "av21",
+        "--derive",
+        "torque-from-throttle-and-brake",
         "--estimate-delays",
-    )  # fmt: skip
+    )
     assert drive.rate == pytest.approx(25.0)
     found = delays(report)
     # Yaw rate trails yaw and velocity by more than a quarter second, a_x by a whole one.
@@ -67,9 +77,15 @@ def test_av21_its_shifted_channels_are_found(tmp_path, datasets):
     assert found["wheel_speed_rl"]["error"] > 0.02
     # Evidence by another measure: dyaw/dt and r agree better after, as far as r's own filter lets them.
     before, _ = ingest(
-        tmp_path, datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",
-        "--map", "av21_lvms", "--vehicle", "av21", "--derive", "torque-from-throttle-and-brake",
-    )  # fmt: skip
+        tmp_path,
+        datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",
+        "--map",
+        "av21_lvms",
+        "--vehicle",
+        "av21",
+        "--derive",
+        "torque-from-throttle-and-brake",
+    )
     assert _yaw_rate_misfit(drive) < 0.8 * _yaw_rate_misfit(before)
     # Its a_x is filtered to half its size; that is said.
     assert findings(report)[("ax", "scale")] == pytest.approx(0.5, abs=0.1)

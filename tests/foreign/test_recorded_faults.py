@@ -26,10 +26,6 @@ def test_thirds_leave_the_middle_out():
 
 def test_each_row_of_a_list_names_a_recording_and_a_fault():
     for rows in LISTS.values():
-        assert {one.split("=")[0] for row in rows for one in row.fault.split(" + ")} <= {
-            "none",
-            *FAULTS,
-            *CHANGING,
-        }
+        assert {one.split("=")[0] for row in rows for one in row.fault.split(" + ")} <= {"none", *FAULTS, *CHANGING}
         assert {row.pair.split(", ")[0] for row in rows} <= set(DRIVES)
         assert len(set(rows)) == len(rows)

@@ -108,13 +108,7 @@ def test_keeps_the_points_of_the_printed_way(dimension, capacity, length_cells, 
     features = FeatureSet(tuple(f"f{i}" for i in range(dimension)))
     labels = make_labels(z, np.arange(18_000.0).reshape(-1, 3), CAR, features)
     trained = learn(
-        [labels],
-        vehicle=CAR,
-        grid=grid,
-        kernel=kernel,
-        capacity=capacity,
-        threshold=threshold,
-        forgetting=forgetting,
+        [labels], vehicle=CAR, grid=grid, kernel=kernel, capacity=capacity, threshold=threshold, forgetting=forgetting
     )
     printed = PrintedLearner(kernel.length_scales, capacity, threshold, forgetting)
     numbers = grid.pack(grid.index(z)[0])
@@ -150,9 +144,7 @@ def test_batches_do_not_change_a_bit(batch, forgetting):
     z = valid_features(CAR, Region.of(CAR), 3000, seed=5, spread=0.1)
     labels = make_labels(z, smooth_residual(z), CAR)
     start = make_training_set(0, 50, vehicle=CAR)
-    fresh = empty_set(
-        CAR, start.features, start.region, start.grid, start.kernel, horizon=0.05, forgetting=forgetting
-    )
+    fresh = empty_set(CAR, start.features, start.region, start.grid, start.kernel, horizon=0.05, forgetting=forgetting)
     whole = extend(fresh, [labels])
     assert whole.sources[0].replacements > 20
     assert same_sets(extend(fresh, [labels], batch=batch), whole)
@@ -166,9 +158,7 @@ def test_appending_equals_one_run_bit_for_bit(seed, cut, forgetting):
     for number in range(4):
         z = valid_features(CAR, start.region, 300, seed=seed + number, spread=0.08)
         drives.append(make_labels(z, smooth_residual(z), CAR, name=f"drive{number}"))
-    fresh = empty_set(
-        CAR, start.features, start.region, start.grid, start.kernel, horizon=0.05, forgetting=forgetting
-    )
+    fresh = empty_set(CAR, start.features, start.region, start.grid, start.kernel, horizon=0.05, forgetting=forgetting)
     once = extend(fresh, drives)
     twice = extend(extend(fresh, drives[:cut]), drives[cut:])
     assert same_sets(once, twice)
@@ -237,9 +227,7 @@ def test_forgetting_lets_old_points_leave_when_the_car_changes():
     ]
 
     def old_share(forgetting: float | None) -> float:
-        fresh = empty_set(
-            CAR, start.features, region, start.grid, start.kernel, horizon=0.05, forgetting=forgetting
-        )
+        fresh = empty_set(CAR, start.features, region, start.grid, start.kernel, horizon=0.05, forgetting=forgetting)
         trained = extend(fresh, drives)
         busy = np.repeat(np.diff(trained.offsets) >= 3, np.diff(trained.offsets))
         return float((trained.y[busy, 0] < 0).mean())
@@ -255,9 +243,7 @@ def test_repair_is_counted_and_warned_of():
     kernel = kernel_of(grid, 0.3)
     features = FeatureSet(("f",))
     z = np.array([[0.1], [0.5], [0.9]])
-    sound = learn(
-        [make_labels(z, np.zeros((3, 3)), CAR, features)], vehicle=CAR, grid=grid, kernel=kernel, capacity=4
-    )
+    sound = learn([make_labels(z, np.zeros((3, 3)), CAR, features)], vehicle=CAR, grid=grid, kernel=kernel, capacity=4)
     doubled = replace(sound, z=np.array([[0.1], [0.1], [0.9]]))
     gains = recompute_gains(doubled)
     # Twice the same point with jitter e: its gain is about 2 e, at most 2e-10; the third is far from both.

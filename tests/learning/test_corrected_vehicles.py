@@ -61,9 +61,7 @@ def residual(drive: Drive, vehicle, folder) -> tuple[np.ndarray, np.ndarray, tup
     return labels.y[labels.accepted], labels.t[labels.accepted], result.notes
 
 
-def test_a_corrected_vehicle_leaves_no_residual_of_a_slippery_stretch_seen_by_a_displaced_sensor(
-    recorded, tmp_path
-):
+def test_a_corrected_vehicle_leaves_no_residual_of_a_slippery_stretch_seen_by_a_displaced_sensor(recorded, tmp_path):
     known, t, notes = residual(recorded, CAR.with_effects(PATCH, LEVER), tmp_path)
     assert any("counts along real.parquet" in note for note in notes)
     assert len(t) > 300
@@ -124,9 +122,7 @@ def test_a_late_sensor_changes_when_features_are_seen_and_not_what_they_are(reco
     seen = features.compute(SingleTrack(CAR.with_effects(delay)), replace(recorded, columns=late))
     there = features.compute(SingleTrack(CAR), recorded)
     assert np.allclose(seen[20:], there[:-20], rtol=0, atol=1e-12)
-    assert (
-        np.abs(features.compute(SingleTrack(CAR), replace(recorded, columns=late))[20:] - there[:-20]).max() > 0.01
-    )
+    assert np.abs(features.compute(SingleTrack(CAR), replace(recorded, columns=late))[20:] - there[:-20]).max() > 0.01
 
 
 def test_a_state_of_a_term_is_a_feature(recorded):

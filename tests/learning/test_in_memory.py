@@ -27,9 +27,7 @@ def test_two_parts_give_the_points_that_one_gives():
     np.testing.assert_array_equal(one.z, two.z)
     np.testing.assert_array_equal(one.y, two.y)
     joined = Labels.joined(halves)
-    assert all(
-        getattr(joined, name).tobytes() == getattr(whole, name).tobytes() for name in ("t", "row", "z", "y")
-    )
+    assert all(getattr(joined, name).tobytes() == getattr(whole, name).tobytes() for name in ("t", "row", "z", "y"))
 
 
 def test_few_labels_keep_the_default_kernel_and_none_are_refused():

@@ -26,9 +26,7 @@ def follow(most: np.ndarray, transition: np.ndarray, innovation: np.ndarray, res
     return trust
 
 
-def reference(
-    most: np.ndarray, transition: np.ndarray, innovation: np.ndarray, response: np.ndarray
-) -> np.ndarray:
+def reference(most: np.ndarray, transition: np.ndarray, innovation: np.ndarray, response: np.ndarray) -> np.ndarray:
     """Return the share by definition: every error as a sum over all intervals before it, then SciPy's minimum.
 
     What falls short of `most` is shrunk by its variance over its square. Where no state's squares are larger with

@@ -69,9 +69,18 @@ def test_one_batch_a_cell_with_the_columns_of_the_contract(trained, tmp_path):
     with pa.memory_map(str(path)) as source:
         reader = pa.ipc.open_file(source)
         assert reader.schema.names == [
-            "cell", "z_alpha_f", "z_alpha_r", "z_torque_ratio", "y_vx", "y_vy", "y_r", "gamma", "t", "source",
+            "cell",
+            "z_alpha_f",
+            "z_alpha_r",
+            "z_torque_ratio",
+            "y_vx",
+            "y_vy",
+            "y_r",
+            "gamma",
+            "t",
+            "source",
             "row",
-        ]  # fmt: skip
+        ]
         assert reader.num_record_batches == trained.cell_count
         for index in (0, 7, trained.cell_count - 1):
             cell = reader.get_batch(index)

@@ -14,9 +14,18 @@ from split_cli.vehicle.parameters import Vehicle
 from tests.factories import road_car
 
 UNITS = {
-    "X": "m", "Y": "m", "yaw": "rad", "vx": "m/s", "vy": "m/s", "r": "rad/s", "T": "N m", "delta": "rad",
-    "ax": "m/s^2", "ay": "m/s^2", "wheel_speed_fl": "m/s",
-}  # fmt: skip
+    "X": "m",
+    "Y": "m",
+    "yaw": "rad",
+    "vx": "m/s",
+    "vy": "m/s",
+    "r": "rad/s",
+    "T": "N m",
+    "delta": "rad",
+    "ax": "m/s^2",
+    "ay": "m/s^2",
+    "wheel_speed_fl": "m/s",
+}
 
 
 class PlantedDrive:
@@ -26,9 +35,7 @@ class PlantedDrive:
     linear front tyres, T what the nominal model needs.
     """
 
-    def __init__(
-        self, vehicle: Vehicle | None = None, seconds: float = 120.0, seed: int = 1, yaw: float = 0.3
-    ) -> None:
+    def __init__(self, vehicle: Vehicle | None = None, seconds: float = 120.0, seed: int = 1, yaw: float = 0.3) -> None:
         self.vehicle = car = vehicle or road_car()
         self.seconds = seconds
         rng = np.random.default_rng(seed)
@@ -48,10 +55,18 @@ class PlantedDrive:
         delta = (vy + car.cg_to_front_axle * r) / vx + force / car.front_tire.cornering_stiffness
         dX, dY = vx * np.cos(yaw) - vy * np.sin(yaw), vx * np.sin(yaw) + vy * np.cos(yaw)
         tracks = {
-            "vx": vx, "vy": vy, "r": r, "yaw": yaw, "ax": ax, "ay": ay, "delta": delta, "wheel_speed_fl": vx,
-            "X": CubicSpline(t, dX).antiderivative()(t), "Y": CubicSpline(t, dY).antiderivative()(t),
+            "vx": vx,
+            "vy": vy,
+            "r": r,
+            "yaw": yaw,
+            "ax": ax,
+            "ay": ay,
+            "delta": delta,
+            "wheel_speed_fl": vx,
+            "X": CubicSpline(t, dX).antiderivative()(t),
+            "Y": CubicSpline(t, dY).antiderivative()(t),
             "T": torque_from_acceleration(ax, vx, vy, r, delta, car),
-        }  # fmt: skip
+        }
         self._splines = {name: CubicSpline(t, values) for name, values in tracks.items()}
 
     def at(self, channel: str, t: np.ndarray) -> np.ndarray:

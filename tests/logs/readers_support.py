@@ -32,11 +32,7 @@ EXTRA_DEFINITIONS = {
 }
 
 
-FIELDS = {
-    "vx": "/odom/twist.twist.linear.x",
-    "vy": "/odom/twist.twist.linear.y",
-    "r": "/odom/twist.twist.angular.z",
-}
+FIELDS = {"vx": "/odom/twist.twist.linear.x", "vy": "/odom/twist.twist.linear.y", "r": "/odom/twist.twist.angular.z"}
 
 
 @dataclass(frozen=True)
@@ -64,9 +60,7 @@ def plant(count: int = 300, seed: int = 5) -> Planted:
     return Planted(header, *rng.normal(size=(3, count)) * np.array([[20.0], [0.5], [0.3]]))
 
 
-def check_planted(
-    recording: Any, planted: Planted, clocks: tuple[str, ...] = ("header", "publish", "log")
-) -> None:
+def check_planted(recording: Any, planted: Planted, clocks: tuple[str, ...] = ("header", "publish", "log")) -> None:
     """Assert that values are equal bit for bit, and times to the rounding of a double near 10 s (2 ns)."""
     for clock in clocks:
         signals = recording.read(list(FIELDS.values()), clock)
@@ -221,10 +215,7 @@ def protobuf_odometry() -> Any:
 
     file = descriptor_pb2.FileDescriptorProto(name="odometry.proto", package="test", syntax="proto3")
     file.dependency.append("google/protobuf/timestamp.proto")
-    double, nested = (
-        descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE,
-        descriptor_pb2.FieldDescriptorProto.TYPE_MESSAGE,
-    )
+    double, nested = (descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE, descriptor_pb2.FieldDescriptorProto.TYPE_MESSAGE)
     shapes = {
         "Linear": [("x", double, ""), ("y", double, "")],
         "Angular": [("z", double, "")],

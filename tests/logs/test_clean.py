@@ -49,8 +49,11 @@ def test_a_long_signal_is_cleaned_piece_by_piece_as_a_whole_one_is(monkeypatch, 
     def cleaned() -> list:
         made, _ = clean_channels(
             {c: [series(np.arange(999) * 0.01, v, c)] for c, v in (("yaw", yaw), ("ax", held))},
-            {entry.channel: entry for entry in entries}, ("yaw", "ax"), gap=0.1, despike=True,
-        )  # fmt: skip
+            {entry.channel: entry for entry in entries},
+            ("yaw", "ax"),
+            gap=0.1,
+            despike=True,
+        )
         return [made.clean["yaw"][0].values, made.clean["ax"][0].values, made.clean["ax"][0].repeats]
 
     whole = cleaned()
@@ -129,14 +132,7 @@ def test_too_little_left_is_an_error_that_says_what_was_dropped():
 
 @pytest.mark.parametrize(
     ("rows", "by"),
-    [
-        ([0], 1e17),
-        ([250], 1e17),
-        ([100, 101, 102], 1e17),
-        ([3, 250], 1e17),
-        ([250], -1.0),
-        ([100, 101, 300], -50.0),
-    ],
+    [([0], 1e17), ([250], 1e17), ([100, 101, 102], 1e17), ([3, 250], 1e17), ([250], -1.0), ([100, 101, 300], -50.0)],
 )
 def test_stamps_that_do_not_fit_those_around_them_cost_their_rows_alone(rows, by):
     """One wrong stamp moved all that followed behind it; one too early was sorted to a wrong place."""

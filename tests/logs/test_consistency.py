@@ -13,17 +13,7 @@ from tests.factories import one_run
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
 DEGREES = 180.0 / np.pi
-NOISE = {
-    "vx": 0.02,
-    "vy": 0.02,
-    "r": 0.003,
-    "yaw": 0.002,
-    "ax": 0.1,
-    "ay": 0.1,
-    "delta": 1e-3,
-    "X": 0.02,
-    "Y": 0.02,
-}
+NOISE = {"vx": 0.02, "vy": 0.02, "r": 0.003, "yaw": 0.002, "ax": 0.1, "ay": 0.1, "delta": 1e-3, "X": 0.02, "Y": 0.02}
 
 
 @pytest.fixture(scope="module")
@@ -67,12 +57,7 @@ def test_delays_of_an_ordinary_logger_are_not_called_faults(drive):
         ({"delta": lambda v: v * DEGREES}, "delta", "delta is in deg ", DEGREES),
         ({"delta": lambda v: -v}, "delta", "delta is right-positive", -1.0),
         ({"delta": lambda v: 15.0 * v}, "delta", "steering-wheel angle ", 15.0),
-        (
-            {"delta": lambda v: -15.0 * v * DEGREES},
-            "delta",
-            "steering-wheel angle, right-positive, in degrees",
-            -859.4,
-        ),
+        ({"delta": lambda v: -15.0 * v * DEGREES}, "delta", "steering-wheel angle, right-positive, in degrees", -859.4),
         ({"ax": lambda v: v / 9.80665}, "ax", "ax is in g", 1 / 9.80665),
         ({"ay": lambda v: -v}, "ay", "ay is right-positive", -1.0),
         ({"wheel_speed_fl": lambda v: 3.6 * v}, "wheel_speed_fl", "wheel_speed_fl is in km/h", 3.6),
@@ -81,9 +66,7 @@ def test_delays_of_an_ordinary_logger_are_not_called_faults(drive):
         ({"T": lambda v: -v}, "T", "T is positive when braking", -1.0),
     ],
 )
-def test_a_wrong_unit_or_sign_is_blamed_on_its_channel_with_the_measured_slope(
-    drive, fault, channel, words, factor
-):
+def test_a_wrong_unit_or_sign_is_blamed_on_its_channel_with_the_measured_slope(drive, fault, channel, words, factor):
     result = judged(drive, altered=fault)
     assert [finding.channel for finding in result.findings] == [channel]
     assert words in result.findings[0].text
@@ -301,20 +284,23 @@ def test_a_drive_that_cannot_tell_a_course_from_a_yaw_is_not_said_to_have_one(sp
     t = np.arange(0.0, 40.0, 0.02)
     vx, yaw = speed[0] + speed[1] * np.sin(t / 5.0), rate * t
     vy = 1.4 * rate - 0.003 * vx**2 * rate
-    X, Y = (
-        np.cumsum(v) * 0.02 for v in (vx * np.cos(yaw) - vy * np.sin(yaw), vx * np.sin(yaw) + vy * np.cos(yaw))
-    )
-    columns = {"t": t, "vx": vx, "vy": vy, "r": rate + 0.0 * t, "X": X, "Y": Y, "yaw": yaw,
-               "delta": np.full(len(t), 0.01), "T": 100.0 * np.cos(t)}  # fmt: skip
-    drive = one_run(columns, 0.02, "sim")
-    assert "course" not in {
-        f.check for f in check_consistency(drive, PlantedDrive().vehicle, {}, frozenset()).findings
+    X, Y = (np.cumsum(v) * 0.02 for v in (vx * np.cos(yaw) - vy * np.sin(yaw), vx * np.sin(yaw) + vy * np.cos(yaw)))
+    columns = {
+        "t": t,
+        "vx": vx,
+        "vy": vy,
+        "r": rate + 0.0 * t,
+        "X": X,
+        "Y": Y,
+        "yaw": yaw,
+        "delta": np.full(len(t), 0.01),
+        "T": 100.0 * np.cos(t),
     }
+    drive = one_run(columns, 0.02, "sim")
+    assert "course" not in {f.check for f in check_consistency(drive, PlantedDrive().vehicle, {}, frozenset()).findings}
 
 
-def of_a_clock(
-    drive: PlantedDrive, factor: float, begin: float, end: float, altered=(), without=()
-) -> Consistency:
+def of_a_clock(drive: PlantedDrive, factor: float, begin: float, end: float, altered=(), without=()) -> Consistency:
     """Return what is found where the clock counts `factor` times too fast from `begin` to `end` [s]."""
     recording = drive.recording(noise=NOISE)
     for name, signal in recording.signals.items():
@@ -332,10 +318,13 @@ def of_a_clock(
 @pytest.mark.parametrize(
     ("factor", "begin", "end", "without"),
     [
-        (1.3, 60.0, 120.0, ()), (0.8, 30.0, 70.0, ()), (1.05, 0.0, 40.0, ()), (1.3, 20.0, 110.0, ()),
+        (1.3, 60.0, 120.0, ()),
+        (0.8, 30.0, 70.0, ()),
+        (1.05, 0.0, 40.0, ()),
+        (1.3, 20.0, 110.0, ()),
         (1.3, 60.0, 120.0, ("X", "Y")),
     ],
-)  # fmt: skip
+)
 def test_a_clock_that_runs_wrong_for_a_while_is_told_with_its_samples(drive, factor, begin, end, without):
     (found,) = of_a_clock(drive, factor, begin, end, without=without).findings
     assert (found.check, found.channel) == ("clock", "time")

@@ -35,9 +35,7 @@ def _laps(seconds: float = 120.0, seed: int = 0) -> dict[str, np.ndarray]:
 
 def _derived(columns: dict[str, np.ndarray], **more) -> DerivationInputs:
     given = {name: columns[name] for name in ("vx", "r", "ay")}
-    return DerivationInputs(
-        given, PERIOD, [slice(0, len(columns["vx"]))], **{"vehicle": CAR, "settings": {}, **more}
-    )
+    return DerivationInputs(given, PERIOD, [slice(0, len(columns["vx"]))], **{"vehicle": CAR, "settings": {}, **more})
 
 
 def test_planted_lateral_velocity_comes_back_through_bias_bank_and_roll():
@@ -67,9 +65,7 @@ def test_smoother_is_conditioning_of_the_joint_normal_distribution():
     held = rng.random(count) < 0.4
     told, slipping = rng.normal(0.0, 0.1, count), rng.normal(0.0, 30.0, count)
     unknown, variance = np.full(count, 2.0), np.full(count, 0.05)
-    mean, deviation, unused = dead_reckoning._smoother(
-        step, turned, fresh, unknown, held, told, slipping, variance
-    )
+    mean, deviation, unused = dead_reckoning._smoother(step, turned, fresh, unknown, held, told, slipping, variance)
     assert unused == 0.0
     # The same from the covariance of all nodes: each noise is followed through to where it arrives.
     walk, bias_walk = dead_reckoning._WALK, dead_reckoning._BIAS_WALK
@@ -83,8 +79,12 @@ def test_smoother_is_conditioning_of_the_joint_normal_distribution():
             noise[0, 0], noise[1, 1] = np.sqrt(unknown[node]), dead_reckoning._BIAS
         else:
             h = step[node]
-            q = np.array([[walk**2 * h + bias_walk**2 * h**3 / 3, -(bias_walk**2) * h * h / 2],
-                          [-(bias_walk**2) * h * h / 2, bias_walk**2 * h]])  # fmt: skip
+            q = np.array(
+                [
+                    [walk**2 * h + bias_walk**2 * h**3 / 3, -(bias_walk**2) * h * h / 2],
+                    [-(bias_walk**2) * h * h / 2, bias_walk**2 * h],
+                ]
+            )
             noise[:2, :2] = np.linalg.cholesky(q)
         if node == 0:
             noise[2, 2] = dead_reckoning._ROLL

@@ -12,17 +12,7 @@ from split_cli.logs.checking.best_lag import fit_lag
 from split_cli.logs.checking.channel_delays import _least_squares, estimate_delays
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
-NOISE = {
-    "vx": 0.01,
-    "vy": 0.01,
-    "r": 0.002,
-    "yaw": 0.001,
-    "ax": 0.05,
-    "ay": 0.05,
-    "delta": 5e-4,
-    "X": 0.01,
-    "Y": 0.01,
-}
+NOISE = {"vx": 0.01, "vy": 0.01, "r": 0.002, "yaw": 0.001, "ax": 0.05, "ay": 0.05, "delta": 5e-4, "X": 0.01, "Y": 0.01}
 SETTINGS = IngestSettings(estimate_delays=True)
 
 
@@ -33,9 +23,15 @@ def drive() -> PlantedDrive:
 
 def test_delays_of_all_channels_at_once_are_recovered(drive):
     planted = {
-        "yaw": 0.12, "ax": -0.23, "ay": 0.31, "delta": 0.083, "wheel_speed_fl": 0.057, "X": 0.15, "Y": 0.15,
+        "yaw": 0.12,
+        "ax": -0.23,
+        "ay": 0.31,
+        "delta": 0.083,
+        "wheel_speed_fl": 0.057,
+        "X": 0.15,
+        "Y": 0.15,
         "r": 0.4,
-    }  # fmt: skip
+    }
     made = assemble_drive(drive.recording(delays=planted, noise=NOISE), planted_map(), drive.vehicle, SETTINGS)
     found = {e.channel: e for e in made.quality.delays}
     for channel, delay in planted.items():
@@ -53,9 +49,7 @@ def test_steering_beyond_linear_tyres_is_no_delay(drive):
     t = np.arange(0.0, drive.seconds, 0.01)
     lateral = np.abs(drive.at("vx", t) * drive.at("r", t))
     tires = {axle: getattr(drive.vehicle, axle) for axle in ("front_tire", "rear_tire")}
-    slippery = replace(
-        drive.vehicle, **{axle: replace(one, B=3 * one.B, D=one.D / 3) for axle, one in tires.items()}
-    )
+    slippery = replace(drive.vehicle, **{axle: replace(one, B=3 * one.B, D=one.D / 3) for axle, one in tires.items()})
     limit = 0.4 * slippery.lateral_grip
     assert 0.05 < np.mean(lateral > limit) < 0.5
     early = {"delta": lambda v: np.where(lateral > limit, drive.at("delta", t + 0.3), v)}
@@ -82,9 +76,7 @@ def test_scale_offset_and_sign_do_not_matter_to_the_lag():
     t = np.arange(0.0, 100.0, 0.02)
     signal = np.sin(0.9 * t) + 0.4 * np.sin(2.3 * t)
     late = -57.0 * (np.sin(0.9 * (t - 0.2)) + 0.4 * np.sin(2.3 * (t - 0.2))) + 3.0
-    assert fit_lag(late, [signal], np.ones(len(t), bool), 0.02, [slice(0, len(t))]).lag == pytest.approx(
-        0.2, abs=1e-3
-    )
+    assert fit_lag(late, [signal], np.ones(len(t), bool), 0.02, [slice(0, len(t))]).lag == pytest.approx(0.2, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -149,8 +141,7 @@ def test_yaw_is_timed_by_the_path_where_no_yaw_rate_tells_it(drive):
     columns = {name: drive.at(name, t - late[name]) + NOISE[name] * rng.standard_normal(len(t)) for name in late}
     columns["r"] = 0.1 * rng.standard_normal(len(t))
     found = {
-        e.channel: e
-        for e in estimate_delays(columns, 0.04, [slice(0, len(t))], None, {name: name for name in columns})
+        e.channel: e for e in estimate_delays(columns, 0.04, [slice(0, len(t))], None, {name: name for name in columns})
     }
     for name in ("yaw", "X"):
         assert found[name].delay == pytest.approx(late[name], abs=max(3.0 * found[name].error, 0.002))

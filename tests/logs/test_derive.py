@@ -137,9 +137,7 @@ def test_torque_from_speed_alone_and_velocities_from_pose_in_one_ingest():
     )
     inside = slice(10, -10)
     for name, tolerance in (("vx", 1e-4), ("vy", 1e-4), ("r", 1e-4), ("T", 5.0)):
-        np.testing.assert_allclose(
-            made.drive[name][inside], drive.at(name, made.drive["t"])[inside], atol=tolerance
-        )
+        np.testing.assert_allclose(made.drive[name][inside], drive.at(name, made.drive["t"])[inside], atol=tolerance)
 
 
 def test_a_pose_replaces_velocities_that_are_logged_but_worthless():
@@ -154,9 +152,7 @@ def test_a_pose_replaces_velocities_that_are_logged_but_worthless():
     rear = {"position": "rear_axle"}
     made = assemble_drive(
         recording,
-        planted_map(
-            X=rear, Y=rear, vx=rear, vy=rear, derivations={"velocity_from_pose": {"channels": ["vy", "r"]}}
-        ),
+        planted_map(X=rear, Y=rear, vx=rear, vy=rear, derivations={"velocity_from_pose": {"channels": ["vy", "r"]}}),
         drive.vehicle,
         IngestSettings(derive=("velocity-from-pose",)),
     )
@@ -174,13 +170,9 @@ def test_what_a_derivation_lacks_is_said():
     with pytest.raises(MapError, match="T is required and not mapped.*--derive torque-from-acceleration"):
         assemble_drive(recording, planted_map(channels), drive.vehicle)
     with pytest.raises(MapError, match="needs the vehicle"):
-        assemble_drive(
-            recording, planted_map(channels), None, IngestSettings(derive=("torque-from-acceleration",))
-        )
+        assemble_drive(recording, planted_map(channels), None, IngestSettings(derive=("torque-from-acceleration",)))
     with pytest.raises(MapError, match="motor_current"):
-        assemble_drive(
-            recording, planted_map(channels), drive.vehicle, IngestSettings(derive=("torque-from-current",))
-        )
+        assemble_drive(recording, planted_map(channels), drive.vehicle, IngestSettings(derive=("torque-from-current",)))
     with pytest.raises(MapError, match="torque-from-acceleration"):
         derivation_named("torque_from_accelerations")
     misspelt = replace(planted_map(channels), derivations={"torque_from_acceleration": {"aceleration": "ax"}})

@@ -173,9 +173,7 @@ def test_several_logs_go_into_a_folder_all_or_none(folder, drive):
     with pytest.raises(SplitError):
         ingest_logs([folder / "a.csv", folder / "c.csv"], folder / "none", **kwargs)
     assert not (folder / "none").exists() or not list((folder / "none").iterdir())
-    results, failures, _ = ingest_logs(
-        [folder / "a.csv", folder / "c.csv"], folder / "some", keep_going=True, **kwargs
-    )
+    results, failures, _ = ingest_logs([folder / "a.csv", folder / "c.csv"], folder / "some", keep_going=True, **kwargs)
     assert len(results) == 1 and [f.log for f in failures] == ["c.csv"]
     with pytest.raises(SplitError, match="2 recordings cannot go into one drive"):
         ingest_logs([folder / "a.csv", folder / "b.csv"], folder / "x.parquet", **kwargs)

@@ -43,8 +43,17 @@ def test_structures_with_clocks_of_their_own_are_one_drive(tmp_path, kind):
     recording = open_recording(path)
     draft = draft_map(recording)
     assert {s.channel for s in draft.suggestions if s.status != "open"} == {
-        "X", "Y", "r", "ax", "ay", "vx", "vy", "yaw", "delta", "T",
-    }  # fmt: skip
+        "X",
+        "Y",
+        "r",
+        "ax",
+        "ay",
+        "vx",
+        "vy",
+        "yaw",
+        "delta",
+        "T",
+    }
     import yaml
 
     signal_map = map_from_mapping(yaml.safe_load(render_draft(draft, "log.mat")))
@@ -64,9 +73,7 @@ def test_signals_of_simulink_are_named_by_their_labels_and_have_its_time(tmp_pat
     signals = np.zeros((1, len(labels)), dtype=fields)
     for at, (label, (channel, factor)) in enumerate(labels.items()):
         signals[0, at] = (factor * planted.at(channel, time)[:, None], 1.0, label, "")
-    savemat(
-        tmp_path / "scope.mat", {"Scope": {"time": time[:, None], "signals": signals, "blockName": "car/Scope"}}
-    )
+    savemat(tmp_path / "scope.mat", {"Scope": {"time": time[:, None], "signals": signals, "blockName": "car/Scope"}})
     recording = open_recording(tmp_path / "scope.mat")
     read = recording.read(["Scope.Vx", "Scope.v_lat", "Scope.YawRate"])
     assert [one.unit for one in read.values()] == ["km/h", None, "deg/s"]
@@ -182,9 +189,17 @@ def test_a_map_beside_the_signals_and_names_of_a_path_do_not_mislead_the_draft(t
     """A car's logger saves structures of one length, the path of the course and the errors across it."""
     planted = PlantedDrive(seconds=60.0)
     t = np.arange(0.0, 60.0, 0.02)
-    ins = {name: planted.at(c, t) for name, c in {
-        "posE_m": "X", "posN_m": "Y", "yawAngle_rad": "yaw", "ux_mps": "vx", "uy_mps": "vy", "yawRate_radps": "r",
-    }.items()}  # fmt: skip
+    ins = {
+        name: planted.at(c, t)
+        for name, c in {
+            "posE_m": "X",
+            "posN_m": "Y",
+            "yawAngle_rad": "yaw",
+            "ux_mps": "vx",
+            "uy_mps": "vy",
+            "yawRate_radps": "r",
+        }.items()
+    }
     car = {"roadWheelAngle_rad": planted.at("delta", t)}
     across = {"e_m": 0.1 * np.sin(t), "dpsi_rad": 0.02 * np.cos(t), "deltaPsi": 0.02 * np.cos(t)}
     course = {"s_m": np.arange(900.0), "psi_rad": np.linspace(0.0, 6.0, 900), "k_1pm": np.full(900, 0.01)}
@@ -194,6 +209,11 @@ def test_a_map_beside_the_signals_and_names_of_a_path_do_not_mislead_the_draft(t
     assert draft.time.startswith("time: {source: t_20ms") and draft.left == "east and north"
     found = {s.channel: s.sources[0].split(".")[-1] for s in draft.suggestions if s.status != "open"}
     assert found == {
-        "X": "posE_m", "Y": "posN_m", "yaw": "yawAngle_rad", "vx": "ux_mps", "vy": "uy_mps", "r": "yawRate_radps",
+        "X": "posE_m",
+        "Y": "posN_m",
+        "yaw": "yawAngle_rad",
+        "vx": "ux_mps",
+        "vy": "uy_mps",
+        "r": "yawRate_radps",
         "delta": "roadWheelAngle_rad",
-    }  # fmt: skip
+    }

@@ -86,8 +86,16 @@ def noisy(drive: Drive, seed: int = 0) -> Drive:
     """Return a drive as measured by everyday sensors: noise, wandering v_y, banked road, coarse steering wheel."""
     rng, t, size = np.random.default_rng(seed), drive.columns["t"], float(drive.columns["vx"].mean()) / 25.0
     small = min(size, 1.0)
-    noise = {"vx": 0.1 * small, "vy": 0.08 * small, "r": 0.01, "yaw": 0.01, "X": 0.15 * small, "Y": 0.15 * small,
-             "ax": 0.6, "ay": 0.6}  # fmt: skip
+    noise = {
+        "vx": 0.1 * small,
+        "vy": 0.08 * small,
+        "r": 0.01,
+        "yaw": 0.01,
+        "X": 0.15 * small,
+        "Y": 0.15 * small,
+        "ax": 0.6,
+        "ay": 0.6,
+    }
     c = {k: v + noise.get(k, 0.0) * rng.standard_normal(len(t)) for k, v in drive.columns.items()}
     c["vy"] = c["vy"] + 0.008 * c["vx"] * np.sin(2.0 * np.pi * t / 60.0)
     c["ay"], c["r"] = c["ay"] + 0.15, c["r"] + 0.002
@@ -115,9 +123,7 @@ def test_pairs_of_mistakes_are_both_named(sample):
     drive, vehicle = sample
     # A lap's worth is enough for the checks; every ninth pair, since all of them take a minute.
     drive = drive.select(slice(0, min(len(drive), 7000)))
-    pairs = [
-        pair for pair in combinations(MISTAKES, 2) if not set(MISTAKES[pair[0]][0]) & set(MISTAKES[pair[1]][0])
-    ]
+    pairs = [pair for pair in combinations(MISTAKES, 2) if not set(MISTAKES[pair[0]][0]) & set(MISTAKES[pair[1]][0])]
     for pair in pairs[::9]:
         assert_all_named(told(with_mistakes(drive, *pair), vehicle), pair)
 

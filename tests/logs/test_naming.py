@@ -17,36 +17,46 @@ NAMES = {
     "motor_current": ("vesc_current",),
     "r": ("Rotation Z",),
     "steering_wheel_angle": ("StWhlAng\\ETKC:1",),
-    "throttle": (
-        "THRTL", "APPS1", "aps", "Accel_Pedal_Pos", "MO_Fahrpedalwert", "Motor_20::MO_Fahrpedalrohwert_01",
-    ),
+    "throttle": ("THRTL", "APPS1", "aps", "Accel_Pedal_Pos", "MO_Fahrpedalwert", "Motor_20::MO_Fahrpedalrohwert_01"),
     "X": ("data.Car_tx.data", "vehicle_x"),
     "axle_torque": ("AxleTrqFrntAct", "AxleTrqRrAct", "AxleTrqFr"),
     "vx": ("LongitudinalVelocity", "/ego/state/velocity.longitudinal", "speed_vesc"),
     "vy": ("/ego/state/velocity.lateral", "ESP_vq"),
     "wheel_speed_fl": (
-        "ESP_19::ESP_VL_Radgeschw_02", "WheelAngularVelocity_FL", "wheels.fl.angular_velocity", "AVy_L1",
+        "ESP_19::ESP_VL_Radgeschw_02",
+        "WheelAngularVelocity_FL",
+        "wheels.fl.angular_velocity",
+        "AVy_L1",
         "Vhcl_FL_rotv",
     ),
     "wheel_speed_rr": ("Wheel Angular Velocity Rear Right",),
     "yaw": ("rotation_yaw", "pf_theta", "Yaw", "northHeading"),
     # Desired values are not measured, a wheel spins about its lateral axis alone, and a motor's speed is no car's,
     # nor is an opponent's.
-    "": ("vx_opp", "speed_opponent", "DesYaw", "desired_yaw", "delta_v_cmd", "delta_t", "V_cmd", "motor_speed",
-         "AVx_L1", "AVz_L1", "accelerator_pedal_gradient_sign", "/gps/fix_velocity/header.seq",
-         "/gps/fix_velocity/header.stamp.sec", "/gps/fix_velocity/header.stamp.nanosec"),
-}  # fmt: skip
+    "": (
+        "vx_opp",
+        "speed_opponent",
+        "DesYaw",
+        "desired_yaw",
+        "delta_v_cmd",
+        "delta_t",
+        "V_cmd",
+        "motor_speed",
+        "AVx_L1",
+        "AVz_L1",
+        "accelerator_pedal_gradient_sign",
+        "/gps/fix_velocity/header.seq",
+        "/gps/fix_velocity/header.stamp.sec",
+        "/gps/fix_velocity/header.stamp.nanosec",
+    ),
+}
 
 
-@pytest.mark.parametrize(
-    ("name", "channel"), [(name, channel) for channel, some in NAMES.items() for name in some]
-)
+@pytest.mark.parametrize(("name", "channel"), [(name, channel) for channel, some in NAMES.items() for name in some])
 def test_a_name_means_one_channel_or_none(name, channel):
     bare, unit = split_name_and_unit(name)
     kind = "geometry_msgs/TwistStamped" if "header." in name else "column"
-    assert [one.channel for one in meanings(RawChannelInfo(bare, kind, None, unit))] == (
-        [channel] if channel else []
-    )
+    assert [one.channel for one in meanings(RawChannelInfo(bare, kind, None, unit))] == ([channel] if channel else [])
 
 
 def test_a_last_word_is_no_source_where_it_says_another_car_or_another_time():

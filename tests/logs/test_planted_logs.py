@@ -81,9 +81,13 @@ def test_a_steering_sensor_beside_its_zero_shows_on_straights(planted):
 
 @pytest.mark.parametrize(
     ("channel", "factor", "words"),
-    [("vy", 1e3, "is in mm/s"), ("vx", 1 / 0.3048, "is in ft/s"), ("ax", 1 / 0.3048, "is in ft/s^2"),
-     ("T", 1e-3, "is in kN m")],
-)  # fmt: skip
+    [
+        ("vy", 1e3, "is in mm/s"),
+        ("vx", 1 / 0.3048, "is in ft/s"),
+        ("ax", 1 / 0.3048, "is in ft/s^2"),
+        ("T", 1e-3, "is in kN m"),
+    ],
+)
 def test_rarer_units_are_named(planted, channel, factor, words):
     finding = only(ingested(planted, **{channel: lambda t, v: factor * v}))
     assert finding.channel == channel and words in finding.text
@@ -111,8 +115,11 @@ def test_v_y_of_the_rear_axle_is_a_place_and_no_unit(planted):
 
 
 def test_a_pose_of_the_other_hand_is_one_question_and_no_mistake_of_sign(planted):
-    pose = {"X": lambda t, v: planted.at("Y", t), "Y": lambda t, v: planted.at("X", t),
-            "yaw": lambda t, v: 0.5 * np.pi - v}  # fmt: skip
+    pose = {
+        "X": lambda t, v: planted.at("Y", t),
+        "Y": lambda t, v: planted.at("X", t),
+        "yaw": lambda t, v: 0.5 * np.pi - v,
+    }
     found = {finding.channel: finding.text for finding in ingested(planted, **pose).findings}
     assert set(found) == {"yaw", "X"}
     assert "`world: ned`" in found["yaw"] and "`frame: frd`" in found["yaw"] and "scale: -1" not in found["yaw"]
@@ -146,9 +153,7 @@ def test_a_copied_and_a_computed_yaw_rate_are_told_and_judge_nobody(planted):
         return planted.at("vx", t) * np.tan(planted.at("delta", t)) / 2.6
 
     finding = only(ingested(planted, r=computed))
-    assert (finding.channel, finding.check) == ("r", "copied") and finding.measured == pytest.approx(
-        1 / 2.6, rel=1e-3
-    )
+    assert (finding.channel, finding.check) == ("r", "copied") and finding.measured == pytest.approx(1 / 2.6, rel=1e-3)
 
 
 @pytest.mark.parametrize(("time", "unit"), [(1e3, "s"), (1.0, "ms")])
@@ -181,9 +186,7 @@ def test_without_a_pose_a_late_yaw_rate_is_told_by_two_channels_and_left_open_by
     assert one.channel == "ay" and "Or r is as much late" in one.text
     assert "kind: command" not in one.text
     early = only(ingested(planted, without=(*pose, "ay"), delta=lambda t, v: np.interp(t + 0.15, t, v)))
-    assert (
-        early.measured == pytest.approx(-0.15, abs=0.03) and "if delta is one, say `kind: command`" in early.text
-    )
+    assert early.measured == pytest.approx(-0.15, abs=0.03) and "if delta is one, say `kind: command`" in early.text
 
 
 def test_a_v_y_that_nothing_judges_is_beyond_every_car_in_millimetres(planted):

@@ -8,15 +8,36 @@ from split_cli.logs.readers import open_recording
 pytestmark = pytest.mark.foreign
 
 AV21_UNITS = {
-    "time": "s", "x": "m", "y": "m", "vx": "m/s", "vy": "m/s", "phi": "rad", "delta": "rad", "omega": "rad/s",
-    "ax": "m/s^2", "deltadelta": "rad/s", "wheel_fl": "km/h", "wheel_fr": "km/h", "wheel_rl": "km/h",
-    "wheel_rr": "km/h", "roll": "rad", "throttle_ped_cmd": "%", "brake_ped_cmd": "kPa",
-}  # fmt: skip
+    "time": "s",
+    "x": "m",
+    "y": "m",
+    "vx": "m/s",
+    "vy": "m/s",
+    "phi": "rad",
+    "delta": "rad",
+    "omega": "rad/s",
+    "ax": "m/s^2",
+    "deltadelta": "rad/s",
+    "wheel_fl": "km/h",
+    "wheel_fr": "km/h",
+    "wheel_rl": "km/h",
+    "wheel_rr": "km/h",
+    "roll": "rad",
+    "throttle_ped_cmd": "%",
+    "brake_ped_cmd": "kPa",
+}
 TUM_UNITS = {
-    "vx_mps": "m/s", "vy_mps": "m/s", "dpsi_radps": "rad/s", "ax_mps2": "m/s^2", "ay_mps2": "m/s^2",
-    "deltawheel_rad": "rad", "TwheelRL_Nm": "N m", "TwheelRR_Nm": "N m",
-    "pBrakeF_bar": "bar", "pBrakeR_bar": "bar",
-}  # fmt: skip
+    "vx_mps": "m/s",
+    "vy_mps": "m/s",
+    "dpsi_radps": "rad/s",
+    "ax_mps2": "m/s^2",
+    "ay_mps2": "m/s^2",
+    "deltawheel_rad": "rad",
+    "TwheelRL_Nm": "N m",
+    "TwheelRR_Nm": "N m",
+    "pBrakeF_bar": "bar",
+    "pBrakeR_bar": "bar",
+}
 GENESIS = {"t", "x", "y", "psi", "vx", "vy", "wz", "df", "a_long", "a_lat", "a", "v", "lat", "lon"}
 
 
@@ -34,9 +55,7 @@ def test_genesis(datasets):
     assert recording.notes == []
     # 361 s at 100 Hz, gentle: what its description says.
     time = signals["t"].values
-    assert time[-1] - time[0] == pytest.approx(361, abs=1) and np.median(np.diff(time)) == pytest.approx(
-        0.01, 0.05
-    )
+    assert time[-1] - time[0] == pytest.approx(361, abs=1) and np.median(np.diff(time)) == pytest.approx(0.01, 0.05)
     # The yaw rate is the slope of the yaw angle, which would not hold for columns taken for each other.
     yaw = np.unwrap(signals["psi"].values)
     assert np.corrcoef(np.gradient(yaw, time)[::10], signals["wz"].values[::10])[0, 1] > 0.9

@@ -28,8 +28,14 @@ def test_an_archive_gives_back_what_was_saved_with_the_clock_of_each_length(tmp_
     t, v, r, yaw, *_ = motion()
     fine = np.arange(0.0, 40.0, 0.005)
     imu = np.rec.fromarrays([fine, np.sin(fine)], names="t,ax")
-    save(tmp_path / "a.npz", t_gps=t * 1e3, gps=np.column_stack([v, yaw]).astype(np.float32), imu=imu,
-         name=np.array("car"), flags=np.asfortranarray(np.ones((len(t), 2), dtype=bool)))  # fmt: skip
+    save(
+        tmp_path / "a.npz",
+        t_gps=t * 1e3,
+        gps=np.column_stack([v, yaw]).astype(np.float32),
+        imu=imu,
+        name=np.array("car"),
+        flags=np.asfortranarray(np.ones((len(t), 2), dtype=bool)),
+    )
     found = read(open_recording(tmp_path / "a.npz"))
     assert set(found) == {"t_gps", "gps[0]", "gps[1]", "imu.t", "imu.ax", "flags[0]", "flags[1]"}
     np.testing.assert_allclose(found["gps[0]"].values, v, rtol=1e-7)
@@ -147,10 +153,7 @@ def test_damaged_archives_are_refused(tmp_path):
 
 
 def test_an_archive_that_unfolds_without_end_is_refused(tmp_path):
-    with (
-        zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive,
-        archive.open("x.npy", "w") as f,
-    ):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("x.npy", "w") as f:
         np.lib.format.write_array_header_1_0(f, {"descr": "<f8", "fortran_order": False, "shape": (10_000_000,)})
         for _ in range(80):
             f.write(bytes(1_000_000))

@@ -55,9 +55,7 @@ def flatten(value, prefix=""):
 
 
 fields = st.lists(
-    st.tuples(st.sampled_from([*KINDS, "Inner"]), st.sampled_from(["", "[]", "[2]", "[<=4]"])),
-    min_size=1,
-    max_size=7,
+    st.tuples(st.sampled_from([*KINDS, "Inner"]), st.sampled_from(["", "[]", "[2]", "[<=4]"])), min_size=1, max_size=7
 )
 
 
@@ -153,14 +151,7 @@ def test_idl_definitions_decode_like_msg():
     store.register(get_types_from_msg(text, "test_msgs/msg/Pair"))
     numbers = np.array([1.5, 2.5], dtype=np.float32)
     message = support.build(
-        store,
-        "test_msgs/msg/Pair",
-        stamp__sec=4,
-        stamp__nanosec=5,
-        on=True,
-        value=0.1,
-        list=numbers,
-        fixed=-numbers,
+        store, "test_msgs/msg/Pair", stamp__sec=4, stamp__nanosec=5, on=True, value=0.1, list=numbers, fixed=-numbers
     )
     payload = bytes(store.serialize_cdr(message, "test_msgs/msg/Pair"))
     decoder = SerializedDecoder(Definitions().layout("test_msgs/msg/Pair", "ros2idl", idl.encode()), cdr=True)

@@ -32,8 +32,7 @@ UNITS = {"t": "s", "vx": "m/s", "vy": "m/s", "r": "rad/s"}
 def text_of(planted, separator=",", decimal=".", quote="", newline="\n"):
     columns = table_of(planted).values()
     rows = zip(
-        *[[quote + repr(float(v)).replace(".", decimal) + quote for v in column] for column in columns],
-        strict=True,
+        *[[quote + repr(float(v)).replace(".", decimal) + quote for v in column] for column in columns], strict=True
     )
     return newline.join(separator.join(row) for row in rows) + newline
 
@@ -50,9 +49,7 @@ AIM = (
 LAYOUTS = {
     "units in the header": lambda p: "t(s),vx(m/s),vy [m/s],r(rad/s)\n" + text_of(p),
     "hash before the header": lambda p: "# t(s),vx(m/s),vy(m/s),r(rad/s)\n" + text_of(p),
-    "comments before the header": lambda p: (
-        "# recorded by hand, twice\n# t(s),vx(m/s),vy(m/s),r(rad/s)\n" + text_of(p)
-    ),
+    "comments before the header": lambda p: "# recorded by hand, twice\n# t(s),vx(m/s),vy(m/s),r(rad/s)\n" + text_of(p),
     "semicolon and decimal comma": lambda p: "t;vx;vy;r\ns;m/s;m/s;rad/s\n" + text_of(p, ";", ","),
     "tab": lambda p: "t\tvx\tvy\tr\n[s]\t[m/s]\t[m/s]\t[rad/s]\n" + text_of(p, "\t"),
     "tab and decimal comma": lambda p: "t\tvx\tvy\tr\n[s]\t[m/s]\t[m/s]\t[rad/s]\n" + text_of(p, "\t", ","),
@@ -60,9 +57,7 @@ LAYOUTS = {
     "Windows line ends": lambda p: "t(s),vx(m/s),vy(m/s),r(rad/s)\r\n" + text_of(p, newline="\r\n"),
     "MoTeC export": lambda p: MOTEC + text_of(p, quote='"'),
     "AiM export": lambda p: AIM + text_of(p, quote='"'),
-    "separator at every line's end": lambda p: (
-        "t(s),vx(m/s),vy(m/s),r(rad/s),\n" + text_of(p).replace("\n", ",\n")
-    ),
+    "separator at every line's end": lambda p: "t(s),vx(m/s),vy(m/s),r(rad/s),\n" + text_of(p).replace("\n", ",\n"),
 }
 
 
@@ -140,9 +135,7 @@ def test_bad_cells_are_missing_and_counted(tmp_path):
 def test_times_of_day_and_switches_become_numbers(tmp_path):
     start = datetime.datetime(2024, 5, 4, 10, 0, 0, 250_000, tzinfo=datetime.UTC)
     moments = [start + datetime.timedelta(milliseconds=10 * n) for n in range(30)]
-    rows = [
-        f"{moment.isoformat()},{n},{n / 7!r},{'true' if n % 3 else 'False'}" for n, moment in enumerate(moments)
-    ]
+    rows = [f"{moment.isoformat()},{n},{n / 7!r},{'true' if n % 3 else 'False'}" for n, moment in enumerate(moments)]
     (tmp_path / "a.csv").write_text("time,n,x,on\n" + "\n".join(rows))
     signals = open_recording(tmp_path / "a.csv").read(["time", "on", "n"])
     expected = start.timestamp() + 0.01 * np.arange(30)
@@ -294,8 +287,11 @@ def test_mdf_channels_have_their_own_clocks(tmp_path, planted, version, suffix):
     listed = {channel.name: (channel.unit, channel.count) for channel in recording.channels()}
     slow = len(t[::4])
     assert listed == {
-        "group0.vx": ("m/s", COUNT), "r": ("deg/s", COUNT), "vy": ("km/h", slow), "group1.vx": (None, slow),
-    }  # fmt: skip
+        "group0.vx": ("m/s", COUNT),
+        "r": ("deg/s", COUNT),
+        "vy": ("km/h", slow),
+        "group1.vx": (None, slow),
+    }
     read = recording.read(list(listed))
     np.testing.assert_array_equal(read["group0.vx"].values, planted.vx)
     np.testing.assert_array_equal(read["group1.vx"].values, -planted.vx[::4])
@@ -310,9 +306,7 @@ def test_without_asammdf_the_extra_is_named(tmp_path):
         "from split_cli.errors import LogError\nfrom split_cli.logs.readers import open_recording\n"
         "try:\n    open_recording(sys.argv[1])\nexcept LogError as error:\n    print(error)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, tmp_path / "a.mf4"], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a.mf4"], capture_output=True, text=True, check=True)
     assert "split-cli[mf4]" in done.stdout
 
 
@@ -336,15 +330,11 @@ def test_runs_of_blanks_part_columns_only_where_nothing_else_does(tmp_path):
         "   t     vx    vy\n" + "".join(f"  {0.01 * i:5.2f}  {i:4d}  -0.5\n" for i in range(20))
     )
     aligned = open_recording(tmp_path / "aligned.txt").read(["t", "vx", "vy"])
-    assert aligned["vx"].values == pytest.approx(np.arange(20.0)) and aligned["t"].values[-1] == pytest.approx(
-        0.19
-    )
+    assert aligned["vx"].values == pytest.approx(np.arange(20.0)) and aligned["t"].values[-1] == pytest.approx(0.19)
     # A run of a million blanks is no work.
     (tmp_path / "long.txt").write_text(
         "t vx\n" + "".join(f"{i} {' ' * 1_000_000 if i == 9 else ''}{i}\n" for i in range(20))
     )
     assert open_recording(tmp_path / "long.txt").read(["vx"])["vx"].values == pytest.approx(np.arange(20.0))
-    (tmp_path / "dated.csv").write_text(
-        "time,vx\n" + "".join(f"2026-03-14 10:00:{i:02d},{i}\n" for i in range(20))
-    )
+    (tmp_path / "dated.csv").write_text("time,vx\n" + "".join(f"2026-03-14 10:00:{i:02d},{i}\n" for i in range(20)))
     assert [info.name for info in open_recording(tmp_path / "dated.csv").channels()] == ["time", "vx"]

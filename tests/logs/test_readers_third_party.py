@@ -102,8 +102,11 @@ def test_aim_numbers_its_columns_under_the_units(tmp_path):
     path.write_text("\n".join([*head, *(f"{0.05 * i:.2f},{100 + i},4,5000" for i in range(50))]) + "\n")
     recording = open_recording(path)
     assert [(c.name, c.unit) for c in recording.channels()] == [
-        ("Time", "s"), ("GPS_Speed", "mph"), ("Gear", "#"), ("RPM", "rpm"),
-    ]  # fmt: skip
+        ("Time", "s"),
+        ("GPS_Speed", "mph"),
+        ("Gear", "#"),
+        ("RPM", "rpm"),
+    ]
     np.testing.assert_array_equal(recording.read(["GPS_Speed"])["GPS_Speed"].values[:2], [100.0, 101.0])
 
 

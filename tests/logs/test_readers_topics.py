@@ -61,9 +61,7 @@ def test_topics_of_cars(tmp_path, storage):
         for name, number in names.items():
             expected = (planted.vx, planted.vy, planted.r)[number]
             single = name.split("/")[1] in ("drive", "autoware_velocity", "wheels", "steering")
-            np.testing.assert_array_equal(
-                signals[name].values, expected.astype(np.float32) if single else expected
-            )
+            np.testing.assert_array_equal(signals[name].values, expected.astype(np.float32) if single else expected)
             times = (planted.header if clock == "header" else planted.log) - planted.log.min()
             late = 0 if clock == "header" or name.startswith(("/odom", "/steering")) else 1e-6
             np.testing.assert_allclose(signals[name].time, times * 1e-9 + late, rtol=0, atol=2e-9)

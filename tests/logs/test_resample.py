@@ -119,9 +119,7 @@ def test_a_held_signal_takes_the_last_value_and_goes_stale():
     time, values = np.array([0.0, 0.5, 1.0]), np.array([1.0, 2.0, 3.0])
     grid = SampleClock(-0.1, 0.1, np.arange(20), np.zeros(20, np.int32))
     held = resample_held(time, values, grid, longest=0.55)
-    expected = np.select(
-        [grid.time < -1e-9, grid.time < 0.5 - 1e-9, grid.time < 1.0 - 1e-9], [np.nan, 1.0, 2.0], 3.0
-    )
+    expected = np.select([grid.time < -1e-9, grid.time < 0.5 - 1e-9, grid.time < 1.0 - 1e-9], [np.nan, 1.0, 2.0], 3.0)
     expected[grid.time > 1.551] = np.nan
     np.testing.assert_array_equal(held, expected)
 

@@ -97,8 +97,16 @@ def test_a_long_recording_makes_the_same_drive(tmp_path, monkeypatch, kind):
     else:
         rng = np.random.default_rng(3)
         t = np.arange(0.0, 40.0, 0.01) + rng.uniform(-2e-4, 2e-4, 4000)
-        table = pd.DataFrame({"t": t, "vx": 10 + np.sin(t), "vy": 0.1 * np.cos(t), "r": 0.1 * np.sin(2 * t),
-                              "T": np.round(t) * 10.0, "delta": 0.05 * np.sin(2 * t)})  # fmt: skip
+        table = pd.DataFrame(
+            {
+                "t": t,
+                "vx": 10 + np.sin(t),
+                "vy": 0.1 * np.cos(t),
+                "r": 0.1 * np.sin(2 * t),
+                "T": np.round(t) * 10.0,
+                "delta": 0.05 * np.sin(2 * t),
+            }
+        )
         table["vx"] += rng.normal(0, 0.01, 4000)
         table.loc[1000:1010, "r"] = np.nan
         table.loc[2000, "vx"] = 90.0
@@ -129,16 +137,20 @@ def test_a_long_recording_makes_the_same_drive(tmp_path, monkeypatch, kind):
     assert drives[0] == drives[1]
 
 
-@pytest.mark.parametrize(
-    "kind", ["ros2.mcap", "outside.mcap", "bag", "db3", "mat", "7.3.mat", "mf4", "blf", "log"]
-)
+@pytest.mark.parametrize("kind", ["ros2.mcap", "outside.mcap", "bag", "db3", "mat", "7.3.mat", "mf4", "blf", "log"])
 def test_a_long_log_of_any_format_makes_the_same_drive(tmp_path, monkeypatch, kind):
     """Read a batch, a chunk, a variable or a frame at a time, and its columns outside memory, or all at once."""
     for module in {"mf4": ("asammdf",), "blf": ("can", "cantools"), "log": ("can", "cantools")}.get(kind, ()):
         needed(module)
     t = np.arange(0.0, 12.0, 0.01)
-    driven = {"t": t, "vx": 10 + np.sin(t), "vy": 0.1 * np.cos(t), "r": 0.1 * np.sin(2 * t),
-              "T": np.round(t) * 10.0, "delta": 0.05 * np.sin(2 * t)}  # fmt: skip
+    driven = {
+        "t": t,
+        "vx": 10 + np.sin(t),
+        "vy": 0.1 * np.cos(t),
+        "r": 0.1 * np.sin(2 * t),
+        "T": np.round(t) * 10.0,
+        "delta": 0.05 * np.sin(2 * t),
+    }
     log, form = tmp_path / f"log.{kind}", kind.replace("outside", "ros2")
     long_logs.write_log(form, log, long_logs.Lap(driven), 2000)
     if kind == "outside.mcap":
@@ -150,9 +162,13 @@ def test_a_long_log_of_any_format_makes_the_same_drive(tmp_path, monkeypatch, ki
     for name in ("short", "long"):
         if name == "long":
             for module, bound, size in (
-                (scratch, "LONG", 100), (scratch, "PIECE", 64), (messages, "_BATCH_BYTES", 5000),
-                (messages, "_FLUSH_BYTES", 20_000), (mcap, "_PIECE", 10_000), (scratch, "HELD", 70),
-            ):  # fmt: skip
+                (scratch, "LONG", 100),
+                (scratch, "PIECE", 64),
+                (messages, "_BATCH_BYTES", 5000),
+                (messages, "_FLUSH_BYTES", 20_000),
+                (mcap, "_PIECE", 10_000),
+                (scratch, "HELD", 70),
+            ):
                 monkeypatch.setattr(module, bound, size)
         out = tmp_path / f"{name}.parquet"
         (result,) = ingest_logs(

@@ -40,12 +40,18 @@ def table(units: dict[str, str | None] | None = None, **columns) -> TableRecordi
 def topics(types: dict[str, str], **clock) -> TopicRecording:
     fields = {
         "nav_msgs/msg/Odometry": (
-            "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x", "pose.pose.orientation.y",
-            "pose.pose.orientation.z", "pose.pose.orientation.w", "twist.twist.linear.x", "twist.twist.linear.y",
+            "pose.pose.position.x",
+            "pose.pose.position.y",
+            "pose.pose.orientation.x",
+            "pose.pose.orientation.y",
+            "pose.pose.orientation.z",
+            "pose.pose.orientation.w",
+            "twist.twist.linear.x",
+            "twist.twist.linear.y",
             "twist.twist.angular.z",
         ),
         "sensor_msgs/msg/NavSatFix": ("latitude", "longitude"),
-    }  # fmt: skip
+    }
     signals = {}
     for topic, kind in types.items():
         for path in fields[kind]:
@@ -65,9 +71,7 @@ def values(gathered, channel: str) -> np.ndarray:
 
 
 def test_scale_offset_and_unit_act_in_that_order():
-    made = read(
-        table(t=TIME, v=np.full(N, 10.0)), {"vx": {"source": "v", "scale": 2.0, "offset": 1.6, "unit": "km/h"}}
-    )
+    made = read(table(t=TIME, v=np.full(N, 10.0)), {"vx": {"source": "v", "scale": 2.0, "offset": 1.6, "unit": "km/h"}})
     assert values(made, "vx")[0] == pytest.approx((2.0 * 10.0 + 1.6) / 3.6)
     assert "vx: km/h to m/s" in made.conversions
 
@@ -126,10 +130,7 @@ def test_a_sum_adds_its_entries_each_with_its_own_scale():
 def test_right_handed_frames_are_turned():
     columns = {"t": TIME, "n": np.full(N, 5.0), "e": np.full(N, 7.0), "psi": np.full(N, 0.3), "w": np.full(N, 0.2)}
     made = read(
-        table(**columns),
-        {"X": "n", "Y": "e", "yaw": "psi", "r": "w", "vy": "w", "vx": "w"},
-        frame="frd",
-        world="ned",
+        table(**columns), {"X": "n", "Y": "e", "yaw": "psi", "r": "w", "vy": "w", "vx": "w"}, frame="frd", world="ned"
     )
     assert (values(made, "X")[0], values(made, "Y")[0]) == (7.0, 5.0)
     assert values(made, "yaw")[0] == pytest.approx(np.pi / 2 - 0.3)
@@ -164,9 +165,7 @@ def test_optional_channels_are_skipped_and_said_but_not_where_needed():
     made = read(recording, {"vx": "v", "ax": {"source": "a", "optional": True}})
     assert "ax" not in made.series and made.skipped == ("ax: the recording has no a",)
     with pytest.raises(MapError, match="no 'a'"):
-        gather(
-            recording, map_from_mapping({"channels": {"ax": {"source": "a", "optional": True}}}), needed=("ax",)
-        )
+        gather(recording, map_from_mapping({"channels": {"ax": {"source": "a", "optional": True}}}), needed=("ax",))
 
 
 def test_a_message_type_stands_for_the_only_topic_of_that_type():

@@ -177,6 +177,4 @@ def test_a_steering_that_follows_the_yaw_rate_is_late_without_any_v_y(planted):
         told = [f for f in made.quality.consistency.findings if f.check == "delay"]
         assert [f.channel for f in told] == (["delta"] if delay else [])
         # The car is steered before it yaws; the range says how well the file knows how long before.
-        assert not told or (
-            abs(told[0].measured - delay) < told[0].error < 0.06 and "it is steered" in told[0].text
-        )
+        assert not told or (abs(told[0].measured - delay) < told[0].error < 0.06 and "it is steered" in told[0].text)

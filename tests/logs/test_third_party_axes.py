@@ -32,27 +32,56 @@ def of_the_world(c) -> tuple[np.ndarray, np.ndarray]:
 
 
 RIGHT = {
-    "an inertial unit's export, all to the right": Style(lambda t, c: {
-        "Time (GPS s)": 345600 + t, "PosLat (deg)": degrees_of(c)[0], "PosLon (deg)": degrees_of(c)[1],
-        "VelForward (m/s)": c["vx"], "VelLateral (m/s)": -c["vy"], "AngleHeading (deg)": bearing(c),
-        "AngularRateZ (deg/s)": -c["r"] * DEG, "AccelX (m/s²)": c["ax"], "AccelY (m/s²)": -c["ay"],
-        "AngleSlip (deg)": np.arctan2(-c["vy"], c["vx"]) * DEG,
-    }),
-    "no compass, but satellites": Style(lambda t, c: {
-        "Time": t, "Ground Speed [km/h]": c["vx"] * 3.6, "G Force Lat [g]": -c["ay"] / G,
-        "Gyro Yaw Velocity [deg/s]": -c["r"] * DEG, "Body Slip Angle [deg]": -np.arctan2(c["vy"], c["vx"]) * DEG,
-        "GPS Latitude [deg]": degrees_of(c)[0], "GPS Longitude [deg]": degrees_of(c)[1],
-    }),
-    "a compass, but no satellites": Style(lambda t, c: {
-        "Time": t, "VelForward (m/s)": c["vx"], "Heading (deg)": bearing(c),
-        "AngularRateZ (deg/s)": -c["r"] * DEG, "AccelY (m/s²)": -c["ay"],
-    }),
-    "names of a driving-assistance dataset": Style(lambda t, c: {
-        "timestamp": t, "lat": degrees_of(c)[0], "lon": degrees_of(c)[1], "yaw": c["yaw"],
-        "vn": of_the_world(c)[1], "ve": of_the_world(c)[0], "vf": c["vx"], "vl": c["vy"],
-        "ax": c["ax"], "ay": c["ay"], "wz": c["r"],
-    }),
-}  # fmt: skip
+    "an inertial unit's export, all to the right": Style(
+        lambda t, c: {
+            "Time (GPS s)": 345600 + t,
+            "PosLat (deg)": degrees_of(c)[0],
+            "PosLon (deg)": degrees_of(c)[1],
+            "VelForward (m/s)": c["vx"],
+            "VelLateral (m/s)": -c["vy"],
+            "AngleHeading (deg)": bearing(c),
+            "AngularRateZ (deg/s)": -c["r"] * DEG,
+            "AccelX (m/s²)": c["ax"],
+            "AccelY (m/s²)": -c["ay"],
+            "AngleSlip (deg)": np.arctan2(-c["vy"], c["vx"]) * DEG,
+        }
+    ),
+    "no compass, but satellites": Style(
+        lambda t, c: {
+            "Time": t,
+            "Ground Speed [km/h]": c["vx"] * 3.6,
+            "G Force Lat [g]": -c["ay"] / G,
+            "Gyro Yaw Velocity [deg/s]": -c["r"] * DEG,
+            "Body Slip Angle [deg]": -np.arctan2(c["vy"], c["vx"]) * DEG,
+            "GPS Latitude [deg]": degrees_of(c)[0],
+            "GPS Longitude [deg]": degrees_of(c)[1],
+        }
+    ),
+    "a compass, but no satellites": Style(
+        lambda t, c: {
+            "Time": t,
+            "VelForward (m/s)": c["vx"],
+            "Heading (deg)": bearing(c),
+            "AngularRateZ (deg/s)": -c["r"] * DEG,
+            "AccelY (m/s²)": -c["ay"],
+        }
+    ),
+    "names of a driving-assistance dataset": Style(
+        lambda t, c: {
+            "timestamp": t,
+            "lat": degrees_of(c)[0],
+            "lon": degrees_of(c)[1],
+            "yaw": c["yaw"],
+            "vn": of_the_world(c)[1],
+            "ve": of_the_world(c)[0],
+            "vf": c["vx"],
+            "vl": c["vy"],
+            "ax": c["ax"],
+            "ay": c["ay"],
+            "wz": c["r"],
+        }
+    ),
+}
 
 
 @pytest.mark.parametrize("name", RIGHT)
@@ -72,13 +101,22 @@ def test_satellites_or_a_compass_tell_left_from_right(name, planted, tmp_path):
 
 def test_velocities_and_accelerations_of_the_world_are_left_open(planted, tmp_path):
     draft = drafted(
-        Style(lambda t, c: {
-            "timestamp": t, "location.x": c["X"], "location.y": c["Y"], "rotation.yaw": c["yaw"] * DEG,
-            "velocity.x": of_the_world(c)[0], "velocity.y": of_the_world(c)[1],
-            "acceleration.x": np.gradient(of_the_world(c)[0], 0.01),
-            "acceleration.y": np.gradient(of_the_world(c)[1], 0.01), "angular_velocity.z": c["r"] * DEG,
-        }), planted, tmp_path,
-    )  # fmt: skip
+        Style(
+            lambda t, c: {
+                "timestamp": t,
+                "location.x": c["X"],
+                "location.y": c["Y"],
+                "rotation.yaw": c["yaw"] * DEG,
+                "velocity.x": of_the_world(c)[0],
+                "velocity.y": of_the_world(c)[1],
+                "acceleration.x": np.gradient(of_the_world(c)[0], 0.01),
+                "acceleration.y": np.gradient(of_the_world(c)[1], 0.01),
+                "angular_velocity.z": c["r"] * DEG,
+            }
+        ),
+        planted,
+        tmp_path,
+    )
     opened = {s.channel: s.reason for s in draft.suggestions if s.status == "open"}
     assert set(opened) == {"vx", "vy", "ax", "ay"}
     assert all("axes of the world" in reason for reason in opened.values())
@@ -114,8 +152,16 @@ def test_a_car_that_drifts_with_half_a_radian_of_sideslip_is_along_its_own_axes(
 def test_where_nothing_tells_left_from_right_the_draft_says_so(planted, tmp_path):
     def mirrored(t, c):
         """A game: y to the south, all turning the other way round, nothing else wrong."""
-        return {"time": t, "loc_x": c["X"], "loc_y": -c["Y"], "yaw_deg": -c["yaw"] * DEG, "vx": c["vx"],
-                "vy": -c["vy"], "gyro_z": -c["r"], "ay": -c["ay"]}  # fmt: skip
+        return {
+            "time": t,
+            "loc_x": c["X"],
+            "loc_y": -c["Y"],
+            "yaw_deg": -c["yaw"] * DEG,
+            "vx": c["vx"],
+            "vy": -c["vy"],
+            "gyro_z": -c["r"],
+            "ay": -c["ay"],
+        }
 
     draft = drafted(Style(mirrored), planted, tmp_path)
     assert draft.left == ""
@@ -127,8 +173,13 @@ def test_where_nothing_tells_left_from_right_the_draft_says_so(planted, tmp_path
 
 def test_columns_called_e_and_n_tell_left_from_right_whatever_their_unit(planted, tmp_path):
     def write(t, c):
-        return {"t": t, "speed_mps": c["vx"], "yaw_rate": c["r"], "pos_e_ft": c["X"] / 0.3048,
-                "pos_n_ft": c["Y"] / 0.3048}  # fmt: skip
+        return {
+            "t": t,
+            "speed_mps": c["vx"],
+            "yaw_rate": c["r"],
+            "pos_e_ft": c["X"] / 0.3048,
+            "pos_n_ft": c["Y"] / 0.3048,
+        }
 
     draft = drafted(Style(write), planted, tmp_path)
     assert draft.left == "east and north" and draft.of("X").unit == "ft"
@@ -138,8 +189,15 @@ def test_a_course_by_name_is_yaw_only_where_the_sideslip_is_seen(planted, tmp_pa
     def write(with_vy, t, c):
         course = np.mod(bearing(c) - np.arctan2(c["vy"], c["vx"]) * DEG, 360.0)
         lateral = {"vy": c["vy"]} if with_vy else {}
-        return {"t": t, "GPS Speed [m/s]": c["vx"], "GPS Heading [deg]": course, "lat": degrees_of(c)[0],
-                "lon": degrees_of(c)[1], "yaw_rate": c["r"], **lateral}  # fmt: skip
+        return {
+            "t": t,
+            "GPS Speed [m/s]": c["vx"],
+            "GPS Heading [deg]": course,
+            "lat": degrees_of(c)[0],
+            "lon": degrees_of(c)[1],
+            "yaw_rate": c["r"],
+            **lateral,
+        }
 
     for with_vy in (True, False):
         draft = drafted(Style(lambda t, c, v=with_vy: write(v, t, c)), planted, tmp_path)
@@ -181,9 +239,14 @@ def test_x_and_y_come_from_one_odometry_and_r_from_what_measures_it(planted):
             signals[path] = RawSignal(path, t, values)
 
     # The odometry of the motor runs on a wrong radius, has no v_y, and computes its yaw rate from the servo.
-    topic("motor/odom", pose__position__x=1.3 * c["X"], pose__position__y=1.3 * c["Y"],
-          twist__linear__x=c["vx"], twist__linear__y=zero,
-          twist__angular__z=c["vx"] * np.tan(c["delta"]) / planted.vehicle.wheelbase)  # fmt: skip
+    topic(
+        "motor/odom",
+        pose__position__x=1.3 * c["X"],
+        pose__position__y=1.3 * c["Y"],
+        twist__linear__x=c["vx"],
+        twist__linear__y=zero,
+        twist__angular__z=c["vx"] * np.tan(c["delta"]) / planted.vehicle.wheelbase,
+    )
     topic("filter/odom", pose__position__x=c["X"], pose__position__y=c["Y"])
     topic("imu", angular_velocity__z=c["r"] * DEG, linear_acceleration__y=c["ay"] / G)
     draft = draft_map(TableRecording("bag", None, signals, clocks=("header",)))
@@ -221,9 +284,7 @@ def test_columns_inside_structures_of_parquet_are_read(tmp_path):
     np.testing.assert_array_equal(read["imu.acc_x"].values, x)
 
 
-@pytest.mark.parametrize(
-    "name", ["vVeh\\ETKC:1", 'a "quoted" name', "tab\there", "Größe [m/s]", "plain_name", "1st"]
-)
+@pytest.mark.parametrize("name", ["vVeh\\ETKC:1", 'a "quoted" name', "tab\there", "Größe [m/s]", "plain_name", "1st"])
 def test_any_name_survives_the_map(name):
     assert yaml.safe_load(f"{{source: {quoted(name)}}}") == {"source": name}
 

@@ -45,22 +45,28 @@ def topics(store, car: PlantedDrive, ros1: bool) -> dict:
 
     pose, twist = "pose__pose__", "twist__twist__"
     for t in np.arange(0.0, 30.0, 0.05):
-        c = {
-            name: float(car.at(name, np.array([t]))[0])
-            for name in ("X", "Y", "yaw", "vx", "vy", "r", "ay", "delta")
-        }
+        c = {name: float(car.at(name, np.array([t]))[0]) for name in ("X", "Y", "yaw", "vx", "vy", "r", "ay", "delta")}
         turned = {f"{pose}orientation__z": np.sin(c["yaw"] / 2), f"{pose}orientation__w": np.cos(c["yaw"] / 2)}
-        add("/ego/odom", t, **turned,
-            **{f"{pose}position__x": c["X"] - rear * np.cos(c["yaw"]),
-               f"{pose}position__y": c["Y"] - rear * np.sin(c["yaw"]), f"{twist}linear__x": c["vx"],
-               f"{twist}linear__y": c["vy"] - rear * c["r"], f"{twist}angular__z": c["r"]})  # fmt: skip
         add(
-            "/odom",
+            "/ego/odom",
             t,
-            **{f"{twist}linear__x": c["vx"], f"{twist}angular__z": c["vx"] * np.tan(c["delta"]) / length},
+            **turned,
+            **{
+                f"{pose}position__x": c["X"] - rear * np.cos(c["yaw"]),
+                f"{pose}position__y": c["Y"] - rear * np.sin(c["yaw"]),
+                f"{twist}linear__x": c["vx"],
+                f"{twist}linear__y": c["vy"] - rear * c["r"],
+                f"{twist}angular__z": c["r"],
+            },
         )
-        add("/imu/data", t, angular_velocity__z=c["r"] + 0.002 * rng.normal(), linear_acceleration__z=9.81,
-            linear_acceleration__y=c["ay"] + 0.05 * rng.normal())  # fmt: skip
+        add("/odom", t, **{f"{twist}linear__x": c["vx"], f"{twist}angular__z": c["vx"] * np.tan(c["delta"]) / length})
+        add(
+            "/imu/data",
+            t,
+            angular_velocity__z=c["r"] + 0.002 * rng.normal(),
+            linear_acceleration__z=9.81,
+            linear_acceleration__y=c["ay"] + 0.05 * rng.normal(),
+        )
         add("/sensors/core", t, state__current_motor=10.0 * np.sin(t), state__speed=4614.0 * c["vx"])
         add("/drive", t, drive__steering_angle=c["delta"], drive__speed=c["vx"])
         if len(found["/plan"][1]) < t:
@@ -97,8 +103,11 @@ def test_a_bag_with_every_channel_gives_each_from_what_measures_it(car, tmp_path
     draft = draft_map(open_recording(tmp_path / "car.bag"))
     from_topic = {s.channel: s.sources[0].rpartition("/")[0] for s in draft.suggestions if s.status == "judged"}
     assert {c: from_topic[c] for c in ("X", "Y", "vy", "delta")} == {
-        "X": "/ego/odom", "Y": "/ego/odom", "vy": "/ego/odom", "delta": "/drive",
-    }  # fmt: skip
+        "X": "/ego/odom",
+        "Y": "/ego/odom",
+        "vy": "/ego/odom",
+        "delta": "/drive",
+    }
     assert from_topic["r"] in ("/imu/data", "/ego/odom") and from_topic["ay"] == "/imu/data"
     # The preset of such cars takes /odom, whose v_y never changes.
     assert "f1tenth" not in draft.presets
@@ -121,8 +130,11 @@ def test_types_that_a_bag_does_not_define_are_the_first_thing_to_mend(car, tmp_p
 def test_a_planned_path_is_no_position_and_what_never_changes_shares_a_line(tmp_path):
     store = get_typestore(Stores.ROS2_HUMBLE)
     pose = support.build(store, "geometry_msgs/msg/PoseStamped", pose__position__x=1.0)
-    made: dict = {"/plan": ("nav_msgs/msg/Path", []), "/a/twist": ("geometry_msgs/msg/TwistStamped", []),
-                  "/b/twist": ("geometry_msgs/msg/TwistStamped", [])}  # fmt: skip
+    made: dict = {
+        "/plan": ("nav_msgs/msg/Path", []),
+        "/a/twist": ("geometry_msgs/msg/TwistStamped", []),
+        "/b/twist": ("geometry_msgs/msg/TwistStamped", []),
+    }
     for row in range(60):
         time = support.EPOCH + row * 20_000_000
         stamp = support.stamp_of(time)

@@ -33,16 +33,26 @@ def test_v_x_of_a_car_that_records_wheel_speeds_alone_is_that_of_the_rear_wheels
     """The left rear wheel of a rigid car has v_x - r w/2, the right one v_x + r w/2: their mean is v_x."""
     t, c = driven
     left, right = c["vx"] - HALF_TRACK * c["r"], c["vx"] + HALF_TRACK * c["r"]
-    columns = {"time": t, "VelRL (km/h)": left * 3.6, "VelRR (km/h)": right * 3.6, "delta (rad)": c["delta"],
-               "yaw_rate (deg/s)": c["r"] * DEG, "slip_angle (deg)": np.arctan2(c["vy"], c["vx"]) * DEG,
-               "wheel_torque_total (Nm)": c["T"]}  # fmt: skip
+    columns = {
+        "time": t,
+        "VelRL (km/h)": left * 3.6,
+        "VelRR (km/h)": right * 3.6,
+        "delta (rad)": c["delta"],
+        "yaw_rate (deg/s)": c["r"] * DEG,
+        "slip_angle (deg)": np.arctan2(c["vy"], c["vx"]) * DEG,
+        "wheel_torque_total (Nm)": c["T"],
+    }
     draft = table(tmp_path / "obd.csv", columns)
     (tmp_path / "map.yaml").write_text(render_draft(draft, "obd.csv"))
     steps = init_project([tmp_path / "obd.csv"], tmp_path / "car").next_steps[-1]
     names = ("longitudinal-velocity-from-wheels", "lateral-velocity-from-sideslip")
     assert " --derive ".join(("", *names)).strip() in steps
-    made = assemble_drive(open_recording(tmp_path / "obd.csv"), read_map(tmp_path / "map.yaml"), planted.vehicle,
-                          IngestSettings(derive=names))  # fmt: skip
+    made = assemble_drive(
+        open_recording(tmp_path / "obd.csv"),
+        read_map(tmp_path / "map.yaml"),
+        planted.vehicle,
+        IngestSettings(derive=names),
+    )
     rows = made.drive.columns["t"]
     # Only resampling between rows of 20 ms is left, and the rounding of the text.
     np.testing.assert_allclose(made.drive.columns["vx"], planted.at("vx", rows), atol=2e-3)
@@ -82,12 +92,7 @@ def test_wheels_of_one_axle_are_in_one_unit_though_a_circle_makes_one_of_them_sl
 def test_without_a_judge_the_size_of_an_angle_tells_degrees(driven, tmp_path):
     """A yaw rate of 25, a steering wheel at 300: no car does that in radians, and no v_x judges them here."""
     t, c = driven
-    columns = {
-        "time": t,
-        "VelRL": c["vx"] * 3.6,
-        "yaw_rate": c["r"] * DEG * 1.5,
-        "SW_pos": c["delta"] * DEG * 60.0,
-    }
+    columns = {"time": t, "VelRL": c["vx"] * 3.6, "yaw_rate": c["r"] * DEG * 1.5, "SW_pos": c["delta"] * DEG * 60.0}
     draft = table(tmp_path / "obd.csv", columns)
     assert draft.of("r").unit == "deg/s" and "no car's exceeds 15 rad/s" in draft.of("r").reason
     assert draft.of("steering_wheel_angle").unit == "deg"
@@ -100,16 +105,39 @@ def test_fields_of_messages_written_out_flat_are_told_apart_by_the_message(drive
     row = np.arange(len(t))
     stamp = 1_716_990_952 * 10**9 + row // 3 * 60_000_000 + row % 3 * 10_000  # written in bursts of three
     still = np.zeros(len(t))
-    world = np.stack([c["vx"] * np.cos(c["yaw"]) - c["vy"] * np.sin(c["yaw"]),
-                      c["vx"] * np.sin(c["yaw"]) + c["vy"] * np.cos(c["yaw"])])  # fmt: skip
+    world = np.stack(
+        [
+            c["vx"] * np.cos(c["yaw"]) - c["vy"] * np.sin(c["yaw"]),
+            c["vx"] * np.sin(c["yaw"]) + c["vy"] * np.cos(c["yaw"]),
+        ]
+    )
     gnss, ins = world + rng.normal(0.0, 0.03, world.shape), world
-    columns = [("bagTimestamp", stamp), ("stamp", None), ("secs", still + 316.0), ("nsecs", still + 2.5e9),
-               ("acc_body", None), ("x", c["ax"] / G), ("y", c["ay"] / G), ("z", still + 1.0),
-               ("rate_body", None), ("x", rng.normal(0.0, 0.1, len(t))), ("y", rng.normal(0.0, 0.1, len(t))),
-               ("z", c["r"] * DEG), ("gnss_vel_frame", None), ("x", gnss[0]), ("y", gnss[1]), ("z", still),
-               ("ins_vel_frame", None), ("x", ins[0]), ("y", ins[1]), ("z", still),
-               ("ext_vel_x", c["vx"]), ("pos_rel_x", c["X"]), ("pos_rel_y", c["Y"]), ("ins_yaw", c["yaw"] * DEG),
-               ]  # fmt: skip
+    columns = [
+        ("bagTimestamp", stamp),
+        ("stamp", None),
+        ("secs", still + 316.0),
+        ("nsecs", still + 2.5e9),
+        ("acc_body", None),
+        ("x", c["ax"] / G),
+        ("y", c["ay"] / G),
+        ("z", still + 1.0),
+        ("rate_body", None),
+        ("x", rng.normal(0.0, 0.1, len(t))),
+        ("y", rng.normal(0.0, 0.1, len(t))),
+        ("z", c["r"] * DEG),
+        ("gnss_vel_frame", None),
+        ("x", gnss[0]),
+        ("y", gnss[1]),
+        ("z", still),
+        ("ins_vel_frame", None),
+        ("x", ins[0]),
+        ("y", ins[1]),
+        ("z", still),
+        ("ext_vel_x", c["vx"]),
+        ("pos_rel_x", c["X"]),
+        ("pos_rel_y", c["Y"]),
+        ("ins_yaw", c["yaw"] * DEG),
+    ]
     lines = [",".join(name for name, _ in columns)]
     for k in range(len(t)):
         lines.append(",".join("" if values is None else repr(values[k].item()) for _, values in columns))
@@ -138,9 +166,7 @@ def test_a_path_and_a_speed_tell_the_rate_of_rows_without_time(driven, tmp_path)
     still = np.zeros_like(t)
     assert row_rate_from_path(still, still, c["vx"]) is None
     assert row_rate_from_path(c["X"], c["Y"], np.random.default_rng(1).permutation(c["vx"])) is None
-    draft = table(
-        tmp_path / "model.csv", {"X": c["X"], "Y": c["Y"], "vx": c["vx"], "throttle": 0.5 + still + 0.1 * t}
-    )
+    draft = table(tmp_path / "model.csv", {"X": c["X"], "Y": c["Y"], "vx": c["vx"], "throttle": 0.5 + still + 0.1 * t})
     assert draft.time.startswith("time: {period: 0.02") and "a few per cent are open" in draft.time
 
 
@@ -164,9 +190,7 @@ def test_what_no_car_reaches_is_dropped_and_counted_unless_it_is_the_unit(driven
     r = c["r"].copy()
     r[500:504] = [40.0, 300.0, 300.0, 90.0]  # too long for a spike
     cleaned = clean_series(RawSeries("r", "gyro", t, r))
-    assert {d.reason: d.count for d in cleaned.drops} == {
-        "beyond what any car reaches, and far beyond the others": 4
-    }
+    assert {d.reason: d.count for d in cleaned.drops} == {"beyond what any car reaches, and far beyond the others": 4}
     # In degrees nearly all are as large: then the unit is wrong, and every sample stays to show it.
     assert clean_series(RawSeries("r", "gyro", t, c["r"] * DEG * 3.0)).drops == ()
 

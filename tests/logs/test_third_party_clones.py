@@ -31,11 +31,7 @@ def test_titles_and_units_behind_marks_of_comments_are_read(planted, tmp_path):
     above = [list(columns), ["C1"] * len(columns), [unit for unit, _ in columns.values()]]
     head = "\n".join("# " + ",".join(f'"{cell}"' for cell in row) for row in above)
     np.savetxt(
-        tmp_path / "log.csv",
-        np.stack([v for _, v in columns.values()], 1),
-        delimiter=",",
-        header=head,
-        comments="",
+        tmp_path / "log.csv", np.stack([v for _, v in columns.values()], 1), delimiter=",", header=head, comments=""
     )
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.of("vx").sources == ("Car.vx",) and draft.of("vx").status == "judged"

@@ -31,9 +31,15 @@ def test_messages_as_tables_with_seconds_and_microseconds_make_one_drive(planted
     """OpenDLV writes a table for each message, with the instants of sending, receiving and sampling."""
     t = np.arange(0.0, 40.0, 0.02)
     signals = {
-        "groundSpeed": "vx", "angularVelocityZ": "r", "groundSteering": "delta", "x": "X", "y": "Y",
-        "northHeading": "yaw", "lateralVelocity": "vy", "wheelTorque": "T",
-    }  # fmt: skip
+        "groundSpeed": "vx",
+        "angularVelocityZ": "r",
+        "groundSteering": "delta",
+        "x": "X",
+        "y": "Y",
+        "northHeading": "yaw",
+        "lateralVelocity": "vy",
+        "wheelTorque": "T",
+    }
     paths = []
     for number, (name, channel) in enumerate(signals.items()):
         own = t + 0.003 * number
@@ -131,10 +137,7 @@ def test_clocks_meet_by_what_tells_time_best_and_not_by_wheels_that_slip(planted
     unit = {"time [s]": 34_872.0 + t, "vel_fwd [m/s]": other["vx"], "yaw_rate [rad/s]": other["r"]}
     write_table(tmp_path / "ins.csv", unit)
     moved = {}
-    for name, more in {
-        "wheels": {},
-        "gyro": {"gyro_z [rad/s]": own["r"] + 0.002 * rng.normal(size=len(t))},
-    }.items():
+    for name, more in {"wheels": {}, "gyro": {"gyro_z [rad/s]": own["r"] + 0.002 * rng.normal(size=len(t))}}.items():
         write_table(tmp_path / f"{name}.csv", {**logger, **more})
         recording = open_logs([tmp_path / f"{name}.csv", tmp_path / "ins.csv"])
         moved[name] = recording.read(["vel_fwd"])["vel_fwd"].time[0]

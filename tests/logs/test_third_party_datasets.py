@@ -97,9 +97,7 @@ def test_yaw_is_taken_from_the_message_of_x_and_y_and_an_asking_message_is_a_com
     assert draft.of("delta").command
 
 
-def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_in_words(
-    planted, tmp_path, monkeypatch
-):
+def test_json_with_pairs_of_time_and_value_for_each_channel_is_read_with_units_in_words(planted, tmp_path, monkeypatch):
     """A2D2's bus signals: each number of each pair became a channel of one row."""
     epoch, t = 1_554_122_338_000_000, np.arange(0.0, 60.0, 0.02)
     angle = planted.at("delta", t) * 16.0 * DEG
@@ -158,10 +156,16 @@ def test_the_torque_of_a_steering_column_is_no_t_and_an_angle_that_follows_the_p
     """Udacity's table: `torque` was mapped to T, and `angle` beside it was not used."""
     t = np.arange(0.0, 60.0, 0.05)
     c = {name: planted.at(name, t) for name in ("vx", "r", "delta")}
-    write_table(tmp_path / "log.csv", {
-        "timestamp": 1479425440.0 + t, "angle": c["delta"] * 14.8, "torque": c["delta"] * 13.0, "speed": c["vx"],
-        "yaw_rate": c["r"],
-    })  # fmt: skip
+    write_table(
+        tmp_path / "log.csv",
+        {
+            "timestamp": 1479425440.0 + t,
+            "angle": c["delta"] * 14.8,
+            "torque": c["delta"] * 13.0,
+            "speed": c["vx"],
+            "yaw_rate": c["r"],
+        },
+    )
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.of("T").status == "open" and "drives nothing" in draft.of("T").reason
     assert draft.of("delta").sources == ("angle",) and "scale: 1/RATIO" in draft.of("delta").reason

@@ -42,8 +42,14 @@ def test_a_recording_of_controldesk_is_read_by_the_names_inside(planted, driven,
     from scipy.io import savemat
 
     t, c = driven
-    signals = {"vx_cog": (c["vx"] * 3.6, "km/h"), "vy_cog": (c["vy"], "m/s"), "YawRate": (c["r"] * DEG, "deg/s"),
-               "delta_f": (c["delta"], "rad"), "T_wheel": (c["T"], "Nm"), "psi": (c["yaw"], "rad")}  # fmt: skip
+    signals = {
+        "vx_cog": (c["vx"] * 3.6, "km/h"),
+        "vy_cog": (c["vy"], "m/s"),
+        "YawRate": (c["r"] * DEG, "deg/s"),
+        "delta_f": (c["delta"], "rad"),
+        "T_wheel": (c["T"], "Nm"),
+        "psi": (c["yaw"], "rad"),
+    }
     fields = [(name, "O") for name in ("Name", "Unit", "Data", "XIndex")]
     rows = [(f"Model Root/Plant/{name}/Out1", unit, v[None], 1.0) for name, (v, unit) in signals.items()]
     capture = {"X": np.array([("Time", "s", t[None], 1.0)], dtype=fields), "Y": np.array(rows, dtype=fields)}
@@ -58,8 +64,15 @@ def test_an_index_of_pandas_is_the_time_and_its_name_no_unit(planted, driven, tm
 
     t, c = driven
     stamps = pa.array((1.7e18 + np.round(t * 1e9)).astype("int64"), pa.timestamp("ns", "UTC"))
-    columns = {"vehicle_speed": c["vx"], "lateral_velocity": c["vy"], "yaw_rate": c["r"], "utm_e": c["X"],
-               "utm_n": c["Y"], "steer_angle_front": c["delta"], "wheel_torque_total": c["T"]}  # fmt: skip
+    columns = {
+        "vehicle_speed": c["vx"],
+        "lateral_velocity": c["vy"],
+        "yaw_rate": c["r"],
+        "utm_e": c["X"],
+        "utm_n": c["Y"],
+        "steer_angle_front": c["delta"],
+        "wheel_torque_total": c["T"],
+    }
     for title in ("__index_level_0__", "stamp_ns"):
         path = tmp_path / f"{title}.parquet"
         pq.write_table(pa.table({**columns, title: stamps}), path)
@@ -97,9 +110,15 @@ def test_a_flat_column_beside_a_structure_of_that_name_keeps_its_values(tmp_path
 
 def test_pedals_in_per_cent_and_units_that_nobody_knows_are_told(driven, tmp_path):
     t, c = driven
-    columns = {"t": t, "vx [warp]": c["vx"], "vy": c["vy"], "yaw_rate": c["r"],
-               "throttle": 50.0 + 50.0 * np.sin(t), "brake": 0.5 + 0.5 * np.sin(t),
-               "torque [Nm]": 0.05 * c["T"]}  # fmt: skip
+    columns = {
+        "t": t,
+        "vx [warp]": c["vx"],
+        "vy": c["vy"],
+        "yaw_rate": c["r"],
+        "throttle": 50.0 + 50.0 * np.sin(t),
+        "brake": 0.5 + 0.5 * np.sin(t),
+        "torque [Nm]": 0.05 * c["T"],
+    }
     write_table(tmp_path / "log.csv", columns)
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.of("throttle").unit == "%" and draft.of("brake").unit == "1"
@@ -110,9 +129,19 @@ def test_pedals_in_per_cent_and_units_that_nobody_knows_are_told(driven, tmp_pat
 
 @pytest.mark.parametrize(
     ("written", "size"),
-    [("mm/s", 1e-3), ("degrees/s", 1 / DEG), ("Deg/Sec", 1 / DEG), ("deg/min", 1 / DEG / 60), ("mm/s^2", 1e-3),
-     ("cm/s²", 1e-2), ("km/min", 1000 / 60), ("ft/s", 0.3048), ("mrad/s", 1e-3), ("m/min", 1 / 60)],
-)  # fmt: skip
+    [
+        ("mm/s", 1e-3),
+        ("degrees/s", 1 / DEG),
+        ("Deg/Sec", 1 / DEG),
+        ("deg/min", 1 / DEG / 60),
+        ("mm/s^2", 1e-3),
+        ("cm/s²", 1e-2),
+        ("km/min", 1000 / 60),
+        ("ft/s", 0.3048),
+        ("mrad/s", 1e-3),
+        ("m/min", 1 / 60),
+    ],
+)
 def test_lengths_and_angles_per_time_are_units(written, size):
     assert find_unit(written).factor == pytest.approx(size, rel=1e-12)
 
@@ -139,9 +168,7 @@ def test_a_segment_that_is_no_whole_number_is_refused(bad, tmp_path):
 
 @pytest.mark.parametrize("shift", [0, 1, 2, 3])
 def test_a_chinese_code_page_is_found_wherever_the_sample_ends(shift, tmp_path):
-    text = "时间,车速,模式\n" + "".join(
-        f"{0.01 * n:.2f},{10 + n % 7},运动运动运动运动运动\n" for n in range(12_000)
-    )
+    text = "时间,车速,模式\n" + "".join(f"{0.01 * n:.2f},{10 + n % 7},运动运动运动运动运动\n" for n in range(12_000))
     (tmp_path / "lap.csv").write_bytes(("x" * shift + text).encode("gb18030"))
     assert [info.name for info in open_recording(tmp_path / "lap.csv").channels()][1:] == ["车速", "模式"]
 

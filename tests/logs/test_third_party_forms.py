@@ -34,9 +34,7 @@ def test_a_row_of_types_is_no_row_of_titles(tmp_path):
 
 def test_marks_between_thousands_cost_no_value(tmp_path):
     cells = ["999,5", "1.000,25", "-12.345,5", "1.234.567,0"]
-    (tmp_path / "a.csv").write_text(
-        "Zeit [s];T [Nm]\n" + "".join(f"{k},0;{c}\n" for k, c in enumerate(cells * 20))
-    )
+    (tmp_path / "a.csv").write_text("Zeit [s];T [Nm]\n" + "".join(f"{k},0;{c}\n" for k, c in enumerate(cells * 20)))
     read = open_recording(tmp_path / "a.csv").read(["T"])["T"].values
     assert np.array_equal(read[:4], [999.5, 1000.25, -12345.5, 1234567.0])
 

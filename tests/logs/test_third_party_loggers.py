@@ -47,8 +47,12 @@ def test_a_row_of_units_may_hold_signs_for_channels_that_have_none(tmp_path):
 @pytest.mark.parametrize("version", ["5", "7.3"])
 def test_structures_of_motec_are_channels_with_their_units(version, planted, tmp_path):
     t, c = planted
-    fields = {"Corr_Speed": (c["vx"] * 3.6, "km/h"), "Yaw_Rate": (c["r"] * DEG, "deg/s"),
-              "Accel_Lat": (c["ay"] / G, "G"), "Brake_Pressure_Front": (0.0 * t + t, "psi")}  # fmt: skip
+    fields = {
+        "Corr_Speed": (c["vx"] * 3.6, "km/h"),
+        "Yaw_Rate": (c["r"] * DEG, "deg/s"),
+        "Accel_Lat": (c["ay"] / G, "G"),
+        "Brake_Pressure_Front": (0.0 * t + t, "psi"),
+    }
     path = tmp_path / "lap.mat"
     if version == "5":
         savemat(path, {n: {"Time": t + 237.9, "Value": v, "Units": u} for n, (v, u) in fields.items()})
@@ -62,7 +66,11 @@ def test_structures_of_motec_are_channels_with_their_units(version, planted, tmp
                 group["Units"].attrs["MATLAB_class"] = np.bytes_("char")
     recording = open_recording(path)
     assert {i.name: i.unit for i in recording.channels()} == {
-        "Corr_Speed": "km/h", "Yaw_Rate": "deg/s", "Accel_Lat": "g", "Brake_Pressure_Front": "psi"}  # fmt: skip
+        "Corr_Speed": "km/h",
+        "Yaw_Rate": "deg/s",
+        "Accel_Lat": "g",
+        "Brake_Pressure_Front": "psi",
+    }
     assert np.allclose(recording.read(["Yaw_Rate"])["Yaw_Rate"].time, t + 237.9)
     draft = draft_map(recording)
     assert draft.of("ay").status == "unsided" and draft.of("vx").sources == ("Corr_Speed",)
@@ -86,11 +94,26 @@ def test_a_car_that_pitches_on_a_straight_keeps_its_axes(tmp_path):
     rng = np.random.default_rng(2)
     vx = 3.0 * t
     swing = np.sin(9.0 * t)
-    draft = table(tmp_path / "a.csv", {
-        "Time": t, "AAx": rng.standard_normal(len(t)), "AAy": rng.standard_normal(len(t)), "AAz": 0.1 * swing,
-        "AVx": 0.3 * swing, "AVy": swing - 0.04, "AVz": 1e-4 * swing, "AVy_L1": vx / 0.3 * 9.549,
-        "Ax": 0 * t + 3.0 / G, "Ay": 1e-3 * swing, "Vx": vx * 3.6, "Vy": 1e-3 * swing, "Vz": 0.1 * swing,
-        "Xo": 1.5 * t**2, "Yo": 1e-3 * swing})  # fmt: skip
+    draft = table(
+        tmp_path / "a.csv",
+        {
+            "Time": t,
+            "AAx": rng.standard_normal(len(t)),
+            "AAy": rng.standard_normal(len(t)),
+            "AAz": 0.1 * swing,
+            "AVx": 0.3 * swing,
+            "AVy": swing - 0.04,
+            "AVz": 1e-4 * swing,
+            "AVy_L1": vx / 0.3 * 9.549,
+            "Ax": 0 * t + 3.0 / G,
+            "Ay": 1e-3 * swing,
+            "Vx": vx * 3.6,
+            "Vy": 1e-3 * swing,
+            "Vz": 0.1 * swing,
+            "Xo": 1.5 * t**2,
+            "Yo": 1e-3 * swing,
+        },
+    )
     sources = {channel: draft.of(channel).sources for channel in ("ax", "vx", "wheel_speed_fl", "r")}
     assert sources == {"ax": ("Ax",), "vx": ("Vx",), "wheel_speed_fl": ("AVy_L1",), "r": ("AVz",)}
     assert draft.of("vx").unit == "km/h"
@@ -108,8 +131,15 @@ def test_a_speed_that_is_none_of_this_path_is_left_open(planted, tmp_path):
     t, c = planted
     rng = np.random.default_rng(3)
     wander = np.cumsum(rng.standard_normal(len(t)))
-    columns = {"time": t, "x": 0.05 * c["X"], "y": 0.05 * c["Y"], "yaw": c["yaw"], "yaw_rate": c["r"],
-               "velocity_x": 40.0 + wander, "velocity_y": -50.0 + wander[::-1]}  # fmt: skip
+    columns = {
+        "time": t,
+        "x": 0.05 * c["X"],
+        "y": 0.05 * c["Y"],
+        "yaw": c["yaw"],
+        "yaw_rate": c["r"],
+        "velocity_x": 40.0 + wander,
+        "velocity_y": -50.0 + wander[::-1],
+    }
     draft = table(tmp_path / "a.csv", columns)
     assert draft.of("vx").status == "open" and "does not follow the path" in draft.of("vx").reason
     assert abs(draft.of("yaw").offset) < 0.1
@@ -130,9 +160,14 @@ def test_a_heading_that_changes_with_the_fix_alone_is_a_course(planted, tmp_path
 
     course = c["yaw"] + np.arctan2(c["vy"], c["vx"])
     east = held(c["X"]) / 111194.93 / np.cos(np.radians(48.0))
-    columns = {"Time": t, "Latitude": 48.0 + held(c["Y"]) / 111194.93, "Longitude": 11.0 + east,
-               "Speed (Km/h)": held(c["vx"]) * 3.6, "Heading": held(np.mod(90.0 - course * DEG, 360.0)),
-               "Accel X": c["ay"] / G}  # fmt: skip
+    columns = {
+        "Time": t,
+        "Latitude": 48.0 + held(c["Y"]) / 111194.93,
+        "Longitude": 11.0 + east,
+        "Speed (Km/h)": held(c["vx"]) * 3.6,
+        "Heading": held(np.mod(90.0 - course * DEG, 360.0)),
+        "Accel X": c["ay"] / G,
+    }
     write_table(tmp_path / "a.csv", columns, fmt="%.9f")
     yaw = draft_map(open_recording(tmp_path / "a.csv")).of("yaw")
     assert yaw.status == "open" and "satellite fix" in yaw.reason
@@ -141,20 +176,29 @@ def test_a_heading_that_changes_with_the_fix_alone_is_a_course(planted, tmp_path
 def test_wheels_of_another_radius_are_no_speed_in_another_unit(planted, tmp_path):
     """Four wheels in rpm, a radius of 0.9 of the true one, and forty columns that nothing knows."""
     t, c = planted
-    columns = {"t": t, "vx": c["vx"], "vy": c["vy"], "r": c["r"], "X": c["X"], "Y": c["Y"], "yaw": c["yaw"],
-               "ax": c["ax"], "T": c["T"], "delta": c["delta"]}  # fmt: skip
+    columns = {
+        "t": t,
+        "vx": c["vx"],
+        "vy": c["vy"],
+        "r": c["r"],
+        "X": c["X"],
+        "Y": c["Y"],
+        "yaw": c["yaw"],
+        "ax": c["ax"],
+        "T": c["T"],
+        "delta": c["delta"],
+    }
     corners = ("fl", "fr", "rl", "rr")
     columns |= {f"n_{w}": c["vx"] / 0.9 / road_car().wheel_radius * 9.5493 for w in corners}
     columns |= {f"aux_{k}": np.sin(k * t) for k in range(40)}
     write_table(tmp_path / "a.csv", columns)
     lines = [f"  {n}: {{source: {n}, unit: {UNITS[n]}}}" for n in list(columns)[1:10]]
     lines += [f"  wheel_speed_{w}: {{source: n_{w}, unit: rpm}}" for w in corners]
-    (tmp_path / "map.yaml").write_text(
-        "name: m\ntime: {source: t, unit: s}\nchannels:\n" + "\n".join(lines) + "\n"
-    )
+    (tmp_path / "map.yaml").write_text("name: m\ntime: {source: t, unit: s}\nchannels:\n" + "\n".join(lines) + "\n")
     write_vehicle(road_car(), tmp_path / "car.yaml")
-    run = ingest_logs([tmp_path / "a.csv"], tmp_path / "d.parquet", maps=[tmp_path / "map.yaml"],
-                      vehicle_path=tmp_path / "car.yaml")  # fmt: skip
+    run = ingest_logs(
+        [tmp_path / "a.csv"], tmp_path / "d.parquet", maps=[tmp_path / "map.yaml"], vehicle_path=tmp_path / "car.yaml"
+    )
     result = run.results[0]
     # All alike: v_x may be what is wrong, so that they are one question.
     (found,) = [finding for finding in result.quality.consistency.findings if "another radius" in finding.text]
@@ -176,17 +220,19 @@ def test_ticks_of_ten_microseconds_are_told_as_the_clock_and_not_as_four_scales(
     t, c = planted
     names = ("X", "Y", "yaw", "vx", "r", "ax", "ay")
     draft = table(tmp_path / "a.csv", {"time": t * 1e5, **{n: c[n] for n in names}})
-    assert float(draft.time.split("the time counts ")[1].split(" times too slow")[0]) == pytest.approx(
-        10.0, rel=2e-3
-    )
+    assert float(draft.time.split("the time counts ")[1].split(" times too slow")[0]) == pytest.approx(10.0, rel=2e-3)
     assert {draft.of(n).status for n in ("vx", "r", "ay")} <= {"judged", "unsided"}
     straight = table(tmp_path / "b.csv", {"time": t, **{n: c[n] for n in names}})
     assert "CHECK" not in straight.time
 
 
 def test_files_of_other_programs_are_named_with_the_way_out(tmp_path):
-    for name, head, told in (("a.zip", b"PK\x03\x04", "zip"), ("a.xrk", b"<hCNF", "RaceStudio"),
-                             ("a.ld", b"@", "i2"), ("a.ibt", b"\x02", "of iRacing")):  # fmt: skip
+    for name, head, told in (
+        ("a.zip", b"PK\x03\x04", "zip"),
+        ("a.xrk", b"<hCNF", "RaceStudio"),
+        ("a.ld", b"@", "i2"),
+        ("a.ibt", b"\x02", "of iRacing"),
+    ):
         (tmp_path / name).write_bytes(head + bytes(64))
         with pytest.raises(LogError, match=told):
             open_recording(tmp_path / name)

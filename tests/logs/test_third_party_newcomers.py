@@ -48,9 +48,14 @@ def test_a_game_whose_z_is_forward_is_no_car_that_reads_gravity_there(tmp_path):
     draft = drafted_table(table, tmp_path)
     found = {channel: draft.of(channel).sources for channel in ("vx", "vy", "ax", "ay", "r", "X", "Y")}
     assert found == {
-        "vx": ("VelocityZ",), "vy": ("VelocityX",), "ax": ("AccelerationZ",), "ay": ("AccelerationX",),
-        "r": ("AngularVelocityY",), "X": ("PositionZ",), "Y": ("PositionX",),
-    }  # fmt: skip
+        "vx": ("VelocityZ",),
+        "vy": ("VelocityX",),
+        "ax": ("AccelerationZ",),
+        "ay": ("AccelerationX",),
+        "r": ("AngularVelocityY",),
+        "X": ("PositionZ",),
+        "Y": ("PositionX",),
+    }
     assert {"vx", "ax"} <= {s.channel for s in draft.suggestions if s.status == "judged"}
 
 
@@ -91,8 +96,16 @@ def test_the_speed_of_a_steering_wheel_is_no_speed_of_the_car(columns, tmp_path)
 def test_columns_of_several_quantities_with_the_same_numbers_are_measured_by_nobody(columns, tmp_path):
     t, c = columns
     noise = np.random.default_rng(2).standard_normal(len(t))
-    table = {"t_s": t, "x_m": c["X"], "y_m": c["Y"], "yaw_deg": c["yaw"] * DEG, "v_mps": c["vx"],
-             "imu_gz_rps": noise, "imu_ax_mps2": noise, "imu_ay_mps2": noise}  # fmt: skip
+    table = {
+        "t_s": t,
+        "x_m": c["X"],
+        "y_m": c["Y"],
+        "yaw_deg": c["yaw"] * DEG,
+        "v_mps": c["vx"],
+        "imu_gz_rps": noise,
+        "imu_ax_mps2": noise,
+        "imu_ay_mps2": noise,
+    }
     draft = drafted_table(table, tmp_path)
     assert {s.channel for s in draft.suggestions if "another quantity" in s.reason} == {"r", "ax", "ay"}
     found = meanings(RawChannelInfo("imu_gz_rps", "column", None))
@@ -102,10 +115,14 @@ def test_columns_of_several_quantities_with_the_same_numbers_are_measured_by_nob
 def test_a_yaw_rate_of_unknown_size_and_other_hand_leaves_the_satellite_fix_alone(columns, tmp_path):
     """A gyroscope decoded with another factor: the fix, the speed and a_y contradict it alike, not each other."""
     t, c = columns
-    table = {"time": t, "SPEED": c["vx"] * 3.6, "Z_ANGLE_RATE": -0.22 * c["r"] * DEG,
-             "LATITUDE": 41.0 + c["Y"] / DEGREE_OF_LATITUDE,
-             "LONGITUDE": -81.0 + c["X"] / DEGREE_OF_LATITUDE / np.cos(np.radians(41.0)),
-             "Y_ACCELERATION": c["ay"]}  # fmt: skip
+    table = {
+        "time": t,
+        "SPEED": c["vx"] * 3.6,
+        "Z_ANGLE_RATE": -0.22 * c["r"] * DEG,
+        "LATITUDE": 41.0 + c["Y"] / DEGREE_OF_LATITUDE,
+        "LONGITUDE": -81.0 + c["X"] / DEGREE_OF_LATITUDE / np.cos(np.radians(41.0)),
+        "Y_ACCELERATION": c["ay"],
+    }
     draft = drafted_table(table, tmp_path, fmt="%.10f")
     assert draft.of("r").status == "open" and "r is -12.6 times" in draft.of("r").reason
     assert "Or:" not in draft.of("r").reason
@@ -115,9 +132,15 @@ def test_a_yaw_rate_of_unknown_size_and_other_hand_leaves_the_satellite_fix_alon
 def test_a_position_whose_second_axis_hardly_changes_is_a_height(columns, tmp_path):
     """Gran Turismo: y is up, a part of a quaternion is called yaw, and the yaw rate has lost its sign."""
     t, c = columns
-    table = {"data_time": t, "data_position_x": c["X"], "data_position_y": 2.0 * np.sin(t / 20.0),
-             "data_position_z": c["Y"], "data_speed": c["vx"] * 3.6, "data_rotation_yaw": np.sin(6.0 * c["yaw"]),
-             "data_absolute_yaw_rate_per_second": np.abs(c["r"])}  # fmt: skip
+    table = {
+        "data_time": t,
+        "data_position_x": c["X"],
+        "data_position_y": 2.0 * np.sin(t / 20.0),
+        "data_position_z": c["Y"],
+        "data_speed": c["vx"] * 3.6,
+        "data_rotation_yaw": np.sin(6.0 * c["yaw"]),
+        "data_absolute_yaw_rate_per_second": np.abs(c["r"]),
+    }
     draft = drafted_table(table, tmp_path)
     assert draft.of("Y").sources == ("data_position_z",)
     assert (draft.of("vx").unit, draft.of("vx").status) == ("km/h", "judged")
@@ -143,9 +166,7 @@ def test_what_no_step_mends_stands_first(columns, tmp_path):
     assert steps[-1].startswith("With vy, r, delta, run: split ingest")
 
 
-def test_an_acceleration_that_the_change_of_speed_denies_is_left_open_with_the_other_of_its_sensor(
-    columns, tmp_path
-):
+def test_an_acceleration_that_the_change_of_speed_denies_is_left_open_with_the_other_of_its_sensor(columns, tmp_path):
     """A phone's x is to the right and in g: a tenth of what dv_x/dt says, and nothing to do with it."""
     t, c = columns
     fast = 20.0 + 12.0 * np.sin(0.4 * t)
@@ -157,12 +178,26 @@ def test_an_acceleration_that_the_change_of_speed_denies_is_left_open_with_the_o
 def test_a_word_that_ends_many_names_says_who_measured(columns, tmp_path):
     """Motion capture, motor controller and IMU in one table; the IMU is turned round and its yaw begins at 0."""
     t, c = columns
-    draft = drafted_table({
-        "timestamp": t, "x_opti": c["X"], "y_opti": c["Y"], "yaw_opti": c["yaw"], "vx_opti": c["vx"],
-        "vy_opti": c["vy"], "r_opti": c["r"], "ax_imu": -c["ax"], "ay_imu": -c["ay"], "x_plan": c["X"] + 1.0,
-        "yaw_imu": c["yaw"] + 0.7, "delta_vesc": -c["delta"], "vx_vesc": 1.04 * c["vx"], "rpm_vesc": 1e3 * c["vx"],
-        "y_plan": c["Y"],
-    }, tmp_path)  # fmt: skip
+    draft = drafted_table(
+        {
+            "timestamp": t,
+            "x_opti": c["X"],
+            "y_opti": c["Y"],
+            "yaw_opti": c["yaw"],
+            "vx_opti": c["vx"],
+            "vy_opti": c["vy"],
+            "r_opti": c["r"],
+            "ax_imu": -c["ax"],
+            "ay_imu": -c["ay"],
+            "x_plan": c["X"] + 1.0,
+            "yaw_imu": c["yaw"] + 0.7,
+            "delta_vesc": -c["delta"],
+            "vx_vesc": 1.04 * c["vx"],
+            "rpm_vesc": 1e3 * c["vx"],
+            "y_plan": c["Y"],
+        },
+        tmp_path,
+    )
     for channel in ("X", "Y", "yaw", "vx", "vy", "r"):
         assert draft.of(channel).sources == (f"{channel.lower()}_opti",), channel
     assert draft.of("delta").sources == ("delta_vesc",)

@@ -36,10 +36,18 @@ def test_runs_one_behind_the_other_are_judged_run_by_run(planted, tmp_path):
         differenced[np.flatnonzero(np.diff(start_again) < 0)] = 900.0
         vx = c["vx"].copy()
         vx[3000] = 6000.0
-        return {"t": start_again, "pose_x": c["X"], "pose_y": c["Y"], "yaw": np.angle(np.exp(1j * c["yaw"])),
-                "velocity_vehicle_x": vx, "velocity_vehicle_y": c["vy"],
-                "angular_velocity_from_yaw": differenced + 0.3 * rng.standard_normal(len(t)),
-                "yaw_rate": c["r"] * DEG, "accx": c["ax"] / G, "accy": c["ay"] / G}  # fmt: skip
+        return {
+            "t": start_again,
+            "pose_x": c["X"],
+            "pose_y": c["Y"],
+            "yaw": np.angle(np.exp(1j * c["yaw"])),
+            "velocity_vehicle_x": vx,
+            "velocity_vehicle_y": c["vy"],
+            "angular_velocity_from_yaw": differenced + 0.3 * rng.standard_normal(len(t)),
+            "yaw_rate": c["r"] * DEG,
+            "accx": c["ax"] / G,
+            "accy": c["ay"] / G,
+        }
 
     draft = drafted(write, planted, tmp_path)
     assert draft.of("r").sources == ("yaw_rate",) and draft.of("r").unit == "deg/s"
@@ -50,9 +58,20 @@ def test_runs_one_behind_the_other_are_judged_run_by_run(planted, tmp_path):
 
 def test_a_rival_of_the_wrong_size_is_left_open_instead_of_one_that_does_not_turn_with_the_car(planted, tmp_path):
     """The change of v_y alone is no lateral acceleration; that of the sensor reads 30 % too much."""
-    draft = drafted(lambda t, c: {
-        "t": t, "vx": c["vx"], "vy": c["vy"], "yaw": c["yaw"], "yaw_rate": c["r"] * DEG, "accx": c["ax"],
-        "accy": 1.3 * c["ay"], "acc_vehicle_y": np.gradient(c["vy"], 0.01)}, planted, tmp_path)  # fmt: skip
+    draft = drafted(
+        lambda t, c: {
+            "t": t,
+            "vx": c["vx"],
+            "vy": c["vy"],
+            "yaw": c["yaw"],
+            "yaw_rate": c["r"] * DEG,
+            "accx": c["ax"],
+            "accy": 1.3 * c["ay"],
+            "acc_vehicle_y": np.gradient(c["vy"], 0.01),
+        },
+        planted,
+        tmp_path,
+    )
     found = draft.of("ay")
     assert found.sources == ("accy",) and found.status == "open"
     assert float(found.reason.split(" is ")[1].split()[0]) == pytest.approx(1.3, rel=0.01)
@@ -64,18 +83,37 @@ def test_a_game_with_y_up_is_read_along_its_own_axes(planted, tmp_path):
 
     def write(t, c):
         shake = 0.02 * np.sin(9.0 * t) + 0.005 * rng.standard_normal(len(t))
-        return {"TimestampMS": 1e3 * t, "AccelerationX": -c["ay"], "AccelerationY": 5.0 * shake,
-                "AccelerationZ": c["ax"], "VelocityX": -c["vy"], "VelocityY": shake, "VelocityZ": c["vx"],
-                "AngularVelocityX": shake, "AngularVelocityY": -c["r"], "AngularVelocityZ": 0.5 * shake,
-                "PositionX": -c["Y"], "PositionY": 170.0 + shake, "PositionZ": c["X"], "Speed": c["vx"],
-                "Yaw": -c["yaw"],
-                "TireSlipAngleFrontLeft": 0.5 * c["delta"], "TireSlipAngleFrontRight": 0.5 * c["delta"],
-                "Torque": c["T"] / 12.0, "WheelRotationSpeedFrontLeft": c["vx"] / 0.35}  # fmt: skip
+        return {
+            "TimestampMS": 1e3 * t,
+            "AccelerationX": -c["ay"],
+            "AccelerationY": 5.0 * shake,
+            "AccelerationZ": c["ax"],
+            "VelocityX": -c["vy"],
+            "VelocityY": shake,
+            "VelocityZ": c["vx"],
+            "AngularVelocityX": shake,
+            "AngularVelocityY": -c["r"],
+            "AngularVelocityZ": 0.5 * shake,
+            "PositionX": -c["Y"],
+            "PositionY": 170.0 + shake,
+            "PositionZ": c["X"],
+            "Speed": c["vx"],
+            "Yaw": -c["yaw"],
+            "TireSlipAngleFrontLeft": 0.5 * c["delta"],
+            "TireSlipAngleFrontRight": 0.5 * c["delta"],
+            "Torque": c["T"] / 12.0,
+            "WheelRotationSpeedFrontLeft": c["vx"] / 0.35,
+        }
 
     draft = drafted(write, planted, tmp_path)
     taken = {c: draft.of(c).sources[0] for c in ("vx", "vy", "r", "ax", "ay")}
-    assert taken == {"vx": "VelocityZ", "vy": "VelocityX", "r": "AngularVelocityY", "ax": "AccelerationZ",
-                     "ay": "AccelerationX"}  # fmt: skip
+    assert taken == {
+        "vx": "VelocityZ",
+        "vy": "VelocityX",
+        "r": "AngularVelocityY",
+        "ax": "AccelerationZ",
+        "ay": "AccelerationX",
+    }
     assert {draft.of(c).sources[0] for c in "XY"} == {"PositionX", "PositionZ"}
     assert all(draft.of(c).status in ("judged", "unsided") for c in taken)
     wheel = draft.of("wheel_speed_fl")
@@ -90,10 +128,17 @@ def test_a_sensor_on_its_side_is_read_along_the_car(planted, tmp_path):
 
     def write(t, c):
         shake = 0.01 * rng.standard_normal(len(t))
-        return {"Time": t, "Speed [m/s]": c["vx"], "Heading [deg]": np.mod(90.0 - c["yaw"] * DEG, 360.0),
-                "AccelerationX [m/s^2]": -G + shake, "AccelerationY [m/s^2]": -c["ax"] + shake,
-                "AccelerationZ [m/s^2]": -c["ay"] + shake, "AngularRateX [deg/s]": -c["r"] * DEG + shake,
-                "AngularRateY [deg/s]": 1.5 + shake, "AngularRateZ [deg/s]": shake}  # fmt: skip
+        return {
+            "Time": t,
+            "Speed [m/s]": c["vx"],
+            "Heading [deg]": np.mod(90.0 - c["yaw"] * DEG, 360.0),
+            "AccelerationX [m/s^2]": -G + shake,
+            "AccelerationY [m/s^2]": -c["ax"] + shake,
+            "AccelerationZ [m/s^2]": -c["ay"] + shake,
+            "AngularRateX [deg/s]": -c["r"] * DEG + shake,
+            "AngularRateY [deg/s]": 1.5 + shake,
+            "AngularRateZ [deg/s]": shake,
+        }
 
     draft = drafted(write, planted, tmp_path)
     assert draft.of("r").sources == ("AngularRateX",) and draft.of("r").scale == -1.0
@@ -107,21 +152,30 @@ def test_axes_stay_as_named_where_the_car_hardly_turns(tmp_path):
     rng = np.random.default_rng(6)
     t = np.arange(0.0, 60.0, 0.02)
     vx = 20.0 + 3.0 * np.sin(0.2 * t)
-    columns = {"t": t, "vx": vx, "gyro_x": 0.03 + 0.004 * rng.standard_normal(len(t)),
-               "gyro_y": -0.02 + 0.004 * rng.standard_normal(len(t)),
-               "gyro_z": 0.004 * rng.standard_normal(len(t))}  # fmt: skip
+    columns = {
+        "t": t,
+        "vx": vx,
+        "gyro_x": 0.03 + 0.004 * rng.standard_normal(len(t)),
+        "gyro_y": -0.02 + 0.004 * rng.standard_normal(len(t)),
+        "gyro_z": 0.004 * rng.standard_normal(len(t)),
+    }
     assert drafted_table(columns, tmp_path).of("r").sources == ("gyro_z",)
 
 
 def test_gravity_along_z_says_that_z_is_up_where_the_car_pitches_more_than_it_yaws(tmp_path):
     """A freeway: hardly a bend, and long waves of the road."""
     t = np.arange(0.0, 120.0, 0.02)
-    columns = {"t": t, "gyro_x_radps": 0.001 * np.sin(0.9 * t), "gyro_y_radps": 0.02 * np.sin(0.5 * t),
-               "gyro_z_radps": 0.002 * np.sin(0.1 * t), "acc_x": 0.5 * np.sin(0.2 * t),
-               "acc_y": 0.05 * np.sin(0.1 * t), "acc_z": -G + 0.3 * np.sin(7.0 * t)}  # fmt: skip
+    columns = {
+        "t": t,
+        "gyro_x_radps": 0.001 * np.sin(0.9 * t),
+        "gyro_y_radps": 0.02 * np.sin(0.5 * t),
+        "gyro_z_radps": 0.002 * np.sin(0.1 * t),
+        "acc_x": 0.5 * np.sin(0.2 * t),
+        "acc_y": 0.05 * np.sin(0.1 * t),
+        "acc_z": -G + 0.3 * np.sin(7.0 * t),
+    }
     draft = drafted_table(columns, tmp_path)
-    assert {c: draft.of(c).sources[0] for c in ("r", "ax", "ay")} == {
-        "r": "gyro_z_radps", "ax": "acc_x", "ay": "acc_y"}  # fmt: skip
+    assert {c: draft.of(c).sources[0] for c in ("r", "ax", "ay")} == {"r": "gyro_z_radps", "ax": "acc_x", "ay": "acc_y"}
     # Without them nothing speaks against the turning; the side is then asked for, with the reason.
     draft = drafted_table({name: v for name, v in columns.items() if "acc" not in name}, tmp_path)
     assert draft.of("r").status == "open" and draft.of("r").reason.startswith("gyro_y_radps turns 7.52 times")
@@ -181,8 +235,12 @@ def test_a_tilted_sensor_is_left_open_by_what_it_reads_at_rest(tmp_path):
     t = np.arange(0.0, 400.0, 1.0)
     v = np.clip(10.0 * np.sin(0.05 * t), 0.0, None)
     rng = np.random.default_rng(9)
-    columns = {"time [s]": t, "speed [m/s]": v, "acc_x [g]": 0.02 * rng.standard_normal(len(t)),
-               "acc_y [g]": 0.85 + 0.02 * rng.standard_normal(len(t))}  # fmt: skip
+    columns = {
+        "time [s]": t,
+        "speed [m/s]": v,
+        "acc_x [g]": 0.02 * rng.standard_normal(len(t)),
+        "acc_y [g]": 0.85 + 0.02 * rng.standard_normal(len(t)),
+    }
     draft = drafted_table(columns, tmp_path)
     assert draft.of("ay").status == "open" and "gravity" in draft.of("ay").reason
     assert draft.of("ax").status == "open" and "acc_y" in draft.of("ax").reason
@@ -193,8 +251,14 @@ def test_a_tilted_sensor_is_left_open_by_what_it_reads_at_rest(tmp_path):
 def test_a_force_in_g_is_an_acceleration_and_no_position(tmp_path):
     t = np.arange(0.0, 30.0, 0.05)
     v = 12.0 + 4.0 * np.sin(0.5 * t)
-    columns = {"Time": t, "Speed": v, "G-Force(X)": 2.0 * np.cos(0.5 * t) / G, "G-Force(Y)": 0.1 * np.sin(t),
-               "Torque of motor": np.cos(t), "Slip (X)": np.sin(t)}  # fmt: skip
+    columns = {
+        "Time": t,
+        "Speed": v,
+        "G-Force(X)": 2.0 * np.cos(0.5 * t) / G,
+        "G-Force(Y)": 0.1 * np.sin(t),
+        "Torque of motor": np.cos(t),
+        "Slip (X)": np.sin(t),
+    }
     draft = drafted_table(columns, tmp_path)
     assert draft.of("ax").sources == ("G-Force(X)",) and draft.of("ax").unit == "g"
     assert draft.of("ay").sources == ("G-Force(Y)",) and draft.of("X") is None
@@ -202,8 +266,12 @@ def test_a_force_in_g_is_an_acceleration_and_no_position(tmp_path):
 
 def test_an_acceleration_without_a_direction_is_tried_as_the_one_along(tmp_path):
     t = np.arange(0.0, 30.0, 0.05)
-    columns = {"time": t, "speed": 3.6 * (12.0 + 4.0 * np.sin(0.5 * t)), "acc": 2.0 * np.cos(0.5 * t),
-               "motor_torque": np.cos(t)}  # fmt: skip
+    columns = {
+        "time": t,
+        "speed": 3.6 * (12.0 + 4.0 * np.sin(0.5 * t)),
+        "acc": 2.0 * np.cos(0.5 * t),
+        "motor_torque": np.cos(t),
+    }
     draft = drafted_table(columns, tmp_path)
     assert draft.of("ax").status == "judged" and draft.of("vx").unit == "km/h"
     assert draft.of("engine_torque").status == "open" and draft.of("T") is None
@@ -214,8 +282,16 @@ def test_a_bus_recording_of_can_beside_lin_asks_for_its_database(tmp_path):
     path = tmp_path / "bus.mf4"
     file = asammdf.MDF(version="4.10")
     stamps = np.arange(0.0, 2.0, 0.01)
-    names = ("CAN_DataFrame", "CAN_DataFrame.ID", "CAN_RemoteFrame.ID", "LIN_Frame.ID", "LIN_ChecksumError.ID",
-             "LIN_ReceiveError.ID", "LIN_SyncError.BusChannel", "LIN_TransmissionError.ID")  # fmt: skip
+    names = (
+        "CAN_DataFrame",
+        "CAN_DataFrame.ID",
+        "CAN_RemoteFrame.ID",
+        "LIN_Frame.ID",
+        "LIN_ChecksumError.ID",
+        "LIN_ReceiveError.ID",
+        "LIN_SyncError.BusChannel",
+        "LIN_TransmissionError.ID",
+    )
     file.append([asammdf.Signal(np.arange(200.0), stamps, name=name) for name in names])
     file.save(path, overwrite=True)
     from split_cli.errors import LogError
@@ -246,8 +322,12 @@ def test_four_wheels_without_a_unit_do_not_outvote_a_stated_speed(factor, unit, 
 def test_a_column_of_steps_gives_the_period(planted, tmp_path):
     rng = np.random.default_rng(8)
     t = np.arange(0.0, 60.0, 0.02)
-    columns = {"dt": np.full(len(t), 0.02), "vx": planted.at("vx", t), "ax": planted.at("ax", t),
-               "vy": planted.at("vy", t)}  # fmt: skip
+    columns = {
+        "dt": np.full(len(t), 0.02),
+        "vx": planted.at("vx", t),
+        "ax": planted.at("ax", t),
+        "vy": planted.at("vy", t),
+    }
     even = drafted_table(columns, tmp_path)
     assert even.time.startswith("time: {period: 0.02}") and "dt holds the steps" in even.time
     # No step leads to the first row. What the column says goes before a rate that yaw would tell.
@@ -275,9 +355,7 @@ def test_a_word_in_the_first_row_of_values_costs_its_cell_alone(tmp_path):
     recording = open_delimited(tmp_path / "log.csv")
     speed = recording.read(["speed"])["speed"].values
     assert len(speed) == 40 and np.isnan(speed[0]) and not np.isnan(speed[1:]).any()
-    assert [(note.what, note.count) for note in recording.notes] == [
-        ("cells that are no numbers, read as missing", 1)
-    ]
+    assert [(note.what, note.count) for note in recording.notes] == [("cells that are no numbers, read as missing", 1)]
 
 
 def test_logs_that_hold_a_part_each_are_pointed_to_together(planted, tmp_path):

@@ -16,9 +16,7 @@ def cornering(seconds=120.0, period=0.05):
     r = 2.0 * np.sin(0.7 * t) ** 3
     yaw = np.cumsum(r) * period / 10
     x, y = (np.cumsum(v * of(yaw)) * period / 10 for of in (np.cos, np.sin))
-    return {
-        name: values[::10] for name, values in (("t", t), ("x", x), ("y", y), ("yaw", yaw), ("v", v), ("r", r))
-    }
+    return {name: values[::10] for name, values in (("t", t), ("x", x), ("y", y), ("yaw", yaw), ("v", v), ("r", r))}
 
 
 def test_a_nearly_steady_speed_is_no_other_unit_of_the_path(tmp_path):
@@ -30,8 +28,13 @@ def test_a_nearly_steady_speed_is_no_other_unit_of_the_path(tmp_path):
     assert draft.time.startswith("time: {period: 0.05}")
     assert draft.of("vx").status == "judged" and draft.of("X").status == "unsided"
     rows[:, 4] /= 0.514444
-    np.savetxt(tmp_path / "b.csv", np.column_stack([c["t"], rows]), delimiter=",", comments="",
-               header="t,x,y,yaw,steering_angle,actual_vel")  # fmt: skip
+    np.savetxt(
+        tmp_path / "b.csv",
+        np.column_stack([c["t"], rows]),
+        delimiter=",",
+        comments="",
+        header="t,x,y,yaw,steering_angle,actual_vel",
+    )
     assert draft_map(open_recording(tmp_path / "b.csv")).of("vx").unit == "kn"
 
 
@@ -58,8 +61,14 @@ def test_columns_without_names_are_known_by_the_motion_that_ties_them(tmp_path):
     draft = draft_map(open_recording(tmp_path / "a.npz"))
     assert float(draft.time.split("period: ")[1].split("}")[0]) == pytest.approx(0.02, rel=0.01)
     found = {s.channel: s.sources[0] for s in draft.suggestions if s.channel != "delta"}
-    assert found == {"vx": "states[0]", "vy": "states[1]", "r": "states[2]", "yaw": "states[4]", "X": "states[5]",
-                     "Y": "states[6]"}  # fmt: skip
+    assert found == {
+        "vx": "states[0]",
+        "vy": "states[1]",
+        "r": "states[2]",
+        "yaw": "states[4]",
+        "X": "states[5]",
+        "Y": "states[6]",
+    }
     assert draft.of("delta").sources == ("inputs[1]",)
 
 

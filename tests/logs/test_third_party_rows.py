@@ -22,11 +22,17 @@ def driven(planted) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 def lines(t, c, every=2):
     return [
-        {"stamp": {"sec": 1_700_000_000 + int(t[k]), "nanosec": round(t[k] % 1 * 1e9)}, "mode": "auto",
-         "imu": {"gyro": {"z": c["r"][k]}}, "vel": {"vx": c["vx"][k], "vy": c["vy"][k]},
-         "pose": [c["X"][k], c["Y"][k]], "steer_rad": c["delta"][k], "torque_total_nm": c["T"][k]}
+        {
+            "stamp": {"sec": 1_700_000_000 + int(t[k]), "nanosec": round(t[k] % 1 * 1e9)},
+            "mode": "auto",
+            "imu": {"gyro": {"z": c["r"][k]}},
+            "vel": {"vx": c["vx"][k], "vy": c["vy"][k]},
+            "pose": [c["X"][k], c["Y"][k]],
+            "steer_rad": c["delta"][k],
+            "torque_total_nm": c["T"][k],
+        }
         for k in range(0, len(t), every)
-    ]  # fmt: skip
+    ]
 
 
 def test_an_object_a_line_is_read_by_the_addresses_of_its_numbers(planted, driven, tmp_path):
@@ -74,10 +80,14 @@ def test_each_block_of_a_pi_toolbox_export_has_its_own_clock(planted, driven, tm
     t, c = driven
     made = ["PiToolboxVersionedASCIIDataSet", "Version\t2", "", "{OutingInformation}", "CarName\tCar 7", ""]
     for title, values, every in (
-        ("Speed[kph]", c["vx"] * 3.6, 2), ("YawRate[deg/s]", c["r"] * DEG, 1), ("VelLat[m/s]", c["vy"], 2),
-        ("X[m]", c["X"], 5), ("Y[m]", c["Y"], 5), ("RoadWheelAngle[deg]", c["delta"] * DEG, 4),
+        ("Speed[kph]", c["vx"] * 3.6, 2),
+        ("YawRate[deg/s]", c["r"] * DEG, 1),
+        ("VelLat[m/s]", c["vy"], 2),
+        ("X[m]", c["X"], 5),
+        ("Y[m]", c["Y"], 5),
+        ("RoadWheelAngle[deg]", c["delta"] * DEG, 4),
         ("TotalWheelTorque[Nm]", c["T"], 3),
-    ):  # fmt: skip
+    ):
         made += ["{ChannelBlock}", f"Time\t{title}"]
         made += [f"{a:.3f}\t{b:.9g}" for a, b in zip(t[::every], values[::every], strict=True)]
         made.append("")
@@ -85,9 +95,7 @@ def test_each_block_of_a_pi_toolbox_export_has_its_own_clock(planted, driven, tm
     draft = ingested(tmp_path / "outing.txt", planted, tmp_path)
     assert draft.of("T").sources == ("TotalWheelTorque",)
     recording = open_recording(tmp_path / "outing.txt")
-    assert (
-        len(recording.read(["X"])["X"].time) == 1200 and len(recording.read(["YawRate"])["YawRate"].time) == 6000
-    )
+    assert len(recording.read(["X"])["X"].time) == 1200 and len(recording.read(["YawRate"])["YawRate"].time) == 6000
 
 
 def test_one_block_of_a_pi_toolbox_export_is_a_table(driven, tmp_path):
@@ -104,13 +112,20 @@ def test_one_block_of_a_pi_toolbox_export_is_a_table(driven, tmp_path):
 def test_a_row_of_units_may_hold_the_pattern_of_a_clock_and_units_with_hyphens(planted, driven, tmp_path):
     t, c = driven
     clock = [f"14:{int(x // 60):02d}:{x % 60:06.3f}".replace(".", ",") for x in t]
-    table = {"Uhrzeit": clock, "Datum": ["02.05.2026"] * len(t), "Vx": c["vx"] * 3.6, "Vy": c["vy"] * 3.6,
-             "AVz": c["r"] * DEG, "Ay": c["ay"] / 9.80665, "StrK_L1": c["delta"] * DEG,
-             "StrK_R1": c["delta"] * DEG, "M_Wheels_Total": c["T"]}  # fmt: skip
+    table = {
+        "Uhrzeit": clock,
+        "Datum": ["02.05.2026"] * len(t),
+        "Vx": c["vx"] * 3.6,
+        "Vy": c["vy"] * 3.6,
+        "AVz": c["r"] * DEG,
+        "Ay": c["ay"] / 9.80665,
+        "StrK_L1": c["delta"] * DEG,
+        "StrK_R1": c["delta"] * DEG,
+        "M_Wheels_Total": c["T"],
+    }
     units = ["hh:mm:ss,000", "TT.MM.JJJJ", "km/h", "km/h", "deg/s", "g's", "deg", "deg", "N-m"]
     cells = zip(
-        *([x if isinstance(x, str) else f"{x:.9g}".replace(".", ",") for x in v] for v in table.values()),
-        strict=True,
+        *([x if isinstance(x, str) else f"{x:.9g}".replace(".", ",") for x in v] for v in table.values()), strict=True
     )
     text = "\n".join([";".join(table), ";".join(units), *(";".join(row) for row in cells)])
     (tmp_path / "log.csv").write_bytes(b"\xef\xbb\xbf" + text.encode())
@@ -129,8 +144,13 @@ def test_a_column_of_names_beside_the_numbers_of_a_parquet_file_is_left_alone(pl
         "vehicle_id": pa.array(["A7"] * len(t)).dictionary_encode(),
         "driver": ["X"] * len(t),
     }
-    table |= {"speed_mps": c["vx"].astype(np.float32), "v_lat_mps": c["vy"], "yaw_rate_dps": c["r"] * DEG,
-              "road_wheel_angle_deg": c["delta"] * DEG, "wheel_torque_nm": c["T"]}  # fmt: skip
+    table |= {
+        "speed_mps": c["vx"].astype(np.float32),
+        "v_lat_mps": c["vy"],
+        "yaw_rate_dps": c["r"] * DEG,
+        "road_wheel_angle_deg": c["delta"] * DEG,
+        "wheel_torque_nm": c["T"],
+    }
     pq.write_table(pa.table(table), tmp_path / "log.parquet")
     draft = ingested(tmp_path / "log.parquet", planted, tmp_path)
     assert draft.time.startswith("time: {source: recorded_at")
@@ -180,12 +200,18 @@ def test_what_is_asked_for_is_no_measured_acceleration_and_an_accel_message_is_n
 def test_an_accelerometer_is_along_the_car_though_the_velocity_beside_it_is_not(driven):
     t, c = driven
     cos, sin = np.cos(c["yaw"]), np.sin(c["yaw"])
-    columns = {"t": t, "x": c["X"], "y": c["Y"], "yaw": c["yaw"], "yaw_rate": c["r"],
-               "vx": c["vx"] * cos - c["vy"] * sin, "vy": c["vx"] * sin + c["vy"] * cos, "ax": c["ax"],
-               "ay": c["ay"]}  # fmt: skip
-    drawn = draft_map(
-        TableRecording("log.csv", None, {n: RawSignal(n, None, v, None) for n, v in columns.items()})
-    )
+    columns = {
+        "t": t,
+        "x": c["X"],
+        "y": c["Y"],
+        "yaw": c["yaw"],
+        "yaw_rate": c["r"],
+        "vx": c["vx"] * cos - c["vy"] * sin,
+        "vy": c["vx"] * sin + c["vy"] * cos,
+        "ax": c["ax"],
+        "ay": c["ay"],
+    }
+    drawn = draft_map(TableRecording("log.csv", None, {n: RawSignal(n, None, v, None) for n, v in columns.items()}))
     assert drawn.of("vx").status == drawn.of("vy").status == "open"
     assert drawn.of("ay").status in ("judged", "unsided") and drawn.of("ax").status == "judged"
 

@@ -80,9 +80,7 @@ def test_a_row_of_groups_above_the_titles_says_what_short_titles_mean(tmp_path):
     infos = {info.name: info for info in recording.channels()}
     assert {"Lateral Forces.LF klb", "Vertical Forces.LF klb"} <= set(infos)
     assert recording.read(["Vertical Forces.LF klb"])["Vertical Forces.LF klb"].values[5] == 3.0
-    found = {
-        name: (meanings(info)[0].channel, stated_unit(info)) for name, info in infos.items() if meanings(info)
-    }
+    found = {name: (meanings(info)[0].channel, stated_unit(info)) for name, info in infos.items() if meanings(info)}
     assert found == {"1 Long g": ("ax", "g"), "2 Lat g": ("ay", "g")}
     # A name of the table with one of its driver is no row of groups, nor is a note behind the last column.
     for above in ("Driver,Long Accelerations,,,,,,", ",,,,,,,,note"):
@@ -95,9 +93,7 @@ def test_channels_of_one_name_in_a_list_are_numbered_and_none_replaces_another(l
     if large:
         monkeypatch.setattr(json_channels, "LARGEST_DOCUMENT", 10)
     names = ("speed", "yaw rate", "speed")
-    content = [
-        {"name": n, "unit": "m/s", "data": [float(k + 100 * p) for k in range(30)]} for p, n in enumerate(names)
-    ]
+    content = [{"name": n, "unit": "m/s", "data": [float(k + 100 * p) for k in range(30)]} for p, n in enumerate(names)]
     path = tmp_path / "channels.json"
     path.write_text(json.dumps({"channels": content}))
     recording = open_recording(path)
@@ -304,12 +300,8 @@ def test_a_noisy_position_does_not_make_a_yaw_rate_too_small():
     assert turning.holds and turning.slope.slope == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize(
-    ("factor", "ahead", "check"), [(1.47, 0.0, "size"), (3.6, 0.0, "size"), (1.0, -1.45, "place")]
-)
-def test_a_lateral_velocity_of_wrong_size_is_told_from_one_of_another_place_without_a_position(
-    factor, ahead, check
-):
+@pytest.mark.parametrize(("factor", "ahead", "check"), [(1.47, 0.0, "size"), (3.6, 0.0, "size"), (1.0, -1.45, "place")])
+def test_a_lateral_velocity_of_wrong_size_is_told_from_one_of_another_place_without_a_position(factor, ahead, check):
     """American units made v_y 1.47 times too large; its place, or the delay of delta, was blamed."""
     planted, channels = PlantedDrive(seconds=90.0), ("vx", "vy", "r", "T", "delta", "ay")
     recording = planted.recording(channels)

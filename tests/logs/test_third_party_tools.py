@@ -47,12 +47,19 @@ def test_positions_in_degrees_and_minutes_tell_the_sides_of_slip_and_turning(pla
     c = {name: planted.at(name, t) for name in ("X", "Y", "yaw", "vx", "vy", "r")}
     # One minute of latitude is 1855.3 m at 52 degrees north, one of longitude 1145.4 m (WGS 84).
     north, east = 6.0 + c["Y"] / 1854.5, 18.0 + c["X"] / 1144.9
-    write(tmp_path / "vbox.csv", {
-        "Time (s)": t, "Latitude": [f"52°{v:010.7f}' N" for v in north],
-        "Longitude": [f"011°{v:010.7f}' E" for v in east], "Speed (km/h)": c["vx"] * 3.6,
-        "True Heading (°)": np.mod(90.0 - c["yaw"] * DEG, 360.0), "Yaw Rate (°/s)": -c["r"] * DEG,
-        "Slip Angle (°)": np.arctan2(c["vy"], c["vx"]) * DEG, "Brake Switch": (np.sin(t) > 0.8).astype(int),
-    })  # fmt: skip
+    write(
+        tmp_path / "vbox.csv",
+        {
+            "Time (s)": t,
+            "Latitude": [f"52°{v:010.7f}' N" for v in north],
+            "Longitude": [f"011°{v:010.7f}' E" for v in east],
+            "Speed (km/h)": c["vx"] * 3.6,
+            "True Heading (°)": np.mod(90.0 - c["yaw"] * DEG, 360.0),
+            "Yaw Rate (°/s)": -c["r"] * DEG,
+            "Slip Angle (°)": np.arctan2(c["vy"], c["vx"]) * DEG,
+            "Brake Switch": (np.sin(t) > 0.8).astype(int),
+        },
+    )
     draft = draft_map(open_recording(tmp_path / "vbox.csv"))
     assert draft.of("X").status == draft.of("r").status == draft.of("sideslip").status == "judged"
     assert draft.of("r").scale == -1.0 and draft.of("sideslip").scale == 1.0
@@ -63,9 +70,16 @@ def test_three_columns_called_speed_tell_each_others_units(planted, tmp_path):
     """Nothing else judges v_x: with one of them taken in m/s, that in mph would be read 2.2 times too large."""
     t = np.arange(0.0, 60.0, 0.02)
     vx = planted.at("vx", t)
-    columns = {"Time": [f"{x:.5g} sec" for x in t], "Speed": vx / MPH, " Speed": vx, "Speed ": vx * 3.6,
-               "Lateral Velocity": planted.at("vy", t), "Yaw Rate": planted.at("r", t),
-               "Road Wheel Angle": planted.at("delta", t), "Wheel Torque": planted.at("T", t)}  # fmt: skip
+    columns = {
+        "Time": [f"{x:.5g} sec" for x in t],
+        "Speed": vx / MPH,
+        " Speed": vx,
+        "Speed ": vx * 3.6,
+        "Lateral Velocity": planted.at("vy", t),
+        "Yaw Rate": planted.at("r", t),
+        "Road Wheel Angle": planted.at("delta", t),
+        "Wheel Torque": planted.at("T", t),
+    }
     write(tmp_path / "log.csv", columns)
     draft = ingested(tmp_path / "log.csv", planted, tmp_path)
     assert draft.time == "time: {source: Time, unit: s}" and "multiples" in draft.of("vx").reason
@@ -77,9 +91,14 @@ def test_gravity_along_z_tells_of_a_right_handed_sensor_where_y_points(down, for
     t = np.arange(0.0, 60.0, 0.02)
     ax, ay, to_left = planted.at("ax", t), planted.at("ay", t), -1.0 if down or forward == 1 else 1.0
     along, across = f"accelerometer_m_s2[{forward}]", f"accelerometer_m_s2[{1 - forward}]"
-    columns = {"Time": t, "Speed [m/s]": planted.at("vx", t), along: ax, across: to_left * ay,
-               "accelerometer_m_s2[2]": 0.0 * t + (-9.7 if down else 9.7) + 0.1 * np.sin(t),
-               "yaw_rate [rad/s]": to_left * planted.at("r", t)}  # fmt: skip
+    columns = {
+        "Time": t,
+        "Speed [m/s]": planted.at("vx", t),
+        along: ax,
+        across: to_left * ay,
+        "accelerometer_m_s2[2]": 0.0 * t + (-9.7 if down else 9.7) + 0.1 * np.sin(t),
+        "yaw_rate [rad/s]": to_left * planted.at("r", t),
+    }
     write(tmp_path / "log.csv", columns)
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert draft.of("ay").sources == (across,) and draft.of("ay").scale == 1.0
@@ -106,9 +125,13 @@ def test_a_bearing_of_a_satellite_receiver_is_no_yaw_where_nothing_measured_turn
     c = {name: planted.at(name, t) for name in ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")}
     course = 90.0 - (c["yaw"] + np.arctan2(c["vy"], c["vx"])) * DEG
     columns = {
-        "TIME": t, "LATITUDE": 48.0 + c["Y"] / 111200.0, "LONGITUDE": 11.0 + c["X"] / 74560.0,
-        "SPEED_KMH": c["vx"] * 3.6, "HEADING_DEG": np.mod(course, 360.0), "LATERAL_G": c["ay"] / 9.80665,
-    }  # fmt: skip
+        "TIME": t,
+        "LATITUDE": 48.0 + c["Y"] / 111200.0,
+        "LONGITUDE": 11.0 + c["X"] / 74560.0,
+        "SPEED_KMH": c["vx"] * 3.6,
+        "HEADING_DEG": np.mod(course, 360.0),
+        "LATERAL_G": c["ay"] / 9.80665,
+    }
     write(tmp_path / "lap.csv", columns)
     draft = draft_map(open_recording(tmp_path / "lap.csv"))
     assert draft.of("yaw").status == "open" and "would be zero" in draft.of("yaw").reason

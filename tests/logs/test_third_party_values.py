@@ -27,9 +27,13 @@ def rows() -> list[tuple[float, str, float, str]]:
     """Time, name, value and unit of five signals of other rates, in the order of time."""
     drive = PlantedDrive(seconds=60.0)
     made = []
-    signals = (("vehicle_speed", "vx", 3.6, 0.05, "km/h"), ("yaw_rate", "r", DEG, 0.02, "deg/s"),
-               ("lateral_acceleration", "ay", 1.0, 0.03, "m/s^2"), ("front_wheel_angle", "delta", DEG, 0.1, "deg"),
-               ("torque_at_transmission", "T", 0.1, 0.1, "Nm"))  # fmt: skip
+    signals = (
+        ("vehicle_speed", "vx", 3.6, 0.05, "km/h"),
+        ("yaw_rate", "r", DEG, 0.02, "deg/s"),
+        ("lateral_acceleration", "ay", 1.0, 0.03, "m/s^2"),
+        ("front_wheel_angle", "delta", DEG, 0.1, "deg"),
+        ("torque_at_transmission", "T", 0.1, 0.1, "Nm"),
+    )
     for phase, (name, channel, factor, step, unit) in enumerate(signals):
         t = 0.001 * phase + np.arange(0.0, 59.0, step)
         made += [(s, name, v, unit) for s, v in zip(t, factor * drive.at(channel, t), strict=True)]
@@ -91,9 +95,7 @@ def test_a_side_slip_angle_of_the_rear_axle_is_judged_and_moved(tmp_path):
     axle = planted.vehicle.cg_to_rear_axle
     log = planted.recording()
     there = planted.at("vy", log.signals["vy"].time) - axle * log.signals["r"].values
-    log.signals["beta"] = RawSignal(
-        "beta", log.signals["vy"].time, np.arctan2(there, log.signals["vx"].values), "rad"
-    )
+    log.signals["beta"] = RawSignal("beta", log.signals["vy"].time, np.arctan2(there, log.signals["vx"].values), "rad")
     names = ("vx", "r", "ay", "delta", "T")
     settings = IngestSettings(derive=("lateral-velocity-from-sideslip",))
     for position in ({}, {"position": "rear_axle"}):

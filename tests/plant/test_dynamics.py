@@ -18,9 +18,14 @@ WHEELS = slice(6, 10)
 def plain(car, **changes):
     """Return a car without toe, Ackermann and locked axles, which the hand formulas leave out."""
     return replace(
-        car, toe_front=0.0, toe_rear=0.0, ackermann_fraction=0.0, differential_locking_front=0.0,
-        differential_locking_rear=0.0, **changes,
-    )  # fmt: skip
+        car,
+        toe_front=0.0,
+        toe_rear=0.0,
+        ackermann_fraction=0.0,
+        differential_locking_front=0.0,
+        differential_locking_rear=0.0,
+        **changes,
+    )
 
 
 def random_state(car, rng):
@@ -57,9 +62,12 @@ def test_rolling_out_slows_by_drag_and_rolling_resistance_over_the_effective_mas
 
 
 def axle_stiffness(tire, axle_load):
-    return 2.0 * tire.p_ky1 * tire.nominal_load * np.sin(
-        2.0 * np.arctan(0.5 * axle_load / (tire.p_ky2 * tire.nominal_load))
-    )  # fmt: skip
+    return (
+        2.0
+        * tire.p_ky1
+        * tire.nominal_load
+        * np.sin(2.0 * np.arctan(0.5 * axle_load / (tire.p_ky2 * tire.nominal_load)))
+    )
 
 
 @pytest.mark.parametrize("car", CARS.values(), ids=CARS)
@@ -158,9 +166,7 @@ def test_load_transfer_balances_the_moments_about_the_ground():
     state = initial_state(car, 20.0)
     state[20], state[22] = 2.0, 4.0
     _, out = state_rate(car, state, 0.0, 0.0)
-    left_to_right = (out.load[1] - out.load[0]) * car.track_front / 2 + (
-        out.load[3] - out.load[2]
-    ) * car.track_rear / 2
+    left_to_right = (out.load[1] - out.load[0]) * car.track_front / 2 + (out.load[3] - out.load[2]) * car.track_rear / 2
     # Moments of specific forces at the CG's height; the air's lift acts at the axles and has no part in roll.
     assert left_to_right == pytest.approx(car.mass * 4.0 * car.cg_height, rel=1e-12)
     lift_front = 0.5 * car.air_density * car.downforce_area_front * 400.0
@@ -196,9 +202,7 @@ def test_lateral_slip_builds_up_over_a_distance_whatever_the_speed(speed):
     sigma = car.front_tire.relaxation_lateral
     for distance in (0.3 * sigma, sigma, 3 * sigma):
         step = distance / speed / 200
-        after, _ = advance(
-            car, state, 0.0, 0.02, distance / speed, step=step, surroundings=Surroundings(friction=1e-9)
-        )
+        after, _ = advance(car, state, 0.0, 0.02, distance / speed, step=step, surroundings=Surroundings(friction=1e-9))
         expected = np.tan(0.02) * (1.0 - np.exp(-distance * np.cos(0.02) / sigma))
         assert after[INDEX["tan_slip_angle_fl"]] == pytest.approx(expected, rel=1e-6)
 

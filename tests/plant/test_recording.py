@@ -58,9 +58,7 @@ def decoded(path):
     """Return topic -> messages, decoded by the mcap project's own decoder."""
     found = defaultdict(list)
     with path.open("rb") as stream:
-        for _, channel, _, message in make_reader(
-            stream, decoder_factories=[DecoderFactory()]
-        ).iter_decoded_messages():
+        for _, channel, _, message in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
             found[channel.topic].append(message)
     return found
 
@@ -86,9 +84,7 @@ def test_every_report_arrives_with_its_stamp_and_values(log, readings):
         [m.drive.steering_angle for m in found["/command/drive"]], command_values["delta"], atol=3e-8
     )
     np.testing.assert_array_equal([m.torque for m in found["/command/wheel_torque"]], command_values["T"])
-    np.testing.assert_array_equal(
-        [m.velocity[2] for m in found["/wheels"]], by_name["wheels"].values["wheel_speed_rl"]
-    )
+    np.testing.assert_array_equal([m.velocity[2] for m in found["/wheels"]], by_name["wheels"].values["wheel_speed_rl"])
 
 
 def test_a_second_decoder_reads_the_same_numbers(log, readings):

@@ -50,8 +50,7 @@ def test_more_load_gives_less_friction():
     angles = np.linspace(0.0, 0.4, 401)
     for tire in TIRES:
         light, heavy = (
-            tire_force(tire, 0.0, angles, s * tire.nominal_load)[1].max() / (s * tire.nominal_load)
-            for s in (0.5, 1.5)
+            tire_force(tire, 0.0, angles, s * tire.nominal_load)[1].max() / (s * tire.nominal_load) for s in (0.5, 1.5)
         )
         assert heavy < light
         # mu(F_z) is a straight line: its fall over one nominal load is -p_dy2, exactly.

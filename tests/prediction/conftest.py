@@ -15,11 +15,7 @@ CAR = road_car(max_brake_torque=6500.0, rolling_resistance_front=0.0, rolling_re
 
 
 def set_from_points(
-    z: np.ndarray,
-    y: np.ndarray,
-    kernel: Kernel,
-    cell: np.ndarray | None = None,
-    features: FeatureSet | None = None,
+    z: np.ndarray, y: np.ndarray, kernel: Kernel, cell: np.ndarray | None = None, features: FeatureSet | None = None
 ) -> TrainingSet:
     """Return a set that holds the points in the cells given (all in one by default), sorted by cell."""
     cell = np.zeros(len(z), dtype=np.int64) if cell is None else np.asarray(cell, dtype=np.int64)
@@ -64,8 +60,6 @@ def driven_set() -> TrainingSet:
     cell = np.repeat(np.arange(len(index)), random.integers(1, 11, len(index)))
     z = (index[cell] + random.uniform(0.0, 1.0, (len(cell), 3))) * edges
     kernel = Kernel(np.array([0.03, 0.04, 0.2]), np.array([0.3, 0.8, 1.5]), np.array([0.01, 0.02, 0.06]))
-    y = np.stack(
-        [np.sin(30 * z[:, 0]) * z[:, 2], np.sin(25 * z[:, 0] - 20 * z[:, 1]), 8 * z[:, 1] + z[:, 2]], axis=1
-    )
+    y = np.stack([np.sin(30 * z[:, 0]) * z[:, 2], np.sin(25 * z[:, 0] - 20 * z[:, 1]), 8 * z[:, 1] + z[:, 2]], axis=1)
     y += random.normal(0.0, np.sqrt(kernel.noise_variance), y.shape)
     return set_from_points(z, y, kernel, cell)

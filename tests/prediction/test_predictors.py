@@ -161,9 +161,7 @@ def test_jacobian_is_the_derivative_of_the_mean(name, driven_set):
         if name == "local":  # jumps where the set of neighbours changes: some steps cross such a place
             smooth = (np.abs(jacobian[:, :, feature] - slope) < 1e-5 * np.abs(jacobian).max()).all(axis=1)
             assert smooth.mean() > 0.8
-        np.testing.assert_allclose(
-            jacobian[smooth][:, :, feature], slope[smooth], atol=1e-5 * np.abs(jacobian).max()
-        )
+        np.testing.assert_allclose(jacobian[smooth][:, :, feature], slope[smooth], atol=1e-5 * np.abs(jacobian).max())
 
 
 @pytest.mark.parametrize("name", sorted(PREDICTORS))
@@ -329,10 +327,7 @@ def apart(make_set, seed):
 
 @pytest.mark.parametrize(
     ("name", "all_of_them", "fewer"),
-    [
-        ("iol", {"capacity": 64}, {"capacity": 20}),
-        ("projected", {"threshold": 0.0}, {"threshold": 0.0, "most": 32}),
-    ],
+    [("iol", {"capacity": 64}, {"capacity": 20}), ("projected", {"threshold": 0.0}, {"threshold": 0.0, "most": 32})],
 )
 def test_with_room_for_every_point_it_is_the_dense_process(name, all_of_them, fewer, make_set):
     """Points a length scale apart, so that none lacks the gain to enter; with less room it is another."""

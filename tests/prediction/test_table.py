@@ -97,9 +97,7 @@ def test_lines_without_their_zeros_are_the_whole_table(table):
         for first in range(count - 3):
             inside = max(-4, min(lines.length[line], first - lines.lowest[line]))
             start = lines.begin[line] + inside
-            assert np.array_equal(
-                lines.nodes[start : start + 4], whole[line // rows, line % rows][first : first + 4]
-            )
+            assert np.array_equal(lines.nodes[start : start + 4], whole[line // rows, line % rows][first : first + 4])
 
 
 def test_the_table_equals_the_process_within_its_stated_bound(trained, process, table):

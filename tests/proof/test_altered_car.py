@@ -16,9 +16,22 @@ from split_cli.vehicle.tire import MagicFormula
 from tests.factories import one_run
 
 VEHICLE = Vehicle(
-    "car", 1500.0, 2500.0, 1.2, 1.5, 0.3, 0.5, 0.6, MagicFormula(9.0, 1.3, 8000.0),
-    MagicFormula(10.0, 1.3, 6500.0), 2000.0, 5000.0, 100.0, 80.0, drag_coefficient=0.4,
-)  # fmt: skip
+    "car",
+    1500.0,
+    2500.0,
+    1.2,
+    1.5,
+    0.3,
+    0.5,
+    0.6,
+    MagicFormula(9.0, 1.3, 8000.0),
+    MagicFormula(10.0, 1.3, 6500.0),
+    2000.0,
+    5000.0,
+    100.0,
+    80.0,
+    drag_coefficient=0.4,
+)
 SIZES = {"mass": 1.25, "friction_scale": 0.75, "tire_stiffness": 0.7, "cg_shift": 0.2}
 _AT = np.arange(801) * 0.01
 
@@ -36,9 +49,7 @@ def _thrust(car: SingleTrack, t, vy, r) -> float:
     wanted = 2.0 * 0.4 * np.cos(0.4 * t)
     torque = 300.0
     for _ in range(4):
-        here, there = (
-            car.velocity_derivative(_speed(t), vy, r, one, _steer(t))[0] for one in (torque, torque + 1)
-        )
+        here, there = (car.velocity_derivative(_speed(t), vy, r, one, _steer(t))[0] for one in (torque, torque + 1))
         torque += (wanted - here) / (there - here)
     return torque
 
@@ -63,9 +74,18 @@ def _drive(vehicle: Vehicle) -> Drive:
     vx = _speed(_AT)
     dvx, dvy, _ = SingleTrack(vehicle, ()).velocity_derivative(vx, vy, r, torque, _steer(_AT))
     columns = {
-        "t": _AT, "X": x, "Y": y, "yaw": yaw, "vx": vx, "vy": vy, "r": r, "T": torque, "delta": _steer(_AT),
-        "ax": dvx - vy * r, "ay": dvy + vx * r,
-    }  # fmt: skip
+        "t": _AT,
+        "X": x,
+        "Y": y,
+        "yaw": yaw,
+        "vx": vx,
+        "vy": vy,
+        "r": r,
+        "T": torque,
+        "delta": _steer(_AT),
+        "ax": dvx - vy * r,
+        "ay": dvy + vx * r,
+    }
     return one_run(columns, 0.01, "car")
 
 

@@ -200,8 +200,17 @@ def expected(term: str, seen: Seen, with_: ProofWorld, without: ProofWorld, size
     raise KeyError(term)
 
 
-SIZES = {"steer_backlash": 0.02, "drive_lag": 0.15, "steer_lag": 0.06, "friction_scale": 0.25, "grip_fade": 0.25,
-         "friction_patch": 0.3, "combined_slip": 1.0, "tire_relaxation": 0.25, "load_transfer": 0.4}  # fmt: skip
+SIZES = {
+    "steer_backlash": 0.02,
+    "drive_lag": 0.15,
+    "steer_lag": 0.06,
+    "friction_scale": 0.25,
+    "grip_fade": 0.25,
+    "friction_patch": 0.3,
+    "combined_slip": 1.0,
+    "tire_relaxation": 0.25,
+    "load_transfer": 0.4,
+}
 
 
 @pytest.mark.parametrize("term", [t for t in CONCEALED if t not in SENSORS])
@@ -259,9 +268,7 @@ def test_sensor_effects_report_what_their_geometry_says(world):
     shown, known = seen("sensor_misalignment", 0.03)
     # The speed is kept, its direction is turned back by the angle; pose and yaw rate know nothing of it.
     np.testing.assert_allclose(np.hypot(shown[:, 3], shown[:, 4]), np.hypot(vx, vy), rtol=1e-12)
-    np.testing.assert_allclose(
-        np.arctan2(shown[:, 4], shown[:, 3]), np.arctan2(vy, vx) - known["angle"], atol=1e-12
-    )
+    np.testing.assert_allclose(np.arctan2(shown[:, 4], shown[:, 3]), np.arctan2(vy, vx) - known["angle"], atol=1e-12)
     shown, known = seen("sensor_delay", 0.05)
     np.testing.assert_allclose(shown, exact_motion(run, world.sensor, t - 0.05), atol=1e-12)
     shown, _ = seen("gyro_curve", 0.2)

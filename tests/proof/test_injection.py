@@ -23,10 +23,17 @@ def drive() -> Drive:
     t = np.arange(12_000) * 0.01
     steer = 0.03 * np.sin(0.7 * t) + 0.01 * np.sin(2.9 * t + 1.0)
     columns = {
-        "t": t, "X": 20 * t, "Y": 0 * t, "yaw": 0.1 * np.sin(0.3 * t), "vx": 20 + 3 * np.sin(0.2 * t),
-        "vy": 0.3 * np.sin(0.7 * t), "ay": 5 * np.sin(0.7 * t),
-        "r": 0.25 * np.sin(0.7 * t - 0.2), "T": 800 * np.sin(0.9 * t), "delta": steer,
-    }  # fmt: skip
+        "t": t,
+        "X": 20 * t,
+        "Y": 0 * t,
+        "yaw": 0.1 * np.sin(0.3 * t),
+        "vx": 20 + 3 * np.sin(0.2 * t),
+        "vy": 0.3 * np.sin(0.7 * t),
+        "ay": 5 * np.sin(0.7 * t),
+        "r": 0.25 * np.sin(0.7 * t - 0.2),
+        "T": 800 * np.sin(0.9 * t),
+        "delta": steer,
+    }
     kinds = {"T": "command", "delta": "command"}
     return one_run(columns, 0.01, "real", metadata=DriveMetadata(kinds=kinds))
 

@@ -52,8 +52,6 @@ def test_the_process_on_a_set_is_the_dense_one_on_its_samples():
         prior, noise = KERNEL.signal_variance[output], KERNEL.noise_variance[output]
         matrix = prior * KERNEL.correlation(made.z, made.z) + noise * np.eye(made.size)
         cross = prior * KERNEL.correlation(query, made.z)
-        np.testing.assert_allclose(
-            found.mean[:, output], cross @ np.linalg.solve(matrix, made.y[:, output]), atol=1e-9
-        )
+        np.testing.assert_allclose(found.mean[:, output], cross @ np.linalg.solve(matrix, made.y[:, output]), atol=1e-9)
         left = prior - np.einsum("nk,kn->n", cross, np.linalg.solve(matrix, cross.T))
         np.testing.assert_allclose(found.variance[:, output], left, atol=1e-9)

@@ -56,9 +56,7 @@ def test_each_predictor_that_is_shown_is_judged_by_its_own_intervals():
     told = interval_warnings([narrow, right, wide])
     assert [text.split()[3] for text in told] == ["v_x", "v_y", "r"]
     # Of v_y 38 % lie inside 0.5 * 1.96 / 2 and 67 % inside 1.96 / 2 deviations; four times as wide would be right.
-    found = re.search(
-        r"hold only (\d+) % \(bcm\) and (\d+) % \(rbcm\) of the labels.* up to ([\d.]+) times", told[1]
-    )
+    found = re.search(r"hold only (\d+) % \(bcm\) and (\d+) % \(rbcm\) of the labels.* up to ([\d.]+) times", told[1])
     shares = [float(part) for part in found.groups()]
     assert shares == pytest.approx([37.6, 67.3, 4.0], rel=0.06) and "projected" not in told[1]
     assert "rbcm" not in told[0]
@@ -78,14 +76,10 @@ def test_shares_near_the_points_and_beyond_are_told_apart_and_in_the_warning():
     near, beyond = interval_shares([trace], {"z2": trained})
     assert (near.near, near.samples, beyond.near, beyond.samples) == (True, 900, False, 299)
     assert near.share + beyond.share == pytest.approx(1.0)
-    for share, coverage in zip(
-        (0.5, 0.9, 0.95), (near.coverage_50, near.coverage_90, near.coverage_95), strict=True
-    ):
+    for share, coverage in zip((0.5, 0.9, 0.95), (near.coverage_50, near.coverage_90, near.coverage_95), strict=True):
         np.testing.assert_allclose(coverage, share, atol=0.05)  # three standard errors of 900 labels
     # Within a third of 1.96 deviations lie 48.6 %.
     np.testing.assert_allclose(beyond.coverage_95, 0.486, atol=0.09)
     told = interval_warnings([trace], (near, beyond))
-    figures = re.search(
-        r"hold (\d+) % near the points of the set and (\d+) % farther than a length scale", told[2]
-    )
+    figures = re.search(r"hold (\d+) % near the points of the set and (\d+) % farther than a length scale", told[2])
     assert [float(part) for part in figures.groups()] == [round(100 * s.coverage_95[2]) for s in (near, beyond)]

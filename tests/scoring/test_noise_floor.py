@@ -52,8 +52,7 @@ def label_rms(drive: Drive) -> np.ndarray:
 @pytest.mark.parametrize("channels", [("vx", "vy", "r"), ("T", "delta"), ("vx", "vy", "r", "T", "delta")])
 def test_the_floor_is_what_planted_noise_makes_of_labels(clean, taps, channels):
     known = tuple(
-        NoiseEstimate(name, SIGMA[name] if name in channels else 0.0, None, autocorrelation(taps))
-        for name in SIGMA
+        NoiseEstimate(name, SIGMA[name] if name in channels else 0.0, None, autocorrelation(taps)) for name in SIGMA
     )
     drive = noisy(clean, channels, taps, noise=known)
     floor = noise_floor(SingleTrack(CAR), drive, compute_labels(drive, CAR, Z2))

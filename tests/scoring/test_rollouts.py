@@ -53,14 +53,7 @@ def test_a_constant_missing_force_drifts_as_the_closed_form_and_its_correction_r
     torque, missing = 400.0, 450.0
     rate = torque / (free.wheel_radius * free.mass) + missing / free.mass
     zero = np.zeros(len(base))
-    motion = {
-        "vx": 15.0 + rate * t,
-        "X": 15.0 * t + 0.5 * rate * t**2,
-        "Y": zero,
-        "yaw": zero,
-        "vy": zero,
-        "r": zero,
-    }
+    motion = {"vx": 15.0 + rate * t, "X": 15.0 * t + 0.5 * rate * t**2, "Y": zero, "yaw": zero, "vy": zero, "r": zero}
     columns = {**base.columns, **motion, "T": zero + torque, "delta": zero}
     drive = replace(base, columns=columns)
     model, steps, window = SingleTrack(free), 40, 5
@@ -130,9 +123,7 @@ def test_a_vehicles_delay_acts_in_rollouts():
 def test_velocities_held_make_a_circular_arc():
     drive = with_position(make_drive(8, segments=1, seconds=4.0, period=0.01, vehicle=CAR), CAR)
     starts = np.array([3, 50, 120])
-    straight = replace(
-        drive, columns={**drive.columns, "r": np.where(np.arange(len(drive)) == 50, 0.0, drive["r"])}
-    )
+    straight = replace(drive, columns={**drive.columns, "r": np.where(np.arange(len(drive)) == 50, 0.0, drive["r"])})
     held = hold_velocity(straight, starts, 30, 5)
     fine = 200
     for i, row in enumerate(starts):

@@ -27,8 +27,7 @@ def test_train_and_test_are_apart_by_the_guard(rows, blocks, holdout, guard):
     # The distance from each training row to the nearest test row, by brute force.
     after = np.searchsorted(tested, trained)
     gaps = np.minimum(
-        np.abs(trained - tested[np.minimum(after, len(tested) - 1)]),
-        np.abs(trained - tested[np.maximum(after - 1, 0)]),
+        np.abs(trained - tested[np.minimum(after, len(tested) - 1)]), np.abs(trained - tested[np.maximum(after - 1, 0)])
     )
     margin = int(np.ceil(guard / 0.02))
     assert gaps.min() == margin + 1
@@ -69,8 +68,7 @@ def test_no_window_of_a_test_label_touches_a_training_row_nor_the_other_way():
 
 
 @pytest.mark.parametrize(
-    ("blocks", "holdout", "guard"),
-    [(1, 0.3, 1.0), (10, 0.0, 1.0), (10, 1.0, 1.0), (10, 0.3, -1.0), (10, 0.3, 20.0)],
+    ("blocks", "holdout", "guard"), [(1, 0.3, 1.0), (10, 0.0, 1.0), (10, 1.0, 1.0), (10, 0.3, -1.0), (10, 0.3, 20.0)]
 )
 def test_splits_that_cannot_be_made_are_refused(blocks, holdout, guard):
     with pytest.raises(DriveError, match="clock"):

@@ -135,9 +135,7 @@ def test_training_puts_the_lag_into_the_set_and_says_so(trained):
         assert words in reservations(replace(made, trust=trust))[0]
     often = replace(made, trust=Trust((1.0, 0.5, 0.0), "held-out", 9), sources=3 * made.sources)
     assert "drives like those of training only" in reservations(often)[0]
-    plain = train_set(
-        [folder / "late.parquet"], folder / "car.yaml", folder / "plain.split", TrainSettings(lag="none")
-    )
+    plain = train_set([folder / "late.parquet"], folder / "car.yaml", folder / "plain.split", TrainSettings(lag="none"))
     assert read_set(folder / "plain.split").found == ()
     assert any("labels of v_x follow dT/dt" in note for note in plain.notes)
 
@@ -166,9 +164,12 @@ def test_going_on_labels_with_the_lag_and_refuses_another(trained, tmp_path):
     (tmp_path / "car.split").write_bytes((folder / "car.split").read_bytes())
     with pytest.raises(SetError, match="keeps the lag"):
         train_set(
-            [tmp_path / "fresh.parquet"], folder / "car.yaml", tmp_path / "car.split", TrainSettings(lag="none"),
+            [tmp_path / "fresh.parquet"],
+            folder / "car.yaml",
+            tmp_path / "car.split",
+            TrainSettings(lag="none"),
             append=True,
-        )  # fmt: skip
+        )
     train_set([tmp_path / "fresh.parquet"], folder / "car.yaml", tmp_path / "car.split", append=True)
     grown = read_set(tmp_path / "car.split")
     new = grown.source == 1

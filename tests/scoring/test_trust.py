@@ -150,9 +150,7 @@ def test_drives_too_short_for_a_block_leave_the_folds_of_the_long_one():
     """A drive is judged as without two stops beside it, in which the car is too slow to be learned from."""
     drives, empty = asked_of(make_drive(0, segments=6), *(make_drive(seed, segments=1) for seed in (1, 2)))
     stops = [TrainingDrive(part.drive, part.labels.take(slice(0, 0))) for part in drives[1:]]
-    (alone, blocks), (beside, same) = (
-        held_out_evidence(given, empty) for given in (drives[:1], [*stops, *drives[:1]])
-    )
+    (alone, blocks), (beside, same) = (held_out_evidence(given, empty) for given in (drives[:1], [*stops, *drives[:1]]))
     assert blocks == same >= 5 and not held_out_whole([*stops, *drives[:1]]) and held_out_whole(drives) == 3
     for one, other in zip(alone, beside, strict=True):
         np.testing.assert_array_equal(one.change, other.change)

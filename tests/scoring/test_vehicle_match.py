@@ -27,9 +27,16 @@ def test_its_own_vehicle_is_not_doubted(drive):
 
 def test_a_car_of_another_size_is_refused_and_with_the_flag_warned_of(drive):
     small = road_car(
-        cg_to_front_axle=0.16, cg_to_rear_axle=0.17, wheel_radius=0.05, mass=4.0, yaw_inertia=0.05, max_torque=2.0,
-        max_brake_torque=2.0, front_tire=MagicFormula(9.0, 1.4, 18.0), rear_tire=MagicFormula(9.0, 1.4, 18.0),
-    )  # fmt: skip
+        cg_to_front_axle=0.16,
+        cg_to_rear_axle=0.17,
+        wheel_radius=0.05,
+        mass=4.0,
+        yaw_inertia=0.05,
+        max_torque=2.0,
+        max_brake_torque=2.0,
+        front_tire=MagicFormula(9.0, 1.4, 18.0),
+        rear_tire=MagicFormula(9.0, 1.4, 18.0),
+    )
     with pytest.raises(DriveError, match="is not of the vehicle 'test car': it turns .* times as fast"):
         vehicle_warnings([drive], small)
     said = vehicle_warnings([drive], small, any_vehicle=True)

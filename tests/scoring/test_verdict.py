@@ -57,10 +57,7 @@ def test_the_words_name_what_helps_what_harms_and_what_changes_nothing():
 
 def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
     worse, *others = compare("bcm", "z2", [errors((2.0, 0.5, 1.0), 3)])
-    for ratio, words, head in (
-        (1.009, "v_x hardly worse (1.01 times", "helps"),
-        (1.011, "v_x WORSE", "does harm"),
-    ):
+    for ratio, words, head in ((1.009, "v_x hardly worse (1.01 times", "helps"), (1.011, "v_x WORSE", "does harm")):
         one = replace(worse, to_nominal=(ratio, ratio - 1e-3, ratio + 1e-3))
         said = verdict([one, *others])
         assert words in said and said.startswith(f"verdict: the correction {head}")
@@ -71,9 +68,7 @@ def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
     assert "hardly anything" in verdict([hardly])
     # What a state loses at one horizon hides no gain at another.
     said = verdict([hardly, replace(others[0], state=worse.state, horizon=2.0)])
-    assert (
-        said.startswith("verdict: the correction helps: v_x better (0.5") and "hardly worse (1.001 times" in said
-    )
+    assert said.startswith("verdict: the correction helps: v_x better (0.5") and "hardly worse (1.001 times" in said
 
 
 def test_with_too_few_blocks_nothing_is_claimed():

@@ -22,9 +22,7 @@ _PAGE, _FILLER = 4096, "filler"
 CAR = ("--vehicle", "car.yaml")
 MORE = (
     Case("label", ("label", "d1.parquet", *CAR, "-o", "l.parquet"), ("l.parquet",)),
-    Case(
-        "compare", ("compare", "car.yaml", "road_car.yaml", "--on", "d1.parquet", "-o", "compared"), ("compared",)
-    ),
+    Case("compare", ("compare", "car.yaml", "road_car.yaml", "--on", "d1.parquet", "-o", "compared"), ("compared",)),
     Case("calibrate", ("calibrate", "d1.parquet", *CAR, "--fit", "tires", "-o", "fitted.yaml"), ("fitted.yaml",)),
     Case("init", ("init", "lap.csv", "-o", "project"), ("project",)),
     Case("simulate", ("simulate", "--track", "small", "--duration", "5", "-o", "sim.csv"), ("sim.csv",)),
@@ -83,12 +81,7 @@ def attempt(case: Case, folder: Path) -> list[str]:
             before = state(disk)
             done = _asked(folder, arguments)
             lines = [line for line in done.stderr.splitlines() if line.startswith("split: ")]
-            if (
-                done.returncode in (0, 3)
-                or not lines
-                or "Traceback" in done.stderr
-                or "of this program" in done.stderr
-            ):
+            if done.returncode in (0, 3) or not lines or "Traceback" in done.stderr or "of this program" in done.stderr:
                 broken.append(f"{what}: exit {done.returncode}, {done.stderr[-300:]!r}")
             if state(disk) != before and (len(case.outputs) == 1 or _stray_or_damaged(case, disk)):
                 broken.append(f"{what}: the disk holds something else than before: {sorted(disk.rglob('*'))}")

@@ -245,9 +245,7 @@ def main() -> None:
     print(f"run: {', '.join(run_experiments(given.output, vehicles, given.only)) or 'nothing new'}")
     if given.page is not None:
         figures, left_out = fill_page(given.page, stored(given.output), read_vehicle(given.vehicle))
-        print(
-            f"written: {', '.join([str(given.page), *figures])}; not on the page: {', '.join(left_out) or 'none'}"
-        )
+        print(f"written: {', '.join([str(given.page), *figures])}; not on the page: {', '.join(left_out) or 'none'}")
 
 
 if __name__ == "__main__":

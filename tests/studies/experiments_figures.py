@@ -58,9 +58,7 @@ def draw_lap_times(races: Mapping[str, Sequence[RacePicture]]) -> Figure:
             axes[0].plot(race.number, race.time, label=label, **style)
             axes[1].plot(race.number, race.mean_speed, **style)
             axes[2].plot(race.number, 100.0 * (1.0 - race.time / base), **style)
-    for axis, title in zip(
-        axes, ("lap time [s]", "mean speed [m/s]", "gain on the best nominal lap [%]"), strict=True
-    ):
+    for axis, title in zip(axes, ("lap time [s]", "mean speed [m/s]", "gain on the best nominal lap [%]"), strict=True):
         axis.set(xlabel="lap", title=title)
         quiet(axis)
     figure.legend(frameon=False, ncols=len(races), loc="outside upper center")

@@ -110,9 +110,7 @@ def _falls(race: dict, reference: dict | None) -> list[str]:
     own, given = _motion(race), None if reference is None else _motion(reference)
     if own is None or given is None:
         return ["-"] * 3
-    return [
-        f"{100.0 * (1.0 - a / b):.0f}" for a, b in zip(own["motion_after"], given["motion_before"], strict=True)
-    ]
+    return [f"{100.0 * (1.0 - a / b):.0f}" for a, b in zip(own["motion_after"], given["motion_before"], strict=True)]
 
 
 def clean_times(race: dict) -> list[float]:
@@ -153,8 +151,20 @@ def _race_table(group: list[dict], races: list[dict]) -> str:
             columns.append([*cells, *_falls(race, models.get("split", {}).get(seed))])
         joined = [" / ".join(cells) for cells in zip(*columns, strict=True)]
         rows.append([model, *("-" if set(cell) <= set("- /") else cell for cell in joined)])
-    header = ["model", "clean laps", "best clean s", "gain %", "median clean s", "gain %", "max a_y g", "points",
-              "cells", "v_x falls by %", "v_y", "r"]  # fmt: skip
+    header = [
+        "model",
+        "clean laps",
+        "best clean s",
+        "gain %",
+        "median clean s",
+        "gain %",
+        "max a_y g",
+        "points",
+        "cells",
+        "v_x falls by %",
+        "v_y",
+        "r",
+    ]
     return _markdown(header, rows)
 
 
@@ -172,9 +182,7 @@ def _sweep_table(sweeps: list[dict]) -> str:
     for (scenario, grip, model), results in sorted(alike.items(), key=lambda pair: (pair[0][0], -pair[0][1])):
         highest = (result["highest_passed"] for result in results)
         best = " / ".join("none" if speed is None else f"{speed:g}" for speed in highest)
-        hits = ", ".join(
-            f"{run['speed']:g}: {run['hit']}{'*' if run['ended'] else ''}" for run in results[0]["runs"]
-        )
+        hits = ", ".join(f"{run['speed']:g}: {run['hit']}{'*' if run['ended'] else ''}" for run in results[0]["runs"])
         rows.append([scenario, f"{grip:g}", model, best, hits])
     header = ["manoeuvre", "grip", "model", "highest speed passed m/s", "cones hit at each entry speed, seed 0"]
     return _markdown(header, rows)
@@ -216,9 +224,16 @@ def _picture(race: dict, vehicle: Vehicle) -> RacePicture:
     order = np.argsort(s, kind="stable")
     best = np.stack([s, t[:, 2], t[:, 3], t[:, 5], t[:, 10], t[:, 11], *alpha], axis=1)[order]
     return RacePicture(
-        column("number"), time, column("mean_speed"), column("updates"), column("size"), column("cells"),
-        column("motion_before"), column("motion_after"), best,
-    )  # fmt: skip
+        column("number"),
+        time,
+        column("mean_speed"),
+        column("updates"),
+        column("size"),
+        column("cells"),
+        column("motion_before"),
+        column("motion_after"),
+        best,
+    )
 
 
 def _figures(results: dict[str, dict], vehicle: Vehicle, folder: Path) -> list[str]:
@@ -266,10 +281,7 @@ def _maneuver_pictures(results: dict[str, dict], road: str) -> list[ManeuverPict
         k = differ[0] if differ else 0
         scenario = build_scenario(name, pair["nominal"]["result"]["width"], speeds[k])
         runs = {
-            model: (
-                result["traces"][f"run{k}"][:, 1:3],
-                np.array(result["result"]["runs"][k]["hit_at"]).reshape(-1, 2),
-            )
+            model: (result["traces"][f"run{k}"][:, 1:3], np.array(result["result"]["runs"][k]["hit_at"]).reshape(-1, 2))
             for model, result in pair.items()
         }
         line = np.stack([scenario.path.x, scenario.path.y], axis=1)

@@ -161,9 +161,15 @@ def fastest(track: str, along: np.ndarray, across: np.ndarray, margin: float) ->
 
 
 def fastest_car(
-    track: str, grip: tuple[float, float], margin: float, share: float, spacing: float = 2.0, *,
-    lags: bool = False, loads: bool = False,
-) -> float:  # fmt: skip
+    track: str,
+    grip: tuple[float, float],
+    margin: float,
+    share: float,
+    spacing: float = 2.0,
+    *,
+    lags: bool = False,
+    loads: bool = False,
+) -> float:
     """Return the time of the fastest lap [s] of the single track within the controllers' bounds.
 
     `grip` are the peaks of front and rear over the vehicle file's [1], `share` of them plans may use. With `lags`
@@ -193,9 +199,10 @@ def fastest_car(
         pull, arrived, *angles = (opti.variable(1, count) for _ in range(4))
         kinematic, length = (slip[0] + arrived - steer, slip[1]), ROAD_CAR.front_tire.relaxation_lateral
         late = (
-            (pull, (torque - pull) / ROAD_CAR.drive_lag), (arrived, (steer - arrived) / ROAD_CAR.steer_lag),
+            (pull, (torque - pull) / ROAD_CAR.drive_lag),
+            (arrived, (steer - arrived) / ROAD_CAR.steer_lag),
             *((own, (goal - own) * vx / length) for own, goal in zip(angles, kinematic, strict=True)),
-        )  # fmt: skip
+        )
         whole = 1e3 * pull / vehicle.wheel_radius
         opti.set_initial(arrived, np.arctan(vehicle.wheelbase * curvature))
     side_f, side_r = (
@@ -218,12 +225,15 @@ def fastest_car(
     rolling = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
     push = whole - rolling - vehicle.drag_coefficient * vx**2 - side_f * casadi.sin(arrived)
     slopes = (
-        (n, vx * casadi.sin(angle) + vy * casadi.cos(angle)), (angle, r - curvature * along),
+        (n, vx * casadi.sin(angle) + vy * casadi.cos(angle)),
+        (angle, r - curvature * along),
         (vx, (push + vehicle.mass * vy * r) / inertia),
         (vy, (side_f * casadi.cos(arrived) + side_r) / vehicle.mass - vx * r),
         (r, (l_f * side_f * casadi.cos(arrived) - l_r * side_r) / vehicle.yaw_inertia),
-        (torque, torque_rate), (steer, steer_rate), *late,
-    )  # fmt: skip
+        (torque, torque_rate),
+        (steer, steer_rate),
+        *late,
+    )
     following = [*range(1, count), 0]
     for state, slope in slopes:
         a_metre = slope / along
@@ -255,10 +265,7 @@ def fastest_car(
 def main(model: str = "point") -> None:
     """Run from the command line."""
     if model == "car":
-        nominal, learned = (
-            ((1.0, 1.0), NOMINAL_MARGIN, SHARE_NOMINAL),
-            (LEARNED["small"], LAST_MARGIN, SHARE_LEARNED),
-        )
+        nominal, learned = (((1.0, 1.0), NOMINAL_MARGIN, SHARE_NOMINAL), (LEARNED["small"], LAST_MARGIN, SHARE_LEARNED))
         for called, track, bounds, more in (
             ("bounds of the nominal controller", "small", nominal, {}),
             ("bounds of SPLIT", "small", learned, {}),

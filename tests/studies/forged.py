@@ -82,18 +82,7 @@ _TRACK = ("--vehicle", "road_car.yaml", "--start-set", "turn.split")
 COMMANDS = {
     "append": ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--append"),
     "export c": ("export", "a.split", "--target", "c", "-o", "out", "--queries", "100"),
-    "export json": (
-        "export",
-        "a.split",
-        "--target",
-        "json",
-        "--predictor",
-        "bcm",
-        "-o",
-        "out",
-        "--queries",
-        "100",
-    ),
+    "export json": ("export", "a.split", "--target", "json", "--predictor", "bcm", "-o", "out", "--queries", "100"),
     "export ggv": ("export", "a.split", "--target", "ggv", "-o", "out"),
     "evaluate": ("evaluate", "d1.parquet", "--vehicle", "car.yaml", "--set", "a.split"),
     "compare": ("compare", "car.yaml", "a.split", "--on", "d1.parquet"),
@@ -145,9 +134,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="commands whose name holds one of these, with commas between")
     parser.add_argument("--readable", action="store_true", help="only sets that reading alone does not refuse")
-    parser.add_argument(
-        "--patience", type=float, default=40.0, help="processor time after which a run is stopped [s]"
-    )
+    parser.add_argument("--patience", type=float, default=40.0, help="processor time after which a run is stopped [s]")
     parser.add_argument("--random", type=int, default=0, help="instead, so many sets forged at random")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()

@@ -65,10 +65,28 @@ class TooLong(BaseException):
 
 _EXTREMES = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**64 - 1)
 _WORDS = (
-    b"", b"nan", b"inf", b"-1e999", b"1e308", b"9" * 400, b"\0", b"\xff\xfe", b"\x1b[31m", b"[" * 300, b"{{{{",
-    b"&a *a", b"../../etc", b"'", b'"', b"\r", b"%s", b"2023-02-31", "ü".encode("utf-16"), b"1_000",
+    b"",
+    b"nan",
+    b"inf",
+    b"-1e999",
+    b"1e308",
+    b"9" * 400,
+    b"\0",
+    b"\xff\xfe",
+    b"\x1b[31m",
+    b"[" * 300,
+    b"{{{{",
+    b"&a *a",
+    b"../../etc",
+    b"'",
+    b'"',
+    b"\r",
+    b"%s",
+    b"2023-02-31",
+    "ü".encode("utf-16"),
+    b"1_000",
     b"!!python/object:os.system",
-)  # fmt: skip
+)
 
 
 def mutate(content: bytes, other: bytes, rng: random.Random) -> bytes:
@@ -101,9 +119,27 @@ def mutate(content: bytes, other: bytes, rng: random.Random) -> bytes:
 
 
 _VALUES = (
-    None, True, -1, 0, 10**30, 10**400, 1e308, -1e308, float("nan"), float("inf"), "", "nan", "\x1b[31m\u202e",
-    "x" * 9999, "../../etc/passwd", [], {}, [[]], {"x": None}, [1e308] * 999,
-)  # fmt: skip
+    None,
+    True,
+    -1,
+    0,
+    10**30,
+    10**400,
+    1e308,
+    -1e308,
+    float("nan"),
+    float("inf"),
+    "",
+    "nan",
+    "\x1b[31m\u202e",
+    "x" * 9999,
+    "../../etc/passwd",
+    [],
+    {},
+    [[]],
+    {"x": None},
+    [1e308] * 999,
+)
 
 
 def mutate_json(content: bytes, rng: random.Random) -> bytes:

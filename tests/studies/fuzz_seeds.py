@@ -47,14 +47,45 @@ LONG_HERE = 16
 """Values from which on a column is kept in a file [1]: so that the short ones of these files are."""
 
 NEWER = (
-    "json rows", "json list", "json columns", "pi toolbox", "pi toolbox block", "csv etas", "csv labview",
-    "csv spreadsheet", "together", "mat carmaker", "mat motec 7.3", "can savvycan", "can cabana",
-    "mcap ros2 in pieces", "mcap json in pieces", "bag in pieces", "db3 in pieces", "mat 5 in pieces",
-    "mat 7.3 in pieces", "csv in pieces", "can asc in pieces", "json rows in pieces", "verify drive",
-    "verify labels", "verify set", "verify vehicle", "verify map", "verify diagnosis", "json channels",
-    "named csv", "named json", "set of the past", "info diagnosis", "info export", "verify manifest",
-    "verify document", "verify answers", "verify drives",
-)  # fmt: skip
+    "json rows",
+    "json list",
+    "json columns",
+    "pi toolbox",
+    "pi toolbox block",
+    "csv etas",
+    "csv labview",
+    "csv spreadsheet",
+    "together",
+    "mat carmaker",
+    "mat motec 7.3",
+    "can savvycan",
+    "can cabana",
+    "mcap ros2 in pieces",
+    "mcap json in pieces",
+    "bag in pieces",
+    "db3 in pieces",
+    "mat 5 in pieces",
+    "mat 7.3 in pieces",
+    "csv in pieces",
+    "can asc in pieces",
+    "json rows in pieces",
+    "verify drive",
+    "verify labels",
+    "verify set",
+    "verify vehicle",
+    "verify map",
+    "verify diagnosis",
+    "json channels",
+    "named csv",
+    "named json",
+    "set of the past",
+    "info diagnosis",
+    "info export",
+    "verify manifest",
+    "verify document",
+    "verify answers",
+    "verify drives",
+)
 """Kinds that came last, of which `--newer` takes all inputs."""
 
 Kind = tuple[str, Path, Callable[[Path], object]]
@@ -256,11 +287,7 @@ def rows(folder: Path, planted: support.Planted) -> Iterator[Kind]:
     """JSON in its three forms, and Pi Toolbox in its two."""
     count = len(planted.vx)
     made = [
-        {
-            "stamp": {"sec": 1_700_000_000 + k, "nanosec": 500},
-            "imu": {"r": planted.r[k]},
-            "v": [planted.vx[k], 0.5],
-        }
+        {"stamp": {"sec": 1_700_000_000 + k, "nanosec": 500}, "imu": {"r": planted.r[k]}, "v": [planted.vx[k], 0.5]}
         for k in range(count)
     ]
     lines = folder / "rows.jsonl"
@@ -289,9 +316,7 @@ def rows(folder: Path, planted: support.Planted) -> Iterator[Kind]:
     yield "named json", traced, read_recording
     head = "PiToolboxVersionedASCIIDataSet\nVersion\t2\n\n{OutingInformation}\nCarName\tCar 7\n\n"
     blocks = {
-        title: "{ChannelBlock}\n"
-        + f"Time\t{title}\n"
-        + "".join(f"{0.01 * k:.3f}\t{v}\n" for k, v in enumerate(values))
+        title: "{ChannelBlock}\n" + f"Time\t{title}\n" + "".join(f"{0.01 * k:.3f}\t{v}\n" for k, v in enumerate(values))
         for title, values in {"Speed[kph]": planted.vx, "YawRate[deg/s]": planted.r}.items()
     }
     exported = folder / "outing.txt"

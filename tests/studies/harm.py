@@ -53,9 +53,15 @@ ACROSS = (
 )
 HALVES = ("1:10 car, three laps", "Hyundai Genesis, real, gentle", "Indy AV-21, real, banked oval")
 SHORT = {
-    AGGRESSIVE: "road 85 %", MODERATE: "road 70 %", SMALL: "road, small course", TUM_RUN: "TUM, run",
-    TUM_TRAIN: "TUM, train", HALVES[0]: "1:10 car", HALVES[1]: "Genesis", HALVES[2]: "AV-21",
-}  # fmt: skip
+    AGGRESSIVE: "road 85 %",
+    MODERATE: "road 70 %",
+    SMALL: "road, small course",
+    TUM_RUN: "TUM, run",
+    TUM_TRAIN: "TUM, train",
+    HALVES[0]: "1:10 car",
+    HALVES[1]: "Genesis",
+    HALVES[2]: "AV-21",
+}
 #: Laps of the road car simulated for this study: track, share of the grip, seed after the first.
 FIRST_SEED = 41
 FRESH_TRAIN = (("small", 0.7, 0), ("small", 0.5, 6), ("oval", 0.8, 1), ("handling", 0.55, 2))
@@ -63,9 +69,7 @@ FRESH_JUDGE = (("handling", 0.85, 3), ("handling", 0.5, 4), ("small", 0.85, 5))
 #: DART's car on two floors and driven freely; KTH's Volvo in a slalom (038) and a step steer (040).
 DART = ((RUBBER, TAPE), (TAPE, RUBBER), (RUBBER, "free_driving"), ("free_driving", "racetrack_lap_v_1"))
 #: A third floor, whose pose is of 20 Hz.
-DART_SLIPPERY = (
-    (RUBBER, SLIPPERY), (TAPE, SLIPPERY), ("free_driving", SLIPPERY), (SLIPPERY, RUBBER), (SLIPPERY, TAPE),
-)  # fmt: skip
+DART_SLIPPERY = ((RUBBER, SLIPPERY), (TAPE, SLIPPERY), ("free_driving", SLIPPERY), (SLIPPERY, RUBBER), (SLIPPERY, TAPE))
 DART_HALVES = (RUBBER, TAPE, "free_driving")
 KTH = (("038", "040"), ("040", "038"))
 #: Two runs of the 1:5 car on dirt.
@@ -91,9 +95,7 @@ def main() -> None:
     parser.add_argument("--datasets", type=Path, help="Folder with the recordings of others.")
     parser.add_argument("--work", type=Path, help="Folder that keeps drives, sets and judgements.")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="Of the seven laps of part fresh.")
-    parser.add_argument(
-        "--predictors", default="projected,rbcm", help="Rows show the first; trust is found with rbcm."
-    )
+    parser.add_argument("--predictors", default="projected,rbcm", help="Rows show the first; trust is found with rbcm.")
     parser.add_argument("--features", default="z2", help="Of the sets, as `split train` takes them.")
     given = parser.parse_args()
     parts, predictors = given.parts.split(","), given.predictors.split(",")
@@ -208,9 +210,20 @@ def fresh_pairs(folder: Path, first_seed: int) -> Iterator[Pair]:
         if not path.exists():
             log = path.with_suffix(".mcap")
             split(
-                "simulate", "--track", track, "--driver", "racer", "--aggressiveness", str(grip),
-                "--seed", str(seed), "--laps", "1", "-o", str(log),
-            )  # fmt: skip
+                "simulate",
+                "--track",
+                track,
+                "--driver",
+                "racer",
+                "--aggressiveness",
+                str(grip),
+                "--seed",
+                str(seed),
+                "--laps",
+                "1",
+                "-o",
+                str(log),
+            )
             split("ingest", str(log), "--vehicle", vehicle, "--map", "split_sim", "-o", str(path))
         return f"{track} {100 * grip:.0f} %", path
 
@@ -312,9 +325,7 @@ def worse_at_once(rows: list[dict]) -> list[dict]:
     """
     wider = NormalDist().inv_cdf(1.0 - 0.025 / max(len(rows), 1)) / NormalDist().inv_cdf(0.975)
     return [
-        row
-        for row in rows
-        if (1.0 - wider) * np.log(row["to_nominal"][0]) + wider * np.log(row["to_nominal"][1]) > 0.0
+        row for row in rows if (1.0 - wider) * np.log(row["to_nominal"][0]) + wider * np.log(row["to_nominal"][1]) > 0.0
     ]
 
 

@@ -32,18 +32,49 @@ from tests.studies.fuzz import mutant
 from tests.studies.kill import prepare
 
 NUMBERS = ("nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "-0", "0", "-1", "", "1e400", "9" * 20, "9" * 5000)
-WORDS = (
-    "", " ", ",", "nan", "-1", "1e308", "0", "a\nb", "\x1b[31mx", "u\u202ex", "x" * 100_000, "../x", "{[", "a=nan",
-)  # fmt: skip
+WORDS = ("", " ", ",", "nan", "-1", "1e308", "0", "a\nb", "\x1b[31mx", "u\u202ex", "x" * 100_000, "../x", "{[", "a=nan")
 INPUTS = (
-    "", "-", "missing", ".", "/", "fifo", "socket", "loop", "closed/car.yaml", "/dev/zero", "/dev/full",
-    "new\nline", "u\u202e\x1b[31m.parquet", "empty", "x" * 300, "car.yaml/below", "lap.csv", "a.split",
-    "d0.parquet", "circle",
-)  # fmt: skip
+    "",
+    "-",
+    "missing",
+    ".",
+    "/",
+    "fifo",
+    "socket",
+    "loop",
+    "closed/car.yaml",
+    "/dev/zero",
+    "/dev/full",
+    "new\nline",
+    "u\u202e\x1b[31m.parquet",
+    "empty",
+    "x" * 300,
+    "car.yaml/below",
+    "lap.csv",
+    "a.split",
+    "d0.parquet",
+    "circle",
+)
 OUTPUTS = (
-    "", "-", ".", "/", "fifo", "socket", "loop", "closed/out", "closed", "/dev/full", "missing/deeper/out",
-    "x" * 300, "car.yaml/below", "new\nline", "u\u202e.x", "archive", "circle", "/proc/out",
-)  # fmt: skip
+    "",
+    "-",
+    ".",
+    "/",
+    "fifo",
+    "socket",
+    "loop",
+    "closed/out",
+    "closed",
+    "/dev/full",
+    "missing/deeper/out",
+    "x" * 300,
+    "car.yaml/below",
+    "new\nline",
+    "u\u202e.x",
+    "archive",
+    "circle",
+    "/proc/out",
+)
 BASE = {
     "init": ("lap.csv", "-o", "out"),
     "ingest": ("lap.csv", "-o", "out.parquet"),
@@ -287,9 +318,7 @@ def run(only: str, patience: float, every: int = 1, at_random: int = 0, seed: in
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="commands whose name holds this")
-    parser.add_argument(
-        "--patience", type=float, default=20.0, help="processor time after which a run is stopped [s]"
-    )
+    parser.add_argument("--patience", type=float, default=20.0, help="processor time after which a run is stopped [s]")
     parser.add_argument("--every", type=int, default=1, help="try only each run of this many")
     parser.add_argument("--random", type=int, default=0, help="instead, so many runs of each command at random")
     parser.add_argument("--seed", type=int, default=1)

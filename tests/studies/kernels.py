@@ -67,9 +67,7 @@ def main() -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="commands whose name holds this")
-    parser.add_argument(
-        "--variant", default="", help="variants whose name holds one of these, with commas between"
-    )
+    parser.add_argument("--variant", default="", help="variants whose name holds one of these, with commas between")
     given = parser.parse_args()
     failed = False
     with tempfile.TemporaryDirectory() as place:
@@ -77,9 +75,7 @@ def main() -> int:
         car, terms = road_car(), [MissingForce({"front_grip_loss": 0.2})]
         write_vehicle(car, folder / "car.yaml")
         write_drive(make_drive(0, segments=2, seconds=30.0, vehicle=car, terms=terms), folder / "d0.parquet")
-        print(
-            f"{'command':10} {'variant':18} {'numbers that differ':>20} {'largest, relative':>18} {'promised':>9}"
-        )
+        print(f"{'command':10} {'variant':18} {'numbers that differ':>20} {'largest, relative':>18} {'promised':>9}")
         for name in (one for one in COMMANDS if given.only in one):
             plain = run(folder, name, folder / "plain", {})
             if '"verdict": "undecided"' in plain.read_bytes().decode("utf-8", errors="replace"):

@@ -67,16 +67,31 @@ class Outcome:
 
 
 # A model car's lap needs a fourth of the steps of a road car's.
-RACE = ("race", "--vehicle", "f1tenth_car.yaml", "--car", "f1tenth_car", "--track", "f1tenth", "--max-speed", "4",
-        "--laps", "1", "--report", "race.html", "--set", "race.split", "-o", "race.parquet")  # fmt: skip
+RACE = (
+    "race",
+    "--vehicle",
+    "f1tenth_car.yaml",
+    "--car",
+    "f1tenth_car",
+    "--track",
+    "f1tenth",
+    "--max-speed",
+    "4",
+    "--laps",
+    "1",
+    "--report",
+    "race.html",
+    "--set",
+    "race.split",
+    "-o",
+    "race.parquet",
+)
 MANEUVER = ("maneuver", "brake-avoid", "--vehicle", "road_car.yaml", "--set", "turn.split", "-o", "turn.parquet")
 EXPORT = ("export", "--target", "json", "--queries", "200", "-o", "export")
 CASES = (
     Case("ingest", ("ingest", "lap.csv", "-o", "lap.parquet", "--rate", "40"), ("lap.parquet",)),
     Case("ingest folder", ("ingest", "archive", "-o", "drives", "--rate", "40"), ("drives",)),
-    Case(
-        "train", ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"), ("a.split",)
-    ),
+    Case("train", ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"), ("a.split",)),
     Case("append", ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append"), ("b.split",)),
     Case(
         "evaluate",
@@ -85,9 +100,7 @@ CASES = (
         repeats=False,
     ),
     Case(
-        "diagnose",
-        ("diagnose", "--real", "d1.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),
-        ("diagnosis",),
+        "diagnose", ("diagnose", "--real", "d1.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"), ("diagnosis",)
     ),
     Case("race", RACE, ("race.parquet", "race.split", "race.html"), repeats=False, written_twice=("race.split",)),
     Case("maneuver", MANEUVER, ("turn.parquet", "turn.split")),
@@ -144,9 +157,7 @@ def prepare(
         "append": ((*train, "b.split"),),
         "export": ((*train, "b.split"), (*train, "new.split", "--capacity", "6"), (*EXPORT, "b.split")),
         "diagnose": (("diagnose", "--real", "d0.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"),),
-        "evaluate": (
-            ("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--features", "z1,z2", "-o", "evaluation"),
-        ),
+        "evaluate": (("evaluate", "d0.parquet", "--vehicle", "car.yaml", "--features", "z1,z2", "-o", "evaluation"),),
         "race": ((*RACE, "--seed", "2"),),
         "maneuver": ((*MANEUVER, "--seed", "2"),),
     }

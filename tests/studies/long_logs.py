@@ -110,9 +110,7 @@ def _parquet(path: Path, lap: Lap, rows: int) -> None:
             writer.write_table(pa.table(part, schema=schema))
 
 
-def _mcap(
-    path: Path, messages: Iterator[tuple[int, bytes]], schema: tuple[str, str, bytes], encoding: str
-) -> None:
+def _mcap(path: Path, messages: Iterator[tuple[int, bytes]], schema: tuple[str, str, bytes], encoding: str) -> None:
     from mcap.writer import Writer
 
     with path.open("wb") as file:
@@ -228,10 +226,19 @@ def _frames(path: Path, lap: Lap, rows: int) -> None:
 
 
 _MESSAGES: dict[str, Callable[[Path, Lap, int], None]] = {
-    "mcap": _json_mcap, "ros2.mcap": _ros2_mcap, "bag": _bag, "db3": _db3,
-}  # fmt: skip
+    "mcap": _json_mcap,
+    "ros2.mcap": _ros2_mcap,
+    "bag": _bag,
+    "db3": _db3,
+}
 _ON_A_BUS: dict[str, Callable[[Path, Lap, int], None]] = {"blf": _frames, "asc": _frames, "log": _frames}
 KINDS: dict[str, Callable[[Path, Lap, int], None]] = {
-    "parquet": _parquet, "csv": _csv, **_MESSAGES, "mf4": _mf4, "mat": _mat, "7.3.mat": _mat_hdf5, **_ON_A_BUS,
-}  # fmt: skip
+    "parquet": _parquet,
+    "csv": _csv,
+    **_MESSAGES,
+    "mf4": _mf4,
+    "mat": _mat,
+    "7.3.mat": _mat_hdf5,
+    **_ON_A_BUS,
+}
 """What is written for ``ingest-KIND``: the end of the file's name, and how it is made."""

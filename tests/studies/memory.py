@@ -53,9 +53,7 @@ def make_log(path: Path, rows: int, kind: str) -> None:
     with pa.parquet.ParquetWriter(path, table.schema, compression="zstd") as writer:
         for number, part in enumerate(lap.parts(rows)):
             part["segment"] = np.full(len(part["t"]), number, dtype=np.int32)
-            writer.write_table(
-                pa.table([pa.array(part[name]) for name in table.schema.names], schema=table.schema)
-            )
+            writer.write_table(pa.table([pa.array(part[name]) for name in table.schema.names], schema=table.schema))
     return None
 
 
@@ -106,8 +104,11 @@ def measure(what: str, rows: int, folder: Path) -> tuple[int, float, float]:
         arguments = ["ingest", str(log), "--vehicle", car, "-o", str(folder / "drives"), "--jobs", "2"]
     elif kind != "drive":
         arguments += arguments_of(kind, folder)
-    module, function, given = ("tests.studies.memory", "learn", str(rows)) if what == "learn" else (
-        "split_cli.cli.main", "main", repr(arguments))  # fmt: skip
+    module, function, given = (
+        ("tests.studies.memory", "learn", str(rows))
+        if what == "learn"
+        else ("split_cli.cli.main", "main", repr(arguments))
+    )
     code = _MEASURED.format(module=module, function=function, arguments=given)
     begin = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)

@@ -64,20 +64,12 @@ def prove_multibody(output: Path, *, seed: int = 1, car: int = 2, model: str = "
         write_drive(real, folder / "real.parquet")
         write_drive(holdout, folder / "holdout.parquet")
     return diagnose_files(
-        [output / "real.parquet"],
-        output / "vehicle.yaml",
-        output / "diagnosis",
-        holdout=[output / "holdout.parquet"],
+        [output / "real.parquet"], output / "vehicle.yaml", output / "diagnosis", holdout=[output / "holdout.parquet"]
     )
 
 
 def prove_multibody_faults(
-    output: Path,
-    *,
-    seed: int = 1,
-    car: int = 2,
-    model: str = "multibody",
-    only: Sequence[str] | None = None,
+    output: Path, *, seed: int = 1, car: int = 2, model: str = "multibody", only: Sequence[str] | None = None
 ) -> list[InjectionResult]:
     """Put known faults into the car; without them, on another track, it is the simulation.
 
@@ -113,10 +105,15 @@ def prove_multibody_faults(
         )
         results.append(
             injection_result(
-                f"car {car}", fault.name, fault.term, fault.parameters(body), said, words,
+                f"car {car}",
+                fault.name,
+                fault.term,
+                fault.parameters(body),
+                said,
+                words,
                 in_catalogue=fault.in_catalogue,
             )
-        )  # fmt: skip
+        )
         print(results[-1], flush=True)
     return results
 
@@ -133,9 +130,15 @@ def _kept_on_track(
             track = random_track(np.random.default_rng([seed, number]), 1000.0, 0.5, 5.0)
             try:
                 return hard_drive(
-                    body, track, lateral=share * lateral, braking=4.0, seconds=seconds, seed=seed + number,
-                    name=name, noisy=noisy,
-                ), number  # fmt: skip
+                    body,
+                    track,
+                    lateral=share * lateral,
+                    braking=4.0,
+                    seconds=seconds,
+                    seed=seed + number,
+                    name=name,
+                    noisy=noisy,
+                ), number
             except SplitError:
                 continue
     advice = "Take another seed."

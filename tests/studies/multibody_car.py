@@ -112,9 +112,7 @@ class _Driver:
         goal = self.speed[there] * (1.0 + 0.02 * np.sin(0.35 * t + self.unrest[2]))
         # What turning leaves of the grip; driven rear wheels and braked ones would spin the car otherwise.
         left = np.sqrt(max(0.03, 1.0 - (x[_AT.vx] * x[_AT.r] / self.grip) ** 2))
-        return float(wanted), float(
-            np.clip(1.6 * (goal - x[_AT.vx]), -0.8 * self.grip * left, 0.4 * self.grip * left)
-        )
+        return float(wanted), float(np.clip(1.6 * (goal - x[_AT.vx]), -0.8 * self.grip * left, 0.4 * self.grip * left))
 
 
 def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float, float, float]):
@@ -139,8 +137,21 @@ def _run(car: MultiBody, inputs, speed: float, seconds: float, pose: tuple[float
         now = rates(x)
         if k % _KEEP == 0:
             ax, ay = now[_AT.vx] - x[_AT.vy] * x[_AT.r], now[_AT.vy] + x[_AT.vx] * x[_AT.r]
-            rows.append([k * _STEP, x[_AT.X], x[_AT.Y], x[_AT.yaw], x[_AT.vx], x[_AT.vy], x[_AT.r],
-                         car.mass * p.R_w * acceleration, x[_AT.delta], ax, ay])  # fmt: skip
+            rows.append(
+                [
+                    k * _STEP,
+                    x[_AT.X],
+                    x[_AT.Y],
+                    x[_AT.yaw],
+                    x[_AT.vx],
+                    x[_AT.vy],
+                    x[_AT.r],
+                    car.mass * p.R_w * acceleration,
+                    x[_AT.delta],
+                    ax,
+                    ay,
+                ]
+            )
         k2 = rates(x + 0.5 * _STEP * now)
         k3 = rates(x + 0.5 * _STEP * k2)
         k4 = rates(x + _STEP * k3)

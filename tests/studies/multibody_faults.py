@@ -65,9 +65,7 @@ def _forward(dx: float) -> Callable[[MultiBody], MultiBody]:
     return lambda car: _with(car, change)
 
 
-def _pushed(
-    along: Callable[[float], float] = lambda vx: 0.0, across: float = 0.0
-) -> Callable[[MultiBody], MultiBody]:
+def _pushed(along: Callable[[float], float] = lambda vx: 0.0, across: float = 0.0) -> Callable[[MultiBody], MultiBody]:
     """Return an alteration that adds accelerations from outside [m/s^2]; `along` takes v_x."""
 
     def alter(car: MultiBody) -> MultiBody:
@@ -98,10 +96,7 @@ def _geared(drive: float, brake: float) -> Callable[[MultiBody], MultiBody]:
 def _recorded(name: str, term: str, parameter: str, value: float) -> MultiBodyFault:
     parameters = ((parameter, value),)
     return MultiBodyFault(
-        name,
-        term,
-        lambda car: parameters,
-        record=lambda drive: inject(drive, InjectedFault(name, term, parameters)),
+        name, term, lambda car: parameters, record=lambda drive: inject(drive, InjectedFault(name, term, parameters))
     )
 
 
@@ -120,11 +115,7 @@ MULTIBODY_FAULTS: tuple[MultiBodyFault, ...] = (
     _altered("payload", "mass", _payload(0.10), ("scale", 1.10)),
     _altered("less grip", "friction_scale", _scaled("tire.p_dx1", "tire.p_dy1", by=0.9), ("scale", 0.9)),
     _altered(
-        "softer tyres",
-        "tire_stiffness",
-        _scaled("tire.p_ky1", by=0.88),
-        ("front_scale", 0.88),
-        ("rear_scale", 0.88),
+        "softer tyres", "tire_stiffness", _scaled("tire.p_ky1", by=0.88), ("front_scale", 0.88), ("rear_scale", 0.88)
     ),
     _altered("more yaw inertia", "yaw_inertia", _scaled("I_z", by=1.2), ("scale", 1.2)),
     _altered("mass ahead", "cg_shift", _forward(0.06), ("dx", 0.06)),
@@ -143,14 +134,9 @@ MULTIBODY_FAULTS: tuple[MultiBodyFault, ...] = (
     _recorded("velocity moved", "sensor_lever_arm", "dx", 0.3),
     _recorded("clocks shifted", "sensor_delay", "delay", 0.03),
     MultiBodyFault(
-        "speed read 3 % high",
-        "speed_scale",
-        lambda car: (("scale", 1.03),),
-        record=_column("vx", lambda vx: 1.03 * vx),
+        "speed read 3 % high", "speed_scale", lambda car: (("scale", 1.03),), record=_column("vx", lambda vx: 1.03 * vx)
     ),
-    MultiBodyFault(
-        "yaw rate bent", record=_column("r", lambda r: r * (1.0 + 0.1 * np.abs(r))), in_catalogue=False
-    ),
+    MultiBodyFault("yaw rate bent", record=_column("r", lambda r: r * (1.0 + 0.1 * np.abs(r))), in_catalogue=False),
 )
 """With the true values of their parameters; the last has no name in the catalogue."""
 

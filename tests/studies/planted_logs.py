@@ -23,8 +23,18 @@ from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 
-_UNITS = {"X": "m", "Y": "m", "yaw": "rad", "vx": "m/s", "vy": "m/s", "r": "rad/s", "T": "N m", "delta": "rad",
-          "ax": "m/s^2", "ay": "m/s^2"}  # fmt: skip
+_UNITS = {
+    "X": "m",
+    "Y": "m",
+    "yaw": "rad",
+    "vx": "m/s",
+    "vy": "m/s",
+    "r": "rad/s",
+    "T": "N m",
+    "delta": "rad",
+    "ax": "m/s^2",
+    "ay": "m/s^2",
+}
 _CORNERS = {"fl": (1, -1), "fr": (1, 1), "rl": (-1, -1), "rr": (-1, 1)}
 _TRACK = 0.58
 """Of a car's wheelbase, for the wheel speeds that are made for it [1]."""
@@ -62,7 +72,8 @@ PLANTED: dict[str, Planted] = {
     "yaw in degrees": Planted(_times("yaw", DEG), ("yaw",), "is in deg"),
     "yaw rate copied from the steer angle": Planted(lambda c: {"r": c["delta"]}, ("r", "delta"), "copy"),
     "yaw rate computed from the steer angle": Planted(
-        lambda c: {"r": c["vx"] * np.tan(c["delta"]) / (2.0 * c["lr"])}, ("r",), "computed from"),
+        lambda c: {"r": c["vx"] * np.tan(c["delta"]) / (2.0 * c["lr"])}, ("r",), "computed from"
+    ),
     "v_x in km/h": Planted(_times("vx", 3.6), ("vx",), "is in km/h"),
     "v_x in mph": Planted(_times("vx", 1 / MPH), ("vx",), "is in mph"),
     "v_x 6 % too large": Planted(_times("vx", 1.06), ("X", "vx"), "1.05"),
@@ -78,8 +89,11 @@ PLANTED: dict[str, Planted] = {
     "position in mm": Planted(lambda c: {n: c[n] * 1e3 for n in "XY"}, ("X",), "mm"),
     "north and east as X and Y": Planted(lambda c: {"X": c["Y"], "Y": c["X"]}, ("X",), "mirrored", ("yaw", "r")),
     "north-east-down, whole pose": Planted(
-        lambda c: {"X": c["Y"], "Y": c["X"], "yaw": 0.5 * np.pi - c["yaw"]}, ("X", "yaw", "r"),
-        "world: ned", ("r", "ay", "delta", "vy")),
+        lambda c: {"X": c["Y"], "Y": c["X"], "yaw": 0.5 * np.pi - c["yaw"]},
+        ("X", "yaw", "r"),
+        "world: ned",
+        ("r", "ay", "delta", "vy"),
+    ),
     "steering wheel's angle": Planted(_times("delta", 15.0), ("delta",), "steering-wheel angle"),
     "steer angle in degrees": Planted(_times("delta", DEG), ("delta",), "is in deg"),
     "steer angle right-positive": Planted(_times("delta", -1.0), ("delta",), "right-positive"),
@@ -90,10 +104,13 @@ PLANTED: dict[str, Planted] = {
     "torque positive when braking": Planted(_times("T", -1.0), ("T",), "when braking"),
     "wheels left and right exchanged": Planted(
         lambda c: {a: c[b] for a, b in (("fl", "fr"), ("fr", "fl"), ("rl", "rr"), ("rr", "rl"))},
-        ("wheel_speed_fl", "wheel_speed_rl"), "exchanged"),
+        ("wheel_speed_fl", "wheel_speed_rl"),
+        "exchanged",
+    ),
     "wheel speeds in rad/s": Planted(
-        lambda c: {n: c[n] / c["radius"] for n in _CORNERS}, ("wheel_speed_fl",), "is in rad/s"),
-}  # fmt: skip
+        lambda c: {n: c[n] / c["radius"] for n in _CORNERS}, ("wheel_speed_fl",), "is in rad/s"
+    ),
+}
 _SHOWN_BY = {"fl": "wheel_speed_fl", "fr": "wheel_speed_fr", "rl": "wheel_speed_rl", "rr": "wheel_speed_rr"}
 
 
@@ -123,10 +140,7 @@ def said_of(columns: Columns, vehicle: Vehicle) -> dict[str, str]:
     settings = IngestSettings(derive=("torque-from-acceleration",) if missing else ())
     try:
         made = assemble_drive(
-            TableRecording("log.csv", Path("log.csv"), signals),
-            map_from_mapping(named, where="map"),
-            vehicle,
-            settings,
+            TableRecording("log.csv", Path("log.csv"), signals), map_from_mapping(named, where="map"), vehicle, settings
         )
     except SplitError as error:
         # What the checks say with the right clock stands behind it, channel by channel.

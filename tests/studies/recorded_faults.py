@@ -50,9 +50,8 @@ def _ingested(source: str, preset: str, *, derive: Sequence[str] = (), delays: b
         if not path.exists():
             settings = IngestSettings(derive=tuple(derive), estimate_delays=delays)
             ingest_logs(
-                [datasets / source], path, maps=[preset], vehicle_path=vehicle_file(_LIBRARY[preset]),
-                settings=settings,
-            )  # fmt: skip
+                [datasets / source], path, maps=[preset], vehicle_path=vehicle_file(_LIBRARY[preset]), settings=settings
+            )
         return read_drive(path)
 
     return drive
@@ -67,9 +66,7 @@ DRIVES: dict[str, tuple[Prepared, Path | str]] = {
         "genesis",
     ),
     "av21": (
-        _ingested(
-            "av21_lvms/LVMS_23_01_04_B.csv", "av21_lvms", derive=["torque-from-throttle-and-brake"], delays=True
-        ),
+        _ingested("av21_lvms/LVMS_23_01_04_B.csv", "av21_lvms", derive=["torque-from-throttle-and-brake"], delays=True),
         "av21",
     ),
     "rubber": (lambda datasets, folder: dart_drive(datasets, RUBBER, folder), DART_CAR),
@@ -205,9 +202,7 @@ class Study:
             else:
                 kinds = faults_for(drive, vehicle, [name])[1:2]
             if value is not None:
-                kinds = [
-                    replace(one, parameters=tuple((each, value) for each, _ in one.parameters)) for one in kinds
-                ]
+                kinds = [replace(one, parameters=tuple((each, value) for each, _ in one.parameters)) for one in kinds]
             else:
                 beside = self.row(Row(row.pair, " + ".join(each for each in parts if "=" in each) or "none"))
                 promised = {tuple(key.split(":")): least for key, least in beside.promised.items()}
@@ -265,10 +260,7 @@ def main() -> None:
         if wanted and (not arguments.faults or row.fault in arguments.faults):
             told.append(one := study.row(row))
             size = "".join(f" {value:.4g}" for value in one.values)
-            print(
-                f"| {one.pair} | {one.fault}{size} | {one.outcome} | {one.said} | {one.seconds:.0f} s |",
-                flush=True,
-            )
+            print(f"| {one.pair} | {one.fault}{size} | {one.outcome} | {one.said} | {one.seconds:.0f} s |", flush=True)
     for outcome in dict.fromkeys(one.outcome for one in told):
         count = sum(one.outcome == outcome for one in told)
         print(f"{outcome}: {count} of {len(told)}")

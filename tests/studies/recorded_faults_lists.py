@@ -96,9 +96,7 @@ LISTS: dict[str, list[Row]] = {
         *_rows("av21, thirds", ("steering offset steps", 4.0), ("velocity biased", 5.0)),
         *_rows("genesis, thirds", ("yaw rate drifts", 4.0), ("speed scaled + yaw rate late", 3.0)),
         *_rows("tum, thirds", ("more yaw inertia", 3.0), ("steering late + velocity rotated", 2.0)),
-        *_rows(
-            "tum second file, swapped halves", ("front tyres softer", 3.0), ("yaw rate late now and then", 4.0)
-        ),
+        *_rows("tum second file, swapped halves", ("front tyres softer", 3.0), ("yaw rate late now and then", 4.0)),
     ],
     "beside": [
         Row("slippery, blocks", "steering scaled + velocity moved=0.04", 1.5),
@@ -110,32 +108,18 @@ LISTS: dict[str, list[Row]] = {
         Row("tum, blocks", "steering scaled=0.75 + yaw rate late", 1.5),
     ],
     "several": [
-        *_rows(
-            "rubber, blocks", ("steering late + yaw rate scaled", 2.0), ("torque scaled + steering scaled", 2.0)
-        ),
+        *_rows("rubber, blocks", ("steering late + yaw rate scaled", 2.0), ("torque scaled + steering scaled", 2.0)),
         *_rows("rubber, blocks", ("heavier + steering late + speed scaled", 3.0))[1:],
-        *_rows(
-            "tape, blocks", ("steering scaled + yaw rate late", 2.0), ("steering late + velocity rotated", 3.0)
-        ),
-        *_rows(
-            "slippery, blocks", ("torque late + yaw rate biased", 2.0), ("steering late + velocity moved", 3.0)
-        ),
+        *_rows("tape, blocks", ("steering scaled + yaw rate late", 2.0), ("steering late + velocity rotated", 3.0)),
+        *_rows("slippery, blocks", ("torque late + yaw rate biased", 2.0), ("steering late + velocity moved", 3.0)),
         *_rows("free, blocks", ("torque scaled + steering late", 2.0), ("steering late + yaw rate scaled", 3.0)),
         *_rows("free, blocks", ("torque scaled + steering scaled + velocity rotated", 3.0))[1:],
-        *_rows(
-            "kth, halves", ("steering late + velocity rotated", 2.0), ("yaw rate scaled + steering scaled", 3.0)
-        ),
+        *_rows("kth, halves", ("steering late + velocity rotated", 2.0), ("yaw rate scaled + steering scaled", 3.0)),
         *_rows("tum, blocks", ("torque scaled + steering late", 2.0), ("steering scaled + yaw rate late", 3.0)),
         *_rows("tum, blocks", ("torque scaled + steering offset + velocity moved", 3.0))[1:],
-        *_rows(
-            "av21, halves", ("velocity moved + yaw rate late", 2.0), ("velocity rotated + yaw rate scaled", 3.0)
-        ),
-        *_rows(
-            "genesis, blocks", ("steering scaled + speed scaled", 2.0), ("steering late + yaw rate biased", 3.0)
-        ),
-        *_rows(
-            "autorally 5, halves", ("torque scaled + yaw rate late", 2.0), ("steering late + speed scaled", 3.0)
-        ),
+        *_rows("av21, halves", ("velocity moved + yaw rate late", 2.0), ("velocity rotated + yaw rate scaled", 3.0)),
+        *_rows("genesis, blocks", ("steering scaled + speed scaled", 2.0), ("steering late + yaw rate biased", 3.0)),
+        *_rows("autorally 5, halves", ("torque scaled + yaw rate late", 2.0), ("steering late + speed scaled", 3.0)),
     ],
     "several again": [
         Row("rubber, swapped blocks", "none"),

@@ -57,9 +57,7 @@ def _seen(folder: Path) -> tuple:
         for name in (*folders, *files):
             told = os.lstat(os.path.join(place, name))
             size = 0 if name in folders else told.st_size
-            found.append(
-                (os.path.join(place, name), told.st_ino, size, 0 if name in folders else told.st_mtime_ns)
-            )
+            found.append((os.path.join(place, name), told.st_ino, size, 0 if name in folders else told.st_mtime_ns))
     return tuple(sorted(found))
 
 

@@ -85,9 +85,14 @@ def interval(full, torque, steer, rates, env, car, step, parts):
     part = step / SAMPLES
     for i in range(SAMPLES):
         full = _compiled.advance(
-            full, torque + rates[0] * (i + 0.5) * part, steer + rates[1] * (i + 0.5) * part, env, car,
-            part / parts, parts,
-        )[0]  # fmt: skip
+            full,
+            torque + rates[0] * (i + 0.5) * part,
+            steer + rates[1] * (i + 0.5) * part,
+            env,
+            car,
+            part / parts,
+            parts,
+        )[0]
     return full
 
 
@@ -114,8 +119,9 @@ def along_plan(x, u, full, env, car, step, radius, small):
             put(near, moved, radius)
             there = take(
                 interval(near, moved[6], moved[7], rates, env, car, step, SLOPE_PARTS),
-                moved[6] + step * rates[0], moved[7] + step * rates[1],
-            )  # fmt: skip
+                moved[6] + step * rates[0],
+                moved[7] + step * rates[1],
+            )
             if j < 13:
                 A[k, :, 3 + j] = (there - here) / small[j]
             else:
@@ -144,8 +150,7 @@ class TrueModel:
     def steady_states(self, x: np.ndarray) -> np.ndarray:
         """Return the reduced state about [X, Y, yaw, v_x, v_y, r, T, delta] with tyres and suspension settled."""
         v = max(x[3], 1.0)
-        tangents = [x[7] - (x[4] + self.car.cg_to_front_axle * x[5]) / v,
-                    -(x[4] - self.car.cg_to_rear_axle * x[5]) / v]  # fmt: skip
+        tangents = [x[7] - (x[4] + self.car.cg_to_front_axle * x[5]) / v, -(x[4] - self.car.cg_to_rear_axle * x[5]) / v]
         return np.concatenate([x[:8], tangents, x[6:8], [0.0, 0.0, v * x[5], 0.0]])
 
     def linearize(self, x: np.ndarray, u: np.ndarray) -> Linearization:
@@ -153,9 +158,15 @@ class TrueModel:
         ahead = len(x) == 1 and self.observed is not None
         full = self.observed if ahead else self.end if len(x) == 1 else self.begin
         A, B, following, last = along_plan(
-            np.ascontiguousarray(x), np.ascontiguousarray(u), full, self.env, self.car, self.step, self.radius,
+            np.ascontiguousarray(x),
+            np.ascontiguousarray(u),
+            full,
+            self.env,
+            self.car,
+            self.step,
+            self.radius,
             SMALL_STEPS,
-        )  # fmt: skip
+        )
         if ahead:
             self.begin, self.observed = last, None
         elif len(x) > 1:
@@ -163,9 +174,13 @@ class TrueModel:
         found = self.file.linearize(x[:, :8], u)
         beside = ((0, 0), (0, 0), (0, HIDDEN))
         return replace(
-            found, A=A, B=B, following=following, slip_slope=np.pad(found.slip_slope, beside),
+            found,
+            A=A,
+            B=B,
+            following=following,
+            slip_slope=np.pad(found.slip_slope, beside),
             force_slope=np.pad(found.force_slope, beside),
-        )  # fmt: skip
+        )
 
 
 class TrueRace(Race):
@@ -243,10 +258,19 @@ def changed(words: list[str], track: str) -> RaceSettings:
         own["horizon"] = int(own["horizon"])
     seed = int(numbers.pop("seed", 0))
     settings = RaceSettings(
-        track=track, max_speed=TRACKS[track][0], max_torque=1000.0, learner="none", learn_grip=False,
-        settings=replace(LEARNING, **parts, **own), first_share=parts["limits"].p_ellipse, deviation=kept,
-        exact_sensors="exact" in values, delay="nodelay" not in values, seed=seed, **numbers,
-    )  # fmt: skip
+        track=track,
+        max_speed=TRACKS[track][0],
+        max_torque=1000.0,
+        learner="none",
+        learn_grip=False,
+        settings=replace(LEARNING, **parts, **own),
+        first_share=parts["limits"].p_ellipse,
+        deviation=kept,
+        exact_sensors="exact" in values,
+        delay="nodelay" not in values,
+        seed=seed,
+        **numbers,
+    )
     return settings
 
 

@@ -16,10 +16,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 TESTS = (
-    "tests/test_signals.py", "tests/logs/test_readers_tables.py", "tests/logs/test_readers_mcap.py",
-    "tests/learning/test_training_set.py", "tests/learning/test_labels.py", "tests/prediction/test_predictors.py",
+    "tests/test_signals.py",
+    "tests/logs/test_readers_tables.py",
+    "tests/logs/test_readers_mcap.py",
+    "tests/learning/test_training_set.py",
+    "tests/learning/test_labels.py",
+    "tests/prediction/test_predictors.py",
     "tests/export/test_export_c99.py",
-)  # fmt: skip
+)
 """Of every layer that a dependency carries: tables, messages, compiled learning and prediction, export."""
 NEEDED = ("pytest>=8", "pytest-xdist>=3.5", "hypothesis>=6.90", "pandas>=2.1")
 
@@ -54,10 +58,13 @@ def main() -> int:
         print(" ".join(line for line in listed.stdout.split() if line.split("==")[0].lower() in names))
         done = subprocess.run(
             [python, "-m", "pytest", "-n", "2", "-p", "no:cacheprovider", *given.tests],
-            cwd=ROOT, capture_output=True, text=True, check=False,
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
             # Code that another version of numba compiled lies beside the source.
             env={**os.environ, "NUMBA_CACHE_DIR": f"{name}/numba"},
-        )  # fmt: skip
+        )
         lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
         counts = [line for line in lines if " passed" in line]
         print("\n".join(counts[-1:] if done.returncode == 0 else lines[-40:]))

@@ -41,9 +41,12 @@ def opened_within_memory(path: Path) -> str:
         "print(open('/proc/self/status').read().partition('VmHWM:')[2].split()[0], file=sys.stderr)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=60,
+        [sys.executable, "-c", code, str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     # Of the new program alone: what the system counts of a child begins with the memory of the test run.
     peak = int(done.stderr.split()[-1])
@@ -232,8 +235,7 @@ def test_the_bound_of_work_leaves_room_for_the_smallest_messages(tmp_path, monke
 
 _NEXT = list(zip("abcdefgh", "bcdefghi", strict=True))
 YAML_BOMBS = {
-    "aliases": "a: &a [x,x,x,x,x,x,x,x,x]\n"
-    + "".join(f"{n}: &{n} [{','.join([f'*{p}'] * 9)}]\n" for p, n in _NEXT),
+    "aliases": "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(f"{n}: &{n} [{','.join([f'*{p}'] * 9)}]\n" for p, n in _NEXT),
     "merges": "a: &a {k0: 1}\n"
     + "".join(f"{n}: &{n} {{<<: [{','.join([f'*{p}'] * 9)}], k{n}: 1}}\n" for p, n in _NEXT),
     "itself": "a: &a [*a]\n",

@@ -104,9 +104,7 @@ def test_points_and_sums_are_compared_with_labels_that_are_computed_once(folder,
     drives = folder / "d0.parquet", folder / "d1.parquet"
     split("train", *drives, "--vehicle", folder / "car.yaml", "-o", folder / "b.split", *options)
     computed = []
-    monkeypatch.setattr(
-        relabelled, "compute_labels", lambda *a, **k: computed.append(a) or compute_labels(*a, **k)
-    )
+    monkeypatch.setattr(relabelled, "compute_labels", lambda *a, **k: computed.append(a) or compute_labels(*a, **k))
     found = verify(folder / "b.split")
     named = {"points of d0.parquet", "points of d1.parquet"}
     assert found.passed and named <= {i.check for i in found.items}
@@ -265,9 +263,7 @@ def test_a_value_in_a_diagnosis(folder):
 
 def test_a_gap_and_a_figure_of_another_diagnosis(folder):
     diagnosis, other = folder / "diagnosis", folder / "other"
-    write_diagnosis(
-        mismatch("d1.parquet"), CAR, other, [replace(read_drive(folder / "d1.parquet"), name="d1.parquet")]
-    )
+    write_diagnosis(mismatch("d1.parquet"), CAR, other, [replace(read_drive(folder / "d1.parquet"), name="d1.parquet")])
     shutil.copy(other / "gap.parquet", diagnosis)
     assert "gap.parquet" in failed(diagnosis)
     write_digests(diagnosis)
@@ -353,12 +349,21 @@ def test_a_key_of_another_kind_is_a_failed_check_or_one_line(folder, value):
 @pytest.mark.parametrize(
     "change",
     [
-        {"window": 0}, {"window": "x"}, {"horizon": -1.0}, {"horizon": 1e308}, {"vehicle_digest": 5},
-        {"drive": None}, {"region": {"alpha_max": None}}, {"region": []}, {"features": {}},
-        {"duration": float("inf")}, {"plain": 1}, {"features": [1]},
+        {"window": 0},
+        {"window": "x"},
+        {"horizon": -1.0},
+        {"horizon": 1e308},
+        {"vehicle_digest": 5},
+        {"drive": None},
+        {"region": {"alpha_max": None}},
+        {"region": []},
+        {"features": {}},
+        {"duration": float("inf")},
+        {"plain": 1},
+        {"features": [1]},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_a_header_that_no_labels_have(folder, change):
     import pyarrow.parquet
 

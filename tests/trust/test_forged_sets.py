@@ -78,14 +78,22 @@ def test_points_that_are_no_numbers_are_refused(sound, tmp_path, name):
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        ("gamma 0.5", "gains of"), ("gamma 1e+300", "gains of"), ("length_scales 10", "gains of"),
-        ("length_scales 1e+20", "gains of"), ("length_scales 1e-299", "gains of"),
-        ("length_scales 1e+299", "none is possible"), ("doubt 1e+299", "none is possible"),
-        ("noise_variance 1e+299", "none is possible"), ("region 1e-09", "outside their cells"),
-        ("y 1e+300", "none is possible"), ("t 1e+300", "none is possible"), ("rows below zero", "rows below zero"),
-        ("start time 1e299", "there is no time"), ("duration 1e299", "duration of source 0"),
+        ("gamma 0.5", "gains of"),
+        ("gamma 1e+300", "gains of"),
+        ("length_scales 10", "gains of"),
+        ("length_scales 1e+20", "gains of"),
+        ("length_scales 1e-299", "gains of"),
+        ("length_scales 1e+299", "none is possible"),
+        ("doubt 1e+299", "none is possible"),
+        ("noise_variance 1e+299", "none is possible"),
+        ("region 1e-09", "outside their cells"),
+        ("y 1e+300", "none is possible"),
+        ("t 1e+300", "none is possible"),
+        ("rows below zero", "rows below zero"),
+        ("start time 1e299", "there is no time"),
+        ("duration 1e299", "duration of source 0"),
     ],
-)  # fmt: skip
+)
 def test_numbers_that_no_training_leaves_are_refused(sound, tmp_path, kind, says):
     if kind in HEADERS:
         write_forged_set(sound, tmp_path / "a.split", HEADERS[kind])
@@ -101,14 +109,10 @@ def test_gains_are_those_of_the_definition_also_in_near_singular_cells(sound):
     z = sound.z[slice(*sound.offsets[cell : cell + 2])]
     for factor, near in ((1.0, False), (300.0, True)):
         kernel = replace(sound.kernel, length_scales=factor * sound.kernel.length_scales)
-        one = replace(
-            sound, kernel=kernel, z=z, offsets=np.array([0, len(z)]), cell_numbers=sound.cell_numbers[[cell]]
-        )
+        one = replace(sound, kernel=kernel, z=z, offsets=np.array([0, len(z)]), cell_numbers=sound.cell_numbers[[cell]])
         K = kernel.correlation(z, z)
         others = [np.delete(np.arange(len(z)), i) for i in range(len(z))]
-        defined = np.array(
-            [1.0 - K[i, o] @ np.linalg.solve(K[np.ix_(o, o)], K[o, i]) for i, o in enumerate(others)]
-        )
+        defined = np.array([1.0 - K[i, o] @ np.linalg.solve(K[np.ix_(o, o)], K[o, i]) for i, o in enumerate(others)])
         assert wrong_gains(replace(one, gamma=defined)) == 0
         assert wrong_gains(replace(one, gamma=recompute_gains(one))) == 0
         assert (defined.min() < 1e-9) == near
@@ -188,14 +192,21 @@ def test_metadata_nested_without_end_are_refused(sound, tmp_path):
 @pytest.mark.parametrize(
     "change",
     [
-        {"between": None}, {"between": ["held"]}, {"kinds": {"T": 5}}, {"kinds": []}, {"sources": [1]},
-        {"sources": [{"name": "a", "sha256": None}]}, {"vehicle": 5}, {"conversions": [{}]}, {"quality": []},
+        {"between": None},
+        {"between": ["held"]},
+        {"kinds": {"T": 5}},
+        {"kinds": []},
+        {"sources": [1]},
+        {"sources": [{"name": "a", "sha256": None}]},
+        {"vehicle": 5},
+        {"conversions": [{}]},
+        {"quality": []},
         {"noise": [{"channel": "vx", "sigma": "x", "sigma_raw": None, "autocorrelation": [1.0]}]},
         {"noise": [{"channel": "vx", "sigma": 1.0, "sigma_raw": None, "autocorrelation": 1.0}]},
         {"period": 10**400},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_metadata_that_no_drive_has_are_refused(tmp_path, change):
     from split_cli.errors import DriveError
     from split_cli.logs.drive import read_drive, write_drive

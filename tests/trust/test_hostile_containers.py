@@ -47,9 +47,7 @@ def mcap(path, *records: bytes):
 
 def packed(plain: bytes) -> bytes:
     body = zstandard.ZstdCompressor().compress(plain)
-    return record(
-        6, struct.pack("<QQQI", 0, 1, len(plain), 0) + text(b"zstd") + struct.pack("<Q", len(body)) + body
-    )
+    return record(6, struct.pack("<QQQI", 0, 1, len(plain), 0) + text(b"zstd") + struct.pack("<Q", len(body)) + body)
 
 
 def test_the_chunks_of_a_file_share_one_budget(tmp_path, monkeypatch):

@@ -43,11 +43,21 @@ def _recording(name: str) -> str:
     drive = replace(make_drive(3, 4, 4.0, vehicle=road_car()), name=name)
     told = {
         "consistency": {"findings": [{"text": f"{FOUND}; {name}"}]},
-        "channels": [{"channel": name, "source": name, "rate": 100.0, "gaps": 1, "spikes": 2, "low": 0.0,
-                      "high": 30.0, "drops": [{"source": name, "reason": name, "count": 7}]}],
+        "channels": [
+            {
+                "channel": name,
+                "source": name,
+                "rate": 100.0,
+                "gaps": 1,
+                "spikes": 2,
+                "low": 0.0,
+                "high": 30.0,
+                "drops": [{"source": name, "reason": name, "count": 7}],
+            }
+        ],
         "contradictions": [name],
         "assumed": [name],
-    }  # fmt: skip
+    }
     return recording_page(drive, told, recording_charts(drive, replace(road_car(), name=name)))
 
 

@@ -145,9 +145,7 @@ def test_whatever_a_reader_raises_while_clocks_are_listed_becomes_an_error_of_th
 
 
 @pytest.mark.parametrize(
-    ("row", "expected"),
-    [('10,"20', np.nan), ('10,"a\nb c"', np.nan), ('10,"7"', 7.0)],
-    ids=["open", "lines", "sound"],
+    ("row", "expected"), [('10,"20', np.nan), ('10,"a\nb c"', np.nan), ('10,"7"', 7.0)], ids=["open", "lines", "sound"]
 )
 def test_a_quote_that_is_never_closed_takes_no_rows_behind_it(tmp_path, row, expected):
     """Up to a megabyte of rows went without a word; a cell of two lines stays a cell."""
@@ -190,11 +188,7 @@ def test_damaged_rows_of_pi_toolbox_are_counted_and_cost_no_others(tmp_path):
     np.testing.assert_array_equal(w.time, [0.0, 1.0, 3.0, 4.0])
     np.testing.assert_array_equal(w.values, [1.5, 2.5, np.nan, 5.5])
     lost = {note.what.split(",")[0]: note.count for note in recording.notes}
-    assert lost == {
-        "rows with too few or too many cells": 3,
-        "cells that are no numbers": 1,
-        "rows without a time": 1,
-    }
+    assert lost == {"rows with too few or too many cells": 3, "cells that are no numbers": 1, "rows without a time": 1}
 
 
 @pytest.mark.parametrize("damage", [b"\xff", b"\xff,\xff,\xff", b"\xd8\x00"])

@@ -102,9 +102,7 @@ def test_features_in_other_units_with_the_kernel_scaled_alike_learn_the_same(see
     kernel = Kernel(scales, k.signal_variance, k.noise_variance, origin=k.origin)
     bounds = (tuple(factor * np.array(values)) for values in (grid.edges, grid.lower, grid.upper))
     known = learn([labels], vehicle=road_car(), grid=grid, kernel=k)
-    scaled = learn(
-        [replace(labels, z=factor * labels.z)], vehicle=road_car(), grid=type(grid)(*bounds), kernel=kernel
-    )
+    scaled = learn([replace(labels, z=factor * labels.z)], vehicle=road_car(), grid=type(grid)(*bounds), kernel=kernel)
     np.testing.assert_array_equal(scaled.z, factor * known.z)
     np.testing.assert_array_equal(scaled.gamma, known.gamma)
     queries = known.z[::5] + 2.0**-9

@@ -6,9 +6,7 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import MagicFormula
 from tests import factories
 
-ROAD_CAR = factories.road_car(
-    name="test road car", max_brake_torque=6500.0, cg_height=0.55, friction_coefficient=1.0
-)
+ROAD_CAR = factories.road_car(name="test road car", max_brake_torque=6500.0, cg_height=0.55, friction_coefficient=1.0)
 
 SMALL_CAR = Vehicle(
     name="test small car",

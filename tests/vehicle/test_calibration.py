@@ -108,8 +108,7 @@ def test_a_force_that_falls_with_the_slip_is_told_with_what_to_check(road_car, g
     found = calibrate_vehicle([ahead], guess, CalibrationSettings(parts=("tires",)))
     assert found.vehicle.rear_tire == guess.rear_tire and found.vehicle.front_tire == guess.front_tire
     assert any(
-        "rear" in remark and "does not grow with the slip angle, correlation -" in remark
-        for remark in found.remarks
+        "rear" in remark and "does not grow with the slip angle, correlation -" in remark for remark in found.remarks
     )
 
 
@@ -123,9 +122,7 @@ def test_resistances_come_back_inside_their_intervals(road_car, gentle_run):
     assert set(resistance.determined) == {"drag", "rolling"}
     assert resistance.held_out.calibrated < 0.6 * resistance.held_out.start
     car = found.vehicle
-    assert car.rolling_resistance_front + car.rolling_resistance_rear == pytest.approx(
-        resistance.rolling, rel=1e-5
-    )
+    assert car.rolling_resistance_front + car.rolling_resistance_rear == pytest.approx(resistance.rolling, rel=1e-5)
 
 
 def test_torque_that_arrives_in_part_is_told(road_car, gentle_run):
@@ -183,14 +180,7 @@ def test_the_band_covers_the_planted_curve_nineteen_times_in_twenty():
     for _ in range(60):
         slip, force, block = made_axle(rng, tire, 0.05)
         curve = fit_force_curve(
-            "front",
-            slip,
-            force,
-            block,
-            MagicFormula(9.0, 1.3, 9000.0),
-            given_peak=7900.0,
-            static_load=7900.0,
-            draws=80,
+            "front", slip, force, block, MagicFormula(9.0, 1.3, 9000.0), given_peak=7900.0, static_load=7900.0, draws=80
         )
         # The slip angles 0.01 to the largest covered, in four steps: pointwise intervals.
         at = np.searchsorted(curve.slip_angle, np.linspace(0.01, 0.9 * curve.covered, 4))
@@ -261,9 +251,7 @@ def test_the_peak_returned_lies_within_the_bounds_that_are_told(reach, given):
     slip = reach * np.sin(np.linspace(0.0, 60.0, 3000))
     force = lateral_force(tire.B, tire.C, tire.D, slip) + 60.0 * rng.standard_normal(3000)
     start, block = MagicFormula(8.0, 1.3, given * 6000.0), np.arange(3000) // 100
-    curve = fit_force_curve(
-        "rear", slip, force, block, start, given_peak=given * 6000.0, static_load=7000.0, draws=0
-    )
+    curve = fit_force_curve("rear", slip, force, block, start, given_peak=given * 6000.0, static_load=7000.0, draws=0)
     low, high = curve.peak
     # A 95 % interval of one draw of the noise.
     assert 0.97 * low <= 6000.0 <= 1.03 * high
@@ -332,9 +320,7 @@ def test_forces_are_those_the_model_used(road_car):
     flow = model.flow(vx, vy, r, T, delta)
     run = MotionRun(PERIOD, *(np.ones(200),) * 5)
     blank = motion_samples([run], road_car).where(np.zeros(1, dtype=int).repeat(count))
-    samples = replace(
-        blank, vx=vx, vy=vy, r=r, T=T, delta=delta, ax=dvx - vy * r, ay=dvy + vx * r, yaw_acceleration=dr
-    )
+    samples = replace(blank, vx=vx, vy=vy, r=r, T=T, delta=delta, ax=dvx - vy * r, ay=dvy + vx * r, yaw_acceleration=dr)
     front, rear = axle_lateral_forces(samples, road_car)
     np.testing.assert_allclose(front, flow.front.lateral_force, rtol=1e-9, atol=1e-6)
     np.testing.assert_allclose(rear, flow.rear.lateral_force, rtol=1e-9, atol=1e-6)

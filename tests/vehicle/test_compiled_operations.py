@@ -12,9 +12,7 @@ from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import road_car
 
 LAST_DIGITS = 4.0 * np.finfo(float).eps
-SIZES = np.concatenate(
-    [[0.0, 1e-300, np.sqrt(2.0) - 1.0, 1.0, np.sqrt(2.0) + 1.0], np.geomspace(1e-12, 1e12, 4001)]
-)
+SIZES = np.concatenate([[0.0, 1e-300, np.sqrt(2.0) - 1.0, 1.0, np.sqrt(2.0) + 1.0], np.geomspace(1e-12, 1e12, 4001)])
 EVERYWHERE = np.concatenate([SIZES, -SIZES])
 
 
@@ -36,9 +34,7 @@ def test_angles_sines_and_cosines_are_numpys_to_the_last_digits():
 
 def test_what_the_loops_do_not_hold_for_is_numpys():
     turns, backwards = np.linspace(-9.0, 9.0, 101), np.linspace(-2.0, 2.0, 101)
-    assert np.array_equal(COMPILED.sin(turns), np.sin(turns)) and np.array_equal(
-        COMPILED.cos(turns), np.cos(turns)
-    )
+    assert np.array_equal(COMPILED.sin(turns), np.sin(turns)) and np.array_equal(COMPILED.cos(turns), np.cos(turns))
     assert np.array_equal(COMPILED.atan2(turns, backwards), np.arctan2(turns, backwards))
     assert np.array_equal(COMPILED.sine_of_multiple_of_atan(2.5, turns), np.sin(2.5 * np.arctan(turns)))
     for ops, name in product((COMPILED,), ("sin", "cos")):
@@ -88,8 +84,6 @@ def test_weighted_changes_are_those_of_each_flow():
         return np.array(SingleTrack.weighted_changes(bare, [(0.7, flows[0]), (-1.3, flows[1])]))
 
     nominal = np.array(SingleTrack(car, ()).velocity_derivative(vx, vy, r, T, delta))
-    each = [
-        np.array(SingleTrack(car, (term,)).velocity_derivative(vx, vy, r, T, delta)) - nominal for term in planted
-    ]
+    each = [np.array(SingleTrack(car, (term,)).velocity_derivative(vx, vy, r, T, delta)) - nominal for term in planted]
     for ops in (NUMPY, COMPILED):
         np.testing.assert_allclose(sums(ops), 0.7 * each[0] - 1.3 * each[1], rtol=1e-9, atol=1e-9)

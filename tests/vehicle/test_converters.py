@@ -16,18 +16,46 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula, lateral_force
 
 COMMONROAD = {
-    "m": 1100.0, "I_z": 1800.0, "a": 1.15, "b": 1.45, "h_cg": 0.57, "R_w": 0.34, "T_sb": 0.66, "T_se": 0,
-    "longitudinal": {"a_max": 11.5, "v_max": 50.0}, "steering": {"max": 1.0, "min": -1.0},
-}  # fmt: skip
+    "m": 1100.0,
+    "I_z": 1800.0,
+    "a": 1.15,
+    "b": 1.45,
+    "h_cg": 0.57,
+    "R_w": 0.34,
+    "T_sb": 0.66,
+    "T_se": 0,
+    "longitudinal": {"a_max": 11.5, "v_max": 50.0},
+    "steering": {"max": 1.0, "min": -1.0},
+}
 COMMONROAD_TIRE = {"tire": {"p_cy1": 1.35, "p_dy1": 1.05, "p_ey1": -0.007, "p_ky1": -22.0, "p_hy1": 0.0027}}
 F1TENTH = {
-    "mu": 1.05, "C_Sf": 4.7, "C_Sr": 5.5, "lf": 0.16, "lr": 0.17, "h": 0.07, "m": 3.7, "I": 0.047, "a_max": 9.5,
-    "s_min": -0.4, "s_max": 0.4, "v_max": 20.0,
-}  # fmt: skip
+    "mu": 1.05,
+    "C_Sf": 4.7,
+    "C_Sr": 5.5,
+    "lf": 0.16,
+    "lr": 0.17,
+    "h": 0.07,
+    "m": 3.7,
+    "I": 0.047,
+    "a_max": 9.5,
+    "s_min": -0.4,
+    "s_max": 0.4,
+    "v_max": 20.0,
+}
 FORZAETH = {
-    "C_Pf": [4.8, 2.16, 0.65, 0.37], "C_Pr": [7.8, 2.9, 0.54, 0.66], "I_z": 0.058, "h_cg": 0.014, "l_f": 0.162,
-    "l_r": 0.145, "l_wb": 0.307, "m": 3.54, "mu": 1, "a_max": 3, "model_name": "NUC2", "tire_model": "pacejka",
-}  # fmt: skip
+    "C_Pf": [4.8, 2.16, 0.65, 0.37],
+    "C_Pr": [7.8, 2.9, 0.54, 0.66],
+    "I_z": 0.058,
+    "h_cg": 0.014,
+    "l_f": 0.162,
+    "l_r": 0.145,
+    "l_wb": 0.307,
+    "m": 3.54,
+    "mu": 1,
+    "a_max": 3,
+    "model_name": "NUC2",
+    "tire_model": "pacejka",
+}
 
 
 def written(folder, **files):
@@ -89,9 +117,17 @@ def test_f1tenth_slope_is_its_own_at_small_slip(tmp_path):
 def test_f1tenth_inside_a_wrapper_and_by_the_simulators_names(tmp_path, wrapper):
     wrapped = convert_parameters(written(tmp_path, a={wrapper: F1TENTH})).vehicle
     long_names = {
-        "friction_coeff": 1.05, "C_S_front": 4.7, "C_S_rear": 5.5, "l_cg2front": 0.16, "l_cg2rear": 0.17,
-        "height_cg": 0.07, "mass": 3.7, "moment_inertia": 0.047, "max_accel": 9.5, "wheelbase": 0.33,
-    }  # fmt: skip
+        "friction_coeff": 1.05,
+        "C_S_front": 4.7,
+        "C_S_rear": 5.5,
+        "l_cg2front": 0.16,
+        "l_cg2rear": 0.17,
+        "height_cg": 0.07,
+        "mass": 3.7,
+        "moment_inertia": 0.047,
+        "max_accel": 9.5,
+        "wheelbase": 0.33,
+    }
     simulator = convert_parameters(written(tmp_path, b=long_names)).vehicle
     assert wrapped.digest() == simulator.digest()
 

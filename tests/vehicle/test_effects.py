@@ -61,9 +61,7 @@ def forces(at: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def change(at: dict[str, np.ndarray], d_front: np.ndarray, d_rear: np.ndarray) -> np.ndarray:
     """Rates that extra lateral axle forces cause."""
     c, s = np.cos(at["delta"]), np.sin(at["delta"])
-    return np.stack(
-        [-d_front * s / 1500.0, (d_front * c + d_rear) / 1500.0, (A * d_front * c - B * d_rear) / 2600.0]
-    )
+    return np.stack([-d_front * s / 1500.0, (d_front * c + d_rear) / 1500.0, (A * d_front * c - B * d_rear) / 2600.0])
 
 
 def check(at: dict[str, np.ndarray], expected: np.ndarray, *terms) -> None:
@@ -91,10 +89,7 @@ def test_the_limits_of_a_file_give_finite_rates_and_leave_grip(name, variant, si
 @pytest.mark.parametrize(("name", "variant"), EXAMPLES)
 def test_neutral_parameters_leave_the_nominal_model(name, variant):
     kind, at = CATALOGUE[name], driving()
-    parameters = {
-        **EXAMPLES[name, variant],
-        **{k: v for k, v in kind.neutral.items() if k in EXAMPLES[name, variant]},
-    }
+    parameters = {**EXAMPLES[name, variant], **{k: v for k, v in kind.neutral.items() if k in EXAMPLES[name, variant]}}
     np.testing.assert_allclose(rates(at, kind(parameters, variant)), rates(at), rtol=1e-12, atol=1e-12)
     if not kind.exported:
         return
@@ -176,8 +171,7 @@ def test_combined_slip_follows_the_ellipse():
     at["T"] = 0.4 * at["T"]
     f = forces(at)
     lost = [
-        f[y] * (np.sqrt(1.0 - (f[x] / D) ** 2) - 1.0)
-        for y, x, D in (("fyf", "fxf", 7900.0), ("fyr", "fxr", 6800.0))
+        f[y] * (np.sqrt(1.0 - (f[x] / D) ** 2) - 1.0) for y, x, D in (("fyf", "fxf", 7900.0), ("fyr", "fxr", 6800.0))
     ]
     check(at, change(at, *lost), term("combined_slip", strength=1.0))
 
@@ -188,11 +182,7 @@ def test_load_transfer_moves_what_lever_and_wheelbase_say():
     f = forces(at)
     moved = (f["fxf"] + f["fxr"] - 0.42 * at["vx"] ** 2) * 0.55 / 2.7
     load_f, load_r = 1500.0 * G * B / 2.7, 1500.0 * G * A / 2.7
-    check(
-        at,
-        change(at, -f["fyf"] * moved / load_f, f["fyr"] * moved / load_r),
-        term("load_transfer", cg_height=0.55),
-    )
+    check(at, change(at, -f["fyf"] * moved / load_f, f["fyr"] * moved / load_r), term("load_transfer", cg_height=0.55))
 
 
 def test_axle_terms_scale_what_they_name():
@@ -217,14 +207,10 @@ def test_forces_at_the_centre_of_gravity():
     at = driving()
     zero = 0.0 * at["vx"]
     check(at, np.stack([-0.2 * at["vx"] ** 2 / 1500.0, zero, zero]), term("aero_drag", drag=0.2))
-    check(
-        at, np.stack([zero, zero, -2000.0 * at["r"] / 2600.0]), term("yaw_moment_differential", yaw_damping=2000.0)
-    )
+    check(at, np.stack([zero, zero, -2000.0 * at["r"] / 2600.0]), term("yaw_moment_differential", yaw_damping=2000.0))
     check(at, np.stack([zero, zero - G * np.sin(0.04), zero]), term("road_bank", angle=0.04))
     wave = -G * np.sin(0.04 * np.sin(2 * np.pi * at["s"] / 120.0 + 0.3))
-    check(
-        at, np.stack([wave, zero, zero]), term("road_grade", "wave", amplitude=0.04, wavelength=120.0, phase=0.3)
-    )
+    check(at, np.stack([wave, zero, zero]), term("road_grade", "wave", amplitude=0.04, wavelength=120.0, phase=0.3))
 
 
 def test_what_turns_with_the_wheels_resists_the_change_of_speed_alone():
@@ -308,8 +294,7 @@ def test_axles_that_follow_their_load():
     heavy = {"mass": 1500 * 1.15, "rolling_resistance_front": 90 * 1.15, "rolling_resistance_rear": 80 * 1.15}
     for variant, peak, slope in (("loaded", 1.0, 1.0), ("degressive", 0.9, 0.5)):
         tires = [
-            MagicFormula(t.B * 1.15 ** (slope - peak), t.C, t.D * 1.15**peak)
-            for t in (CAR.front_tire, CAR.rear_tire)
+            MagicFormula(t.B * 1.15 ** (slope - peak), t.C, t.D * 1.15**peak) for t in (CAR.front_tire, CAR.rear_tire)
         ]
         other = replace(CAR, front_tire=tires[0], rear_tire=tires[1], **heavy)
         np.testing.assert_allclose(rates(at, term("mass", variant, scale=1.15)), rates(at, car=other), rtol=1e-11)
@@ -318,9 +303,7 @@ def test_axles_that_follow_their_load():
 def test_actuator_terms_equal_other_inputs():
     at = driving()
     np.testing.assert_allclose(rates(at, term("steer_gain", gain=0.9)), rates({**at, "delta": 0.9 * at["delta"]}))
-    np.testing.assert_allclose(
-        rates(at, term("steer_offset", offset=0.01)), rates({**at, "delta": at["delta"] + 0.01})
-    )
+    np.testing.assert_allclose(rates(at, term("steer_offset", offset=0.01)), rates({**at, "delta": at["delta"] + 0.01}))
     scaled = np.where(at["T"] > 0, 0.9, 0.8) * at["T"]
     np.testing.assert_allclose(
         rates(at, term("drive_gain", drive_gain=0.9, brake_gain=0.8)), rates({**at, "T": scaled})

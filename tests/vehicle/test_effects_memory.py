@@ -247,11 +247,7 @@ def test_feature_lag_keeps_the_past_and_changes_no_force():
     np.testing.assert_array_equal(
         track.balance(flow), plain.balance(plain.flow(zero + 20.0, zero, zero, torque, steer))
     )
-    for name, source in (
-        ("alpha_f", flow.front.slip_angle),
-        ("alpha_r", flow.rear.slip_angle),
-        ("torque", torque),
-    ):
+    for name, source in (("alpha_f", flow.front.slip_angle), ("alpha_r", flow.rear.slip_angle), ("torque", torque)):
         np.testing.assert_allclose(
             flow.values[f"feature_lag.{name}"], first_order_response(source + zero, 1.0 / 0.08, clock)
         )

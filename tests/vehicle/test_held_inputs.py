@@ -106,9 +106,15 @@ def test_windows_resume_from_the_memory_of_a_staircase():
     recorded = recorded_inputs(model, velocity, torque, steer, clock, **both)
     half = count // 2
     resumed = integrate_recorded(
-        model, velocity[half : half + 1], torque[None, half:], steer[None, half:], PERIOD, 4,
-        recorded.situation.at(np.array([half])), held=recorded.held,
-    )  # fmt: skip
+        model,
+        velocity[half : half + 1],
+        torque[None, half:],
+        steer[None, half:],
+        PERIOD,
+        4,
+        recorded.situation.at(np.array([half])),
+        held=recorded.held,
+    )
     # RK4 with 5 ms steps follows lags of 60 ms to about 1e-6.
     np.testing.assert_allclose(resumed[0], velocity[-1], atol=2e-5)
 
@@ -119,9 +125,12 @@ def test_compiled_labels_agree_with_the_reference_for_every_course_of_the_inputs
     rng = np.random.default_rng(4)
     count = 200
     columns = {
-        "vx": 20.0 + staircase(rng, count, 1.0), "vy": staircase(rng, count, 0.3),
-        "r": staircase(rng, count, 0.2), "T": staircase(rng, count, 500.0), "delta": staircase(rng, count, 0.05),
-    }  # fmt: skip
+        "vx": 20.0 + staircase(rng, count, 1.0),
+        "vy": staircase(rng, count, 0.3),
+        "r": staircase(rng, count, 0.2),
+        "T": staircase(rng, count, 500.0),
+        "delta": staircase(rng, count, 0.05),
+    }
     plain = one_run(columns, PERIOD, "plain")
     model, starts = SingleTrack(road_car()), np.arange(0, 190, 3)
     found = {}

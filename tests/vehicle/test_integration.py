@@ -97,14 +97,11 @@ def test_the_substep_rule_bounds_the_error_of_a_sample(car):
 def test_windows_do_not_influence_each_other(car):
     model = SingleTrack(car)
     rng = np.random.default_rng(5)
-    state = np.stack(
-        [car.minimum_speed * rng.uniform(1, 4, 20), rng.normal(0, 0.1, 20), rng.normal(0, 0.1, 20)], 1
-    )
+    state = np.stack([car.minimum_speed * rng.uniform(1, 4, 20), rng.normal(0, 0.1, 20), rng.normal(0, 0.1, 20)], 1)
     torque, steer = rng.normal(0, 0.1 * car.max_torque, (20, 6)), rng.normal(0, 0.05, (20, 6))
     together = integrate_recorded(model, state, torque, steer, 0.01, 2)
     alone = [
-        integrate_recorded(model, state[i : i + 1], torque[i : i + 1], steer[i : i + 1], 0.01, 2)
-        for i in range(20)
+        integrate_recorded(model, state[i : i + 1], torque[i : i + 1], steer[i : i + 1], 0.01, 2) for i in range(20)
     ]
     np.testing.assert_array_equal(together, np.concatenate(alone))
 
@@ -170,11 +167,16 @@ def controller_states(car, count, seed):
     delta = rng.uniform(-0.06, 0.06, count)
     return np.column_stack(
         [
-            rng.normal(0, 10, count), rng.normal(0, 10, count), rng.uniform(-3, 3, count),
-            vx, rng.normal(0, 0.01, count) * vx, 0.5 * vx * delta / car.wheelbase,
-            rng.uniform(-0.3, 0.5, count) * car.max_torque, delta,
+            rng.normal(0, 10, count),
+            rng.normal(0, 10, count),
+            rng.uniform(-3, 3, count),
+            vx,
+            rng.normal(0, 0.01, count) * vx,
+            0.5 * vx * delta / car.wheelbase,
+            rng.uniform(-0.3, 0.5, count) * car.max_torque,
+            delta,
         ]
-    )  # fmt: skip
+    )
 
 
 def test_exact_step_is_exact_for_a_linear_system():

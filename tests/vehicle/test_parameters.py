@@ -56,8 +56,7 @@ POSITIVE = st.floats(0.05, 5.0)  # what some vehicle has, for every key alike
 SHARE = st.floats(0.0, 1.0)
 TIRE = st.builds(MagicFormula, B=POSITIVE, C=st.floats(0.1, 1.99), D=POSITIVE)
 ORIGINS = st.dictionaries(
-    st.sampled_from(["mass", "wheel_radius", "rear_tire.D"]),
-    st.sampled_from(["published", "assumed", "calibrated"]),
+    st.sampled_from(["mass", "wheel_radius", "rear_tire.D"]), st.sampled_from(["published", "assumed", "calibrated"])
 )
 VEHICLES = st.builds(
     Vehicle,
@@ -88,9 +87,7 @@ VEHICLES = st.builds(
         max_size=2,
     ).map(tuple),
     origins=ORIGINS,
-    notes=st.dictionaries(
-        st.sampled_from(["mass", "front_tire.B"]), st.text("abc: {}#'", min_size=1, max_size=12)
-    ),
+    notes=st.dictionaries(st.sampled_from(["mass", "front_tire.B"]), st.text("abc: {}#'", min_size=1, max_size=12)),
 )
 
 
@@ -212,14 +209,11 @@ def test_minimum_speed_is_the_papers_for_its_car():
     # 5 m/s for a wheelbase of 2.7 m, and slower with the root for smaller cars.
     car = vehicle_from_mapping(by_hand())
     assert car.minimum_speed == pytest.approx(5.0, rel=1e-14)
-    assert replace(car, cg_to_front_axle=0.16, cg_to_rear_axle=0.17).minimum_speed == pytest.approx(
-        1.748, abs=1e-3
-    )
+    assert replace(car, cg_to_front_axle=0.16, cg_to_rear_axle=0.17).minimum_speed == pytest.approx(1.748, abs=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("written", "meant"),
-    [("01500", 1500.0), ("1.5e3", 1500.0), ("15e2", 1500.0), ("1500.", 1500.0), ("0x5DC", 1500.0)],
+    ("written", "meant"), [("01500", 1500.0), ("1.5e3", 1500.0), ("15e2", 1500.0), ("1500.", 1500.0), ("0x5DC", 1500.0)]
 )
 def test_a_number_is_what_people_mean_by_it(written, meant):
     """YAML 1.1 takes 01500 for the octal 832, and 25:00 for 1500."""

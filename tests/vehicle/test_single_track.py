@@ -169,9 +169,9 @@ def test_force_matrix_is_the_model_at_zero_steer(car):
 def test_tire_slope_peak_and_stiffness(tire):
     alpha = np.linspace(-0.5, 0.5, 401)
     h = 1e-6
-    slope = (
-        lateral_force(tire.B, tire.C, tire.D, alpha + h) - lateral_force(tire.B, tire.C, tire.D, alpha - h)
-    ) / (2 * h)
+    slope = (lateral_force(tire.B, tire.C, tire.D, alpha + h) - lateral_force(tire.B, tire.C, tire.D, alpha - h)) / (
+        2 * h
+    )
     np.testing.assert_allclose(
         lateral_force_slope(tire.B, tire.C, tire.D, alpha), slope, atol=1e-8 * tire.cornering_stiffness
     )

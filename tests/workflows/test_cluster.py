@@ -142,8 +142,6 @@ def test_a_faulty_log_ends_a_run_in_one_line(folder, tmp_path):
     shutil.copytree(folder / "in", tmp_path / "logs")
     (tmp_path / "logs" / "-1.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(50))
     words = ["ingest", "logs", "-o", "drives", "--engine", "dask", "--jobs", "2"]
-    ended = subprocess.run(
-        [sys.executable, "-m", "split_cli", *words], cwd=tmp_path, capture_output=True, text=True
-    )
+    ended = subprocess.run([sys.executable, "-m", "split_cli", *words], cwd=tmp_path, capture_output=True, text=True)
     assert ended.returncode == 1 and ended.stderr.startswith("split: -1.mcap")
     assert len(ended.stderr.splitlines()) == 1 and not (tmp_path / "drives").exists()

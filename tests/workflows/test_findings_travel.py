@@ -19,10 +19,20 @@ from split_cli.workflows.label import label_drive
 from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.factories import make_drive, make_training_set, road_car
 
-FINDING = {"check": "scale", "channel": "r", "measured": 57.3, "error": 0.1,
-           "text": "r is in deg/s (r against dyaw/dt: slope 57.3). Set `unit: deg/s` in the map."}  # fmt: skip
-MINOR = {"check": "bias on straights", "channel": "vy", "measured": 0.1, "error": 0.01,
-         "text": "v_y reads +0.100 +- 0.010 m/s on straights at a median 14 m/s: an offset."}  # fmt: skip
+FINDING = {
+    "check": "scale",
+    "channel": "r",
+    "measured": 57.3,
+    "error": 0.1,
+    "text": "r is in deg/s (r against dyaw/dt: slope 57.3). Set `unit: deg/s` in the map.",
+}
+MINOR = {
+    "check": "bias on straights",
+    "channel": "vy",
+    "measured": 0.1,
+    "error": 0.01,
+    "text": "v_y reads +0.100 +- 0.010 m/s on straights at a median 14 m/s: an offset.",
+}
 
 
 @pytest.fixture
@@ -61,9 +71,7 @@ def test_train_repeats_keeps_and_export_stops(told):
         [told / "good.parquet"], None, EvaluationSettings(predictors=("bcm",), rollout=()), told / "faulty.split"
     )
     assert any("faulty.parquet: ingest found that r is in deg/s; v_y" in note for note in judged.report.notes)
-    assert ("ingest found", "; ".join((*source.faults, *source.remarks))) in describe_file(
-        told / "faulty.split"
-    ).facts
+    assert ("ingest found", "; ".join((*source.faults, *source.remarks))) in describe_file(told / "faulty.split").facts
 
 
 def test_labels_carry_what_ingest_found(told):

@@ -287,9 +287,12 @@ def bucket(logs, monkeypatch) -> Iterator[Any]:
     try:
         host, port = server.get_host_and_port()
         for name, value in {
-            "AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_DEFAULT_REGION": "us-east-1",
-            "AWS_ENDPOINT_URL": f"http://{host}:{port}", "FSSPEC_S3_ENDPOINT_URL": f"http://{host}:{port}",
-        }.items():  # fmt: skip
+            "AWS_ACCESS_KEY_ID": "test",
+            "AWS_SECRET_ACCESS_KEY": "test",
+            "AWS_DEFAULT_REGION": "us-east-1",
+            "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+            "FSSPEC_S3_ENDPOINT_URL": f"http://{host}:{port}",
+        }.items():
             monkeypatch.setenv(name, value)
         fsspec.config.set_conf_env(fsspec.config.conf)
         system = fsspec.filesystem("s3", skip_instance_cache=True)
@@ -417,9 +420,7 @@ def _runs(process: int) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc, as Linux has it"
-)
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc, as Linux has it")
 def test_no_worker_outlives_a_killed_parent(tmp_path):
     program = (
         "import sys, pathlib\nfrom split_cli.workflows.engine import open_engine\n"

@@ -14,9 +14,12 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_laps_add_up_to_the_set(tmp_path):
     simulate_log(SimulateSettings(track="small", duration=100.0, seed=4), tmp_path / "laps.parquet")
     result = train_set(
-        [tmp_path / "laps.parquet"], ROOT / "sample_logs" / "road_car.yaml", tmp_path / "a.split",
-        TrainSettings(hyperparameters="default", trust="full"), per_lap=True,
-    )  # fmt: skip
+        [tmp_path / "laps.parquet"],
+        ROOT / "sample_logs" / "road_car.yaml",
+        tmp_path / "a.split",
+        TrainSettings(hyperparameters="default", trust="full"),
+        per_lap=True,
+    )
     assert len(result.laps) >= 2
     assert [row.finished for row in result.laps] == [True] * (len(result.laps) - 1) + [False]
     assert sum(row.updates for row in result.laps) == result.total.updates

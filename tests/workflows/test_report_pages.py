@@ -23,10 +23,20 @@ from tests.factories import MissingForce, make_drive, road_car
 HOSTILE = "</script><script>window.taken = 1</script>.parquet"
 FOUND = {
     "consistency": {"findings": [{"text": f"vx is 3.6 times what the position says: km/h, not m/s; {HOSTILE}"}]},
-    "channels": [{"channel": "vx", "source": HOSTILE, "rate": 100.0, "gaps": 1, "spikes": 2, "low": 0.0,
-                  "high": 30.0, "drops": [{"source": "x", "reason": "not finite", "count": 7}]}],
+    "channels": [
+        {
+            "channel": "vx",
+            "source": HOSTILE,
+            "rate": 100.0,
+            "gaps": 1,
+            "spikes": 2,
+            "low": 0.0,
+            "high": 30.0,
+            "drops": [{"source": "x", "reason": "not finite", "count": 7}],
+        }
+    ],
     "contradictions": [],
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -127,10 +137,7 @@ def test_its_headline_leaves_out_what_a_derived_torque_makes_true(run):
 
 
 def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):
-    lines = (
-        "bcm z2 verdict: the correction helps: v_y better",
-        "rbcm z2 verdict: the correction does harm: r WORSE",
-    )
+    lines = ("bcm z2 verdict: the correction helps: v_y better", "rbcm z2 verdict: the correction does harm: r WORSE")
     told = ("WARNING: v_y is worse than holding the velocities", "a note")
     page = evaluation_page(replace(run, report=replace(run.report, verdicts=lines, notes=told)))
     verdict = page.split('<section class="verdict ')[1].split("</section>")[0]
@@ -168,12 +175,16 @@ def test_an_understeer_gradient_of_the_model_alone_is_not_drawn(monkeypatch, car
     """A short test stretch gave a line of the model and none of the car, beside which it says nothing."""
     lateral = np.linspace(-3.0, 3.0, 9)
     gradient = Understeer(
-        gradient=0.002, interval=(0.001, 0.003), offset=0.0, ratio=1.0, ratio_interval=(0.9, 1.1), lateral=lateral,
-        slip_difference=0.002 * lateral, limit=3.9,
-    )  # fmt: skip
-    one = SimpleNamespace(
-        name="measured", role="measured", shown=True, lateral_motion=None, vehicle=None, drive="real"
+        gradient=0.002,
+        interval=(0.001, 0.003),
+        offset=0.0,
+        ratio=1.0,
+        ratio_interval=(0.9, 1.1),
+        lateral=lateral,
+        slip_difference=0.002 * lateral,
+        limit=3.9,
     )
+    one = SimpleNamespace(name="measured", role="measured", shown=True, lateral_motion=None, vehicle=None, drive="real")
     real, model = one, SimpleNamespace(**vars(one) | {"vehicle": car, "motion": "model"})
     for known, drawn in ((("model",), []), (("real", "model"), ["understeer"])):
         monkeypatch.setattr(handling, "understeer_of", lambda motion, _, known=known: motion in known and gradient)

@@ -22,14 +22,32 @@ T = np.linspace(0.0, 10.0, 101)
 def charts() -> tuple[Chart, ...]:
     """Return strips of two series, one of them with a hostile name, bars with intervals, and dots in a plane."""
     strip = tuple(
-        Chart(f"strip-{name}", f"{name} {HOSTILE}", "time [s]", f"{name} [m/s]", (
-            ChartLine("measured", T, np.sin(T), along=5.0 * T),
-            ChartLine(HOSTILE, T, 1.1 * np.sin(T), "simulated", along=5.0 * T),
-        ), bands=(Band(-0.1, 0.1, "noise"),), other_x="distance [m]", wide=True, group="strips")
+        Chart(
+            f"strip-{name}",
+            f"{name} {HOSTILE}",
+            "time [s]",
+            f"{name} [m/s]",
+            (
+                ChartLine("measured", T, np.sin(T), along=5.0 * T),
+                ChartLine(HOSTILE, T, 1.1 * np.sin(T), "simulated", along=5.0 * T),
+            ),
+            bands=(Band(-0.1, 0.1, "noise"),),
+            other_x="distance [m]",
+            wide=True,
+            group="strips",
+        )
         for name in ("vx", "vy")
-    )  # fmt: skip
-    rows = ChartLine("runs", np.array([1.0, 2.0]), np.array([0, 1]), "learned", "bars", np.array([0.8, 1.7]),
-                  np.array([1.2, 2.3]), emphasis=(True, False))  # fmt: skip
+    )
+    rows = ChartLine(
+        "runs",
+        np.array([1.0, 2.0]),
+        np.array([0, 1]),
+        "learned",
+        "bars",
+        np.array([0.8, 1.7]),
+        np.array([1.2, 2.3]),
+        emphasis=(True, False),
+    )
     dots = ChartLine("dots", np.cos(T), np.sin(T), "corrected", "points")
     return (
         *strip,

@@ -110,9 +110,7 @@ def test_a_copy_is_left_out_and_a_stretch_is_told_wherever_it_is_met(folder, tmp
         return [note for note in said if note.startswith("NOT UNSEEN")]
 
     assert not notes(folder / "in" / "later" / "c.parquet")
-    assert (
-        "100 % of the points that it keeps of that drive are rows of copy" in notes(tmp_path / "copy.parquet")[0]
-    )
+    assert "100 % of the points that it keeps of that drive are rows of copy" in notes(tmp_path / "copy.parquet")[0]
     (cut,) = notes(tmp_path / "cut.parquet")  # labels begin at rows of another phase: rows are compared
     assert "trained on a.parquet" in cut and 20 < int(cut.partition(", and ")[2].split()[0]) < 60
     assert len(notes(known, tmp_path / "cut.parquet", trained=None)) == 2  # each is learned and scored

@@ -34,9 +34,7 @@ def folder(tmp_path_factory) -> Path:
     return root
 
 
-def trained(
-    folder: Path, output: Path, *names: str, settings: TrainSettings = QUICK, car: str = "car.yaml", **more
-):
+def trained(folder: Path, output: Path, *names: str, settings: TrainSettings = QUICK, car: str = "car.yaml", **more):
     return train_set([folder / f"{name}.parquet" for name in names], folder / car, output, settings, **more)
 
 
@@ -109,11 +107,7 @@ def test_stretches_that_are_excluded_are_those_of_the_drive(folder, tmp_path):
             "car.yaml",
             "label interval in samples: ",
         ),
-        (
-            TrainSettings(hyperparameters="default", trust="full", features="z1"),
-            "car.yaml",
-            "its features: alpha_f",
-        ),
+        (TrainSettings(hyperparameters="default", trust="full", features="z1"), "car.yaml", "its features: alpha_f"),
         (TrainSettings(hyperparameters="default", trust="full", plain=True), "car.yaml", "plain labels: False"),
         (TrainSettings(hyperparameters="default", trust="full", stride=3), "car.yaml", "its stride"),
         (TrainSettings(hyperparameters="default", trust="full", held=("T",)), "car.yaml", "--held"),

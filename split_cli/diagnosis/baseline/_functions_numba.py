@@ -28,9 +28,18 @@ def _add_products(powers: ndarray, row: ndarray, one: float, two: float, out: nd
 
 @compiled(cache=True, nogil=True)
 def weighted_functions(
-    z: ndarray, steer: ndarray, even: ndarray, odd: ndarray, of_even: ndarray, of_odd: ndarray, of_sizes: ndarray,
-    of_memory: ndarray, starts: ndarray, kept: ndarray, mean: ndarray,
-) -> ndarray:  # fmt: skip
+    z: ndarray,
+    steer: ndarray,
+    even: ndarray,
+    odd: ndarray,
+    of_even: ndarray,
+    of_odd: ndarray,
+    of_sizes: ndarray,
+    of_memory: ndarray,
+    starts: ndarray,
+    kept: ndarray,
+    mean: ndarray,
+) -> ndarray:
     """Return the longitudinal, front and rear lateral force of all functions, shape (3, N), in units of a peak.
 
     Parameters

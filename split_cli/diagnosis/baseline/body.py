@@ -68,11 +68,23 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
 def _body(vehicle: Vehicle, terms: Sequence[Term]) -> Flow:
     """Return a flow as far as the body."""
     flow = Flow(
-        ops=NUMPY, vehicle=vehicle, vx=0.0, vy=0.0, r=0.0, T=0.0, delta=0.0, yaw=0.0, t=0.0, s=0.0,
-        mass=vehicle.mass, yaw_inertia=vehicle.yaw_inertia,
-        l_f=vehicle.cg_to_front_axle, l_r=vehicle.cg_to_rear_axle,
-        front=AxleFlow(0.0, 0.0, 0.0), rear=AxleFlow(0.0, 0.0, 0.0),
-    )  # fmt: skip
+        ops=NUMPY,
+        vehicle=vehicle,
+        vx=0.0,
+        vy=0.0,
+        r=0.0,
+        T=0.0,
+        delta=0.0,
+        yaw=0.0,
+        t=0.0,
+        s=0.0,
+        mass=vehicle.mass,
+        yaw_inertia=vehicle.yaw_inertia,
+        l_f=vehicle.cg_to_front_axle,
+        l_r=vehicle.cg_to_rear_axle,
+        front=AxleFlow(0.0, 0.0, 0.0),
+        rear=AxleFlow(0.0, 0.0, 0.0),
+    )
     for term in terms:
         term.body(flow)
     return flow

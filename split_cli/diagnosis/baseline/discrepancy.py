@@ -117,10 +117,18 @@ class SharedDiscrepancy:
         by_time = [part.reshape(len(_MEMORY_SECONDS), -1) for part in (along, by_front, by_rear)]
         q = series.period / self._memory_seconds()
         return weighted_functions(
-            z, _scaled_steer(series), np.array(_EVEN), np.array(_ODD), even, np.stack([front, rear]),
-            np.concatenate([size, front_sizes, rear_sizes]), np.hstack(by_time),
-            np.array([begin for begin, _ in series.recording.segments]), np.exp(-q), -np.expm1(-q) / q,
-        )  # fmt: skip
+            z,
+            _scaled_steer(series),
+            np.array(_EVEN),
+            np.array(_ODD),
+            even,
+            np.stack([front, rear]),
+            np.concatenate([size, front_sizes, rear_sizes]),
+            np.hstack(by_time),
+            np.array([begin for begin, _ in series.recording.segments]),
+            np.exp(-q),
+            -np.expm1(-q) / q,
+        )
 
     def _directions(self) -> np.ndarray:
         return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION

@@ -89,18 +89,22 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         # Where the simulation's recordings lack an instrument, nobody knows what is usual.
         kinematics = [one for one in kinematics if one.kind in usual_by_kind]
     case = DiagnosisCase(
-        vehicle, tuple(real), tuple(holdout), discrepancy, posterior, (), tuple(kinematics), tuple(theirs),
-        tuple(simulated), rewhitened=tuple(rewhitened),
-    )  # fmt: skip
+        vehicle,
+        tuple(real),
+        tuple(holdout),
+        discrepancy,
+        posterior,
+        (),
+        tuple(kinematics),
+        tuple(theirs),
+        tuple(simulated),
+        rewhitened=tuple(rewhitened),
+    )
     return case.compared(policy.comparison.reach, policy)
 
 
 def _gathered(
-    vehicle: Vehicle,
-    series: Series,
-    discrepancy: SharedDiscrepancy,
-    simulated: Sequence[Evidence],
-    rules: Believing,
+    vehicle: Vehicle, series: Series, discrepancy: SharedDiscrepancy, simulated: Sequence[Evidence], rules: Believing
 ) -> Evidence:
     """Return a real recording, whitened, with no less disturbance than simulated ones have."""
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None

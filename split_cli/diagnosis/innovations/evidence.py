@@ -71,8 +71,7 @@ class Evidence:
     def _moved(self, measured: np.ndarray, smooth: np.ndarray) -> np.ndarray:
         # Velocities are kept with their motion, so that no others can come to have their ids.
         made = self._moved_before(
-            (id(measured), id(smooth)),
-            lambda: (motion(self.series, self.jacobian, measured, smooth), measured, smooth),
+            (id(measured), id(smooth)), lambda: (motion(self.series, self.jacobian, measured, smooth), measured, smooth)
         )
         return made[0]
 
@@ -188,9 +187,7 @@ def rolling(series: Series, vehicle: Vehicle, rules: Believing = STANDARD.believ
     reach = max(1, int(round(rules.rolling_seconds / series.period)))
     lost, wanted = (uniform_filter1d(one, reach + 1) for one in (-np.sign(asked) * got, np.abs(asked)))
     slipping = (used > rules.rolling_share) & (lost > rules.lost_share * wanted)
-    slipping |= _cycling(
-        [np.asarray(axle.longitudinal_force) / axle.D for axle in axles], used, series.period, rules
-    )
+    slipping |= _cycling([np.asarray(axle.longitudinal_force) / axle.D for axle in axles], used, series.period, rules)
     rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
     # A car that asks for more most of the time has other tyres than its file says.
     return rolls if rolls.mean() > rules.least_rolling else np.ones_like(rolls)

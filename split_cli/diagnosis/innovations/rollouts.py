@@ -61,10 +61,7 @@ class SharedRates:
 
 
 def shared_rates(
-    series: Series,
-    discrepancy: SharedDiscrepancy,
-    posterior: DiscrepancyPosterior | None,
-    terms: Sequence[Term] = (),
+    series: Series, discrepancy: SharedDiscrepancy, posterior: DiscrepancyPosterior | None, terms: Sequence[Term] = ()
 ) -> SharedRates | None:
     """Return what the simulation knows along a recording, with what `terms` do to inputs and sensors.
 

@@ -59,10 +59,19 @@ class Whitener:
             end = len(self.group) if last else int(np.argmax(self.group == rows.stop))
             at = slice(begin, end)
             group = np.where(self.group[at] >= 0, self.group[at] - first, -1)
-            yield at, rows, replace(
-                self, gain=self.gain[at], root=self.root[at], carry=self.carry[at], begins=self.begins[at],
-                group=group, count=self.count[rows],
-            )  # fmt: skip
+            yield (
+                at,
+                rows,
+                replace(
+                    self,
+                    gain=self.gain[at],
+                    root=self.root[at],
+                    carry=self.carry[at],
+                    begins=self.begins[at],
+                    group=group,
+                    count=self.count[rows],
+                ),
+            )
             begin = end
 
     def of_every_sample(self) -> Whitener:
@@ -214,17 +223,13 @@ def _whiten(z, gain, root, carry, begins, group, rows, estimate):
                 )
         for i in range(3):
             for c in range(columns):
-                estimate[i, c] = (
-                    K[i, 0] * innovation[0, c] + K[i, 1] * innovation[1, c] + K[i, 2] * innovation[2, c]
-                )
+                estimate[i, c] = K[i, 0] * innovation[0, c] + K[i, 1] * innovation[1, c] + K[i, 2] * innovation[2, c]
         g = group[k]
         if g >= 0:
             for c in range(columns):
                 out[g, 0, c] += W[0, 0] * innovation[0, c]
                 out[g, 1, c] += W[1, 0] * innovation[0, c] + W[1, 1] * innovation[1, c]
-                out[g, 2, c] += (
-                    W[2, 0] * innovation[0, c] + W[2, 1] * innovation[1, c] + W[2, 2] * innovation[2, c]
-                )
+                out[g, 2, c] += W[2, 0] * innovation[0, c] + W[2, 1] * innovation[1, c] + W[2, 2] * innovation[2, c]
     return out
 
 

@@ -129,9 +129,7 @@ def build_kinematics(series: Series, usual: np.ndarray | None = None) -> Kinemat
     x, y, angle = (moving_mean(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
     middle = angle[(begin + end) // 2]
     along, across = _in_car_frame(middle, x[end] - x[begin], y[end] - y[begin])
-    plain = KinematicResiduals(
-        series, begin, end, across, along, angle, 1.0, np.zeros(2) if usual is None else usual
-    )
+    plain = KinematicResiduals(series, begin, end, across, along, angle, 1.0, np.zeros(2) if usual is None else usual)
     left, causes = plain.difference(()), np.hstack([plain.causes, plain.drifting_or_late])
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9

@@ -41,9 +41,7 @@ def out_of_scale(
     """
     out = []
     for name, (ours, theirs) in _wrong(real, simulated, terms, rules).items():
-        and_not = (
-            ", in the simulation they agree" if simulated and abs(theirs - 1.0) <= rules.least_scale_error else ""
-        )
+        and_not = ", in the simulation they agree" if simulated and abs(theirs - 1.0) <= rules.least_scale_error else ""
         share = f"{100.0 * abs(ours - theirs):.2g} %"
         out.append(_WORDS[name].format(share=share, more="more" if ours > theirs else "less") + and_not + _ADVICE)
     return tuple(out)
@@ -61,10 +59,7 @@ def scales_as_terms(
 
 
 def _wrong(
-    real: Sequence[KinematicResiduals],
-    simulated: Sequence[KinematicResiduals],
-    terms: Sequence[Term],
-    rules: Screening,
+    real: Sequence[KinematicResiduals], simulated: Sequence[KinematicResiduals], terms: Sequence[Term], rules: Screening
 ) -> dict[str, tuple[float, float]]:
     """Return the scales of v_x and r in reality and in the simulation [1], of those that differ."""
     out = {}

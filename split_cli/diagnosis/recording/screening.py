@@ -75,9 +75,7 @@ def cleaned(
     return drive, (*notes, *repaired)
 
 
-def clean_drives(
-    drives: Sequence[Drive], rules: Screening, vehicle: Vehicle
-) -> tuple[list[Drive], tuple[str, ...]]:
+def clean_drives(drives: Sequence[Drive], rules: Screening, vehicle: Vehicle) -> tuple[list[Drive], tuple[str, ...]]:
     """Clean several drives; return them, and what was left out of all of them."""
     pairs = [cleaned(drive, rules, vehicle) for drive in drives]
     return [drive for drive, _ in pairs], tuple(note for _, notes in pairs for note in notes)

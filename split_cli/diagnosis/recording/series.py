@@ -95,9 +95,7 @@ class Series:
         noise that leaves means over its correlation time as unsure stands for that, sqrt(2 tau/period) times as
         large. The filter then takes v_y from the model and the yaw rate.
         """
-        stated = self.noise * np.array(
-            [_WORTHLESS if self.drive.metadata.torque_follows_motion else 1.0, 1.0, 1.0]
-        )
+        stated = self.noise * np.array([_WORTHLESS if self.drive.metadata.torque_follows_motion else 1.0, 1.0, 1.0])
         if self.drive.metadata.lateral_velocity_is_integrated:
             std = self.drive["vy_std"] if "vy_std" in self.drive else TOLERANCE * self.drive["vx"]
             stated[1] = max(stated[1], np.sqrt(2.0 * TOGETHER / self.period * np.mean(std**2)))
@@ -295,12 +293,7 @@ def extended_model(vehicle: Vehicle, terms: Sequence[Term] = ()) -> SingleTrack:
 
 
 def build_series(
-    drive: Drive,
-    role: str,
-    s: np.ndarray,
-    *,
-    lap_length: float | None = None,
-    place_reference: str = "dead_reckoned",
+    drive: Drive, role: str, s: np.ndarray, *, lap_length: float | None = None, place_reference: str = "dead_reckoned"
 ) -> Series:
     """Prepare a drive; `s` is its track position, shape (N,)."""
     segments = tuple((run.start, run.stop) for run in drive.segments())
@@ -318,14 +311,23 @@ def build_series(
         yaw = np.unwrap(drive["yaw"])
     else:
         yaw = np.concatenate([[0.0], np.cumsum(0.5 * (smooth[1:, 2] + smooth[:-1, 2]))]) * drive.period
-    T, delta = (
-        drive[name] if name in drive.held else over_samples(drive[name], recording) for name in INPUT_CHANNELS
-    )
+    T, delta = (drive[name] if name in drive.held else over_samples(drive[name], recording) for name in INPUT_CHANNELS)
     return Series(
-        name=drive.name, role=role, drive=drive, recording=recording, measured=measured, smooth=smooth,
-        torque=T, steer_angle=delta, t=t, s=s, yaw=yaw, noise=noise, lap_length=lap_length,
+        name=drive.name,
+        role=role,
+        drive=drive,
+        recording=recording,
+        measured=measured,
+        smooth=smooth,
+        torque=T,
+        steer_angle=delta,
+        t=t,
+        s=s,
+        yaw=yaw,
+        noise=noise,
+        lap_length=lap_length,
         place_reference=place_reference,
-    )  # fmt: skip
+    )
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

@@ -184,9 +184,7 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None, rul
         return Witness(kind, series, position.begin, position.end, position, 1.0, np.zeros(3))
     if not measures(series.drive, _CHANNELS[kind]):
         return None
-    size, edge = (
-        max(least, int(round(s / series.period))) for least, s in ((4, _WINDOW_SECONDS), (1, _EDGE_SECONDS))
-    )
+    size, edge = (max(least, int(round(s / series.period))) for least, s in ((4, _WINDOW_SECONDS), (1, _EDGE_SECONDS)))
     begins = [
         np.arange(first + edge, end - size - edge, size)
         for first, end in series.recording.segments

@@ -54,10 +54,19 @@ def variables(evidence: Evidence) -> dict[str, np.ndarray]:
     vx, vy, r = series.smooth.T
     rates = np.gradient(series.smooth, series.period, axis=0)
     return {
-        "v_x": vx, "v_y": vy, "r": r, "T": series.torque, "delta": series.steer_angle,
-        "alpha_f": z[:, 0], "alpha_r": z[:, 1], "a_x": rates[:, 0] - vy * r, "a_y": rates[:, 1] + vx * r,
-        "steer_rate": np.gradient(series.steer_angle, series.period), "t": series.drive["t"], "s": series.s,
-    }  # fmt: skip
+        "v_x": vx,
+        "v_y": vy,
+        "r": r,
+        "T": series.torque,
+        "delta": series.steer_angle,
+        "alpha_f": z[:, 0],
+        "alpha_r": z[:, 1],
+        "a_x": rates[:, 0] - vy * r,
+        "a_y": rates[:, 1] + vx * r,
+        "steer_rate": np.gradient(series.steer_angle, series.period),
+        "t": series.drive["t"],
+        "s": series.s,
+    }
 
 
 def locate(

@@ -48,9 +48,7 @@ class Line:
     def in_words(self) -> str:
         """Return what swings, and how often."""
         unit = "rad/s^2" if self.channel == "r" else "m/s^2"
-        often = (
-            f"{self.frequency:.3g} times a second" if self.over == "time" else f"every {1 / self.frequency:.3g} m"
-        )
+        often = f"{self.frequency:.3g} times a second" if self.over == "time" else f"every {1 / self.frequency:.3g} m"
         return f"{self.channel}' swings by {self.amplitude:.2g} {unit}, {often}"
 
 
@@ -99,9 +97,7 @@ class _Remainder:
 def _left(objective: MarginalLikelihood, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
     """Return the defects that terms and discrepancy leave, shape (N - 1, 3); 0 where wheels spin or lock."""
     known = objective.posterior
-    left = one.defects(
-        terms, None if known is None else objective.discrepancy.rates(one.series, known.weights, terms)
-    )
+    left = one.defects(terms, None if known is None else objective.discrepancy.rates(one.series, known.weights, terms))
     left[~one.rolls[1:]] = 0.0
     return left
 
@@ -164,9 +160,7 @@ def _size(asked: _Remainder, over: str, frequency: float, channel: int) -> tuple
     return float(np.hypot(*weights)), effect_to_noise(asked.one.series, columns @ weights)
 
 
-def _swing(
-    asked: _Remainder, over: str, frequency: float, channel: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _swing(asked: _Remainder, over: str, frequency: float, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what sine and cosine of a rate do, (N - 1, 3, 2); the same whitened, and what is left there."""
     clock, one = _clock(asked.one, over), asked.one
     angle = 2.0 * np.pi * frequency * np.append(clock, clock[-1])

@@ -70,9 +70,7 @@ class Structure:
         # The size is overestimated by what the fit makes of noise.
         size *= np.sqrt(max(1.0 - variance_inflation * freedom / max(saved, 1e-9), 0.0))
         floor = self.allowed(freedom)
-        p = minimum_effect_p(
-            saved, freedom, size, variance_inflation, floor, self.objective.policy.allowances.unnamed
-        )
+        p = minimum_effect_p(saved, freedom, size, variance_inflation, floor, self.objective.policy.allowances.unnamed)
         return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
 
     def allowed(self, freedom: float) -> float:
@@ -121,9 +119,7 @@ def build_structure(objective: MarginalLikelihood, pieces: Sequence[Iterable[Fle
         groups += [several[0].group] * len(scale)
     penalty = _RIDGE_SHARE * len(objective.weight)
     factor = np.linalg.cholesky(products_of(blocks) + penalty * np.eye(len(groups))).T
-    sizes = tuple(
-        products_over_noise(one.series, own) for one, own in zip(objective.evidence, windows, strict=True)
-    )
+    sizes = tuple(products_over_noise(one.series, own) for one, own in zip(objective.evidence, windows, strict=True))
     return Structure(objective, tuple(blocks), sizes, tuple(groups), factor)
 
 

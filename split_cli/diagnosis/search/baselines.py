@@ -31,13 +31,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.off_centre import with_offset_of_straights
-from split_cli.diagnosis.search.selection import (
-    Selection,
-    explaining_as_well,
-    nothing,
-    select_terms,
-    with_chosen,
-)
+from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms, with_chosen
 from split_cli.diagnosis.search.term_tests import is_witnessed, term_p, witnessed_p
 from split_cli.diagnosis.search.variant_choice import with_variants_by_rollout
 from split_cli.diagnosis.statement.separation import exact_mimics
@@ -76,9 +70,7 @@ def search(
         Called with the name of each step.
     """
     progress("comparing")
-    objective = build_objective(
-        case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy
-    )
+    objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy)
     known = _known(case, candidates, reach, policy)
     progress("naming")
     first = _search(objective, candidates, known)
@@ -167,10 +159,7 @@ def ends_beyond(selection: Selection, policy: Policy) -> bool:
     """
     if selection.terms or selection.first_p >= policy.selection.sure_level:
         return False
-    chosen, least = (
-        selection.chosen,
-        policy.abstention.greater_part * (selection.base.cost - selection.chosen.cost),
-    )
+    chosen, least = (selection.chosen, policy.abstention.greater_part * (selection.base.cost - selection.chosen.cost))
     return any(
         part.candidate.at_limit(part.values) and alters_inputs(part.term) and without.cost - chosen.cost > least
         for part, without in zip(chosen.parts, selection.without, strict=True)
@@ -247,12 +236,7 @@ def with_witnessed_names(outcome: SearchOutcome) -> SearchOutcome:
 
 
 def _known(
-    case: DiagnosisCase,
-    candidates: Sequence[Candidate],
-    reach: float,
-    policy: Policy,
-    *,
-    fixed_baseline: bool = False,
+    case: DiagnosisCase, candidates: Sequence[Candidate], reach: float, policy: Policy, *, fixed_baseline: bool = False
 ) -> SelfTest:
     if not case.rewhitened:
         return SelfTest()

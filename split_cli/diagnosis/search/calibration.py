@@ -66,8 +66,7 @@ class SelfTest:
             objective,
             unnamed_floor=rules.unnamed_margin * scale * self.unnamed,
             term_floors={
-                term: rules.term_margin * scale * max(saved, rules.kindred * most)
-                for term, saved in self.terms.items()
+                term: rules.term_margin * scale * max(saved, rules.kindred * most) for term, saved in self.terms.items()
             },
             own_savings={term: scale * saved for term, saved in self.terms.items()},
             witness_floors={term: rules.term_margin * scale * saved for term, saved in self.witnessed.items()},
@@ -138,14 +137,10 @@ def self_test(
         if one.kind in scales
     )
     all_rows = [np.ones(len(one.at), dtype=bool) for one in rewhitened]
-    objective = build_objective(
-        rewhitened, None, discrepancy, all_rows, [one for _, one in positions], policy=policy
-    )
+    objective = build_objective(rewhitened, None, discrepancy, all_rows, [one for _, one in positions], policy=policy)
     offers = _offers(replace(objective, posterior=posterior), candidates)
     rows = tuple(tuple(flexible_rows(one, discrepancy)) for one in rewhitened)
-    sides = _Sides(
-        tuple(rewhitened), positions, rows, discrepancy, variance_inflation, reach, fixed_baseline, policy
-    )
+    sides = _Sides(tuple(rewhitened), positions, rows, discrepancy, variance_inflation, reach, fixed_baseline, policy)
     dealings = (_every_other_block(rewhitened, policy), _first_half(rewhitened))
     halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]
     tests = map_distributed(lambda teaching: _test_half(sides, teaching, offers), halves)
@@ -176,8 +171,7 @@ def _every_other_block(rewhitened: Sequence[Evidence], policy: Policy) -> list[n
     length = int(np.clip(total // policy.self_test.blocks, 1, policy.comparison.least_rows))
     first = np.cumsum([0, *(len(one.at) for one in rewhitened)])
     return [
-        (before + np.arange(len(one.at))) // length % 2 == 0
-        for before, one in zip(first, rewhitened, strict=False)
+        (before + np.arange(len(one.at))) // length % 2 == 0 for before, one in zip(first, rewhitened, strict=False)
     ]
 
 
@@ -211,9 +205,7 @@ def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> l
             shape = {name: value for name, value in start.items() if neutral[name] is None}
             sizes = [name for name in start if neutral[name] is not None]
             columns = [
-                objective.left_by(
-                    (candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),)
-                )
+                objective.left_by((candidate.build({**{k: neutral[k] for k in sizes}, **shape, name: start[name]}),))
                 - base
                 for name in sizes
             ]
@@ -311,8 +303,7 @@ def _best_place(column: np.ndarray, residuals: np.ndarray, s: np.ndarray, kind: 
     if kind == "wave":
         angles = 2.0 * np.pi * s[:, None] / reach * np.arange(1, _WAVES + 1)
         return max(
-            _saving(column[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1), residuals)
-            for angle in angles.T
+            _saving(column[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1), residuals) for angle in angles.T
         )
     place = np.minimum((s / reach * _BINS).astype(int), _BINS - 1)
     score = np.bincount(place, column * residuals, minlength=_BINS)

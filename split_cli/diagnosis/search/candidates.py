@@ -29,9 +29,7 @@ class Candidate:
 
     def build(self, values: Mapping[str, float]) -> Term:
         """Return the term with values held inside their bounds."""
-        inside = {
-            name: float(min(max(values[name], limit.lower), limit.upper)) for name, limit in self.ranges.items()
-        }
+        inside = {name: float(min(max(values[name], limit.lower), limit.upper)) for name, limit in self.ranges.items()}
         return CATALOGUE[self.term](inside, self.variant)
 
     def everywhere(self) -> tuple[Term, float]:

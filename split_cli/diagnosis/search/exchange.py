@@ -43,9 +43,7 @@ def _repairs(explore: Explorer, chosen: Fit, without: Fit, gone: Part) -> bool:
     return bool(refusal(explore, without, sizes, back))
 
 
-def _promising_mergers(
-    explore: Explorer, chosen: Fit, named: Sequence[bool]
-) -> list[tuple[tuple[Part, ...], Part]]:
+def _promising_mergers(explore: Explorer, chosen: Fit, named: Sequence[bool]) -> list[tuple[tuple[Part, ...], Part]]:
     """Return parts with another variant of one, and the one that is gone, that promise to be as good, best first.
 
     Notes
@@ -141,9 +139,7 @@ def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> F
     return best
 
 
-def joined(
-    explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], rivals: Sequence[Fit] = ()
-) -> Fit | None:
+def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], rivals: Sequence[Fit] = ()) -> Fit | None:
     """Return the best explanation with two parts replaced by the one term that is both, where that is no dearer.
 
     Steering and torque that are late by the same are sensors that are late. Where they are late by unlike, what

@@ -23,11 +23,7 @@ from split_cli.diagnosis.search.fitting import (
     tangent,
     without_parts,
 )
-from split_cli.diagnosis.search.form_error import (
-    forget_form_error,
-    free_to_form_error,
-    saved_beside_form_error,
-)
+from split_cli.diagnosis.search.form_error import forget_form_error, free_to_form_error, saved_beside_form_error
 from split_cli.diagnosis.search.term_tests import is_denied
 from split_cli.vehicle.effects import Term
 
@@ -44,12 +40,8 @@ class Explorer:
     # Judgement: an eighth of the gigabyte that a diagnosis may take.
     held: int = 2**27
     # Explanations, the costs that were asked for, and fits beside each.
-    _explored: list[tuple[Fit, float, list[Fit]]] = field(
-        default_factory=list, init=False, repr=False, compare=False
-    )
-    _beside: Recent[list[Tangent]] = field(
-        default_factory=lambda: Recent(1), init=False, repr=False, compare=False
-    )
+    _explored: list[tuple[Fit, float, list[Fit]]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _beside: Recent[list[Tangent]] = field(default_factory=lambda: Recent(1), init=False, repr=False, compare=False)
     _reduced: Recent[tuple[Fit, tuple[Fit, ...]]] = field(
         default_factory=lambda: Recent(1), init=False, repr=False, compare=False
     )
@@ -137,9 +129,7 @@ class Explorer:
 
     @cached_property
     def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
-        return [
-            (one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts
-        ]
+        return [(one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts]
 
     def _lines_beside(self, current: Fit) -> list[Tangent]:
         """Return every start of terms without a place, linearised; faults of commands beside those of sensors.
@@ -207,9 +197,7 @@ class Explorer:
 
     def _fits(self, current: Fit, starts: dict[str, list[tuple[float, Tangent]]]) -> list[Fit]:
         """Return fits of promises, with the second start of a variant where it promises more."""
-        found = map_distributed_with(
-            self.objective, _fitted, [(current, promises) for promises in starts.values()]
-        )
+        found = map_distributed_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
         fits = [fit for several in found for fit in several]
         return sorted((fit for fit in fits if self._is_possible(fit)), key=self.price)
 

@@ -90,11 +90,7 @@ def sensitivity_of(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
 
 
 def fit_parts(
-    objective: MarginalLikelihood,
-    parts: Sequence[Part],
-    *,
-    known: Fit | None = None,
-    lines: Sequence[Tangent] = (),
+    objective: MarginalLikelihood, parts: Sequence[Part], *, known: Fit | None = None, lines: Sequence[Tangent] = ()
 ) -> Fit:
     """Refit all parameters of all parts together from where they are.
 
@@ -203,9 +199,7 @@ def _fit(
     def linearise(x: np.ndarray, state: tuple, shared: Mapping[int, np.ndarray] = MappingProxyType({})) -> Slopes:
         here, _ = state
         if len(x) and not shared:
-            return slopes_of(
-                objective.whiten(_slopes(objective, terms_at, here, x, upper, range(len(x)))), x, state
-            )
+            return slopes_of(objective.whiten(_slopes(objective, terms_at, here, x, upper, range(len(x)))), x, state)
         jacobian = np.empty((len(here), len(x)))
         for p, column in shared.items():
             jacobian[:, p] = column
@@ -225,9 +219,15 @@ def _fit(
         begun = replace(begun, doubt=np.inf)  # no fit has ended with these yet
     found = descend(
         lambda at: first if at is x else evaluate(at),
-        linearise, x, lower, upper, enough=lambda gained, _: gained < _LEAST_GAIN, iterations=iterations,
-        known=begun, follow=None if pulls is not None or placed else follow,
-    )  # fmt: skip
+        linearise,
+        x,
+        lower,
+        upper,
+        enough=lambda gained, _: gained < _LEAST_GAIN,
+        iterations=iterations,
+        known=begun,
+        follow=None if pulls is not None or placed else follow,
+    )
     residuals, jacobian = found.state[1], found.slopes.jacobian
     parts = _with(parts, names, found.parameters * steps)
     # In its place: of all terms at once it is the largest array of a search.
@@ -395,9 +395,7 @@ def scan_places(
     """
     amount, neutral = ("scale", 1.0) if candidate.located == "patch" else ("angle", 0.0)
     s = objective.places()
-    reach = max(
-        limit.upper for name, limit in candidate.ranges.items() if name in ("s_start", "s_end", "wavelength")
-    )
+    reach = max(limit.upper for name, limit in candidate.ranges.items() if name in ("s_start", "s_end", "wavelength"))
     left = objective.whiten(residuals)
     closed = objective.evidence[0].series.lap_length is not None
     if candidate.located == "wave":

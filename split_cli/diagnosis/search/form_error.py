@@ -123,9 +123,7 @@ def _products(
     return normal - seen.T @ seen, scores - seen.T @ (objective.root[:, None] * (basis.T @ residuals))
 
 
-def saved_beside_form_error(
-    objective: MarginalLikelihood, before: Fit, after: Fit, *, shared: bool = True
-) -> float:
+def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: Fit, *, shared: bool = True) -> float:
     """Return what an explanation saves against another, the other's terms free to be wrong by their share.
 
     What single-track terms get wrong of a real car's effect is of their own kind, and varies with the operating
@@ -207,9 +205,7 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit, *, recorded
         first = own.stop
     values = np.array([value for part in fit.parts for value in part.values.values()])
     ranges = [part.candidate.ranges[name] for part in fit.parts for name in part.values]
-    inside = [
-        one.lower <= value <= one.upper for one, value in zip(ranges, values + moved[: len(values)], strict=True)
-    ]
+    inside = [one.lower <= value <= one.upper for one, value in zip(ranges, values + moved[: len(values)], strict=True)]
     return _moved_by_refits(objective, fit, values) if recorded and not all(inside) else moved
 
 
@@ -270,9 +266,7 @@ def _bounded_fit(
     return found.x, float(target @ target) - 2.0 * float(found.cost)
 
 
-def residuals_beside_form_error(
-    objective: MarginalLikelihood, fit: Fit, rows: np.ndarray | None = None
-) -> np.ndarray:
+def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit, rows: np.ndarray | None = None) -> np.ndarray:
     """Return residuals beyond the likeliest model-form error of an explanation's terms, (R,) or (R, K).
 
     Parameters

@@ -16,15 +16,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import map_distributed_with
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import (
-    Fit,
-    Part,
-    Prior,
-    fit_parts,
-    fit_with_prior,
-    fits_without,
-    sensitivity_of,
-)
+from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior, fits_without, sensitivity_of
 from split_cli.vehicle.effects import CATALOGUE
 
 _NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins

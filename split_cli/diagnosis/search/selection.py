@@ -313,9 +313,7 @@ def _lends(explore: Explorer, selection: Selection, k: int) -> bool:
     return _refused_last(explore, without, chosen, k)
 
 
-def _exchanged_beside_form_error(
-    explore: Explorer, selection: Selection, history: list[str]
-) -> tuple[Selection, bool]:
+def _exchanged_beside_form_error(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
     """Let alternatives that are better with free model-form errors take places; return whether any did."""
     exchanged = False
     for _ in range(explore.rules.swaps):
@@ -323,9 +321,7 @@ def _exchanged_beside_form_error(
         trial = _compared(explore, selection.base, better) if better is not None else selection
         if better is None or sum(trial.named) < sum(selection.named):
             break
-        history.append(
-            f"{better.parts[-1].candidate.label} replaces a term, saves {saved:.1f} beside model-form error"
-        )
+        history.append(f"{better.parts[-1].candidate.label} replaces a term, saves {saved:.1f} beside model-form error")
         selection, exchanged = _with_rivals(explore, trial), True
     return selection, exchanged
 

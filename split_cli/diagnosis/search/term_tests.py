@@ -240,18 +240,14 @@ def _settled(objective: MarginalLikelihood, both: np.ndarray, rules: SelectionRu
     return settled
 
 
-def sizes_of_terms(
-    objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]
-) -> np.ndarray:
+def sizes_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
     """Return effect-to-noise ratios of terms against those of `without` in v_x, v_y and r, shape (3,)."""
     size = sizes_in_velocity(objective, terms, without)
     # An accelerometer's fault moves no prediction of the velocities: it is as large as its witness says.
     return size if size.any() else np.full(3, objective.witnessed(terms, without))
 
 
-def sizes_in_velocity(
-    objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]
-) -> np.ndarray:
+def sizes_in_velocity(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
     """Return the same of the velocities alone: the fault of an accelerometer leaves no model-form error there."""
     sizes = [
         effects_to_noise_of(one, one.at[mask], terms, without, partial(objective.carried, one))
@@ -319,8 +315,7 @@ def p_of_effect(
         halves of the simulation save is without any, and is compared with `saved`.
     """
     floor = max(
-        objective.policy.allowances.term_floor * objective.shared_cost,
-        objective.term_floors.get(candidate.effect, 0.0),
+        objective.policy.allowances.term_floor * objective.shared_cost, objective.term_floors.get(candidate.effect, 0.0)
     )
     ways = [(saved, candidate.complexity, variance_inflation, floor)]
     if beside:
@@ -329,6 +324,5 @@ def p_of_effect(
         searched = candidate.complexity + (SEARCHED_PLACES if candidate.located else 0.0)
         ways.append((beside[0] if beside else saved, searched, objective.form_error_inflation, 0.0))
     return max(
-        minimum_effect_p(much, freedom, size, widened, spared, allowance=1.0)
-        for much, freedom, widened, spared in ways
+        minimum_effect_p(much, freedom, size, widened, spared, allowance=1.0) for much, freedom, widened, spared in ways
     )

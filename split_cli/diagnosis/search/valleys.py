@@ -83,9 +83,7 @@ def _delays(fit: Fit) -> Iterator[tuple[int, str]]:
             yield from ((k, name) for name in part.values)
 
 
-def _profile(
-    objective: MarginalLikelihood, fit: Fit, k: int, name: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _profile(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return delays all over the range, (D,), what each costs more, (D, B), and whether witnesses refute it, (D,).
 
     Costs are those block by block, less those of the fit. At each delay the other parameters take what is best to

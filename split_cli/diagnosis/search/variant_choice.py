@@ -66,9 +66,7 @@ def open_loop_errors(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list
     totals, weight = np.zeros(len(fits)), 0
     for one in objective.evidence:
         stages = {
-            str(k): Stage(
-                fit.terms, shared_rates(one.series, objective.discrepancy, objective.posterior, fit.terms)
-            )
+            str(k): Stage(fit.terms, shared_rates(one.series, objective.discrepancy, objective.posterior, fit.terms))
             for k, fit in enumerate(fits)
         }
         errors = roll_out_stages(one, stages, np.ones(len(one.series), dtype=bool))

@@ -45,9 +45,7 @@ def wandering(witnesses: Sequence[KinematicResiduals | Witness], policy: Policy 
             causes = np.hstack([one.causes, slow])
             difference = one.difference(())
             left.append(difference - causes @ np.linalg.lstsq(causes, difference, rcond=1e-9)[0])
-            stretches.append(
-                np.stack([np.full(len(left[-1]), number), one.series.t[one.begin] // seconds], axis=1)
-            )
+            stretches.append(np.stack([np.full(len(left[-1]), number), one.series.t[one.begin] // seconds], axis=1))
             spent += causes.shape[1]
         found[kind] = _between(np.concatenate(left), np.concatenate(stretches), spent, policy.selection.level)
     return found

@@ -66,9 +66,7 @@ def _only_together(one: Combination) -> str:
     unit = f" {one.unit}".removesuffix(" 1")
     low, high = (number(end) for end in one.interval_95)
     total = " ".join(each).removeprefix("+ ")
-    return (
-        f"{text}. Their changes are known together: {total} = {number(one.value)}{unit} (95 %: {low} to {high})."
-    )
+    return f"{text}. Their changes are known together: {total} = {number(one.value)}{unit} (95 %: {low} to {high})."
 
 
 def lead_sentence(
@@ -107,11 +105,7 @@ def lead_sentence(
 
 
 def withdrawn_sentence(
-    term: str,
-    variant: str,
-    parameters: Parameters,
-    rises: tuple[float, float, float],
-    vehicle: Vehicle | None = None,
+    term: str, variant: str, parameters: Parameters, rises: tuple[float, float, float], vehicle: Vehicle | None = None
 ) -> str:
     """Return what would explain a part of the gap, and that held-out time speaks against it.
 
@@ -163,13 +157,9 @@ def acting_in_a_part(
     number_of_drive : int, optional
         Which of several real drives, from 1.
     """
-    where = (
-        f"Between {number(begin)} and {number(end)} s{f' of real drive {number_of_drive}' * bool(number_of_drive)}"
-    )
+    where = f"Between {number(begin)} and {number(end)} s{f' of real drive {number_of_drive}' * bool(number_of_drive)}"
     if not 0 < len(readings) <= most + 1:
-        several = (
-            "many effects explain it as well" if readings else "no effect that a real car can have explains it"
-        )
+        several = "many effects explain it as well" if readings else "no effect that a real car can have explains it"
         return f"{where} there is a difference that is not there all along the drive; {several}."
 
     def worded(term: str, name: str, one: ParameterEstimate) -> str:
@@ -200,9 +190,7 @@ def summarise(
     if verdict == "undecided":
         return "It cannot be decided whether simulation and reality differ: " + " ".join(reasons)
     if verdict == "match":
-        return " ".join(
-            ["Simulation and reality agree within noise at all operating points that both have.", *reasons]
-        )
+        return " ".join(["Simulation and reality agree within noise at all operating points that both have.", *reasons])
     parts = ["Simulation and reality differ."]
     parts += reasons
     # Of one finding the two statements are one; of several, what the simulation lacks follows all of them.
@@ -210,9 +198,7 @@ def summarise(
     for finding in findings:
         statement = statement_for(finding.term, finding.variant, finding.parameters, vehicle)
         others = " or ".join(term_with_id(one) for one in finding.alternatives)
-        parts.append(
-            f"{statement}{alone}." + (f" These data are explained as well by {others}." if others else "")
-        )
+        parts.append(f"{statement}{alone}." + (f" These data are explained as well by {others}." if others else ""))
         parts.append("" if finding.combination is None else _only_together(finding.combination))
     lacking = sum(finding.exported for finding in findings)
     lacks = (
@@ -347,8 +333,7 @@ def not_accepted(corrected: CorrectedVehicle) -> str:
     """Return why a corrected vehicle is not to be used."""
     worse = [one for one in corrected.states if one.is_worse] or corrected.farthest
     errors = ", ".join(
-        f"{one.channel} after {one.horizon:g} s ({' instead of '.join(_apart(one.corrected, one.nominal))} "
-        f"{one.unit})"
+        f"{one.channel} after {one.horizon:g} s ({' instead of '.join(_apart(one.corrected, one.nominal))} {one.unit})"
         for one in worse
     )
     away = ""

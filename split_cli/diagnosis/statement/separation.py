@@ -36,9 +36,7 @@ def separable_by_lacking(term: str, variant: str, measured: Container[str]) -> t
         return any(channel not in measured for channel in mimic.without)
 
     own = [one.terms for one in CATALOGUE[term].mimics if one.holds(variant) and lacking(one)]
-    return *own, *(
-        kind.id for kind in CATALOGUE.values() for one in kind.mimics if one.terms == term and lacking(one)
-    )
+    return *own, *(kind.id for kind in CATALOGUE.values() for one in kind.mimics if one.terms == term and lacking(one))
 
 
 def look_alike(term: str, other: str) -> bool:

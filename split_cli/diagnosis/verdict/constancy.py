@@ -167,11 +167,7 @@ def _variables_of(one: Evidence) -> dict[str, np.ndarray]:
     series = one.series
     a, b, torque, speed = scaled_features(series, one.vehicle).T
     share = series.t / max(float(series.t[-1]), 1e-9)
-    powers = {
-        "sliding": a * a + b * b,
-        "work": np.abs(torque) * speed,
-        "braking": np.maximum(-torque, 0.0) * speed,
-    }
+    powers = {"sliding": a * a + b * b, "work": np.abs(torque) * speed, "braking": np.maximum(-torque, 0.0) * speed}
 
     def heats(power: np.ndarray) -> np.ndarray:
         warm = [first_order_response(power, 1.0 / tau, series.recording) for tau in _HEAT_SECONDS]

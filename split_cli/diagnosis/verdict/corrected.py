@@ -63,8 +63,12 @@ def _states_at(runs: Sequence[RolloutErrors], k: int) -> list[StateChange]:
     rms = {name: np.sqrt(values.mean(axis=0)) for name, values in squared.items()}
     return [
         StateChange(
-            channel, unit, horizon, *(float(rms[name][i]) for name in ("nominal", "corrected", "persistence")),
-            float(floor[i]), float(change[i]),
+            channel,
+            unit,
+            horizon,
+            *(float(rms[name][i]) for name in ("nominal", "corrected", "persistence")),
+            float(floor[i]),
+            float(change[i]),
         )
         for i, (channel, unit) in enumerate(_STATES)
-    ]  # fmt: skip
+    ]

@@ -58,9 +58,7 @@ def learn_correction(
     if whole is None:
         return None
     others = [_learned(parts, errors, [(f >= 0) & (f != k) for f in folds], vehicle) for k in range(_FOLDS)]
-    trust = _trust_by_rollouts(
-        recordings, stages, parts, folds, others, _trust_in_labels(parts, errors, folds, others)
-    )
+    trust = _trust_by_rollouts(recordings, stages, parts, folds, others, _trust_in_labels(parts, errors, folds, others))
     return replace(whole, trust=trust) if np.any(trust) else None
 
 

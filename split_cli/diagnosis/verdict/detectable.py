@@ -13,12 +13,7 @@ from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity
 from split_cli.diagnosis.search.form_error import costs_of_rows
 from split_cli.diagnosis.search.forward import sizes_with_form_error
 from split_cli.diagnosis.search.selection import nothing
-from split_cli.diagnosis.search.term_tests import (
-    over_allowance,
-    over_form_error,
-    p_of_effect,
-    sizes_of_terms,
-)
+from split_cli.diagnosis.search.term_tests import over_allowance, over_form_error, p_of_effect, sizes_of_terms
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.diagnosis.verdict.planted import alters_commands, other_side
@@ -302,11 +297,7 @@ def _is_significant(beside: _Beside, part: Part) -> bool:
     shown = parameter_estimates(objective, both, recorded=False)[-1]
 
     def is_apart(name: str) -> bool:
-        (low, high), limits, neutral = (
-            shown[name].interval_95,
-            part.candidate.ranges[name],
-            part.term.neutral[name],
-        )
+        (low, high), limits, neutral = (shown[name].interval_95, part.candidate.ranges[name], part.term.neutral[name])
         return low > neutral and high < limits.upper or high < neutral and low > limits.lower
 
     return any(is_apart(name) for name in shown if name in part.term.neutral)

@@ -89,10 +89,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
                 continue
             away = 0.0 if neutral is None else value - neutral
             error = float(np.hypot(np.sqrt(variance[column]), abs(away) * np.hypot(shared, own)))
-            limits = (
-                value - wide * error + min(moved[column], 0.0),
-                value + wide * error + max(moved[column], 0.0),
-            )
+            limits = (value - wide * error + min(moved[column], 0.0), value + wide * error + max(moved[column], 0.0))
             if name in _PLACES:
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(random.unit, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
@@ -158,9 +155,7 @@ def _between_recordings(objective: MarginalLikelihood, fit: Fit, k: int) -> floa
     names, neutral = part.term.parameter_units(part.candidate.variant), part.term.neutral
     away = np.array([part.term.parameters[name] - neutral.get(name, part.term.parameters[name]) for name in names])
     moved = sensitivity_of(objective, fit)[:, first : first + len(away)] @ away
-    return float(
-        np.sqrt(objective.own_savings.get(part.candidate.effect, 0.0) / max(float(moved @ moved), 1e-300))
-    )
+    return float(np.sqrt(objective.own_savings.get(part.candidate.effect, 0.0) / max(float(moved @ moved), 1e-300)))
 
 
 def _possible(limits: tuple[float, float], value: float, physical: Range) -> tuple[float, float]:

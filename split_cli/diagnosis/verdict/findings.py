@@ -18,13 +18,7 @@ from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.off_centre import confirmed_by_straights
 from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as_well
 from split_cli.diagnosis.search.term_tests import term_size
-from split_cli.diagnosis.statement.result import (
-    Combination,
-    Finding,
-    ParameterEstimate,
-    RemainderTest,
-    RivalSummary,
-)
+from split_cli.diagnosis.statement.result import Combination, Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking
 from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error
@@ -172,8 +166,7 @@ def _imitating(
     out = {one.term for one in bent if one.term in shares and one.size > rules.greater_part} | set(nameless)
     while True:
         unnamed = {
-            term: remainder.share + sum(shares[other] for other in out if look_alike(term, other))
-            for term in shares
+            term: remainder.share + sum(shares[other] for other in out if look_alike(term, other)) for term in shares
         }
         more = {term for term in shares if term not in out and shares[term] <= unnamed[term]}
         if not more:
@@ -273,8 +266,7 @@ def _is_unexplained(
     policy = outcome.structure.objective.policy
     least, selection = policy.allowances.unnamed, policy.selection
     large = max(
-        policy.allowances.large,
-        min(selection.form_error_share * outcome.gap.effect_to_noise, selection.above_noise),
+        policy.allowances.large, min(selection.form_error_share * outcome.gap.effect_to_noise, selection.above_noise)
     )
     usual = outcome.self_test.usual_autocorrelation(autocorrelation.rows)
     if is_autocorrelated(autocorrelation, usual, policy) and autocorrelation.effect_to_noise > large:

@@ -70,9 +70,7 @@ def measure_improvement(
     plain, named = (
         [part_of(part, one) for one in several] for part, several in zip(chosen, (plain, named), strict=True)
     )
-    parts = [
-        label_errors(one, terms, *both, held) for (one, held), *both in zip(recordings, plain, named, strict=True)
-    ]
+    parts = [label_errors(one, terms, *both, held) for (one, held), *both in zip(recordings, plain, named, strict=True)]
     if not any(part.held.any() for part in parts):
         return None
     errors_before, errors_physics = ([getattr(one, name) for one in parts] for name in ("before", "physics"))
@@ -94,18 +92,23 @@ def measure_improvement(
         }
         for shared, shared_named in zip(plain, named, strict=True)
     ]
-    rollouts = [
-        roll_out_stages(one, several, held) for (one, held), several in zip(recordings, stages, strict=True)
-    ]
+    rollouts = [roll_out_stages(one, several, held) for (one, held), several in zip(recordings, stages, strict=True)]
     return Improvement(
-        rms["before"], rms["physics"], rms["after"], rms["split_only"], rms["persistence"],
-        tuple(np.sqrt(floor.mean(axis=0)).tolist()), intervals, _pooled([one for one in rollouts if one]), removed,
+        rms["before"],
+        rms["physics"],
+        rms["after"],
+        rms["split_only"],
+        rms["persistence"],
+        tuple(np.sqrt(floor.mean(axis=0)).tolist()),
+        intervals,
+        _pooled([one for one in rollouts if one]),
+        removed,
         {stage: asdict(part) for stage, part in zip(("before", "physics"), chosen, strict=True)},
         {
             name: (0.0, 0.0, 0.0) if correction is None else tuple(correction.trust.tolist())
             for name, correction in (("split_only", split_only), ("after", both))
         },
-    )  # fmt: skip
+    )
 
 
 def _held_out_errors(
@@ -194,8 +197,15 @@ def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
         rms = {name: tuple(np.sqrt(values.mean(axis=0)).tolist()) for name, values in squared.items()}
         out.append(
             HorizonErrors(
-                horizon, rms["before"], rms["physics"], rms["split_only"], rms["after"], rms["persistence"],
-                tuple(np.sqrt(floor.mean(axis=0)).tolist()), intervals, len(block),
+                horizon,
+                rms["before"],
+                rms["physics"],
+                rms["split_only"],
+                rms["after"],
+                rms["persistence"],
+                tuple(np.sqrt(floor.mean(axis=0)).tolist()),
+                intervals,
+                len(block),
                 {
                     name: tuple(in_standard_errors(squared[name] - squared["before"], block).tolist())
                     for name in ("physics", "split_only", "after")
@@ -205,5 +215,5 @@ def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
                     for name in squared
                 },
             )
-        )  # fmt: skip
+        )
     return tuple(out)

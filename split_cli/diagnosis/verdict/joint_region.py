@@ -30,10 +30,7 @@ class JointRegion:
 
     def along(self, weights: np.ndarray) -> tuple[float, float]:
         """Return the ends of a weighted sum of the parameters over the region (Scheffe)."""
-        middle, half = (
-            float(weights @ self.centre),
-            self.radius * float(np.sqrt(weights @ self.covariance @ weights)),
-        )
+        middle, half = (float(weights @ self.centre), self.radius * float(np.sqrt(weights @ self.covariance @ weights)))
         return middle - half, middle + half
 
 

@@ -83,9 +83,7 @@ def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.nd
     series = evidence.series
     model = extended_model(evidence.vehicle, terms)
     drive, situation = series.drive, Situation(series.t, series.s, series.yaw)
-    recorded = recorded_inputs(
-        model, smooth, drive["T"], drive["delta"], series.recording, situation, held=drive.held
-    )
+    recorded = recorded_inputs(model, smooth, drive["T"], drive["delta"], series.recording, situation, held=drive.held)
     return recorded.windows(rows, window).predict(model, measured[rows], evidence.jacobian[rows])
 
 

@@ -72,11 +72,7 @@ def _is_believed(explore: Explorer, rest: Fit, free: Fit) -> bool:
 
 
 def _leads_beside(
-    objective: MarginalLikelihood,
-    rest: Fit,
-    fits: Sequence[Fit],
-    least: float,
-    known: Set[str],
+    objective: MarginalLikelihood, rest: Fit, fits: Sequence[Fit], least: float, known: Set[str]
 ) -> list[tuple[Lead, Fit]]:
     """Return the leads among terms fitted beside the rest of an explanation, which may be nothing, and their fits.
 
@@ -126,12 +122,15 @@ def _lead(
     sources = tuple(dict.fromkeys(candidate.ranges[name].source for name in limits or candidate.ranges))
     others = _as_good(objective, rest, fits, rest.cost - free.cost, candidate.term)
     sentence = lead_sentence(
-        candidate.term, candidate.variant, estimates, sources, [(term, variant, p) for term, variant, p in others],
-        objective.evidence[0].vehicle, further=bool(rest.parts),
-    )  # fmt: skip
-    return Lead(
-        candidate.term, candidate.variant, estimates, limits, share, tuple(one[0] for one in others), sentence
+        candidate.term,
+        candidate.variant,
+        estimates,
+        sources,
+        [(term, variant, p) for term, variant, p in others],
+        objective.evidence[0].vehicle,
+        further=bool(rest.parts),
     )
+    return Lead(candidate.term, candidate.variant, estimates, limits, share, tuple(one[0] for one in others), sentence)
 
 
 def _as_good(

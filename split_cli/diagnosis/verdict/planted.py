@@ -28,12 +28,7 @@ def alters_commands(term: Term) -> bool:
 
 
 def planted_saving(
-    objective: MarginalLikelihood,
-    term: Term,
-    others: Sequence[Term] = (),
-    *,
-    case: DiagnosisCase,
-    reach: float,
+    objective: MarginalLikelihood, term: Term, others: Sequence[Term] = (), *, case: DiagnosisCase, reach: float
 ) -> tuple[float, float]:
     """Return what a term saves of recordings that have it, and its size there over what is allowed.
 

@@ -144,9 +144,7 @@ def _averaged(rows: np.ndarray, period: float) -> np.ndarray:
     return (total[low + width] - total[low]) / width
 
 
-def _would_be_named(
-    one: Candidate, name: str, value: float, smallest: Mapping[str, tuple[float | None, str]]
-) -> bool:
+def _would_be_named(one: Candidate, name: str, value: float, smallest: Mapping[str, tuple[float | None, str]]) -> bool:
     """Return whether a value of a term's parameter lies beyond that from which on the term is named."""
     neutral, (least, _) = CATALOGUE[one.term].neutral[name], smallest.get(name, (None, ""))
     return least is not None and abs(least - neutral) <= abs(value - neutral)

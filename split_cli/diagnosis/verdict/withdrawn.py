@@ -44,8 +44,13 @@ def as_leads(gone: Sequence[Finding], improvement: Improvement, vehicle: Vehicle
     rises = tuple(-one for one in improvement.removed["physics"])
     return tuple(
         Lead(
-            one.term, one.variant, one.parameters, {}, one.gap_explained, one.alternatives,
+            one.term,
+            one.variant,
+            one.parameters,
+            {},
+            one.gap_explained,
+            one.alternatives,
             withdrawn_sentence(one.term, one.variant, one.parameters, rises, vehicle),
         )
         for one in gone
-    )  # fmt: skip
+    )

@@ -305,9 +305,7 @@ def _check_required(gathered: Gathered, derivations: Sequence[str], signal_map: 
         f"{' and '.join([', '.join(missing[:-1]), missing[-1]] if many else missing)} {'are' if many else 'is'} "
         f"required and not mapped{' (not recorded: ' + '; '.join(skipped) + ')' if skipped else ''}",
         where=where,
-        advice=" ".join(
-            _way_to(channel, signal_map, reached) + _misspelt(channel, signal_map) for channel in missing
-        )
+        advice=" ".join(_way_to(channel, signal_map, reached) + _misspelt(channel, signal_map) for channel in missing)
         + " `split ingest LOG --list` shows what is recorded.",
     )
 

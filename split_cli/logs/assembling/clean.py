@@ -126,9 +126,7 @@ def join_clock_resets(
         [(part.time, part.values) for parts in series.values() for part in parts], largest_step_back
     )
     eras = counts.pop() + 1
-    pieces = {
-        key: np.split(np.arange(len(series[key[0]][key[1]].time)), found) for key, found in boundaries.items()
-    }
+    pieces = {key: np.split(np.arange(len(series[key[0]][key[1]].time)), found) for key, found in boundaries.items()}
     times = {key: series[key[0]][key[1]].time.copy() for key in boundaries}
     shift = 0.0
     for era in range(1, eras):

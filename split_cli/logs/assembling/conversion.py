@@ -41,9 +41,7 @@ def expected_unit(channel: str) -> str | None:
 class Converter:
     """Makes SI series of the channel's frame out of raw signals, and says in words what it did."""
 
-    def __init__(
-        self, where: str, signal_map: SignalMap, wheel_radius: float | None, notes: ConversionNotes
-    ) -> None:
+    def __init__(self, where: str, signal_map: SignalMap, wheel_radius: float | None, notes: ConversionNotes) -> None:
         self.where = where
         self.map = signal_map
         self.wheel_radius = wheel_radius
@@ -88,9 +86,7 @@ class Converter:
         asked = entry is not None and entry.kind == "command"
         return RawSeries(channel, recorded, time, set_aside(values), source.delay or 0.0, asked)
 
-    def _combine(
-        self, channel: str, source: SignalSource, signals: list[RawSignal]
-    ) -> tuple[np.ndarray, str | None]:
+    def _combine(self, channel: str, source: SignalSource, signals: list[RawSignal]) -> tuple[np.ndarray, str | None]:
         columns = [signal.values for signal in signals]
         if source.convert == "yaw_from_quaternion":
             self.notes.conversions.append(f"{channel}: yaw from the quaternion {source.names[0]}")

@@ -125,9 +125,15 @@ def lateral_velocity_from_accelerations(
     step = np.diff(rows, prepend=rows[0]) * period
     unknown = (_UNKNOWN * np.maximum(speed, vehicle.minimum_speed)) ** 2
     mean, deviation, contradicted = _smoother(
-        step, np.diff(turned[rows], prepend=0.0), fresh, unknown, held, observed, speed * rear[rows],
+        step,
+        np.diff(turned[rows], prepend=0.0),
+        fresh,
+        unknown,
+        held,
+        observed,
+        speed * rear[rows],
         variance * TOGETHER / np.maximum(step, _STEP),
-    )  # fmt: skip
+    )
     vy, std = np.empty_like(reckoned), np.empty_like(reckoned)
     bounds = [*np.flatnonzero(fresh), len(rows)]
     for run, first, end in zip(segments, bounds[:-1], bounds[1:], strict=True):
@@ -135,18 +141,9 @@ def lateral_velocity_from_accelerations(
         vy[run] = reckoned[run] + np.interp(every, rows[first:end], mean[first:end, 0])
         std[run] = np.interp(every, rows[first:end], deviation[first:end])
     bias = float(mean[:, 1].min()), float(mean[:, 1].max())
-    longest = max(
-        _longest(rows[first:end], held[first:end]) for first, end in zip(bounds, bounds[1:], strict=False)
-    )
+    longest = max(_longest(rows[first:end], held[first:end]) for first, end in zip(bounds, bounds[1:], strict=False))
     return LateralVelocity(
-        vy,
-        std,
-        bias,
-        float(mean[-1, 2]),
-        float(mean[-1, 3]),
-        float(np.mean(gentle)),
-        longest * period,
-        contradicted,
+        vy, std, bias, float(mean[-1, 2]), float(mean[-1, 3]), float(np.mean(gentle)), longest * period, contradicted
     )
 
 

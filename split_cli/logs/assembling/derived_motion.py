@@ -163,19 +163,11 @@ MOTIONS = (
         (),
         _run_longitudinal_velocity_from_wheels,
     ),
-    Derivation(
-        "lateral-velocity-from-sideslip", ("vy",), ("vx", "sideslip"), (), _run_lateral_velocity_from_sideslip
-    ),
-    Derivation(
-        "lateral-velocity-from-straights", ("vy",), ("vx", "vy", "r"), (), _run_lateral_velocity_from_straights
-    ),
+    Derivation("lateral-velocity-from-sideslip", ("vy",), ("vx", "sideslip"), (), _run_lateral_velocity_from_sideslip),
+    Derivation("lateral-velocity-from-straights", ("vy",), ("vx", "vy", "r"), (), _run_lateral_velocity_from_straights),
     Derivation("yaw-rate-from-yaw", ("r",), ("yaw",), (), _run_yaw_rate_from_yaw),
     Derivation(
-        "lateral-velocity-from-accelerations",
-        ("vy",),
-        ("vx", "r", "ay"),
-        (),
-        _run_lateral_velocity_from_accelerations,
+        "lateral-velocity-from-accelerations", ("vy",), ("vx", "r", "ay"), (), _run_lateral_velocity_from_accelerations
     ),
     Derivation("acceleration-from-velocity", ("ax", "ay"), ("vx", "vy", "r"), (), _run_acceleration_from_velocity),
 )

@@ -24,9 +24,7 @@ from split_cli.signals import CHANNELS, REQUIRED_CHANNELS, convert_to_si, find_u
 _TIME_ADVICE = "Name the column as `time: {source: ..., unit: ...}`, or give `time: {period: SECONDS}`."
 _SLOWEST = 2.0
 """Step of a table's rows from which on a wrong unit of time is likelier than so slow a recording [s]."""
-_NUMBERS_RUNS = re.compile(
-    r"(?i)(run|session|episode|trial|experiment|traj(ectory)?)([_ ]?(id|no|nr|num|number|idx))?"
-)
+_NUMBERS_RUNS = re.compile(r"(?i)(run|session|episode|trial|experiment|traj(ectory)?)([_ ]?(id|no|nr|num|number|idx))?")
 """Columns that number runs; a lap or a sector goes on where the one before ended."""
 _MOST_CHANGES = 0.01
 """Of the rows, up to which a number is that of a run [1]; judgement."""

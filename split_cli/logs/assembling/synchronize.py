@@ -67,9 +67,7 @@ class Channels:
                 if self.modes[channel][index] != "held" and gap > self.gap:
                     note = f"at {1.0 / part.period:.3g} Hz: steps up to {gap:.2g} s are bridged (--gap)"
                     slow.setdefault(note, {})[channel] = None
-        return [
-            f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()
-        ]
+        return [f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()]
 
 
 def clean_channels(
@@ -178,9 +176,7 @@ def lay_grid(channels: Channels, rate: float | None, where: str) -> tuple[Sample
                     raise LogError(what, where=part.source, advice=advice)
                 slowest = max(slowest, _true_period(part, gap))
             reach = gap if mode == "held" else 0.0
-            spans.append(
-                [(float(part.time[a]), float(part.time[b - 1]) + reach) for a, b in runs_of(part.time, gap)]
-            )
+            spans.append([(float(part.time[a]), float(part.time[b - 1]) + reach) for a, b in runs_of(part.time, gap)])
     slowest = slowest or max(_true_period(p, channels.gap) for c in channels.needed for p in channels.clean[c])
     ends = [end for span in spans for run in span for end in run]
     lasts = max(ends, default=0.0) - min(ends, default=0.0)
@@ -243,9 +239,7 @@ def resample_channels(channels: Channels, grid: SampleClock) -> dict[tuple[str, 
                 results[channel, index] = Resampled(held, 1.0, (1.0,), False)
                 continue
             alike = (
-                m
-                for p, g, m in together
-                if g == gap and (p.time is part.time or np.array_equal(p.time, part.time))
+                m for p, g, m in together if g == gap and (p.time is part.time or np.array_equal(p.time, part.time))
             )
             members = next(alike, None)
             if members is None:
@@ -352,7 +346,6 @@ def moved_earlier(channels: Channels, delays: Mapping[str, float]) -> Channels:
         return replace(part, time=part.time - by, resumed=tuple(at - by for at in part.resumed))
 
     clean = {
-        channel: [moved(part, delays.get(channel, 0.0)) for part in parts]
-        for channel, parts in channels.clean.items()
+        channel: [moved(part, delays.get(channel, 0.0)) for part in parts] for channel, parts in channels.clean.items()
     }
     return replace(channels, clean=clean)

@@ -74,9 +74,7 @@ def local_tangent_plane(
     return east, north
 
 
-def velocity_at_cg(
-    vx: np.ndarray, vy: np.ndarray, r: np.ndarray, x: float, y: float
-) -> tuple[np.ndarray, np.ndarray]:
+def velocity_at_cg(vx: np.ndarray, vy: np.ndarray, r: np.ndarray, x: float, y: float) -> tuple[np.ndarray, np.ndarray]:
     """Return v_x, v_y at the CG [m/s], shapes (N,), from those of a sensor at (x, y) [m] from the CG.
 
     v_cg = v_sensor - omega x p: v_x + r y, v_y - r x.
@@ -94,9 +92,7 @@ def acceleration_at_cg(
     return ax + yaw_acceleration * y + r * r * x, ay - yaw_acceleration * x + r * r * y
 
 
-def position_of_cg(
-    X: np.ndarray, Y: np.ndarray, yaw: np.ndarray, x: float, y: float
-) -> tuple[np.ndarray, np.ndarray]:
+def position_of_cg(X: np.ndarray, Y: np.ndarray, yaw: np.ndarray, x: float, y: float) -> tuple[np.ndarray, np.ndarray]:
     """Return X, Y of the CG [m], shapes (N,), from those of an antenna at (x, y) [m] from the CG."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
     return X - cosine * x + sine * y, Y - sine * x - cosine * y

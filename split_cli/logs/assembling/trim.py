@@ -71,8 +71,14 @@ def trim(
                 raise MapError(what, advice="Give other times with --start, --end or --cut.")
             kept.append(replace(part, time=set_aside(part.time[keep]), values=set_aside(part.values[keep])))
         made[channel] = tuple(kept)
-    left_out = [f"before {last:g} s" if np.isinf(first) else f"after {first:g} s" if np.isinf(last)
-            else f"from {first:g} to {last:g} s" for first, last in spans]  # fmt: skip
+    left_out = [
+        f"before {last:g} s"
+        if np.isinf(first)
+        else f"after {first:g} s"
+        if np.isinf(last)
+        else f"from {first:g} to {last:g} s"
+        for first, last in spans
+    ]
     return made, (f"left out on request: {', '.join(left_out)}",)
 
 

@@ -142,15 +142,12 @@ def _prepare(signal, regressors, mask, period, segments, longest):
     rows = rows[: length * _BLOCKS]
     columns = [regressor[rows] - np.mean(regressor[rows]) for regressor in regressors]
     design = np.stack(
-        [np.clip(column, *np.quantile(column, [0.002, 0.998])) for column in columns] + [np.ones(len(rows))],
-        axis=1,
+        [np.clip(column, *np.quantile(column, [0.002, 0.998])) for column in columns] + [np.ones(len(rows))], axis=1
     )
     limits = np.quantile(signal[rows], [0.002, 0.998])
 
     def shifted(lag: float) -> np.ndarray:
-        values = np.concatenate(
-            [spline(piece * period + lag) for spline, piece in zip(splines, pieces, strict=True)]
-        )
+        values = np.concatenate([spline(piece * period + lag) for spline, piece in zip(splines, pieces, strict=True)])
         return np.clip(values[: length * _BLOCKS], *limits).reshape(_BLOCKS, length)
 
     return len(rows) * stride, design.reshape(_BLOCKS, length, -1), shifted

@@ -42,10 +42,7 @@ class DelayEstimate:
             return f"{self.channel}: not estimated, {self.refusal}"
         how = f"from {' and '.join(self.identities)}, R^2 {self.determination:.3f}"
         if self.applied == 0.0:
-            return (
-                f"{self.channel}: no delay against {self.reference} "
-                f"({self.delay:+.4f} +- {self.error:.4f} s; {how})"
-            )
+            return f"{self.channel}: no delay against {self.reference} ({self.delay:+.4f} +- {self.error:.4f} s; {how})"
         late = "late" if self.delay > 0 else "early"
         return (
             f"{self.channel}: {abs(self.delay):.4f} +- {self.error:.4f} s {late} against {self.reference}, "
@@ -165,10 +162,7 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
         # A driven wheel slips by its force: v_x (1 + k a_x) looks like v_x a little earlier.
         slip = [lambda: k.of("vx ax", forced, 1)] if _is_driven(wheel, vehicle) else []
         turn = [lambda: k.rate("r")] if "r" in c else []
-        add(
-            f"{wheel} = v_x", wheel, "vx", set(),
-            lambda w=wheel: k.rate(w), lambda: k.rate("vx"), *turn, doubts=slip,
-        )  # fmt: skip
+        add(f"{wheel} = v_x", wheel, "vx", set(), lambda w=wheel: k.rate(w), lambda: k.rate("vx"), *turn, doubts=slip)
     add(
         "speed of X, Y = v_x",
         "X",
@@ -179,14 +173,23 @@ def _identities(k: Kinematics, vehicle: Vehicle | None, wide: Kinematics) -> lis
     )
     for name, late, turn in (("r", "r", wide.signal), ("dyaw/dt", "yaw", wide.rate)):
         add(
-            f"turning of X, Y = {name} + dbeta/dt", "X", late, {"Y", "vx", "vy"},
-            wide.course_rate, lambda late=late, turn=turn: turn(late) + _sideslip_rate(wide),
-        )  # fmt: skip
+            f"turning of X, Y = {name} + dbeta/dt",
+            "X",
+            late,
+            {"Y", "vx", "vy"},
+            wide.course_rate,
+            lambda late=late, turn=turn: turn(late) + _sideslip_rate(wide),
+        )
     if vehicle is not None and {"vx", "r"} <= have:
         add(
-            "steer angle of the single track", "delta", "r", {"vx", "vy"}, lambda: k.signal("delta"),
-            *_steer_regressors(k, vehicle), rows=linear_tire_rows(c, vehicle),
-        )  # fmt: skip
+            "steer angle of the single track",
+            "delta",
+            "r",
+            {"vx", "vy"},
+            lambda: k.signal("delta"),
+            *_steer_regressors(k, vehicle),
+            rows=linear_tire_rows(c, vehicle),
+        )
     return edges
 
 

@@ -121,9 +121,7 @@ class Checks:
         """Return what the 99 % quantiles of channels reach, with what no car reaches."""
         k, found = self.k, []
 
-        def add(
-            name: str, values: np.ndarray, raw: np.ndarray, powers: dict[str, int], high: float, unit: str
-        ) -> None:
+        def add(name: str, values: np.ndarray, raw: np.ndarray, powers: dict[str, int], high: float, unit: str) -> None:
             values = np.abs(values[np.isfinite(values)])
             if len(values) > 50:
                 found.append(Plausible(name, powers, reach_of(values, raw), high, unit))
@@ -168,9 +166,7 @@ class Checks:
             self.unjudged.append(Unjudged(name, "too few samples in motion, or nothing changes"))
             return
         if abs(slope.correlation) < LEAST_CORRELATION:
-            hint = (
-                "; a delay between them does that, try --estimate-delays" if abs(slope.correlation) > 0.3 else ""
-            )
+            hint = "; a delay between them does that, try --estimate-delays" if abs(slope.correlation) > 0.3 else ""
             self.unjudged.append(Unjudged(name, f"the two correlate by {slope.correlation:.2f} only{hint}"))
             return
         # Noise can move the ratio by 1/correlation.
@@ -405,9 +401,7 @@ class Checks:
                 return None
             target, one = vy[use], np.ones_like(r)
             # A tyre's force follows the slip angle, that of a physics engine's contact the slip speed.
-            laws = [
-                np.stack([part[use] for part in (r, -by * path, by * turning, one)], axis=1) for by in (vx, one)
-            ]
+            laws = [np.stack([part[use] for part in (r, -by * path, by * turning, one)], axis=1) for by in (vx, one)]
             left = [np.var(target - law @ np.linalg.lstsq(law, target, rcond=None)[0]) for law in laws]
             design = laws[int(left[1] < _BY_SLIP_SPEED * left[0])]
             self._sideslip = fit_linear(design, target)

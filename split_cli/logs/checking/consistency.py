@@ -37,11 +37,7 @@ class Consistency:
 
 
 def check_consistency(
-    drive: Drive,
-    vehicle: Vehicle | None,
-    kinds: Mapping[str, str],
-    certain: Collection[str] = (),
-    slowest: float = 0.0,
+    drive: Drive, vehicle: Vehicle | None, kinds: Mapping[str, str], certain: Collection[str] = (), slowest: float = 0.0
 ) -> Consistency:
     """Check a drive's channels against each other.
 

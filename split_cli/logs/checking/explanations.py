@@ -45,9 +45,7 @@ class Explanation:
     cost: float = 0.0  # of the best story, 0 where all relations hold [1]
 
 
-def explain(
-    relations: Sequence[Relation], vehicle: Vehicle | None, plausible: Sequence[Plausible] = ()
-) -> Explanation:
+def explain(relations: Sequence[Relation], vehicle: Vehicle | None, plausible: Sequence[Plausible] = ()) -> Explanation:
     """Name the cheapest set of known mistakes that accounts for the relations.
 
     Parameters
@@ -171,17 +169,12 @@ def _shared_choices(
 
 def _unknown_factor(channel: str, factor: float, turned: bool) -> Mistake:
     sign, cost = ("-", UNKNOWN + 1.0 + COMMON) if turned else ("", UNKNOWN + 1.0)
-    what = (
-        f"is {sign}{factor:.3g} times what the other channels say; no usual mistake of unit or sign explains that"
-    )
+    what = f"is {sign}{factor:.3g} times what the other channels say; no usual mistake of unit or sign explains that"
     return Mistake(channel, factor, factor, turned, what, f"check the scale of {channel}", cost)
 
 
 def _story(
-    shared: tuple[Mistake, ...],
-    relations: Sequence[Relation],
-    vehicle: Vehicle | None,
-    plausible: Sequence[Plausible],
+    shared: tuple[Mistake, ...], relations: Sequence[Relation], vehicle: Vehicle | None, plausible: Sequence[Plausible]
 ) -> Story:
     factors = {mistake.channel: mistake.factor for mistake in shared}
     leaves = [_leaf(relation, factors, shared, vehicle, plausible) for relation in relations]

@@ -264,10 +264,7 @@ def robust_spread(values: np.ndarray) -> float:
 
 
 def scaled_parts(
-    y: np.ndarray,
-    parts: Sequence[np.ndarray],
-    factors: Callable[[float, float], tuple[float, ...]],
-    mask: np.ndarray,
+    y: np.ndarray, parts: Sequence[np.ndarray], factors: Callable[[float, float], tuple[float, ...]], mask: np.ndarray
 ) -> Callable[[float, float], float]:
     """Return the ratio of y to the sum of `parts` as a function of the factors in v_x and r that are corrected.
 

@@ -141,9 +141,7 @@ def _steered_late(
     if fit.refusal:
         return Unjudged("delay of delta", fit.refusal)
     if lag < unsure > _LATE:
-        return Unjudged(
-            "delay of delta", f"{lag:.2f} s is measured, and less than {unsure:.2f} s does not show here"
-        )
+        return Unjudged("delay of delta", f"{lag:.2f} s is measured, and less than {unsure:.2f} s does not show here")
     if lag < _LATE:
         return None
     error = own + fit.error

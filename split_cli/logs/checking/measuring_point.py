@@ -105,9 +105,7 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     """
     k, car = checks.k, checks.vehicle
     if checks.of_pose and not checks.usable("ay"):
-        away = (
-            "a v_y derived from a pose off the CG is wrong by its distance times r, and no a_y tells the distance"
-        )
+        away = "a v_y derived from a pose off the CG is wrong by its distance times r, and no a_y tells the distance"
         checks.unjudged.append(
             Unjudged("place of X, Y", f"{away}: set `position:` for X and Y if they are not of the CG")
         )
@@ -136,9 +134,7 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     # The path across yaw needs no accelerometer: where it judges v_y, its size is told by it.
     sized_by_path = checks.of_pose or any(relation.name == ACROSS for relation in checks.relations)
     of_factor, factor = (np.inf, 1.0) if sized_by_path else _as_factor(k.rate("vy")[use], without, y)
-    sized = (
-        f"v_y changes {factor:.2f} times as much as a_y - v_x r says: `scale: {1.0 / factor:.3f}` puts it right"
-    )
+    sized = f"v_y changes {factor:.2f} times as much as a_y - v_x r says: `scale: {1.0 / factor:.3f}` puts it right"
     if of_factor < min(_FAR_BETTER * of_place, _BETTER * rest_without):
         return [ConsistencyFinding("size", "vy", f"{sized}, or its unit.", factor, None)]
     if of_place > _BETTER * rest_without:

@@ -130,7 +130,15 @@ def _steering_wheel() -> list[Mistake]:
         what = f"is the steering-wheel angle{hand}"
         made.append(Mistake("delta", low, high, turned, what, ratio, cost))
         made.append(
-            Mistake("delta", low * DEGREES, high * DEGREES, turned, f"{what} in degrees",
-                    f"set `unit: deg` and {ratio}", cost + 0.5, "deg")
-        )  # fmt: skip
+            Mistake(
+                "delta",
+                low * DEGREES,
+                high * DEGREES,
+                turned,
+                f"{what} in degrees",
+                f"set `unit: deg` and {ratio}",
+                cost + 0.5,
+                "deg",
+            )
+        )
     return made

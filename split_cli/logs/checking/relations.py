@@ -15,8 +15,12 @@ _BEYOND_PHYSICS = 4.0
 OF_THE_BODY = ("vy", "ay", "delta")
 SHARED = ("vx", "r")
 """Channels that enter several relations; every other one enters one."""
-OVER_TIME = ("r against dyaw/dt", "r against the turning of X, Y", "v_x against the speed of X, Y",
-             "a_x against dv_x/dt - v_y r")  # fmt: skip
+OVER_TIME = (
+    "r against dyaw/dt",
+    "r against the turning of X, Y",
+    "v_x against the speed of X, Y",
+    "a_x against dv_x/dt - v_y r",
+)
 """Relations to a rate of change, which a wrong clock puts off by one factor."""
 
 
@@ -117,9 +121,7 @@ class Story:
     def mirrored(self) -> frozenset[str]:
         """Channels that one turned set of axes accounts for."""
         if self.axes == "car":
-            return frozenset(
-                {"r", *(leaf.relation.leaf for leaf in self.leaves if leaf.relation.leaf in OF_THE_BODY)}
-            )
+            return frozenset({"r", *(leaf.relation.leaf for leaf in self.leaves if leaf.relation.leaf in OF_THE_BODY)})
         return frozenset({"yaw", "hand"} if self.axes else ())
 
     @property

@@ -20,8 +20,7 @@ def outer_wheels(k: Kinematics, usable: Callable[..., bool]) -> dict[str, Slope]
     """
     axles = {pair[0]: pair for pair in AXLES if usable(*pair, "r")}
     found = {
-        left: fit_slope(k.signal(right) - k.signal(left), k.signal("r"), k.moving)
-        for left, right in axles.values()
+        left: fit_slope(k.signal(right) - k.signal(left), k.signal("r"), k.moving) for left, right in axles.values()
     }
     return {left: slope for left, slope in found.items() if slope is not None}
 

@@ -28,8 +28,7 @@ def tell(
     others = list(dict.fromkeys(others))[:3]
     alternative = f" Or: {'; or '.join(others)}: nothing recorded decides." if others else ""
     reach = [
-        f"{' '.join([m.name, f'reaches {m.value:.3g}', m.unit]).strip()}, no car's exceeds {m.high:g}"
-        for m in beyond
+        f"{' '.join([m.name, f'reaches {m.value:.3g}', m.unit]).strip()}, no car's exceeds {m.high:g}" for m in beyond
     ]
     # What every story says is not in doubt.
     doubt = {m: "" if all(m in rival.mistakes for rival in rivals) else alternative for m in best.mistakes}
@@ -54,9 +53,7 @@ def _without_the_mirrored(story: Story) -> Story:
     return replace(story, shared=shared, leaves=leaves, axes="")
 
 
-def _of_leaves(
-    leaves: Sequence[Leaf], doubt: Mapping[Mistake, str], alternative: str
-) -> Iterator[ConsistencyFinding]:
+def _of_leaves(leaves: Sequence[Leaf], doubt: Mapping[Mistake, str], alternative: str) -> Iterator[ConsistencyFinding]:
     """Yield what is said of channels that judge no other; of wheels that are off alike, once in full."""
     wheels: set[str] = set()
     for leaf in leaves:
@@ -142,11 +139,7 @@ def _in_words(story: Story) -> str:
 
 
 def _finding(
-    mistake: Mistake,
-    shown: Sequence[Relation],
-    alternative: str,
-    rivals: Sequence[Mistake],
-    reach: Sequence[str] = (),
+    mistake: Mistake, shown: Sequence[Relation], alternative: str, rivals: Sequence[Mistake], reach: Sequence[str] = ()
 ) -> ConsistencyFinding:
     shown = [relation for relation in shown if mistake.channel in relation.powers] or list(shown)
     slopes = [

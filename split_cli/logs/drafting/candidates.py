@@ -6,12 +6,7 @@ from dataclasses import replace
 
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.drafting.draft import UNITS_OF
-from split_cli.logs.drafting.message_fields import (
-    asks_by_type,
-    field_candidates,
-    is_no_measurement,
-    is_of_a_command,
-)
+from split_cli.logs.drafting.message_fields import asks_by_type, field_candidates, is_no_measurement, is_of_a_command
 from split_cli.logs.drafting.nameless import is_of_a_state
 from split_cli.logs.drafting.naming import (
     COMMANDED,
@@ -145,8 +140,13 @@ def _fixes(found: Sequence[TrialCandidate]) -> list[TrialCandidate]:
         pair = (first["latitude"].sources[0], first["longitude"].sources[0])
         made += [TrialCandidate("X", pair, 2, "m", "local_x"), TrialCandidate("Y", pair, 2, "m", "local_y")]
     made += sums_of_torques(found)
-    sides = {side: c for c in found if c.channel == "delta" for side in ("fl", "fr", "left", "right")
-             if side in concepts_of(tokens_of(c.sources[0]))[0] and not is_command(c.sources[0])}  # fmt: skip
+    sides = {
+        side: c
+        for c in found
+        if c.channel == "delta"
+        for side in ("fl", "fr", "left", "right")
+        if side in concepts_of(tokens_of(c.sources[0]))[0] and not is_command(c.sources[0])
+    }
     for left, right in (("fl", "fr"), ("left", "right")):
         if left in sides and right in sides and sides[left].unit == sides[right].unit:
             both = (sides[left].sources[0], sides[right].sources[0])

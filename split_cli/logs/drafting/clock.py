@@ -90,12 +90,7 @@ def _rising(
     clocks = clocks or [i for i in infos if getattr(find_unit(stated_unit(i) or ""), "si", "") == "s"]
     # Whatever it is called, what counts evenly since 1970 is a clock. One of fewer digits than the rows come in
     # stands still between them; ingest drops what shares a stamp.
-    for among, counts in (
-        (clocks, _counts),
-        (timed, _counts),
-        (infos, _counts_since_1970),
-        (clocks, _never_falls),
-    ):
+    for among, counts in ((clocks, _counts), (timed, _counts), (infos, _counts_since_1970), (clocks, _never_falls)):
         rising = [info for info in among if info.name in signals and counts(signals[info.name].values)]
         if rising:
             return rising
@@ -103,10 +98,7 @@ def _rising(
 
 
 def _time_of_column(
-    info: RawChannelInfo,
-    signals: Mapping[str, RawSignal],
-    candidates: Sequence[TrialCandidate],
-    others: Sequence[str],
+    info: RawChannelInfo, signals: Mapping[str, RawSignal], candidates: Sequence[TrialCandidate], others: Sequence[str]
 ) -> tuple[np.ndarray, str, bool]:
     """Return time and line of a column that counts it, in the unit of the file or of its steps."""
     values = signals[info.name].values
@@ -167,9 +159,7 @@ def _from_steps(infos: Sequence[RawChannelInfo], recording: RawRecording) -> tup
         off = np.abs(steps[1:] / np.median(steps) - 1.0)
         even = float(np.quantile(off, 0.99)) < _EVEN and float(off.max()) < _LOST_ROW
         entry = f"time: {{period: {step:.6g}}}   # CHECK: {info.name} holds the steps between rows, all alike"
-        uneven = (
-            f"# time: needed: {info.name} holds steps of unlike size between rows; add a column with their sum"
-        )
+        uneven = f"# time: needed: {info.name} holds steps of unlike size between rows; add a column with their sum"
         return np.cumsum(steps) * find_unit(unit).factor, entry if even else uneven, even
     return None
 
@@ -231,11 +221,7 @@ def _rate_from_motion(
     if rate is not None:
         return rate, "yaw turns as yaw rate says so"
     for row_rate, channels, how in (
-        (
-            row_rate_from_path,
-            ("X", "Y", "vx", "vy"),
-            "the path grows as v_x and v_y say so, a few per cent are open",
-        ),
+        (row_rate_from_path, ("X", "Y", "vx", "vy"), "the path grows as v_x and v_y say so, a few per cent are open"),
         (row_rate_from_path, ("X", "Y", "vx"), "the path grows as v_x says so, a few per cent are open"),
         (row_rate_from_speed, ("vx", "ax"), "v_x changes as a_x says so, a few per cent are open"),
     ):

@@ -14,13 +14,26 @@ from split_cli.logs.drafting.trial import Trial
 from split_cli.signals import find_unit
 
 _UNIT_BY_FACTOR = {
-    ("vx", 3.6): "km/h", ("vy", 3.6): "km/h", ("vx", 2.237): "mph", ("vy", 2.237): "mph", ("vx", 1.944): "kn",
-    ("r", 57.3): "deg/s", ("yaw", 57.3): "deg", ("delta", 57.3): "deg", ("ax", 0.102): "g", ("ay", 0.102): "g",
-}  # fmt: skip
+    ("vx", 3.6): "km/h",
+    ("vy", 3.6): "km/h",
+    ("vx", 2.237): "mph",
+    ("vy", 2.237): "mph",
+    ("vx", 1.944): "kn",
+    ("r", 57.3): "deg/s",
+    ("yaw", 57.3): "deg",
+    ("delta", 57.3): "deg",
+    ("ax", 0.102): "g",
+    ("ay", 0.102): "g",
+}
 _SIBLINGS = {
-    "vy": ("vx",), "vx": ("vy",), "ay": ("ax",), "ax": ("ay",), "yaw": ("r",), "r": ("yaw",),
+    "vy": ("vx",),
+    "vx": ("vy",),
+    "ay": ("ax",),
+    "ax": ("ay",),
+    "yaw": ("r",),
+    "r": ("yaw",),
     "sideslip": ("yaw", "r"),
-}  # fmt: skip
+}
 _SYMBOLS = {"ax": "a_x against", "ay": "a_y against", "r": "r against", "vx": "v_x against"}
 """How checks that judge a channel begin."""
 _STATED = "; unit as the file says"
@@ -200,9 +213,7 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     remark = f"{s.reason}; " if s.reason else ""
     unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
     if _agree_in_any_unit(s, chosen, verdict):
-        return replace(
-            s, unit=unit, reason=f"{remark}unit not stated, {unit} assumed: r and yaw agree in degrees too"
-        )
+        return replace(s, unit=unit, reason=f"{remark}unit not stated, {unit} assumed: r and yaw agree in degrees too")
     if holding:
         notes = [f"; note: {f.text}" for f in verdict.findings if f.channel == s.channel]
         shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])

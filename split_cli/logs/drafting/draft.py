@@ -9,14 +9,25 @@ from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.derivations import DERIVATIONS, derivations_for
 from split_cli.signals import REQUIRED_CHANNELS
 
-UNITS_OF = {"sideslip": "rad", "latitude": "rad", "longitude": "rad", "wheel_torque": "N m", "course": "rad",
-            "engine_torque": "N m", "axle_torque": "N m"}  # fmt: skip
+UNITS_OF = {
+    "sideslip": "rad",
+    "latitude": "rad",
+    "longitude": "rad",
+    "wheel_torque": "N m",
+    "course": "rad",
+    "engine_torque": "N m",
+    "axle_torque": "N m",
+}
 _NO_LEFT = (
     "CHECK left and right: the signs above are as recorded, and nothing recorded tells the sides apart",
     "(no satellite fix, east and north, or compass). In a left turn r and delta must be positive.",
 )
-_MARKS = {"judged": "judged: ", "unsided": "CHECK left and right; size judged: ",
-          "stated": "unit as the file says; not judged", "assumed": "CHECK: "}  # fmt: skip
+_MARKS = {
+    "judged": "judged: ",
+    "unsided": "CHECK left and right; size judged: ",
+    "stated": "unit as the file says; not judged",
+    "assumed": "CHECK: ",
+}
 
 
 @dataclass(frozen=True)
@@ -117,9 +128,7 @@ def _texts_of_open(left: Sequence[Suggestion]) -> list[str]:
     """Return what is said of signals left out; those of a channel that never change or are empty share a line."""
     alike: dict[tuple[str, str], list[Suggestion]] = {}
     for s in left:
-        kind = (
-            "never change" if s.never_changes else "are nearly empty" if s.reason == "nearly empty" else s.reason
-        )
+        kind = "never change" if s.never_changes else "are nearly empty" if s.reason == "nearly empty" else s.reason
         alike.setdefault((s.channel, kind), []).append(s)
     texts = []
     for (channel, kind), group in alike.items():

@@ -43,9 +43,7 @@ def let_clocks_meet(recording: JointRecording) -> None:
         if not ours or not theirs or _meet(signals[ours[0]], signals[theirs[0]]):
             continue
         found = [
-            (*shift, a, b)
-            for a, b in product(ours, theirs)
-            if (shift := _shift(signals[a], signals[b])) is not None
+            (*shift, a, b) for a, b in product(ours, theirs) if (shift := _shift(signals[a], signals[b])) is not None
         ]
         if found:
             _, correlation, shift, a, b = min(found)

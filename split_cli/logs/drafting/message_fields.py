@@ -92,9 +92,7 @@ def _quaternions_in_columns(
     known = {source for _, sources, _ in found for source in sources}
     made = []
     for name in sorted(names):
-        group = re.fullmatch(
-            r"(.*(?:orientation|rotation|quat(?:ernion)?|(?:^|[._])q)[._ ]?)[wW]", name, re.IGNORECASE
-        )
+        group = re.fullmatch(r"(.*(?:orientation|rotation|quat(?:ernion)?|(?:^|[._])q)[._ ]?)[wW]", name, re.IGNORECASE)
         if group is None or group[1].rstrip("._/") in known or "covariance" in name:
             continue
         four = tuple(group[1] + axis for axis in ("xyzw" if name.endswith("w") else "XYZW"))

@@ -157,11 +157,7 @@ def _rest(
     found: dict[str, int] = {}
     sideways = {k: float(_correlations(side[None], mean[k][None])[0, 0]) for k in left}
     vy = max(sideways, key=lambda k: (abs(sideways[k]) > _TIED and k in siblings, abs(sideways[k])), default=None)
-    if (
-        vy is not None
-        and abs(sideways[vy]) > _TIED
-        and _SAME_STEP**-1 < _ratio(side, mean[vy]) / step < _SAME_STEP
-    ):
+    if vy is not None and abs(sideways[vy]) > _TIED and _SAME_STEP**-1 < _ratio(side, mean[vy]) / step < _SAME_STEP:
         found["vy"] = vy
     steers = {k: float(_correlations(bend[None, known], mean[k][None, known])[0, 0]) for k in left if k != vy}
     turns = {k: float(_correlations(rate[None, known], mean[k][None, known])[0, 0]) for k in steers}

@@ -9,17 +9,48 @@ from split_cli.logs.raw import RawChannelInfo
 from split_cli.signals import find_unit
 
 _UNIT_WORDS = {
-    "mps": "m/s", "mps2": "m/s^2", "mpss": "m/s^2", "ms2": "m/s^2", "kph": "km/h", "kmh": "km/h",
-    "kmph": "km/h", "mph": "mph", "kn": "kn", "knots": "kn", "rad": "rad", "radps": "rad/s", "rads": "rad/s",
-    "deg": "deg", "degps": "deg/s", "dps": "deg/s", "degs": "deg/s", "degree": "deg", "degrees": "deg",
-    "rpm": "rpm", "s": "s", "sec": "s", "us": "us", "ns": "ns", "nm": "N m", "bar": "bar", "kpa": "kPa",
-    "pct": "%", "percent": "%", "percentage": "%", "mm": "mm", "m": "m", "ft": "ft", "g": "g", "n": "N",
-    "fps": "ft/s", "ftps": "ft/s",
-    "lbft": "lbf ft", "ftlb": "lbf ft", "ftlbf": "lbf ft",
-}  # fmt: skip
-_LAST_TWO = {
-    ("m", "s"): "m/s", ("m", "s2"): "m/s^2", ("km", "h"): "km/h", ("rad", "s"): "rad/s", ("deg", "s"): "deg/s",
-}  # fmt: skip
+    "mps": "m/s",
+    "mps2": "m/s^2",
+    "mpss": "m/s^2",
+    "ms2": "m/s^2",
+    "kph": "km/h",
+    "kmh": "km/h",
+    "kmph": "km/h",
+    "mph": "mph",
+    "kn": "kn",
+    "knots": "kn",
+    "rad": "rad",
+    "radps": "rad/s",
+    "rads": "rad/s",
+    "deg": "deg",
+    "degps": "deg/s",
+    "dps": "deg/s",
+    "degs": "deg/s",
+    "degree": "deg",
+    "degrees": "deg",
+    "rpm": "rpm",
+    "s": "s",
+    "sec": "s",
+    "us": "us",
+    "ns": "ns",
+    "nm": "N m",
+    "bar": "bar",
+    "kpa": "kPa",
+    "pct": "%",
+    "percent": "%",
+    "percentage": "%",
+    "mm": "mm",
+    "m": "m",
+    "ft": "ft",
+    "g": "g",
+    "n": "N",
+    "fps": "ft/s",
+    "ftps": "ft/s",
+    "lbft": "lbf ft",
+    "ftlb": "lbf ft",
+    "ftlbf": "lbf ft",
+}
+_LAST_TWO = {("m", "s"): "m/s", ("m", "s2"): "m/s^2", ("km", "h"): "km/h", ("rad", "s"): "rad/s", ("deg", "s"): "deg/s"}
 
 
 @dataclass(frozen=True)
@@ -74,8 +105,12 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("Y", 3, r"(pos_?)?north(ing)?|pos_?n|utm_?n\w*|y_?cg(_tm)?|y_?o|yg|ty"),
     ("ax", 3, r"a_?x(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?x(_?(imu|body|cg))?|x_?acc\w*"),
     ("ax", 3, r"a_?lgt\d?|imu_a(cc\w*)?_?x"),
-    ("ax", 3, r"(?!longitude|\w*(vel|speed|spd|pos|_min))"
-              r"(g_?force_?|gps_|inline_?|a_?|acc\w*_?)?(long|lon|lng)\w*(_?(acc\w*|g|a))?"),
+    (
+        "ax",
+        3,
+        r"(?!longitude|\w*(vel|speed|spd|pos|_min))"
+        r"(g_?force_?|gps_|inline_?|a_?|acc\w*_?)?(long|lon|lng)\w*(_?(acc\w*|g|a))?",
+    ),
     ("ax", 3, r"inline_?acc\w*|line?al_?(g|acc\w*)"),
     ("ax", 3, r"g_?(long|lon)|a_?long|a_?ego"),
     ("ay", 3, r"a_?y(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?y(_?(imu|body|cg))?|y_?acc\w*"),
@@ -102,35 +137,83 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("brake", 3, r"brk?(ake)?(_?(p(os\w*|ed\w*)|cmd|pct|\d))?|brk_?pedl?\w*"),
     ("motor_current", 3, r"(motor_?|phase_?|iq_?)?current(_?motor)?|current_motor|i_?motor"),
     *(
-        (f"wheel_speed_{c}", 3,
-         r"(wheel_?(speed_?|spd_?|vel\w*_?)?|w_?|ws_?|wspd_?|whl_?spd_?|v_?wheel_?|omega_?)?"
-                                rf"{p}(_?(whl\w*|wheel\w*|ws))?(_?(spd|speed))?")
+        (
+            f"wheel_speed_{c}",
+            3,
+            r"(wheel_?(speed_?|spd_?|vel\w*_?)?|w_?|ws_?|wspd_?|whl_?spd_?|v_?wheel_?|omega_?)?"
+            rf"{p}(_?(whl\w*|wheel\w*|ws))?(_?(spd|speed))?",
+        )
         for c, p in _CORNER.items()
     ),
-)  # fmt: skip
-_LETTERS = {
-    ("T", "N m"): "T", ("t", "N m"): "T", ("E", "m"): "X", ("e", "m"): "X", ("N", "m"): "Y", ("n", "m"): "Y",
-}  # fmt: skip
+)
+_LETTERS = {("T", "N m"): "T", ("t", "N m"): "T", ("E", "m"): "X", ("e", "m"): "X", ("N", "m"): "Y", ("n", "m"): "Y"}
 """Single letters that only their unit makes clear."""
 _COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pattern in _RULES)
 _MAKERS = {
-    "esp", "abs", "ecu", "can", "imu", "ins", "gps", "vbox", "obd", "ego", "odom", "mti", "oxts", "ff", "pf",
-    "car", "vehicle", "vhcl",
-}  # fmt: skip
+    "esp",
+    "abs",
+    "ecu",
+    "can",
+    "imu",
+    "ins",
+    "gps",
+    "vbox",
+    "obd",
+    "ego",
+    "odom",
+    "mti",
+    "oxts",
+    "ff",
+    "pf",
+    "car",
+    "vehicle",
+    "vhcl",
+}
 """Words in front that say which device measured, or that it is the car's."""
 _JUDGED = {"innovation", "innovations", "innov", "innovs", "variances", "ratios", "inconsistency", "integ"}
 """Words of what an estimator says of measurements, whatever quantity its fields are called."""
 _COMMAND_WORDS = {
-    "cmd", "command", "ref", "target", "desired", "goal", "setpoint", "request", "reference", "plan", "planned",
+    "cmd",
+    "command",
+    "ref",
+    "target",
+    "desired",
+    "goal",
+    "setpoint",
+    "request",
+    "reference",
+    "plan",
+    "planned",
     "predicted",
-}  # fmt: skip
+}
 COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")
 """Channels that a driver or a controller asks for: a command of any other one is no measurement of it."""
 _NO_SOURCES = {
-    "other", "lead", "leader",  # another car
-    "next", "old", "last", "first", "init", "initial", "start", "begin", "end",  # another time
-    "mean", "avg", "average", "peak", "lim", "pred", "track", "centerline", "wall", "noise", "offset", "origin",
-}  # fmt: skip
+    "other",
+    "lead",
+    "leader",  # another car
+    "next",
+    "old",
+    "last",
+    "first",
+    "init",
+    "initial",
+    "start",
+    "begin",
+    "end",  # another time
+    "mean",
+    "avg",
+    "average",
+    "peak",
+    "lim",
+    "pred",
+    "track",
+    "centerline",
+    "wall",
+    "noise",
+    "offset",
+    "origin",
+}
 """Last words of what this car did not do there and then: no device measured it, however many names end so."""
 _SEVERAL = 3
 """Channels whose names end with the same word, from which it says who measured and not what [1]; judgement."""
@@ -174,9 +257,7 @@ def _directs(parts: list[str]) -> bool:
     own, before = (concepts_of(tokens_of(part))[0] for part in parts[-2:][::-1])
     # A position.lat is a latitude, a displacement.lateral is none.
     moved = {"displacement", "displacements"} & set(tokens_of(parts[-2]))
-    return (
-        bool(own) and own <= {"long", "lat", "up"} and bool(before & {"velocity", "acceleration", "rate"} or moved)
-    )
+    return bool(own) and own <= {"long", "lat", "up"} and bool(before & {"velocity", "acceleration", "rate"} or moved)
 
 
 def named_by_axis(infos: Sequence[RawChannelInfo]) -> dict[str, RawChannelInfo]:

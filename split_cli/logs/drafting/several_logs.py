@@ -10,9 +10,7 @@ _WEIGHT = {"judged": 4, "unsided": 3, "stated": 2, "assumed": 1, "open": 0}
 _BY_A_CHECK = ("judged", "unsided")
 
 
-def agreed_draft(
-    drafts: Mapping[str, Draft], recorded: Mapping[str, Collection[str]]
-) -> tuple[Draft, tuple[str, ...]]:
+def agreed_draft(drafts: Mapping[str, Draft], recorded: Mapping[str, Collection[str]]) -> tuple[Draft, tuple[str, ...]]:
     """Return one draft for several logs, and what a user has to know of logs that differ.
 
     Parameters
@@ -39,9 +37,7 @@ def agreed_draft(
         absent = [shown for shown, source in named if not any(_is_of(source, have) for have in recorded[name])]
         if absent:
             notes.append(f"{name} does not hold {', '.join(absent)}.")
-    notes += [
-        f"Logs differ on {s.channel}: {s.reason.split('; ')[0]}." for s in whole if " judges it by " in s.reason
-    ]
+    notes += [f"Logs differ on {s.channel}: {s.reason.split('; ')[0]}." for s in whole if " judges it by " in s.reason]
     undefined = tuple(dict.fromkeys(kind for one in drafts.values() for kind in one.undefined))
     return replace(draft, suggestions=tuple(whole), undefined=undefined), tuple(notes)
 

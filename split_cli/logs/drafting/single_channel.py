@@ -54,11 +54,7 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
     if slope is None or abs(slope.correlation) < LEAST_CORRELATION:
         how = "cannot be judged" if slope is None else f"correlate by {slope.correlation:.2f} only"
         remark = f"T and dv_x/dt {how}: is it the torque at the wheels?"
-        if (
-            slope is not None
-            and s.status != "stated"
-            and _go_apart(k.signal("T"), k.rate("vx") - carried, k.moving)
-        ):
+        if slope is not None and s.status != "stated" and _go_apart(k.signal("T"), k.rate("vx") - carried, k.moving):
             remark = f"T and dv_x/dt {how}: it drives nothing, as the torque in a steering column does"
             return s.left_open(remark)
         return replace(s, status="assumed", reason="; ".join(filter(None, (of_part, remark))))
@@ -107,9 +103,7 @@ def read_yaw_rate(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float)
         return s
     reach = float(np.nanquantile(np.abs(columns[s.channel]), 0.99))
     if np.radians(reach) > limit:
-        remark = (
-            f"unit not stated; it reaches {reach:.3g}, more than any car's in rad/s or deg/s. Give its `scale:`"
-        )
+        remark = f"unit not stated; it reaches {reach:.3g}, more than any car's in rad/s or deg/s. Give its `scale:`"
         return s.left_open(remark)
     remark = f"unit not stated; it reaches {reach:.3g}, and no car's exceeds {limit:g} {unit}, so deg/s"
     return replace(s, unit="deg/s", reason=remark) if reach > limit else s
@@ -123,9 +117,7 @@ def read_yaw(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -> S
     slope = fit_slope(k.rate("yaw"), k.course_rate(), k.moving)
     if slope is None or abs(slope.correlation) >= LEAST_CORRELATION:
         return s
-    remark = (
-        f"dyaw/dt and the turning of X, Y correlate by {slope.correlation:.2f} only: not the car's yaw, or late"
-    )
+    remark = f"dyaw/dt and the turning of X, Y correlate by {slope.correlation:.2f} only: not the car's yaw, or late"
     return s.left_open(remark)
 
 
@@ -152,9 +144,7 @@ def read_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) ->
             return replace(s, unit=unit, status="assumed", reason=remark)
     radius = 0.5 / np.pi / slope
     if least < radius < _RADII[1]:
-        remark = (
-            f"unit not stated; in turns per second, `unit: rad/s, scale: 6.2832`, it is a wheel of {radius:.3g} m"
-        )
+        remark = f"unit not stated; in turns per second, `unit: rad/s, scale: 6.2832`, it is a wheel of {radius:.3g} m"
         return s.left_open(f"{remark} radius")
     return s.left_open(f"{remark}: neither a speed nor the turning of a wheel")
 

@@ -32,9 +32,7 @@ def copies_of_others(
         for c in group:
             other = next((o for o in group if o.sources != c.sources and o.channel != c.channel), None)
             if other is not None:
-                found[c.sources] = (
-                    f"holds the numbers of {other.sources[0]}, another quantity: neither is measured"
-                )
+                found[c.sources] = f"holds the numbers of {other.sources[0]}, another quantity: neither is measured"
     return found
 
 

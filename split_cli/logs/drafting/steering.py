@@ -121,8 +121,11 @@ def read_steering(
             as_delta = {**columns, "delta": columns[wheel.channel]}
             drafted[-1] = _road_wheel(replace(wheel, channel="delta"), as_delta, vehicle)
         else:
-            reach = apparent_wheelbase(columns.get("steering_wheel_angle", np.zeros(0)), columns) if (
-                "steering_wheel_angle" in columns) else None  # fmt: skip
+            reach = (
+                apparent_wheelbase(columns.get("steering_wheel_angle", np.zeros(0)), columns)
+                if ("steering_wheel_angle" in columns)
+                else None
+            )
             found = chosen["steering_wheel_angle"]
             if reach is not None and found.unit != wheel.unit and wheel.unit == "deg":
                 reach *= np.pi / 180.0
@@ -254,9 +257,7 @@ def _without_unit(
         return s.left_open(why)
     named = s.sources[0].lower()
     if "user" in concepts_of(tokens_of(named))[0]:
-        why = (
-            f"what the driver or a pilot asks for: a command without unit. {_scale_of_command(size, bool(turned))}"
-        )
+        why = f"what the driver or a pilot asks for: a command without unit. {_scale_of_command(size, bool(turned))}"
         return s.left_open(why)
     if "steer" not in named and 0.05 < size < _LONGEST_WHEELBASE:
         reason = f"rad: {size:.3g} m of angle over curvature is a wheelbase{hand}"

@@ -25,13 +25,7 @@ from split_cli.logs.drafting.handedness import (
     without_its_side,
 )
 from split_cli.logs.drafting.nameless import named_by_motion
-from split_cli.logs.drafting.naming import (
-    Meaning,
-    is_command,
-    meanings,
-    stated_unit,
-    words_of,
-)
+from split_cli.logs.drafting.naming import Meaning, is_command, meanings, stated_unit, words_of
 from split_cli.logs.drafting.other_axes import without_other_axes, without_the_world
 from split_cli.logs.drafting.single_channel import (
     read_acceleration,
@@ -122,8 +116,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
         sided_channels = channels_with_a_side(mapped, consistency.relations, by_wheels)
         unknown = {"r", "vy", "ay", "delta"} - sided_channels
         suggestions = [
-            without_its_side(s) if s.channel in unknown and s.status in ("judged", "stated") else s
-            for s in suggestions
+            without_its_side(s) if s.channel in unknown and s.status in ("judged", "stated") else s for s in suggestions
         ]
     by_gravity = "" if left_by else side_by_gravity({s.channel: s for s in suggestions}, triples, signals)
     hints = hints_on_the_form(recording, infos)
@@ -171,16 +164,22 @@ def _judged(
     turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
     steering = read_steering(corrected, turning, trial.vehicle)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
-    alone = {"T": read_torque, "sideslip": read_sideslip, "throttle": read_pedal, "brake": read_pedal,
-             "ax": read_acceleration, "ay": read_acceleration, "r": read_yaw_rate, "yaw": read_yaw}  # fmt: skip
+    alone = {
+        "T": read_torque,
+        "sideslip": read_sideslip,
+        "throttle": read_pedal,
+        "brake": read_pedal,
+        "ax": read_acceleration,
+        "ay": read_acceleration,
+        "r": read_yaw_rate,
+        "yaw": read_yaw,
+    }
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
     suggestions = [unit_by_gravity(s, triples, trial.signals) for s in suggestions]
     suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
     suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
     suggestions = _in_pairs(without_the_tilted(suggestions))
-    suggestions = [
-        read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions
-    ]
+    suggestions = [read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions]
     steered = [s.left_open(hand) if hand and s.status != "open" else s for s in steering]
     return [*suggestions, *steered]
 
@@ -297,14 +296,23 @@ def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
         steps = np.abs(np.diff(values[np.isfinite(values)]))
         if candidate.channel == "yaw" and np.any((steps > 300.0) & (steps < 420.0)):
             unit = "deg"
-    to_the_right = candidate.channel in ("vy", "ay") and not candidate.convert and (
-        "right" in concepts_of(tokens_of(candidate.sources[0]))[0])  # fmt: skip
-    return Suggestion(candidate.channel, candidate.sources, unit, convert=candidate.convert,
-                      scale=-1.0 if to_the_right else 1.0,
-                      reason=candidate.note or ("to the right by its name" if to_the_right else ""),
-                      status="stated" if candidate.unit else "assumed",
-                      command=candidate.asked or all(is_command(name) for name in candidate.sources),
-                      by_convention=candidate.by_convention, foreign_unit=candidate.foreign_unit)  # fmt: skip
+    to_the_right = (
+        candidate.channel in ("vy", "ay")
+        and not candidate.convert
+        and ("right" in concepts_of(tokens_of(candidate.sources[0]))[0])
+    )
+    return Suggestion(
+        candidate.channel,
+        candidate.sources,
+        unit,
+        convert=candidate.convert,
+        scale=-1.0 if to_the_right else 1.0,
+        reason=candidate.note or ("to the right by its name" if to_the_right else ""),
+        status="stated" if candidate.unit else "assumed",
+        command=candidate.asked or all(is_command(name) for name in candidate.sources),
+        by_convention=candidate.by_convention,
+        foreign_unit=candidate.foreign_unit,
+    )
 
 
 def _only_measured(usable: dict[str, list[TrialCandidate]], opened: Sequence[Suggestion]) -> None:
@@ -329,10 +337,7 @@ def _beside(x: TrialCandidate, options: Sequence[TrialCandidate], trial: Trial) 
 
 
 def _with_rivals_that_fit(
-    chosen: dict[str, Suggestion],
-    verdict: Consistency,
-    usable: Mapping[str, Sequence[TrialCandidate]],
-    trial: Trial,
+    chosen: dict[str, Suggestion], verdict: Consistency, usable: Mapping[str, Sequence[TrialCandidate]], trial: Trial
 ) -> tuple[dict[str, Suggestion], Consistency]:
     """Exchange a channel that goes with the others badly for a rival that goes better, with all units put right.
 
@@ -363,8 +368,7 @@ def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[st
     # Steering in per cent is a share of the lock, of which an angle beside it is the more.
     ranked = {
         channel: sorted(
-            options,
-            key=lambda c: (-c.weight, channel == "delta" and c.unit == "%", c.unit is None, len(c.sources)),
+            options, key=lambda c: (-c.weight, channel == "delta" and c.unit == "%", c.unit is None, len(c.sources))
         )[:_MOST_RIVALS]
         for channel, options in usable.items()
     }
@@ -372,11 +376,7 @@ def _choose(usable: Mapping[str, list[TrialCandidate]], trial: Trial) -> dict[st
     for channel, options in sorted(ranked.items(), key=lambda entry: -entry[1][0].weight):
         for candidate in list(options):
             owner = taken.get(candidate.sources)
-            if (
-                owner is not None
-                and not candidate.convert
-                and (len(options) > 1 or {owner, channel} <= _OF_MOTION)
-            ):
+            if owner is not None and not candidate.convert and (len(options) > 1 or {owner, channel} <= _OF_MOTION):
                 options.remove(candidate)
         if options:
             taken.setdefault(options[0].sources, channel)

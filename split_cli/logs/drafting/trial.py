@@ -59,11 +59,7 @@ class Trial:
     """Of the clock [Hz]."""
 
     def __init__(
-        self,
-        signals: Mapping[str, RawSignal],
-        time: np.ndarray | None,
-        vehicle: Vehicle | None,
-        time_is_known: bool,
+        self, signals: Mapping[str, RawSignal], time: np.ndarray | None, vehicle: Vehicle | None, time_is_known: bool
     ) -> None:
         self.signals, self.vehicle, self.time_is_known = signals, vehicle, time_is_known
         self.time = None if time is None else _without_restarts(time)
@@ -254,9 +250,7 @@ class Trial:
         nothing = {channel: np.zeros(len(self.grid)) for channel in kinds if channel not in used}
         drive = Drive("draft", {"t": self.grid - self.grid[0], **used, **nothing}, self.segment, 1.0 / self.rate)
         with np.errstate(all="ignore"):
-            steps = [
-                self._step(chosen[channel]) for channel in ("X", "yaw") if channel in used and channel in chosen
-            ]
+            steps = [self._step(chosen[channel]) for channel in ("X", "yaw") if channel in used and channel in chosen]
             return check_consistency(drive, self.vehicle, kinds, certain, max(steps, default=0.0))
 
     def gap(self, chosen: Mapping[str, Suggestion]) -> float:

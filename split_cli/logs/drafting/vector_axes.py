@@ -19,16 +19,19 @@ _SECONDS = 5.0
 """Over which a car that rolls and pitches comes back, and one that yaws does not [s]."""
 _HEAVE = 0.5
 """Of the velocity of what stands or hovers, by waves and drift [m/s]; judgement: half a walking pace."""
-_READINGS = (
-    ("m/s^2", 1.0, STANDARD_GRAVITY, "m/s^2"),
-    ("g", 1.0, 1.0, "g"),
-    ("g", 1e-3, 1000.0, "thousandths of g"),
-)
+_READINGS = (("m/s^2", 1.0, STANDARD_GRAVITY, "m/s^2"), ("g", 1.0, 1.0, "g"), ("g", 1e-3, 1000.0, "thousandths of g"))
 """Unit and scale of an accelerometer, with what it reads of gravity and how that is called."""
 _ABOUT_GRAVITY = 0.2
 """Share of gravity by which the median of a vertical axis may differ from it, from slopes and scale [1]."""
-_KINDS = {"r": "rate", "vx": "velocity", "vy": "velocity", "ax": "acceleration", "ay": "acceleration",
-          "X": "position", "Y": "position"}  # fmt: skip
+_KINDS = {
+    "r": "rate",
+    "vx": "velocity",
+    "vy": "velocity",
+    "ax": "acceleration",
+    "ay": "acceleration",
+    "X": "position",
+    "Y": "position",
+}
 
 
 @dataclass(frozen=True)
@@ -139,9 +142,12 @@ def along_the_car(
     from the axes that the data show. Names of world axes are left alone, since there z is up.
     """
     kinds = {
-        _KINDS[c.channel]: three for three in triples for c in candidates if c.sources in {(n,) for n in three}
+        _KINDS[c.channel]: three
+        for three in triples
+        for c in candidates
+        if c.sources in {(n,) for n in three}
         if c.channel in _KINDS
-    }  # fmt: skip
+    }
     axes = _axes(kinds, signals, time)
     if axes is None:
         return list(candidates)

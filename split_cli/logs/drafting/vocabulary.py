@@ -18,9 +18,7 @@ _WORDS: dict[str, str] = {
         "a acc acl accel accelerometer acceleration "
         "accelerations beschleunigung beschl gforce aceleracion accelerazione 加速度"
     ),
-    "rate": (
-        "rate rates rt rot rotationrate gyro gyr gyroscope omega dot punkt drehrate geschwindigkeitsrate 角速度"
-    ),
+    "rate": ("rate rates rt rot rotationrate gyro gyr gyroscope omega dot punkt drehrate geschwindigkeitsrate 角速度"),
     "angular": "angular",
     "rotation": "rotation rotacion rotazione",
     "yaw": "yaw psi heading hdg gier lacet guinada imbardata 横摆 航向",
@@ -28,12 +26,8 @@ _WORDS: dict[str, str] = {
     "position": (
         "pose pos posn position center centre loc location coordinate coord displacement displacements 位置 坐标"
     ),
-    "long": (
-        "x xv long longi longitudinal longitudinale lng lngt lgt fwd forward forwards inline lineal laengs 纵向"
-    ),
-    "lat": (
-        "y yv lat lateral laterale side sideways quer transverse transversal transversale trasversale 侧向 横向"
-    ),
+    "long": ("x xv long longi longitudinal longitudinale lng lngt lgt fwd forward forwards inline lineal laengs 纵向"),
+    "lat": ("y yv lat lateral laterale side sideways quer transverse transversal transversale trasversale 侧向 横向"),
     "up": "z zv vert vertical up hoch",
     "linear": "linear lin",
     "steer": "steer steered steering eps str strg lenk 转向 lenkung braquage direccion sterzo sterzata",
@@ -237,8 +231,15 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
     if channel == "vx" and weight == 1 and {"n", "e", "d", "u"} & set(words):
         return None  # along north, east, down or up
     inputs = (
-        "delta", "steering_wheel_angle", "T", "wheel_torque", "axle_torque", "throttle", "brake", "brake_pressure",
-    )  # fmt: skip
+        "delta",
+        "steering_wheel_angle",
+        "T",
+        "wheel_torque",
+        "axle_torque",
+        "throttle",
+        "brake",
+        "brake_pressure",
+    )
     if "command" in concepts and channel not in inputs:
         return None
     if "absolute" in words and channel in ("vy", "r", "ax", "ay"):

@@ -208,9 +208,7 @@ def _unread_lines() -> Iterator[_Unread]:
         logger.removeHandler(unread)
 
 
-def _recording(
-    path: Path, database: Any, decoded: dict[str, GrowingSignal], notes: list[ReadNote]
-) -> RawRecording:
+def _recording(path: Path, database: Any, decoded: dict[str, GrowingSignal], notes: list[ReadNote]) -> RawRecording:
     units = {f"/{m.name}/{s.name}": s.unit for m in database.messages for s in m.signals}
     origin = min(samples.first for samples in decoded.values())
     signals = {}

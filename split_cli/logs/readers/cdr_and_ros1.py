@@ -21,9 +21,18 @@ from split_cli.logs.readers.definitions import SEQUENCE, Field, Layout, leaf_pat
 from split_cli.logs.readers.payloads import STAMP_FIELDS, Columns
 
 _SIZES = {
-    "bool": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "int64": 8, "uint64": 8,
-    "float32": 4, "float64": 8,
-}  # fmt: skip
+    "bool": 1,
+    "int8": 1,
+    "uint8": 1,
+    "int16": 2,
+    "uint16": 2,
+    "int32": 4,
+    "uint32": 4,
+    "int64": 8,
+    "uint64": 8,
+    "float32": 4,
+    "float64": 8,
+}
 _TYPE_CODES = {"bool": "u1", **{kind: f"{kind[0]}{size}" for kind, size in _SIZES.items() if kind != "bool"}}
 _BATCH = 4096
 _DIGITS_OF_AN_INDEX = 12  # no payload has as many elements

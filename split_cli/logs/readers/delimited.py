@@ -153,9 +153,7 @@ def number_of(cell: str, decimal: str) -> float:
         cell = _ungrouped(cell)
     try:
         # Python takes 1_5 for 15; no logger writes that.
-        return (
-            float(cell.replace(decimal, ".") if decimal != "." else cell) if "_" not in cell else seconds_of(cell)
-        )
+        return float(cell.replace(decimal, ".") if decimal != "." else cell) if "_" not in cell else seconds_of(cell)
     except ValueError:
         folded = cell.lower()
         if folded in _TRUE or folded in _FALSE:

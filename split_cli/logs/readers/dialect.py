@@ -265,9 +265,7 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
     above = [row for row in rows[:first] if any(cell.strip() for cell in row)]
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
-    titles = [
-        n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)
-    ]
+    titles = [n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)]
     if not titles:
         worded = [row for row in rows[:first] if sum(_WORD.search(cell) is not None for cell in row) > 1]
         most = max(map(len, worded), default=0)

@@ -8,18 +8,38 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote
 
-_HEAD = np.dtype([
-    ("version", "<i4"), ("status", "<i4"), ("rate", "<i4"), ("update", "<i4"), ("info_size", "<i4"),
-    ("info_place", "<i4"), ("variables", "<i4"), ("place", "<i4"), ("buffers", "<i4"), ("record", "<i4"),
-    ("pad", "<i4", 2), ("tick", "<i4"), ("data", "<i4"),
-])  # fmt: skip
+_HEAD = np.dtype(
+    [
+        ("version", "<i4"),
+        ("status", "<i4"),
+        ("rate", "<i4"),
+        ("update", "<i4"),
+        ("info_size", "<i4"),
+        ("info_place", "<i4"),
+        ("variables", "<i4"),
+        ("place", "<i4"),
+        ("buffers", "<i4"),
+        ("record", "<i4"),
+        ("pad", "<i4", 2),
+        ("tick", "<i4"),
+        ("data", "<i4"),
+    ]
+)
 _DISK = 112
 """Where the part of a file on disk begins, behind the head and four places of buffers [bytes]."""
 _ON_DISK = np.dtype([("begin", "<i8"), ("first", "<f8"), ("last", "<f8"), ("laps", "<i4"), ("records", "<i4")])
-_VARIABLE = np.dtype([
-    ("type", "<i4"), ("offset", "<i4"), ("count", "<i4"), ("as_time", "?"), ("pad", "S3"),
-    ("name", "S32"), ("words", "S64"), ("unit", "S32"),
-])  # fmt: skip
+_VARIABLE = np.dtype(
+    [
+        ("type", "<i4"),
+        ("offset", "<i4"),
+        ("count", "<i4"),
+        ("as_time", "?"),
+        ("pad", "S3"),
+        ("name", "S32"),
+        ("words", "S64"),
+        ("unit", "S32"),
+    ]
+)
 _TYPES = ("S1", "?", "<i4", "<u4", "<f4", "<f8")
 _MOST_VARIABLES = 5000
 """[1]; judgement: a session has about 280."""
@@ -91,10 +111,14 @@ def open_ibt(path: Path) -> RawRecording:
         notes.append(ReadNote("records missing at the end", path.name, promised - rows))
     if of_cars:
         notes.append(ReadNote("arrays with an element for each car, left out", path.name, of_cars))
-    table = np.dtype({
-        "names": list(fields), "formats": [(f[0], (f[2],)) for f in fields.values()],
-        "offsets": [f[1] for f in fields.values()], "itemsize": record,
-    })  # fmt: skip
+    table = np.dtype(
+        {
+            "names": list(fields),
+            "formats": [(f[0], (f[2],)) for f in fields.values()],
+            "offsets": [f[1] for f in fields.values()],
+            "itemsize": record,
+        }
+    )
     values = np.memmap(path, table, "r", data, (rows,))
     rate = float(h["rate"])
     clock = values["SessionTime"][:, 0].astype(np.float64) if "SessionTime" in fields else np.arange(rows) / rate

@@ -72,9 +72,7 @@ class JointRecording:
 
     def channels(self) -> list[RawChannelInfo]:
         """Return the channels of all files, without their columns of time."""
-        return [
-            RawChannelInfo(name, info.type_name, info.count, info.unit) for name, (_, info) in self._places.items()
-        ]
+        return [RawChannelInfo(name, info.type_name, info.count, info.unit) for name, (_, info) in self._places.items()]
 
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
         """Return the named signals, each on the clock of its file; see `Recording.read`."""

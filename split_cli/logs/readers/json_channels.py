@@ -10,14 +10,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.logs.budget import refuse_many_columns
-from split_cli.logs.raw import (
-    RawRecording,
-    RawSignal,
-    ReadNote,
-    TableRecording,
-    UniqueNames,
-    unit_of_time,
-)
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, UniqueNames, unit_of_time
 from split_cli.logs.readers.delimited import seconds_of
 from split_cli.logs.readers.json_document import JsonDocument, parsed, plain_number
 from split_cli.logs.scratch import GrowingColumn
@@ -98,8 +91,10 @@ def _groups_of_lists(path: Path, notes: list[ReadNote]) -> _Named | None:
         notes.append(ReadNote("the document is cut off or damaged: only channels before that are read", path.name))
     held = {place: one for place, one in found.items() if place and _key(one, _VALUES) is not None}
     # An object of a list is called by the name inside, others by their key.
-    channels = [(str(one.get(_key(one, _NAMES) or "", place[-1])) if place[-1].startswith("[") else place[-1], one)
-                for place, one in held.items()]  # fmt: skip
+    channels = [
+        (str(one.get(_key(one, _NAMES) or "", place[-1])) if place[-1].startswith("[") else place[-1], one)
+        for place, one in held.items()
+    ]
     channels = [(name, one) for name, one in channels if np.size(one[_key(one, _VALUES)]) > 1]
     return channels if len(channels) > 1 else None
 

@@ -76,9 +76,7 @@ def _variables(path: Path) -> Iterator[tuple[str, Any]]:
             batches[-1].append(name)
             room -= size
     for names in batches:
-        content = loadmat(
-            path, struct_as_record=False, squeeze_me=False, chars_as_strings=True, variable_names=names
-        )
+        content = loadmat(path, struct_as_record=False, squeeze_me=False, chars_as_strings=True, variable_names=names)
         yield from ((key, value) for key, value in content.items() if not key.startswith("__"))
 
 
@@ -137,9 +135,7 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
                 yield from _leaves(f"{name.removesuffix('.signals')}.{labels[index]}", item.values, depth + 1)
             else:
                 yield from _leaves(name if value.size == 1 else f"{name}[{index}]", item, depth + 1)
-    elif isinstance(value, np.ndarray) and (
-        value.dtype.kind in "biuf" or (value.dtype.kind == "U" and value.size > 1)
-    ):
+    elif isinstance(value, np.ndarray) and (value.dtype.kind in "biuf" or (value.dtype.kind == "U" and value.size > 1)):
         yield name, value
 
 
@@ -295,9 +291,7 @@ def _recording(
         shown = ", ".join(objects[:6]) + (" ..." if len(objects) > 6 else "")
         what = f"objects of MATLAB (timeseries, timetable, Dataset), which cannot be read outside it: {shown}"
         if not any(values.size > 1 and values.ndim <= 2 for _, values in leaves):
-            advice = (
-                "In MATLAB, store their numbers: S.t = x.Time; S.vx = x.Data; save('log.mat', '-struct', 'S')."
-            )
+            advice = "In MATLAB, store their numbers: S.t = x.Time; S.vx = x.Data; save('log.mat', '-struct', 'S')."
             raise LogError(f"holds only {what}", where=path.name, advice=advice)
         note_once(notes, what, path.name, len(objects))
     return recording_of_vectors(

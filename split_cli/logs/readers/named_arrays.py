@@ -7,14 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import (
-    RawRecording,
-    RawSignal,
-    ReadNote,
-    TableRecording,
-    note_once,
-    unit_of_time,
-)
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, note_once, unit_of_time
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import STANDARD_GRAVITY, find_unit, split_name_and_unit
 
@@ -130,9 +123,7 @@ def _with_titles(leaves: Sequence[tuple[str, np.ndarray]]) -> list[tuple[str, np
             and values.ndim == 2
             and values.shape.count(len(texts)) == 1
         ]
-        known = {
-            id(texts): sum(find_unit(text) is not None for text in texts) > len(texts) / 2 for texts in beside
-        }
+        known = {id(texts): sum(find_unit(text) is not None for text in texts) > len(texts) / 2 for texts in beside}
         titles = next((texts for texts in beside if not known[id(texts)] and len(set(texts)) == len(texts)), None)
         if titles is None:
             found.append((name, values))

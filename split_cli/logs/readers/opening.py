@@ -28,21 +28,13 @@ _FOREIGN_MAGIC = (
     (_ZSTD, "compressed with zstd", "Unpack it first with `zstd -d`."),
     (b"PK\x03\x04", "a zip archive or a spreadsheet", "Unpack it, or export it as CSV."),
     (b"BZh", "compressed with bzip2", "Unpack it first."),
-    (
-        b"\xa3\x95\x80\x80",
-        "an ArduPilot log",
-        "Convert it to a CSV for each message with mavlogdump, for --together.",
-    ),
+    (b"\xa3\x95\x80\x80", "an ArduPilot log", "Convert it to a CSV for each message with mavlogdump, for --together."),
     (b"ULog\x01\x12\x35", "a ULog of PX4", "Convert it with ulog2csv, and name its tables with --together."),
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
     (b"CM-ERG", "a result of CarMaker", "Export it as CSV or MAT."),
     (b"<?xml", "XML", "Export it as CSV."),
     *(
-        (
-            talker,
-            "a list of NMEA sentences",
-            "They hold position and speed alone. Record a table, with a yaw rate.",
-        )
+        (talker, "a list of NMEA sentences", "They hold position and speed alone. Record a table, with a yaw rate.")
         for talker in (b"$GP", b"$GN")
     ),
 )
@@ -59,10 +51,18 @@ _OTHERS = {
 """Files that other programs write and that are not read, by suffix: what they are and the way out."""
 _TABLE_SUFFIXES = (".csv", ".mat", ".vbo", ".mf4", ".parquet", ".bag", ".json", ".ibt")
 _BINARY_SUFFIXES = {
-    ".mcap": "an MCAP file", ".bag": "a ROS 1 bag", ".db3": "a rosbag2 database", ".parquet": "a Parquet file",
-    ".feather": "a Feather file", ".arrow": "an Arrow file", ".mf4": "an MDF file", ".dat": "an MDF file",
-    ".mdf": "an MDF file", ".mat": "a MAT file", ".ibt": "telemetry of iRacing",
-}  # fmt: skip
+    ".mcap": "an MCAP file",
+    ".bag": "a ROS 1 bag",
+    ".db3": "a rosbag2 database",
+    ".parquet": "a Parquet file",
+    ".feather": "a Feather file",
+    ".arrow": "an Arrow file",
+    ".mf4": "an MDF file",
+    ".dat": "an MDF file",
+    ".mdf": "an MDF file",
+    ".mat": "a MAT file",
+    ".ibt": "telemetry of iRacing",
+}
 
 
 def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()) -> RawRecording:
@@ -135,9 +135,7 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
     called = _BINARY_SUFFIXES.get(path.suffix.lower())
     if called and path.suffix.lower() != ".dat":
         raise LogError(
-            f"is named like {called} but does not begin like one",
-            where=path.name,
-            advice="Copy or record it again.",
+            f"is named like {called} but does not begin like one", where=path.name, advice="Copy or record it again."
         )
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise LogError("is of no known format", where=path.name, advice=KNOWN_FORMATS)

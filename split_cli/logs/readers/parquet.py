@@ -118,9 +118,7 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             except (pa.ArrowException, OSError, ValueError) as error:
                 raise _damaged(path, kind, error) from error
             for name in below:
-                values[name] = set_aside(
-                    column_values(_leaf(column, columns[name]), f"{path.name}, column {name}")
-                )
+                values[name] = set_aside(column_values(_leaf(column, columns[name]), f"{path.name}, column {name}"))
             del column
             pa.default_memory_pool().release_unused()
         return {name: RawSignal(name, None, values[name], units[name]) for name in names}

@@ -57,11 +57,7 @@ def probe(path: Path, read: Callable[[Path], object]) -> None:
         with ScratchFolder() as scratch:
             own = {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", "TMPDIR": str(scratch)}
             done = subprocess.run(
-                command,
-                capture_output=True,
-                timeout=_CLOCK_SECONDS * seconds,
-                env={**os.environ, **own},
-                check=False,
+                command, capture_output=True, timeout=_CLOCK_SECONDS * seconds, env={**os.environ, **own}, check=False
             )
     except subprocess.TimeoutExpired as error:  # it used less processor time than it may
         what = f"was not read within {error.timeout:.0f} s: the processor is busy, or the disk is slow"

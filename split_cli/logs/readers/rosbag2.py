@@ -77,9 +77,7 @@ class SqliteContainer:
         names = ("messages", "topics", "message_definitions")
         query = f"SELECT name, type, sql FROM sqlite_master WHERE name IN {names}"
         for name, kind, made in self._database.execute(query).fetchall():
-            computed = kind == "table" and any(
-                row[6] for row in self._database.execute(f"PRAGMA table_xinfo({name})")
-            )
+            computed = kind == "table" and any(row[6] for row in self._database.execute(f"PRAGMA table_xinfo({name})"))
             if kind != "table" or computed or re.match(r"\s*CREATE\s+VIRTUAL", str(made), re.IGNORECASE):
                 what = "computed" if kind == "table" else f"a {kind}, not a table"
                 advice = "Give a .db3 that `ros2 bag record` wrote."

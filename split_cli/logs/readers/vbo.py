@@ -11,9 +11,18 @@ from split_cli.signals import symbol_of
 
 # Units of the columns that every VBOX writes. Positions are converted while reading: no unit says "west positive".
 _STANDARD_UNITS = {
-    "time": "s", "lat": "deg", "long": "deg", "_lat": "deg", "_long": "deg", "velocity": "km/h", "heading": "deg",
-    "height": "m", "vert-vel": "km/h", "Longacc": "g", "Latacc": "g",
-}  # fmt: skip
+    "time": "s",
+    "lat": "deg",
+    "long": "deg",
+    "_lat": "deg",
+    "_long": "deg",
+    "velocity": "km/h",
+    "heading": "deg",
+    "height": "m",
+    "vert-vel": "km/h",
+    "Longacc": "g",
+    "Latacc": "g",
+}
 _SPELLINGS = {"newtonmet": "N m", "kmh": "km/h", "km/h": "km/h", "degrees/s": "deg/s"}
 _STRAY_STEPS = 10.0
 
@@ -91,9 +100,7 @@ def _rows(lines: list[str], width: int, path: Path, notes: list[ReadNote]) -> np
     return np.array(rows)
 
 
-def _units(
-    names: list[str], sections: dict[str, list[str]], path: Path, notes: list[ReadNote]
-) -> list[str | None]:
+def _units(names: list[str], sections: dict[str, list[str]], path: Path, notes: list[ReadNote]) -> list[str | None]:
     listed = sections.get("channel units", [])
     if listed and not listed[-1]:
         listed = listed[:-1]  # the empty line that ends every section

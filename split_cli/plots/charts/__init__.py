@@ -10,6 +10,13 @@ from split_cli.plots.charts.residual import coverage_charts, whiteness_chart
 from split_cli.plots.charts.tires import tire_charts
 
 __all__ = [
-    "Subject", "coverage_charts", "drive_charts", "growth_chart", "handling_charts", "label_charts", "tire_charts",
-    "track_chart", "whiteness_chart",
-]  # fmt: skip
+    "Subject",
+    "coverage_charts",
+    "drive_charts",
+    "growth_chart",
+    "handling_charts",
+    "label_charts",
+    "tire_charts",
+    "track_chart",
+    "whiteness_chart",
+]

@@ -70,9 +70,19 @@ def drive_charts(subjects: Sequence[Subject], vehicle: Vehicle | None = None) ->
         drawn = recorded if (channel, title, axis) in _INPUTS else moving
         series = tuple(_over_time(one, motion, channel) for one, motion in drawn)
         charts.append(
-            Chart(f"strip-{channel}", title, "time [s]", axis, series, note * (channel == "vx"),
-                  other_x="distance s [m]", other_first=len(recorded) > 1, wide=True, group="strips")
-        )  # fmt: skip
+            Chart(
+                f"strip-{channel}",
+                title,
+                "time [s]",
+                axis,
+                series,
+                note * (channel == "vx"),
+                other_x="distance s [m]",
+                other_first=len(recorded) > 1,
+                wide=True,
+                group="strips",
+            )
+        )
     return (*charts, _accelerations(moving, vehicle))
 
 
@@ -104,9 +114,7 @@ def _accelerations(moving: Sequence[tuple[Subject, Drive]], vehicle: Vehicle | N
         x, y = most * np.cos(angle), most * np.sin(angle)
         series.append(ChartLine("friction ellipse of the vehicle file", x, y, "other"))
         note = "The ellipse is (D_f + D_r)/m: the peak forces of both axles together."
-    return Chart(
-        "gg", "Accelerations (GG)", "a_y, left positive [m/s²]", "a_x [m/s²]", tuple(series), note, equal=True
-    )
+    return Chart("gg", "Accelerations (GG)", "a_y, left positive [m/s²]", "a_x [m/s²]", tuple(series), note, equal=True)
 
 
 def track_chart(drives: Sequence[tuple[str, str, Drive]]) -> Chart | None:

@@ -22,8 +22,7 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
     if any(one.vehicle is None for one, _ in shown):
         charts.append(_understeer(shown))
     responses = [
-        (one, one.lateral_motion and steering_response(one.lateral_motion, vehicle.minimum_speed))
-        for one in subjects
+        (one, one.lateral_motion and steering_response(one.lateral_motion, vehicle.minimum_speed)) for one in subjects
     ]
     coherent = [(one, response) for one, response in responses if response]
     if any(one.vehicle is None for one, _ in coherent):
@@ -34,10 +33,22 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
         phase = tuple(ChartLine(one.name, r.frequency, r.phase, one.role, shown=one.shown) for one, r in coherent)
         count = coherent[0][1].windows
         note = f"{count} stretches of 8 s; only where steering and yaw rate are coherent; bands are 95 %."
-        charts.append(Chart("response-gain", "Steering response: gain", "frequency [Hz]", "r/delta [1/s]", gain,
-                            note, group="response"))  # fmt: skip
-        charts.append(Chart("response-phase", "Steering response: phase", "frequency [Hz]", "phase [deg]", phase,
-                            group="response"))  # fmt: skip
+        charts.append(
+            Chart(
+                "response-gain",
+                "Steering response: gain",
+                "frequency [Hz]",
+                "r/delta [1/s]",
+                gain,
+                note,
+                group="response",
+            )
+        )
+        charts.append(
+            Chart(
+                "response-phase", "Steering response: phase", "frequency [Hz]", "phase [deg]", phase, group="response"
+            )
+        )
     return tuple(charts)
 
 

@@ -56,6 +56,4 @@ def growth_chart(sets: Sequence[tuple[str, TrainingSet]]) -> tuple[Chart, ...]:
         met, count = kept_over_time(trained)
         shown = thinned(len(met))
         series.append(ChartLine(name, met[shown], count[shown], _ROLES[k % len(_ROLES)]))
-    return (
-        Chart("growth", "Points of the set, by when they were met", "driving time [s]", "points", tuple(series)),
-    )
+    return (Chart("growth", "Points of the set, by when they were met", "driving time [s]", "points", tuple(series)),)

@@ -50,9 +50,7 @@ def whiteness_chart(residuals: Sequence[tuple[str, str, Labels, np.ndarray]], mo
     return tuple(charts)
 
 
-def coverage_charts(
-    tallies: Mapping[tuple[str, str], ScoreTally], predictors: Sequence[str] = ()
-) -> tuple[Chart, ...]:
+def coverage_charts(tallies: Mapping[tuple[str, str], ScoreTally], predictors: Sequence[str] = ()) -> tuple[Chart, ...]:
     """Return promised against observed coverage, a chart a state, each naming its own coverage at 95 %.
 
     Parameters
@@ -75,12 +73,18 @@ def coverage_charts(
         inside = []
         for k, (key, tally) in enumerate(others):
             promised, observed = tally.probability.reliability_curve
-            name, role = (
-                ("nominal model", "simulated") if key[0] == NOMINAL else (names[key], roles[k % len(roles)])
-            )
+            name, role = ("nominal model", "simulated") if key[0] == NOMINAL else (names[key], roles[k % len(roles)])
             series.append(ChartLine(name, 100 * promised, 100 * observed[:, state], role))
             inside.append(f"{name} {100 * tally.probability.coverage[1, state]:.0f} %")
-        charts.append(Chart(f"coverage-{symbol.replace('_', '')}", f"Coverage of {symbol}", "promised [%]",
-                            "labels inside [%]", tuple(series),
-                            f"Inside the 95 % interval: {', '.join(inside)}.", equal=True))  # fmt: skip
+        charts.append(
+            Chart(
+                f"coverage-{symbol.replace('_', '')}",
+                f"Coverage of {symbol}",
+                "promised [%]",
+                "labels inside [%]",
+                tuple(series),
+                f"Inside the 95 % interval: {', '.join(inside)}.",
+                equal=True,
+            )
+        )
     return tuple(charts)

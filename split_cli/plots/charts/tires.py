@@ -28,10 +28,7 @@ class LearnedForces:
 
 
 def tire_charts(
-    drive: Drive,
-    vehicle: Vehicle,
-    corrected: tuple[Drive, Vehicle] | None = None,
-    learned: LearnedForces | None = None,
+    drive: Drive, vehicle: Vehicle, corrected: tuple[Drive, Vehicle] | None = None, learned: LearnedForces | None = None
 ) -> tuple[Chart, ...]:
     """Return the force charts of both axles and of the longitudinal direction.
 
@@ -99,9 +96,15 @@ def _left(forces: AxleForces, drive: Drive, corrected: Vehicle, nominal: Vehicle
 
 
 def _learned(
-    learned: LearnedForces, forces: AxleForces, base: np.ndarray, vehicle: Vehicle, x: np.ndarray, column: int,
-    width: float, found: bool,
-) -> ChartLine:  # fmt: skip
+    learned: LearnedForces,
+    forces: AxleForces,
+    base: np.ndarray,
+    vehicle: Vehicle,
+    x: np.ndarray,
+    column: int,
+    width: float,
+    found: bool,
+) -> ChartLine:
     _, mine, theirs = np.intersect1d(forces.labels.row, learned.rows, return_indices=True)
     mean = base[mine, column] + forces_of_rates(vehicle, learned.prediction.mean)[theirs, column]
     deviation = force_deviation(vehicle, learned.prediction)[theirs, column]

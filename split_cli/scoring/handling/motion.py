@@ -97,9 +97,7 @@ def free_run(
     steps = max(1, round(seconds / (window * drive.period)))
     length = steps * window
     slow = np.concatenate([[0], np.cumsum(drive["vx"] < model.vehicle.minimum_speed)])
-    starts = np.array(
-        [at for run in drive.segments() for at in range(run.start, run.stop - length, length)], dtype=int
-    )
+    starts = np.array([at for run in drive.segments() for at in range(run.start, run.stop - length, length)], dtype=int)
     starts = starts[slow[starts + length + 1] == slow[starts]] if len(starts) else starts
     if not len(starts):
         return None

@@ -101,9 +101,7 @@ def understeer_of(drive: Drive, vehicle: Vehicle) -> Understeer | None:
         return None
     steer, ratios = _regress(np.stack([kinematic, a_y, ones, change], axis=1), steer_angle[used], block)
     steady = difference - slope[2] * change
-    return Understeer(
-        float(slope[0]), interval, float(slope[1]), float(steer[0]), ratios, a_y, steady, float(limit)
-    )
+    return Understeer(float(slope[0]), interval, float(slope[1]), float(steer[0]), ratios, a_y, steady, float(limit))
 
 
 class _Smooth:
@@ -138,8 +136,7 @@ def _regress(columns: np.ndarray, target: np.ndarray, block: np.ndarray) -> tupl
     scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
     scaled = columns / scale
     gram = np.stack(
-        [np.bincount(number, scaled[:, i] * scaled[:, j], blocks) for i in range(width) for j in range(width)],
-        axis=1,
+        [np.bincount(number, scaled[:, i] * scaled[:, j], blocks) for i in range(width) for j in range(width)], axis=1
     )
     right = np.stack([np.bincount(number, scaled[:, i] * target, blocks) for i in range(width)], axis=1)
     rng = np.random.default_rng(20240501)

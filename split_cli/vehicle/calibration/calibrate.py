@@ -225,9 +225,7 @@ def _fit_resistance(
     )
     before = vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear
     # Only the sum is seen; it is shared as before, or as the load where there was none.
-    share = (
-        vehicle.rolling_resistance_front / before if before > 0 else vehicle.cg_to_rear_axle / vehicle.wheelbase
-    )
+    share = vehicle.rolling_resistance_front / before if before > 0 else vehicle.cg_to_rear_axle / vehicle.wheelbase
     return resistance, replace(
         vehicle,
         drag_coefficient=resistance.drag,
@@ -245,9 +243,7 @@ def _rounded(vehicle: Vehicle) -> Vehicle:
     changed: dict[str, Any] = {}
     for key in ("front_tire", "rear_tire"):
         tire = getattr(vehicle, key)
-        changed[key] = MagicFormula(
-            **{name: short(f"{key}.{name}", getattr(tire, name)) for name in ("B", "C", "D")}
-        )
+        changed[key] = MagicFormula(**{name: short(f"{key}.{name}", getattr(tire, name)) for name in ("B", "C", "D")})
     changed |= {key: short(key, getattr(vehicle, key)) for key in vehicle.origins if "." not in key}
     return replace(vehicle, **changed)
 

@@ -208,20 +208,37 @@ def fit_force_curve(
         tire = MagicFormula(tire.cornering_stiffness / (tire.C * given_peak), tire.C, given_peak)
     stiffness = tire.cornering_stiffness * np.exp([0.0, -slope_error, slope_error])
     return ForceCurve(
-        axle=axle, tire=tire, determined=determined, slip_offset=offset, covered=covered,
-        cornering_stiffness=tuple(stiffness.tolist()), peak=profile.interval,
-        slip_angle=grid, force=_curve(chosen.parameters, grid), lower=low, upper=high,
-        alike_lower=alike.min(axis=0), alike_upper=alike.max(axis=0),
-        deviation_covered=float(width[grid <= covered].max()), deviation_everywhere=float(width.max()),
-        held_out=_held_out(problem, chosen, start), samples=len(slip_angle), blocks=len(np.unique(block)),
+        axle=axle,
+        tire=tire,
+        determined=determined,
+        slip_offset=offset,
+        covered=covered,
+        cornering_stiffness=tuple(stiffness.tolist()),
+        peak=profile.interval,
+        slip_angle=grid,
+        force=_curve(chosen.parameters, grid),
+        lower=low,
+        upper=high,
+        alike_lower=alike.min(axis=0),
+        alike_upper=alike.max(axis=0),
+        deviation_covered=float(width[grid <= covered].max()),
+        deviation_everywhere=float(width.max()),
+        held_out=_held_out(problem, chosen, start),
+        samples=len(slip_angle),
+        blocks=len(np.unique(block)),
         remarks=(*remarks, *_offset_remark(problem, chosen, axle, fit_offset)),
-    )  # fmt: skip
+    )
 
 
 def _problem_of(
-    axle: str, slip_angle: np.ndarray, force: np.ndarray, block: np.ndarray, static_load: float,
-    largest_force: float, fit_offset: bool,
-) -> _Problem:  # fmt: skip
+    axle: str,
+    slip_angle: np.ndarray,
+    force: np.ndarray,
+    block: np.ndarray,
+    static_load: float,
+    largest_force: float,
+    fit_offset: bool,
+) -> _Problem:
     """Return the fit's samples and bounds, without noise in the slip angle."""
     blocks = len(np.unique(block))
     if len(slip_angle) < _MINIMUM_SAMPLES or blocks < _MINIMUM_BLOCKS:
@@ -251,9 +268,7 @@ def _best_fit(problem: _Problem, start: MagicFormula, given_peak: float) -> Leas
     begins = [begin, *(np.array([begin[0], np.log(given_peak * f), 1.4, 0.0]) for f in (0.6, 1.0, 1.6))]
     size = np.abs(problem.force)
     gentle = size <= np.median(size)
-    slope = float(
-        problem.slip[gentle] @ problem.force[gentle] / max(float(np.sum(problem.slip[gentle] ** 2)), 1e-12)
-    )
+    slope = float(problem.slip[gentle] @ problem.force[gentle] / max(float(np.sum(problem.slip[gentle] ** 2)), 1e-12))
     shown = np.log(np.maximum([slope, float(np.quantile(size, 0.995))], 1e-9))
     begins.append(np.clip([*shown, 1.4, 0.0], problem.lower, problem.upper))
     scale = problem.fit(begin).scale

@@ -103,10 +103,16 @@ def solve(
         if scale is None:
             width = max(robust_scale(state[0]), 1e-9)
         found = descend(
-            evaluate, linearise, parameters, lower, upper, iterations=iterations, tries=_TRIES,
+            evaluate,
+            linearise,
+            parameters,
+            lower,
+            upper,
+            iterations=iterations,
+            tries=_TRIES,
             movable=np.isin(np.arange(len(parameters)), free),
             enough=lambda gained, cost: gained < _LEAST_GAIN * cost or gained == 0.0,
-        )  # fmt: skip
+        )
         parameters, state = found.parameters, found.state
     value, jacobian = state
     influence = weights * _influence(value, width)

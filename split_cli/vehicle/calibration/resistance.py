@@ -78,9 +78,7 @@ def fit_resistance(
     turning = lateral_force_front * np.sin(samples.delta) + front * (1.0 - np.cos(samples.delta))
     against = drive - vehicle.mass * samples.ax - turning
     design = np.column_stack([np.ones(len(samples)), samples.vx**2])
-    start = np.array(
-        [vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear, vehicle.drag_coefficient]
-    )
+    start = np.array([vehicle.rolling_resistance_front + vehicle.rolling_resistance_rear, vehicle.drag_coefficient])
     both = _fit(design, against, start, [0, 1])
     covariance = both.covariance(samples.block)
     errors = 1.96 * np.sqrt(np.diag(covariance))

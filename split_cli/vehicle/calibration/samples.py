@@ -63,9 +63,7 @@ class MotionSamples:
         return MotionSamples(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 
-def motion_samples(
-    runs: Sequence[MotionRun], vehicle: Vehicle, *, smoothing: float | None = None
-) -> MotionSamples:
+def motion_samples(runs: Sequence[MotionRun], vehicle: Vehicle, *, smoothing: float | None = None) -> MotionSamples:
     """Smooth and differentiate recorded motion.
 
     Parameters

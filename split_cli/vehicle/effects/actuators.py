@@ -9,9 +9,7 @@ from split_cli.vehicle.effects.wording import Estimates, amount, late, scaled
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = [
-    "DriveDelay", "DriveGain", "DriveLag", "SteerBacklash", "SteerDelay", "SteerGain", "SteerLag", "SteerOffset",
-]  # fmt: skip
+__all__ = ["DriveDelay", "DriveGain", "DriveLag", "SteerBacklash", "SteerDelay", "SteerGain", "SteerLag", "SteerOffset"]
 
 _RATIO = "judgement: steering ratios of road cars lie within 12 and 20, so a wrong one is off by less than 1.8"
 _NOT_SHOWN = 100.0  # [%] within which a torque may be off that a drive does not show, as without any braking
@@ -73,8 +71,7 @@ class DriveGain(Term):
         if most >= _NOT_SHOWN:
             return f"{wrong} torque arrives {gains[wrong][1]}; of {right[0]} torque the drive tells nothing"
         return (
-            f"{wrong} torque arrives {gains[wrong][1]}, while {right[0]} torque is as it should be, "
-            f"within {most:.2g} %"
+            f"{wrong} torque arrives {gains[wrong][1]}, while {right[0]} torque is as it should be, within {most:.2g} %"
         )
 
     def actuate(self, flow: Flow) -> None:
@@ -155,9 +152,7 @@ class SteerGain(Term):
     family = "steering"
     discrepancy: ClassVar = (("", "gain", 0.05),)
     order = 1
-    mimics: ClassVar = (
-        Mimic("tire_stiffness", "small steer angles at one speed", "turns at low and at high speed"),
-    )
+    mimics: ClassVar = (Mimic("tire_stiffness", "small steer angles at one speed", "turns at low and at high speed"),)
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
@@ -256,9 +251,7 @@ class SteerOffset(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        return (
-            f"the road wheels are {amount(p['offset'], more='too far to the left', less='too far to the right')}"
-        )
+        return f"the road wheels are {amount(p['offset'], more='too far to the left', less='too far to the right')}"
 
     def actuate(self, flow: Flow) -> None:
         """Shift the steer angle."""

@@ -47,10 +47,7 @@ def inertia_range(vehicle: Vehicle) -> tuple[float, float]:
     A file may have guessed the inertia, so what bounds it is where a car carries its mass, whatever the file says.
     """
     known = gyration(vehicle)
-    return (
-        min(max(_LEAST_GYRATION / known, 0.4), 1.0 / _ANY_FILE),
-        max(min(_MOST_GYRATION / known, 2.5), _ANY_FILE),
-    )
+    return (min(max(_LEAST_GYRATION / known, 0.4), 1.0 / _ANY_FILE), max(min(_MOST_GYRATION / known, 2.5), _ANY_FILE))
 
 
 def least_mass(vehicle: Vehicle) -> float:
@@ -102,10 +99,7 @@ class Mass(Term):
         if not self.variant:
             return
         scale, car = self.parameters["scale"], flow.vehicle
-        for axle, resistance in (
-            (flow.front, car.rolling_resistance_front),
-            (flow.rear, car.rolling_resistance_rear),
-        ):
+        for axle, resistance in ((flow.front, car.rolling_resistance_front), (flow.rear, car.rolling_resistance_rear)):
             scale_load(axle, scale, self.variant)
             axle.longitudinal_force = axle.longitudinal_force - (scale - 1.0) * resistance
 

@@ -54,9 +54,7 @@ class _Instrument(Term):
         """Put the fault in."""
         return self._changed(columns, recording, 1.0)
 
-    def _changed(
-        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
-    ) -> dict[str, np.ndarray]:
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
         raise NotImplementedError
 
 
@@ -121,9 +119,7 @@ class VelocityBias(_Instrument):
         angle: np.ndarray = p["angle"] + p["drift"] * (t - 0.5 * (t[0] + t[-1]))
         return angle
 
-    def _changed(
-        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
-    ) -> dict[str, np.ndarray]:
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
         if self.variant == "offset":
             return {**columns, "vy": columns["vy"] + sign * self.parameters["offset"]}
         t = columns["t"]
@@ -155,9 +151,7 @@ class AccelerationBias(_Instrument):
     mimics: ClassVar = (
         Mimic("road_grade", "the road climbs all along", "the opposite direction"),
         Mimic(
-            "road_bank",
-            "the road leans all along",
-            "the opposite direction: a road moves the car, a sensor does not",
+            "road_bank", "the road leans all along", "the opposite direction: a road moves the car, a sensor does not"
         ),
     )
 
@@ -174,9 +168,7 @@ class AccelerationBias(_Instrument):
         read = [f"{size} {words[name]}" for name, size in sizes.items()]
         return f"the accelerometers read {' and '.join(read)}"
 
-    def _changed(
-        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
-    ) -> dict[str, np.ndarray]:
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
         biased = {name: columns[name] + sign * bias for name, bias in self.parameters.items() if name in columns}
         return {**columns, **biased}
 
@@ -191,9 +183,7 @@ class YawRateBias(_Instrument):
     units: ClassVar = {"r": "rad/s"}
     neutral: ClassVar = {"r": 0.0}
     needs: ClassVar = frozenset({"measured position"})
-    mimics: ClassVar = (
-        Mimic("steer_offset", "one speed, without yaw", "yaw, or turns to both sides at two speeds"),
-    )
+    mimics: ClassVar = (Mimic("steer_offset", "one speed, without yaw", "yaw, or turns to both sides at two speeds"),)
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
@@ -203,9 +193,7 @@ class YawRateBias(_Instrument):
     def statement(cls, p: Estimates, variant: str = "") -> str:
         return f"the yaw rate reads {amount(p['r'], more='too far to the left', less='too far to the right')}"
 
-    def _changed(
-        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
-    ) -> dict[str, np.ndarray]:
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
         return {**columns, "r": columns["r"] + sign * self.parameters["r"]}
 
 
@@ -231,9 +219,7 @@ class _Scale(_Instrument):
         subject = _WORDS[variant] if variant else cls.subject
         return f"{subject} reads {scaled(p['scale'], 'too much', 'too little')}"
 
-    def _changed(
-        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
-    ) -> dict[str, np.ndarray]:
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
         factor = self.parameters["scale"] ** sign
         channels = (self.variant,) if self.variant else self.channels
         return {**columns, **{name: factor * columns[name] for name in channels}}
@@ -254,9 +240,7 @@ class SpeedScale(_Scale):
     subject = "the velocity"
     mimics: ClassVar = (
         Mimic("drive_gain+aero_drag", "straight driving, without position", _POSITION),
-        Mimic(
-            "yaw_rate_scale", "without position and yaw: only v_x r is seen", "position and yaw", without=_PLACE
-        ),
+        Mimic("yaw_rate_scale", "without position and yaw: only v_x r is seen", "position and yaw", without=_PLACE),
     )
 
 
@@ -300,9 +284,7 @@ class ChannelDelay(_Instrument):
     mimics: ClassVar = (
         Mimic("yaw_inertia", "gentle transients, without yaw", "yaw against yaw rate", variants=("r",)),
         *(
-            Mimic(
-                term, f"without position: {what} that answers late", _POSITION, variants=variants, without=_PLACE
-            )
+            Mimic(term, f"without position: {what} that answers late", _POSITION, variants=variants, without=_PLACE)
             for what, terms, variants in (
                 ("speed", ("drive_lag", "drive_delay"), ("vx", "velocity")),
                 ("a turn", ("steer_lag", "steer_delay"), ("r", "vy", "velocity")),
@@ -327,9 +309,7 @@ class ChannelDelay(_Instrument):
             return f"{each} against the other channels"
         return f"{_WORDS[variant]} is {late(p[variant])} against the other channels"
 
-    def _changed(
-        self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float
-    ) -> dict[str, np.ndarray]:
+    def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
         moved = {
             name: shifted(columns[name], sign * delay, recording)
             for name, delay in self.parameters.items()

@@ -4,14 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from split_cli.vehicle.effects.search import (
-    CHANGED_LAG_SEARCH,
-    DELAY_SEARCH,
-    LAG_SEARCH,
-    Course,
-    Search,
-    time_unit,
-)
+from split_cli.vehicle.effects.search import CHANGED_LAG_SEARCH, DELAY_SEARCH, LAG_SEARCH, Course, Search, time_unit
 from split_cli.vehicle.effects.term import Term
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
@@ -96,6 +89,4 @@ class Lagging(Term):
         value = self.first_order(flow, name, command, self.rate)
         if "shared" not in self.parameters:
             return value
-        return (
-            command + value - self.first_order(flow, f"{name}_shared", command, rate_of(self.parameters["shared"]))
-        )
+        return command + value - self.first_order(flow, f"{name}_shared", command, rate_of(self.parameters["shared"]))

@@ -12,9 +12,14 @@ import numpy as np
 from split_cli.compiled_code import compiled
 
 __all__ = [
-    "Handover", "Recording", "first_order_from_means", "first_order_response", "over_samples", "play_response",
+    "Handover",
+    "Recording",
+    "first_order_from_means",
+    "first_order_response",
+    "over_samples",
+    "play_response",
     "shifted",
-]  # fmt: skip
+]
 
 
 @dataclass(frozen=True)
@@ -122,9 +127,7 @@ def play_response(source: Any, width: float, recording: Recording, name: str = "
     """
     source = np.ascontiguousarray(source, dtype=float)
     half, starts = 0.5 * float(width), _starts(recording)
-    return _continued(
-        lambda begin: _kernels()[1](source, half, starts, begin), recording, _kept_as(name, recording)
-    )
+    return _continued(lambda begin: _kernels()[1](source, half, starts, begin), recording, _kept_as(name, recording))
 
 
 def _kept_as(name: str, recording: Recording) -> str:
@@ -155,9 +158,7 @@ def _kernels() -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
     """Compile the two recursions on first use; numba is not worth loading for models without memory."""
 
     @compiled(cache=True, nogil=True)
-    def recur(
-        target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray, begin: float
-    ) -> np.ndarray:
+    def recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray, begin: float) -> np.ndarray:
         out = np.empty_like(target)
         upcoming = 0
         for k in range(len(target)):

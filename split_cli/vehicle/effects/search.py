@@ -9,16 +9,7 @@ import numpy as np
 
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = [
-    "CHANGED_LAG_SEARCH",
-    "DELAY_SEARCH",
-    "LAG_SEARCH",
-    "Course",
-    "Range",
-    "Search",
-    "speed_unit",
-    "time_unit",
-]
+__all__ = ["CHANGED_LAG_SEARCH", "DELAY_SEARCH", "LAG_SEARCH", "Course", "Range", "Search", "speed_unit", "time_unit"]
 
 _WIDER = 4.0  # how far beyond what a car can have an explanation is followed, to tell what it would need
 
@@ -74,9 +65,7 @@ class Search:
     def times(self, sizes: Mapping[str, float]) -> Search:
         """Return the search with every parameter in another unit; those that `sizes` lacks stay."""
         ranges = {name: one.times(sizes.get(name, 1.0)) for name, one in self.ranges.items()}
-        starts = tuple(
-            {name: value * sizes.get(name, 1.0) for name, value in start.items()} for start in self.starts
-        )
+        starts = tuple({name: value * sizes.get(name, 1.0) for name, value in start.items()} for start in self.starts)
         return Search(ranges, starts, self.located, self.complexity)
 
 
@@ -96,9 +85,7 @@ _LATE = (
 _SLOW = "judgement: a turbo-charged engine builds up torque in up to a second, nothing in a car is slower"
 #: Sizes at which fits of a delay begin [s]: about evenly in ratio; see `valleys` for what lies between.
 DELAYS = (0.004, 0.015, 0.045, 0.08, 0.13, 0.22, 0.38)
-DELAY_SEARCH = Search(
-    {"delay": Range(0.0, 0.6, 0.001, _LATE)}, tuple({"delay": value} for value in (0.001, *DELAYS))
-)
+DELAY_SEARCH = Search({"delay": Range(0.0, 0.6, 0.001, _LATE)}, tuple({"delay": value} for value in (0.001, *DELAYS)))
 #: In units of `time_unit`: small engines and servos are quicker.
 LAG_SEARCH = Search(
     {"tau": Range(0.0, 1.0, 0.001, _SLOW)}, tuple({"tau": value} for value in (0.001, 0.004, 0.015, 0.05, 0.16))

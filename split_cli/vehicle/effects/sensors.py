@@ -162,9 +162,7 @@ class _LateChannels(Delayed):
         """Move the late channels later."""
         return self._moved(columns, self.parameters["delay"], recording)
 
-    def _moved(
-        self, columns: Mapping[str, np.ndarray], delay: float, recording: Recording
-    ) -> dict[str, np.ndarray]:
+    def _moved(self, columns: Mapping[str, np.ndarray], delay: float, recording: Recording) -> dict[str, np.ndarray]:
         return {
             name: shifted(values, delay, recording) if self.is_late(name) else values
             for name, values in columns.items()

@@ -16,9 +16,15 @@ from split_cli.vehicle.tire import lateral_force
 
 # What the catalogue is made of: every name here is a term.
 __all__ = [
-    "AeroDownforce", "CombinedSlip", "FrictionPatch", "FrictionScale", "GripFade", "LoadTransfer",
-    "TireRelaxation", "TireStiffness",
-]  # fmt: skip
+    "AeroDownforce",
+    "CombinedSlip",
+    "FrictionPatch",
+    "FrictionScale",
+    "GripFade",
+    "LoadTransfer",
+    "TireRelaxation",
+    "TireStiffness",
+]
 
 # Below this share of its capacity an axle that brakes at its limit keeps lateral force; it keeps roots smooth.
 _LEAST_CAPACITY = 1e-3
@@ -31,15 +37,9 @@ _ELLIPSE = "judgement: grip along the car is more than half of that across it, w
 _GRIP = "judgement: tyre and road have a friction of 0.1 (wet ice) to 2.2 (racing tyres)"
 _LEAST_FRICTION, _MOST_FRICTION = 0.1, 2.2
 _FADE = "judgement: from a dry road to ice, or from cold tyres to warm ones"
-_ROLLED = (
-    "Pacejka (2012), section 5.4: lengths of the order of a wheel's radius and of twice that; judgement beyond"
-)
-_HEIGHT = (
-    "Heydinger et al. (1999), SAE 1999-01-1336: 0.17 to 0.3 wheelbases for cars and light trucks; judgement: 0.5"
-)
-_PITCH = (
-    "Gillespie (1992), chapter 5: cars pitch at 1 to 2 Hz, damped by 0.2 to 0.5 of the critical; judgement: 0.2 s"
-)
+_ROLLED = "Pacejka (2012), section 5.4: lengths of the order of a wheel's radius and of twice that; judgement beyond"
+_HEIGHT = "Heydinger et al. (1999), SAE 1999-01-1336: 0.17 to 0.3 wheelbases for cars and light trucks; judgement: 0.5"
+_PITCH = "Gillespie (1992), chapter 5: cars pitch at 1 to 2 Hz, damped by 0.2 to 0.5 of the critical; judgement: 0.2 s"
 _BENT = {"curve": frozenset({"hard turns"})}
 _STIFF = "judgement: make, pressure and wear change a tyre's stiffness by less than a factor of 1.8"
 _LOADED = (
@@ -106,9 +106,7 @@ class CombinedSlip(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        return (
-            f"driving and braking reduce lateral grip, with a strength of {amount(p['strength'], one_sided=True)}"
-        )
+        return f"driving and braking reduce lateral grip, with a strength of {amount(p['strength'], one_sided=True)}"
 
     @classmethod
     def example(cls, p: Estimates, vehicle: Vehicle) -> str:
@@ -250,9 +248,7 @@ class GripFade(Term):
         verb = "fades" if loss.value >= 0.0 else "grows"
         if tau.std_error is not None and tau.std_error > _LONG_AGAINST * abs(tau.value):
             rate = number(100.0 * abs(loss.value / tau.value), 2)
-            return (
-                f"{_curve(variant)} {verb} with time, at first by {rate} % a second (how far it goes is not known)"
-            )
+            return f"{_curve(variant)} {verb} with time, at first by {rate} % a second (how far it goes is not known)"
         size, pace = amount(loss, share=True, more="less", less="more"), number(tau.value)
         return f"{_curve(variant)} {verb} with time, to {size} in the end, with a time constant of {pace} s"
 

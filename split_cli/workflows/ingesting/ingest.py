@@ -24,9 +24,14 @@ from split_cli.workflows.ingesting.ingest_manifest import IngestManifest, settin
 from split_cli.workflows.sources import SourceFile, find_sources, is_remote
 
 __all__ = [
-    "IngestFailure", "IngestResult", "IngestRun", "IngestSettings", "ingest_logs", "list_channels",
+    "IngestFailure",
+    "IngestResult",
+    "IngestRun",
+    "IngestSettings",
+    "ingest_logs",
+    "list_channels",
     "suggest_map_for",
-]  # fmt: skip
+]
 
 _OWN_MAPS = ("canonical", "split_sim")
 """Presets used without ``--map``: columns named as a drive's; messages of `split simulate` and `split race`."""
@@ -60,12 +65,7 @@ class IngestResult:
         kinds = "; ".join(self.metadata.reported_kinds)
         converted = [f"  {text}" for text in self.metadata.conversions]
         return "\n".join(
-            [
-                head,
-                f"kinds: {kinds}",
-                render_quality(self.quality),
-                *(["converted:", *converted] if converted else []),
-            ]
+            [head, f"kinds: {kinds}", render_quality(self.quality), *(["converted:", *converted] if converted else [])]
         )
 
     def to_mapping(self) -> dict[str, Any]:

@@ -98,10 +98,7 @@ def _is_below(drive: str) -> bool:
 
 
 def settings_digest(
-    signal_map: SignalMap | None,
-    vehicle: Vehicle | None,
-    settings: IngestSettings | None,
-    topics: Mapping[str, str],
+    signal_map: SignalMap | None, vehicle: Vehicle | None, settings: IngestSettings | None, topics: Mapping[str, str]
 ) -> str:
     """Return what a drive depends on beside its source, in 64 digits."""
     described: dict[str, Any] = {

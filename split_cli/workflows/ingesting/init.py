@@ -143,9 +143,7 @@ class InitResult:
             "open": "channels left open, with the reason in the map",
         }
         lines = [f"wrote {self.map_path} and {self.vehicle_path}"]
-        lines += [
-            f"  {words[status]}: {', '.join(dict.fromkeys(found))}" for status, found in counts.items() if found
-        ]
+        lines += [f"  {words[status]}: {', '.join(dict.fromkeys(found))}" for status, found in counts.items() if found]
         return "\n".join([*lines, "next:", *(f"  {n}. {step}" for n, step in enumerate(self.next_steps, 1))])
 
     def to_mapping(self) -> dict[str, Any]:
@@ -204,13 +202,9 @@ def init_project(
     for target in targets:
         if target.exists():
             raise SplitError("exists already", where=str(target), advice="Name another folder with -o.")
-    recordings = [
-        open_logs(list(logs) if together else log, message_paths) for log in (logs[:1] if together else logs)
-    ]
+    recordings = [open_logs(list(logs) if together else log, message_paths) for log in (logs[:1] if together else logs)]
     drafts = {str(log): draft_map(one, row_rate=row_rate) for log, one in zip(logs, recordings, strict=False)}
-    recorded = {
-        str(log): [info.name for info in one.channels()] for log, one in zip(logs, recordings, strict=False)
-    }
+    recorded = {str(log): [info.name for info in one.channels()] for log, one in zip(logs, recordings, strict=False)}
     draft, differences = agreed_draft(drafts, recorded)
     name = ", ".join(one.name for one in recordings)
     if draft.hints and all(s.status == "open" for s in draft.suggestions):

@@ -92,9 +92,7 @@ def _promised(folder: Path) -> Mapping[tuple[str, str], float]:
     path = folder / "diagnosis" / "diagnosis.json"
     document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"detectable": []}
     values = {
-        (one["term"], name): each["value"]
-        for one in document["detectable"]
-        for name, each in one["parameters"].items()
+        (one["term"], name): each["value"] for one in document["detectable"] for name, each in one["parameters"].items()
     }
     return {key: value for key, value in values.items() if value is not None}
 

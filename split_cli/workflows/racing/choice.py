@@ -49,9 +49,12 @@ def choose_features(laps: Sequence[Drive], vehicle: Vehicle, settings: RaceSetti
     if len(candidates) == 1:
         return FeatureChoice(candidates[0], "", False)
     asked = SelectionSettings(
-        features=candidates, capacities=(DEFAULT_CAPACITY,), thresholds=(DEFAULT_THRESHOLD,), cell_edges=(1.0,),
+        features=candidates,
+        capacities=(DEFAULT_CAPACITY,),
+        thresholds=(DEFAULT_THRESHOLD,),
+        cell_edges=(1.0,),
         predictor=settings.predictor if settings.predictor in FOLLOWING else DEFAULT_PREDICTOR,
-    )  # fmt: skip
+    )
     driven = "lap 0" if len(laps) == 1 else f"laps 0 to {len(laps) - 1}"
     try:
         found = select(laps, vehicle, asked).candidates
@@ -149,9 +152,7 @@ def _what_to_do(last: Lap, settings: RaceSettings, nominal_is_clean: bool) -> st
         left = ", ".join(f"{100 * share:.0f} %" for share in shares)
         errors = f" In lap {last.number} the one-step errors of v_x, v_y and r were {left} of the nominal model's."
     if settings.features != AUTO:
-        return (
-            f"{errors} Leave out --features and --predictor: the race then chooses both on held-out parts of laps."
-        )
+        return f"{errors} Leave out --features and --predictor: the race then chooses both on held-out parts of laps."
     if not nominal_is_clean:
         return errors  # what lap 0 asks for says the rest
     return (

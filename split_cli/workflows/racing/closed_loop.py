@@ -113,9 +113,7 @@ class World:
         """Of the recording [s]."""
         return SAMPLE_PERIOD
 
-    def recording(
-        self, first: int = 0, last: int | None = None, name: str = "race", *, exact: bool = False
-    ) -> Drive:
+    def recording(self, first: int = 0, last: int | None = None, name: str = "race", *, exact: bool = False) -> Drive:
         """Return rows `first` to `last` as a drive; T and delta are commands, led in straight lines.
 
         With `exact` it is the motion itself, without what sensors add to it.
@@ -128,9 +126,12 @@ class World:
         noise = tuple(NoiseEstimate(c, float(s), float(s)) for c, s in zip(_MEASURED, self.noise, strict=True))
         origin = "simulated drive in closed loop, sensors on one clock; commands led in straight lines"
         return Drive(
-            name, columns, np.zeros(len(rows), dtype=np.int32), SAMPLE_PERIOD,
+            name,
+            columns,
+            np.zeros(len(rows), dtype=np.int32),
+            SAMPLE_PERIOD,
             DriveMetadata(kinds=kinds, conversions=(origin,), noise=noise),
-        )  # fmt: skip
+        )
 
     def readings(self, drive: Drive) -> tuple[Reading, ...]:
         """Return a drive as what its devices reported, one clock for all, for a log of messages."""

@@ -120,9 +120,8 @@ class Race:
     """
 
     def __init__(
-        self, settings: RaceSettings, vehicle: Vehicle, set_output: str | FilePath | None,
-        say: Callable[[str], None],
-    ) -> None:  # fmt: skip
+        self, settings: RaceSettings, vehicle: Vehicle, set_output: str | FilePath | None, say: Callable[[str], None]
+    ) -> None:
         self.settings, self.vehicle, self.set_output, self.say = settings, vehicle, set_output, say
         check_settings(settings)
         self.car = find_car(settings.car)
@@ -432,9 +431,7 @@ class Race:
             name = f"lap {record.number}"
             due = len(record.learned) % MOTION_EVERY == 0
             exact = world.recording(begin, name=name, exact=True) if due else None
-            record.learned.append(
-                self.learner.learn(world.recording(begin, name=name), begin - record.first, exact)
-            )
+            record.learned.append(self.learner.learn(world.recording(begin, name=name), begin - record.first, exact))
         return info
 
     def write(self, output: FilePath) -> None:
@@ -453,9 +450,17 @@ class Race:
         known = any(what_lap_0_asks(other.laps, self.vehicle) for other in others)
         advice = "" if known else what_lap_0_asks(self.laps, self.vehicle)
         return RaceResult(
-            track=self.path.name, car=self.car.name, vehicle=self.vehicle.name, learner=self.settings.learner,
-            length=self.path.length, laps=tuple(self.laps), output=None if output is None else str(output),
-            set_path=self.kept, notes=(*self.notes, *filter(None, [advice])),
-            traces=tuple(self.traces), path=self.path, grips=tuple(self.grips),
+            track=self.path.name,
+            car=self.car.name,
+            vehicle=self.vehicle.name,
+            learner=self.settings.learner,
+            length=self.path.length,
+            laps=tuple(self.laps),
+            output=None if output is None else str(output),
+            set_path=self.kept,
+            notes=(*self.notes, *filter(None, [advice])),
+            traces=tuple(self.traces),
+            path=self.path,
+            grips=tuple(self.grips),
             verdict=whether_learning_helped(self.laps, self.settings, others),
-        )  # fmt: skip
+        )

@@ -108,17 +108,23 @@ def check_predictor(name: str, features: FeatureSet | None) -> None:
 
 def _check_numbers(settings: RaceSettings) -> None:
     limits = settings.settings.limits
-    positive = {"--max-speed": settings.max_speed, "--grip": settings.grip,
-                "--assumed-friction": settings.assumed_friction, "--max-torque": settings.max_torque,
-                "--width": settings.width, "--p-long": limits.p_long}  # fmt: skip
+    positive = {
+        "--max-speed": settings.max_speed,
+        "--grip": settings.grip,
+        "--assumed-friction": settings.assumed_friction,
+        "--max-torque": settings.max_torque,
+        "--width": settings.width,
+        "--p-long": limits.p_long,
+    }
     check_numbers(positive.items(), {}, {}, 0)
     if settings.max_speed <= SLOWEST:
-        what = (
-            f"is {settings.max_speed:g} m/s, where the controller's model is not valid; more than {SLOWEST:g} m/s "
-        )
+        what = f"is {settings.max_speed:g} m/s, where the controller's model is not valid; more than {SLOWEST:g} m/s "
         raise SplitError(f"{what}was expected", where="--max-speed")
-    shares = {"--p-ellipse": limits.p_ellipse, "--p-ellipse-lap0": settings.first_share,
-              "--p-unknown": limits.p_unknown}  # fmt: skip
+    shares = {
+        "--p-ellipse": limits.p_ellipse,
+        "--p-ellipse-lap0": settings.first_share,
+        "--p-unknown": limits.p_unknown,
+    }
     from_zero = {"--tightening": settings.tightening, "deviation": settings.deviation, "--margin": settings.margin}
     check_numbers((), shares, from_zero, settings.seed)
 
@@ -252,8 +258,11 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
             advice="Check the recordings it was trained on with `split evaluate`.",
         )
     if not any(training_set.trust.share):
-        reason = "its drives were too short to judge it" if training_set.trust.origin == "unjudged" else (
-            "it helped no output on held-out driving")  # fmt: skip
+        reason = (
+            "its drives were too short to judge it"
+            if training_set.trust.origin == "unjudged"
+            else ("it helped no output on held-out driving")
+        )
         raise SetError(
             f"holds a correction that is not to be trusted: {reason}. The nominal model alone would drive",
             where=str(where),

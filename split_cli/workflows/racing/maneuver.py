@@ -53,9 +53,7 @@ class ManeuverSettings:
     exact_sensors: bool = False
     delay: bool = True
     width: float | None = None  # of the car's body [m]
-    scale: float | None = (
-        None  # of the course [1]; by default 1, for model cars the share of a full-size wheelbase
-    )
+    scale: float | None = None  # of the course [1]; by default 1, for model cars the share of a full-size wheelbase
     max_torque: float | None = None  # [N m]
     # Of the controller's limits [1]; below that of races, since a whole manoeuvre brakes while it turns.
     p_long: float = P_LONG
@@ -161,10 +159,18 @@ def run_maneuvers(
     if set_output is not None:
         _learn(worlds[0], vehicle, features, scenarios[0].step, set_output)
     return ManeuverResult(
-        scenario=settings.scenario, car=car.name, vehicle=vehicle.name, model=model, grip=settings.grip,
-        width=width, scale=scale, runs=tuple(runs), highest_passed=_highest(runs),
-        output=None if output is None else str(output), set_path=None if set_output is None else str(set_output),
-    )  # fmt: skip
+        scenario=settings.scenario,
+        car=car.name,
+        vehicle=vehicle.name,
+        model=model,
+        grip=settings.grip,
+        width=width,
+        scale=scale,
+        runs=tuple(runs),
+        highest_passed=_highest(runs),
+        output=None if output is None else str(output),
+        set_path=None if set_output is None else str(set_output),
+    )
 
 
 def course_scale(car: CarParameters) -> float:
@@ -182,16 +188,16 @@ def scaled_controller(settings: MpcSettings, scale: float) -> MpcSettings:
     multiplied by s.
     """
     w = settings.weights
-    places, rates = (
-        {"contour": w.contour, "lag": w.lag},
-        {"torque_rate": w.torque_rate, "steer_rate": w.steer_rate},
-    )
+    places, rates = ({"contour": w.contour, "lag": w.lag}, {"torque_rate": w.torque_rate, "steer_rate": w.steer_rate})
     scaled = {name: value / scale**2 for name, value in places.items()}
     weights = replace(w, **scaled, **{name: value * scale for name, value in rates.items()})
     return replace(
-        settings, weights=weights, speed=settings.speed / scale, yaw_rate=settings.yaw_rate * scale,
+        settings,
+        weights=weights,
+        speed=settings.speed / scale,
+        yaw_rate=settings.yaw_rate * scale,
         margin=settings.margin * scale,
-    )  # fmt: skip
+    )
 
 
 def _check(settings: ManeuverSettings) -> None:
@@ -273,14 +279,24 @@ class _Run:
     """One manoeuvre at one speed."""
 
     def __init__(
-        self, settings: ManeuverSettings, scenario: Scenario, vehicle: Vehicle, car: CarParameters,
-        residual: Residual, grip: np.ndarray, width: float,
-    ) -> None:  # fmt: skip
+        self,
+        settings: ManeuverSettings,
+        scenario: Scenario,
+        vehicle: Vehicle,
+        car: CarParameters,
+        residual: Residual,
+        grip: np.ndarray,
+        width: float,
+    ) -> None:
         self.settings, self.scenario, self.car, self.width = settings, scenario, car, width
         self.world = World(
-            car, scenario.path, scenario.entry_speed, 0.0, settings.grip,
+            car,
+            scenario.path,
+            scenario.entry_speed,
+            0.0,
+            settings.grip,
             None if settings.exact_sensors else settings.seed,
-        )  # fmt: skip
+        )
         self.model = ControlModel(vehicle, residual, scenario.step)
         torque = min(settings.max_torque or vehicle.max_torque, vehicle.max_torque)
         check_torque(vehicle, torque)
@@ -294,9 +310,7 @@ class _Run:
         mpc = scaled_controller(mpc, scenario.scale)
         self.controller = Mpc(self.model, scenario.path, self.actuators, mpc, width, scenario.speed)
         self.controller.grip = grip
-        self.speed = SpeedController(scenario.entry_speed, vehicle.mass, vehicle.wheel_radius).scaled(
-            scenario.scale
-        )
+        self.speed = SpeedController(scenario.entry_speed, vehicle.mass, vehicle.wheel_radius).scaled(scenario.scale)
 
     def drive(self) -> ManeuverRun:
         """Drive to the end, or to where it is lost."""
@@ -344,9 +358,16 @@ class _Run:
         entered = truth[np.argmax(x >= 0.0), 4] if (x >= 0.0).any() else float("nan")
         seconds = [info.solver_seconds for info in infos] or [0.0]
         return ManeuverRun(
-            speed=scenario.entry_speed, entered=float(entered), left=float(truth[-1, 4]),
-            cones=len(scenario.cones), hit=int(hit.sum()), deviation=float(np.abs(contour).max(initial=0.0)),
+            speed=scenario.entry_speed,
+            entered=float(entered),
+            left=float(truth[-1, 4]),
+            cones=len(scenario.cones),
+            hit=int(hit.sum()),
+            deviation=float(np.abs(contour).max(initial=0.0)),
             max_lateral=float(np.abs(truth[:, 8]).max()),
             solver_ms=tuple((1e3 * np.quantile(seconds, [0.5, 0.99, 1.0])).tolist()),
-            failures=sum(not info.solved for info in infos), ended=ended, trace=truth, hit_at=scenario.cones[hit],
-        )  # fmt: skip
+            failures=sum(not info.solved for info in infos),
+            ended=ended,
+            trace=truth,
+            hit_at=scenario.cones[hit],
+        )

@@ -171,8 +171,19 @@ def _about(race: RaceResult) -> str:
 
 
 def _table(races: Sequence[RaceResult]) -> str:
-    header = ("lap", "time [s]", "mean speed [m/s]", "largest a_y [g]", "updates", "points", "cells", "error v_x",
-              "error v_y", "error r", "outside [m]")  # fmt: skip
+    header = (
+        "lap",
+        "time [s]",
+        "mean speed [m/s]",
+        "largest a_y [g]",
+        "updates",
+        "points",
+        "cells",
+        "error v_x",
+        "error v_y",
+        "error r",
+        "outside [m]",
+    )
     rows = []
     for name, lap in _names(races):
         time = f"{lap.time:.2f}" if lap.time is not None else f"not finished: {lap.ended}"
@@ -203,13 +214,24 @@ def _numbers(races: Sequence[RaceResult], path: Path) -> dict[str, Any]:
     laps, first, roles = [], _first(races), _roles(races)
     for k, (name, lap, trace) in enumerate(_laps(races)):
         s = trace[:, 1] - np.floor((trace[0, 1] + 0.5 * path.length * 0.01) / path.length) * path.length
-        laps.append({
-            "name": name, "time": lap.time, "outside": round(lap.outside, 2), "shown": k in first,
-            "role": roles[k], "dash": DASHED.get(roles[k], ""),
-            "t": _rounded(trace[:, 0] - trace[0, 0], 2), "s": _rounded(s, 1),
-            "x": _rounded(trace[:, 2], 2), "y": _rounded(trace[:, 3], 2), "yaw": _rounded(trace[:, 4], 3),
-            "v": _rounded(trace[:, 5], 2), "ax": _rounded(trace[:, 10], 2), "ay": _rounded(trace[:, 11], 2),
-        })  # fmt: skip
+        laps.append(
+            {
+                "name": name,
+                "time": lap.time,
+                "outside": round(lap.outside, 2),
+                "shown": k in first,
+                "role": roles[k],
+                "dash": DASHED.get(roles[k], ""),
+                "t": _rounded(trace[:, 0] - trace[0, 0], 2),
+                "s": _rounded(s, 1),
+                "x": _rounded(trace[:, 2], 2),
+                "y": _rounded(trace[:, 3], 2),
+                "yaw": _rounded(trace[:, 4], 3),
+                "v": _rounded(trace[:, 5], 2),
+                "ax": _rounded(trace[:, 10], 2),
+                "ay": _rounded(trace[:, 11], 2),
+            }
+        )
     return {"left": _rounded(left, 2), "right": _rounded(right, 2), "length": path.length, "laps": laps}
 
 

@@ -51,18 +51,29 @@ class Tally:
         exact = [(entry.exact_label, entry.exact_predicted) for entry in used if entry.exact_label is not None]
         motion_before, motion_after = _errors(exact)
         return Lap(
-            number=self.number, time=time, mean_speed=float(np.hypot(truth[:, 4], truth[:, 5]).mean()),
+            number=self.number,
+            time=time,
+            mean_speed=float(np.hypot(truth[:, 4], truth[:, 5]).mean()),
             max_lateral=float(np.abs(truth[:, 8]).max()) / STANDARD_GRAVITY,
-            updates=sum(entry.updates for entry in self.learned), size=size, cells=cells,
-            error_before=before, error_after=after, samples=len(self.learned), accepted=len(used),
+            updates=sum(entry.updates for entry in self.learned),
+            size=size,
+            cells=cells,
+            error_before=before,
+            error_after=after,
+            samples=len(self.learned),
+            accepted=len(used),
             solver_ms=_times([info.solver_seconds for info in self.infos]),
             step_ms=_times([info.total_seconds for info in self.infos]),
             update_ms=_times([entry.seconds for entry in self.learned]),
-            failures=sum(not info.solved for info in self.infos), outside=self.beyond,
-            outside_at=None if self.place is None else self.place % self.length, ended=ended,
-            motion_before=motion_before, motion_after=motion_after, margin=self.margin if self.infos else 0.0,
+            failures=sum(not info.solved for info in self.infos),
+            outside=self.beyond,
+            outside_at=None if self.place is None else self.place % self.length,
+            ended=ended,
+            motion_before=motion_before,
+            motion_after=motion_after,
+            margin=self.margin if self.infos else 0.0,
             share=self.share,
-        )  # fmt: skip
+        )
 
 
 def _errors(pairs: list[tuple[np.ndarray, np.ndarray]]) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -105,9 +105,15 @@ def comparison_charts(compared: ModelComparison) -> tuple[Chart, ...]:
         own = [score.states[k] for score in last]
         low, high = (np.array([one.interval[i] for one in own]) for i in (0, 1))
         series = ChartLine(
-            "rms error", np.array([one.rmse for one in own]), np.arange(len(own)), "learned", "bars", low, high,
+            "rms error",
+            np.array([one.rmse for one in own]),
+            np.arange(len(own)),
+            "learned",
+            "bars",
+            low,
+            high,
             emphasis=tuple(one.is_best for one in own),
-        )  # fmt: skip
+        )
         note = "" if k else "Whiskers: 95 % intervals over blocks of time; ratios in the table have narrower ones."
         texts = f"compare-{state.replace('_', '')}", f"{_NAMES[state].capitalize()} {state}", f"rms error [{unit}]"
         charts.append(Chart(*texts, "", (series,), note, rows=tuple(score.name for score in last)))

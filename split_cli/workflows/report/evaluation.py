@@ -27,23 +27,14 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.drive_charts import gathered
 from split_cli.workflows.evaluation_notes import derived_states
 from split_cli.workflows.report.chart_sections import chart_sections
-from split_cli.workflows.report.markup import (
-    charts_block,
-    facts_list,
-    notes_section,
-    plain_table,
-    section,
-    verdict,
-)
+from split_cli.workflows.report.markup import charts_block, facts_list, notes_section, plain_table, section, verdict
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number, percent
 
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _HARM = "WORSE"
 _WARNING = "WARNING: "
-_RATIOS = (
-    "Error divided by that of the nominal model: left of the line at 1 it is smaller. Bars are 95 % intervals."
-)
+_RATIOS = "Error divided by that of the nominal model: left of the line at 1 it is smaller. Bars are 95 % intervals."
 _MODELS = {NOMINAL: "nominal model", VELOCITY_PERSISTENCE: "persistence: velocities held"}
 _PREDICTORS = (
     "<p>Predictors such as bcm and projected evaluate the same trained set in different ways; docs/prediction.md "
@@ -148,11 +139,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison], left_out: It
     facts = [
         *([("Predictor", comparisons[0].name, "the headline is its verdict")] if comparisons else []),
         ("Test samples", f"{tested:,}", f"{percent(valid / max(tested, 1))} of them in the valid region"),
-        (
-            "Points of the set",
-            f"{run.sets[0].size:,}",
-            f"training samples kept, in {run.sets[0].cell_count} cells",
-        ),
+        ("Points of the set", f"{run.sets[0].size:,}", f"training samples kept, in {run.sets[0].cell_count} cells"),
         ("Trust", trust, "share of the correction of v_x, v_y, r that is applied"),
     ]
     warned = [*left_out, *(note.split(_WARNING, 1)[1] for note in report.notes if note.startswith(_WARNING))]
@@ -180,19 +167,24 @@ def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) 
             series.append(ChartLine(names[key], ratio, rows, roles[k % 5], "points", low, high))
         if series:
             note = "" if charts else _RATIOS
-            charts.append(Chart(f"ratio-{symbol.replace('_', '')}", f"{title} {symbol}",
-                                "ratio of errors", "", tuple(series), note,
-                                rows=tuple(when), reference=1.0))  # fmt: skip
+            charts.append(
+                Chart(
+                    f"ratio-{symbol.replace('_', '')}",
+                    f"{title} {symbol}",
+                    "ratio of errors",
+                    "",
+                    tuple(series),
+                    note,
+                    rows=tuple(when),
+                    reference=1.0,
+                )
+            )
     return charts
 
 
 def _errors(charts: Sequence[Chart]) -> str:
     mine = [chart for chart in charts if chart.name.startswith("ratio-")]
-    return (
-        section("ratios", "Does it help, by horizon?", _PREDICTORS + charts_block(mine, thirds=True))
-        if mine
-        else ""
-    )
+    return section("ratios", "Does it help, by horizon?", _PREDICTORS + charts_block(mine, thirds=True)) if mine else ""
 
 
 def _tables(run: EvaluationRun) -> str:

@@ -104,9 +104,7 @@ def _remainder(remainder: RemainderTest, diagnosis: Diagnosis, level: float) -> 
     how_much = gap_left(diagnosis.findings, remainder)
     title = "The residual has structure" if unexplained else "Residual"
     rest = scatter(remainder, diagnosis.findings)
-    others = (
-        f" Another {percent(rest)} has neither name nor structure, and is not in these figures." if rest else ""
-    )
+    others = f" Another {percent(rest)} has neither name nor structure, and is not in these figures." if rest else ""
     state = "has structure and no name" if rest else "is unexplained"
     words = (
         f"{how_much[:1].upper()}{how_much[1:]} {state}, {number(remainder.effect_to_noise, 2)} times "
@@ -120,9 +118,7 @@ def _remainder(remainder: RemainderTest, diagnosis: Diagnosis, level: float) -> 
     groups = ""
     if bars and unexplained:  # of noise the shares say nothing
         groups = f'<h4>What a flexible fit of the residual depends on</h4><div class="bars">{bars}</div>'
-    lead = (
-        f"<h4>A candidate formula</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
-    )
+    lead = f"<h4>A candidate formula</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
     return (
         f'<article class="card{" open" if unexplained else ""}" id="remainder"><h3>{title}</h3><p>{words}</p>'
         f"{groups}{lead}</article>"

@@ -24,20 +24,34 @@ _FACTORS = {
 }
 #: The part of the car where a term's own name says something else.
 _PARTS = {
-    "drive_delay": "Drive torque late", "drive_lag": "Drive torque lags", "steer_delay": "Steering late",
-    "steer_lag": "Steering lags", "steer_offset": "Steering off centre", "steer_backlash": "Steering play",
-    "cg_shift": "Centre of gravity off along the car", "aero_drag": "More or less drag",
+    "drive_delay": "Drive torque late",
+    "drive_lag": "Drive torque lags",
+    "steer_delay": "Steering late",
+    "steer_lag": "Steering lags",
+    "steer_offset": "Steering off centre",
+    "steer_backlash": "Steering play",
+    "cg_shift": "Centre of gravity off along the car",
+    "aero_drag": "More or less drag",
     "rolling_resistance": "Rolling resistance off",
-    "rotating_mass": "Wheels and drive line heavy to spin up", "grip_fade": "Tyre grip fades",
-    "combined_slip": "Tyres share their grip", "tire_relaxation": "Tyres build up force late",
-    "load_transfer": "Load moves between the axles", "aero_downforce": "Downforce",
-    "yaw_moment_differential": "Locked differential", "road_grade": "Road slopes along",
-    "road_bank": "Road slopes across", "wind": "Wind", "sensor_delay": "Sensors late",
+    "rotating_mass": "Wheels and drive line heavy to spin up",
+    "grip_fade": "Tyre grip fades",
+    "combined_slip": "Tyres share their grip",
+    "tire_relaxation": "Tyres build up force late",
+    "load_transfer": "Load moves between the axles",
+    "aero_downforce": "Downforce",
+    "yaw_moment_differential": "Locked differential",
+    "road_grade": "Road slopes along",
+    "road_bank": "Road slopes across",
+    "wind": "Wind",
+    "sensor_delay": "Sensors late",
     "steer_signal_delay": "Steering logged late",
-    "channel_delay": "One sensor late", "sensor_lever_arm": "Velocity sensor off its place",
-    "sensor_misalignment": "Velocity sensor turned", "velocity_bias": "Lateral velocity biased",
-    "acceleration_bias": "Acceleration biased", "yaw_rate_bias": "Yaw rate biased",
-}  # fmt: skip
+    "channel_delay": "One sensor late",
+    "sensor_lever_arm": "Velocity sensor off its place",
+    "sensor_misalignment": "Velocity sensor turned",
+    "velocity_bias": "Lateral velocity biased",
+    "acceleration_bias": "Acceleration biased",
+    "yaw_rate_bias": "Yaw rate biased",
+}
 _THOUSANDTHS = {"s": ("ms", 1.0), "m": ("mm", 0.1), "rad": ("mrad", 0.1)}
 _SHOWN = 3
 

@@ -9,9 +9,7 @@ from split_cli.workflows.report.words import escape, heading, prose
 
 def section(name: str, title: str, body: str) -> str:
     """Return a section of the page under a heading; `title` and `body` are HTML already."""
-    return (
-        f'<section id="{name}" aria-labelledby="{name}-title"><h2 id="{name}-title">{title}</h2>{body}</section>'
-    )
+    return f'<section id="{name}" aria-labelledby="{name}-title"><h2 id="{name}-title">{title}</h2>{body}</section>'
 
 
 def verdict(kind: str, said: str, body: str, before: str = "") -> str:
@@ -79,9 +77,7 @@ def plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]], name: str =
         Row and column of cells to mark.
     """
     marked = set(best)
-    kinds = [
-        "number" if any(re.match(r"[-+−(]?\d", row[c]) for row in rows) else "words" for c in range(len(heads))
-    ]
+    kinds = ["number" if any(re.match(r"[-+−(]?\d", row[c]) for row in rows) else "words" for c in range(len(heads))]
     lines = []
     for k, row in enumerate(rows):
         cells = [f"<th scope=row>{escape(row[0])}</th>"] if row else []

@@ -32,10 +32,6 @@ def report_page(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
 
 
 def _compared(diagnosis: Diagnosis) -> str:
-    by_role = {
-        role: [one.name for one in diagnosis.inputs if one.role == role] for role in ("real", "sim", "vehicle")
-    }
-    simulation = (
-        ", ".join(by_role["sim"]) or f"the nominal model of {', '.join(by_role['vehicle']) or 'the vehicle'}"
-    )
+    by_role = {role: [one.name for one in diagnosis.inputs if one.role == role] for role in ("real", "sim", "vehicle")}
+    simulation = ", ".join(by_role["sim"]) or f"the nominal model of {', '.join(by_role['vehicle']) or 'the vehicle'}"
     return f"{', '.join(by_role['real']) or 'the real drive'} against {simulation}"

@@ -78,11 +78,16 @@ def _channels(found: Mapping[str, Any]) -> str:
         drops = "; ".join(f"{drop['count']} {drop['reason']}" for drop in one.get("drops") or ())
         rows.append(
             (
-                str(one.get("channel", "")), str(one.get("source", "")), number(float(one.get("rate") or 0.0)),
-                str(one.get("gaps", "")), str(one.get("spikes", "")), number(float(one.get("low") or 0.0)),
-                number(float(one.get("high") or 0.0)), drops or "none",
+                str(one.get("channel", "")),
+                str(one.get("source", "")),
+                number(float(one.get("rate") or 0.0)),
+                str(one.get("gaps", "")),
+                str(one.get("spikes", "")),
+                number(float(one.get("low") or 0.0)),
+                number(float(one.get("high") or 0.0)),
+                drops or "none",
             )
-        )  # fmt: skip
+        )
     if not rows:
         return ""
     heads = ("Channel", "Source", "Rate [Hz]", "Gaps", "Spikes", "Lowest [SI]", "Highest [SI]", "Dropped")

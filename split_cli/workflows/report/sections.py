@@ -152,9 +152,7 @@ def _facts_of_help(shown: Improvement) -> Iterable[tuple[str, str, str]]:
         before, after = last.before[k], max(last.physics[k], 1e-12)
         ratio = f"÷ {number(before / after, 2)}" if after <= before else f"× {number(after / before, 2)}"
         unit = CHANNELS[k][2].replace("/s²", "/s")
-        note = (
-            f"error of {CHANNELS[k][0]} after {last.horizon:g} s: {number(before, 2)} → {number(after, 2)} {unit}"
-        )
+        note = f"error of {CHANNELS[k][0]} after {last.horizon:g} s: {number(before, 2)} → {number(after, 2)} {unit}"
         yield "Open-loop error", ratio, note
 
 
@@ -188,13 +186,10 @@ def _figure(name: str, title: str, hint: str, *, wide: bool = False) -> str:
 
 
 def _location_words(location: Location) -> str:
-    forces = "".join(
-        bar_row(FORCES[name], location.forces[name], percent(location.forces[name])) for name in FORCE_IDS
-    )
+    forces = "".join(bar_row(FORCES[name], location.forces[name], percent(location.forces[name])) for name in FORCE_IDS)
     scores = [(name, score) for name, score in location.depends_on if score > 0.005][:6]
     depends = "".join(
-        bar_row(f"{escape(variable(name)[0])} <i>{escape(name)}</i>", score, percent(score))
-        for name, score in scores
+        bar_row(f"{escape(variable(name)[0])} <i>{escape(name)}</i>", score, percent(score)) for name, score in scores
     )
     region = _region_words(location)
     return (

@@ -75,19 +75,31 @@ def page(
 def chart_payload(chart: Chart) -> dict[str, Any]:
     """Return what the script draws a chart from; names are made readable, and are written as text there."""
     return {
-        "name": chart.name, "title": readable(chart.title), "x": chart.x, "y": chart.y, "other_x": chart.other_x,
-        "rows": [readable(row) for row in chart.rows], "equal": chart.equal, "wide": chart.wide,
-        "group": chart.group, "reference": chart.reference,
+        "name": chart.name,
+        "title": readable(chart.title),
+        "x": chart.x,
+        "y": chart.y,
+        "other_x": chart.other_x,
+        "rows": [readable(row) for row in chart.rows],
+        "equal": chart.equal,
+        "wide": chart.wide,
+        "group": chart.group,
+        "reference": chart.reference,
         "bands": [{"low": band.low, "high": band.high, "name": readable(band.name)} for band in chart.bands],
         "series": [_series(one) for one in chart.series],
-    }  # fmt: skip
+    }
 
 
 def _series(one: ChartLine) -> dict[str, Any]:
     fields: dict[str, Any] = {
-        "name": readable(one.name), "role": one.role, "kind": one.kind, "shown": one.shown,
-        "x": packed(one.x), "y": packed(one.y), "emphasis": list(one.emphasis),
-    }  # fmt: skip
+        "name": readable(one.name),
+        "role": one.role,
+        "kind": one.kind,
+        "shown": one.shown,
+        "x": packed(one.x),
+        "y": packed(one.y),
+        "emphasis": list(one.emphasis),
+    }
     for name in ("low", "high", "along"):
         values = getattr(one, name)
         fields[name] = None if values is None else packed(values)
@@ -96,9 +108,7 @@ def _series(one: ChartLine) -> dict[str, Any]:
 
 def _palette() -> str:
     """Return the colours of series as variables, for both schemes; print is on white paper."""
-    light, dark = (
-        " ".join(f"--{role}: {colour};" for role, colour in colours.items()) for colours in (LIGHT, DARK)
-    )
+    light, dark = (" ".join(f"--{role}: {colour};" for role, colour in colours.items()) for colours in (LIGHT, DARK))
     return f":root {{ {light} }}\n@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
 
 

@@ -17,8 +17,7 @@ _INVISIBLE = ("Cc", "Cf", "Cs", "Zl", "Zp", "Co", "Cn")
 def readable(text: str) -> str:
     """Return text with what cannot be seen, or turns the direction of reading, spelled as an escape."""
     return "".join(
-        character if unicodedata.category(character) not in _INVISIBLE else ascii(character)[1:-1]
-        for character in text
+        character if unicodedata.category(character) not in _INVISIBLE else ascii(character)[1:-1] for character in text
     )
 
 

@@ -122,9 +122,7 @@ class LabelledDrives:
         if self._engine.workers < 2 or len(numbers) < 2 or self._correct.counts_places:
             return
         self.progress(f"labelling {len(numbers)} drives on {self._engine.name}")
-        jobs = [
-            (self._sources[n].drive, self.labelling, self._rows_of(n), n not in self._checked) for n in numbers
-        ]
+        jobs = [(self._sources[n].drive, self.labelling, self._rows_of(n), n not in self._checked) for n in numbers]
         for n, (labels, warnings, seconds) in zip(numbers, self._engine.map(_label_apart, jobs), strict=True):
             self._checked.add(n)
             self._notes += warnings
@@ -226,8 +224,7 @@ class LabelledDrives:
         if long:  # they lie outside memory as they are
             named = {name: getattr(labels, name) for name in ("t", "row", "z", "y")}
             labels = replace(
-                labels,
-                **{name: set_aside(values.reshape(-1)).reshape(values.shape) for name, values in named.items()},
+                labels, **{name: set_aside(values.reshape(-1)).reshape(values.shape) for name, values in named.items()}
             )
         self._bytes += 0 if long else labels.nbytes
         if long or self._bytes <= KEPT_BYTES:

@@ -31,9 +31,7 @@ from split_cli.workflows.training.labelled_drives import LabelledDrives
 from split_cli.workflows.training.settings import TrainSettings
 
 
-def create_set(
-    drives: LabelledDrives, settings: TrainSettings
-) -> tuple[TrainingSet, KernelFit | None, LabelledDrives]:
+def create_set(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSet, KernelFit | None, LabelledDrives]:
     """Return an empty set: its grid from the first drive with valid samples, its kernel and trust as asked for.
 
     Where trust is found on held-out blocks, a lag of the torque is, too: the set's vehicle then holds it beyond
@@ -71,9 +69,7 @@ def create_set(
             )
         whole = held_out_whole(chosen.drives) if empty.trust.origin == "held-out" else 0
         if whole:
-            drives.note(
-                f"each of {whole} drives was held out in turn: trust and intervals hold for another such drive"
-            )
+            drives.note(f"each of {whole} drives was held out in turn: trust and intervals hold for another such drive")
         elif empty.trust.origin == "held-out":
             drives.note(
                 "trust and intervals hold for other stretches of the same driving only; train on three drives or "
@@ -111,11 +107,17 @@ def _blank(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSet
         kernel = read_kernel(hyperparameters, how.features)
     usual = settings.capacity is None or settings.learner == LEARNER
     blank = empty_set(
-        how.vehicle, how.features, how.region, grid, kernel, horizon=how.horizon, plain=how.plain,
+        how.vehicle,
+        how.features,
+        how.region,
+        grid,
+        kernel,
+        horizon=how.horizon,
+        plain=how.plain,
         capacity=DEFAULT_CAPACITY if usual else settings.capacity,
         threshold=DEFAULT_THRESHOLD if settings.threshold is None else settings.threshold,
         forgetting=settings.forgetting,
-    )  # fmt: skip
+    )
     return blank, fit
 
 
@@ -167,9 +169,7 @@ def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
     names = features.names
     scales = {f"length scale {i + 1}": f"length scale of {name}" for i, name in enumerate(names)}
     outputs = (("vx", "v_x"), ("vy", "v_y"), ("r", "r"))
-    scales |= {
-        f"{what} of {o}": f"{what} deviation of {name}" for what in ("signal", "noise") for o, name in outputs
-    }
+    scales |= {f"{what} of {o}": f"{what} deviation of {name}" for what in ("signal", "noise") for o, name in outputs}
     bounds = [scales.get(name, name) for name in fit.at_bound]
     drives.note(*(f"the {name} ended on a bound of the fit: the labels do not determine it" for name in bounds))
     return fit

@@ -96,14 +96,11 @@ def select(
             folds = [_fold(parts, fold, vehicle, edge) for fold in range(_FOLDS)]
             for capacity, threshold in product(settings.capacities, settings.thresholds):
                 progress(f"{features}, cell edge {edge:g}, capacity {capacity}, threshold {threshold:g}")
-                blank = SetCandidate(
-                    features, capacity, threshold, edge, 0.0, 0.0, 0.0, np.zeros(3), 0.0, 0.0, 0.0
-                )
+                blank = SetCandidate(features, capacity, threshold, edge, 0.0, 0.0, 0.0, np.zeros(3), 0.0, 0.0, 0.0)
                 found.append(_try(blank, parts, folds, vehicle, settings.predictor))
     usual = (settings.features[0], DEFAULT_CAPACITY, DEFAULT_THRESHOLD, 1.0)
     candidates = tuple(
-        replace(one, usual=(one.features, one.capacity, one.threshold, one.cell_edge) == usual)
-        for one in choose(found)
+        replace(one, usual=(one.features, one.capacity, one.threshold, one.cell_edge) == usual) for one in choose(found)
     )
     best = next(one for one in candidates if one.chosen)
     options = f"--features {best.features} --capacity {best.capacity} --threshold {best.threshold:g}"
@@ -140,9 +137,7 @@ def _training(part: _Part, fold: int) -> Labels:
     return part.labels.within(~with_guards(test, margin))
 
 
-def _fold(
-    parts: Sequence[_Part], fold: int, vehicle: Vehicle, cell_edge: float
-) -> tuple[list[Labels], Grid, Kernel]:
+def _fold(parts: Sequence[_Part], fold: int, vehicle: Vehicle, cell_edge: float) -> tuple[list[Labels], Grid, Kernel]:
     """Return a fold's training labels, the grid, and the kernel fitted to them."""
     labels = [_training(part, fold) for part in parts]
     return labels, *fitted_grid_and_kernel(labels, vehicle, cell_edge)

@@ -160,11 +160,7 @@ def _train_set(
     if known is not None:
         _check_continues(known, vehicle, settings, str(output))
     drives = LabelledDrives(
-        [Path(path) for path in drive_paths],
-        _labelling(vehicle, settings, known),
-        rows,
-        progress,
-        engine,
+        [Path(path) for path in drive_paths], _labelling(vehicle, settings, known), rows, progress, engine
     )
     if per_lap and drives.without_recording():
         advice = "Give the drive itself, or leave out --per-lap."

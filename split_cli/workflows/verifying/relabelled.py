@@ -78,13 +78,10 @@ def set_against_drives(trained: TrainingSet, path: Path) -> tuple[VerifiedItem, 
         if max(errors.values(), default=0.0) <= TOLERANCE and (error is None or error <= TOLERANCE):
             break
     items = [
-        _comparison(f"points of {trained.sources[n].name}", int((trained.source == n).sum()), errors[n])
-        for n in errors
+        _comparison(f"points of {trained.sources[n].name}", int((trained.source == n).sum()), errors[n]) for n in errors
     ]
     if sums is not None:
-        text = (
-            f"they differ by at most {sums:.2g} of the largest from those learned again, {TOLERANCE:g} is allowed"
-        )
+        text = f"they differ by at most {sums:.2g} of the largest from those learned again, {TOLERANCE:g} is allowed"
         items.append(item("sums over labels", sums <= TOLERANCE, text, text))
     return tuple(items)
 

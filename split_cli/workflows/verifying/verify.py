@@ -103,9 +103,7 @@ def _set_of_export(folder: Path, whole: bool) -> tuple[VerifiedItem, ...]:
     from split_cli.export.verify import read_manifest, verify_against_set
 
     exported = read_manifest(folder).get("set")
-    name, digest = (
-        (str(exported.get("name", "")), exported.get("sha256")) if isinstance(exported, dict) else ("", None)
-    )
+    name, digest = (str(exported.get("name", "")), exported.get("sha256")) if isinstance(exported, dict) else ("", None)
     beside = [p / Path(name).name for p in (folder, folder.parent) if os.path.isfile(p / Path(name).name)]
     if not name or not digest or not beside:
         return ()

@@ -79,8 +79,7 @@ def verify_drive(drive: Drive, path: Path) -> tuple[VerifiedItem, ...]:
     items.append(item("ranges", not fault, "every channel within what a sensor can mean", fault))
     # A millionth of a period: times are products of a row number, to rounding.
     uneven = sum(
-        int(np.count_nonzero(np.abs(np.diff(drive["t"][run]) / drive.period - 1.0) > 1e-6))
-        for run in drive.segments()
+        int(np.count_nonzero(np.abs(np.diff(drive["t"][run]) / drive.period - 1.0) > 1e-6)) for run in drive.segments()
     )
     good = f"{len(drive)} rows {drive.period:g} s apart in {len(drive.segments())} segments"
     items.append(item("clock", uneven == 0, good, f"{uneven} steps in segments differ from {drive.period:g} s"))
@@ -134,9 +133,7 @@ def compare_sources(
             # A recording and its simulation may have one name, in two folders.
             namesakes = {other for path, other in sources if Path(path).name == Path(name).name}
             if digest not in found and found <= namesakes:
-                items.append(
-                    VerifiedItem(check, None, "not here; the file beside it is another source of this name")
-                )
+                items.append(VerifiedItem(check, None, "not here; the file beside it is another source of this name"))
                 continue
             items.append(
                 item(check, digest in found, "the file beside it is the one", "the file beside it is another one")

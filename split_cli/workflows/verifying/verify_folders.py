@@ -134,9 +134,7 @@ def _digests(folder: Path) -> list[VerifiedItem]:
         elif not os.path.isfile(path):
             items.append(VerifiedItem(name, False, "is missing"))
         else:
-            items.append(
-                item(name, sha256_of_file(path) == digest, "as written", "is not the file that was written")
-            )
+            items.append(item(name, sha256_of_file(path) == digest, "as written", "is not the file that was written"))
     return items
 
 
