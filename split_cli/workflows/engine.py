@@ -192,8 +192,9 @@ def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
     with contextlib.ExitStack() as stack:
         try:
             if scheduler is None:
-                # What its workers say of tasks that are dropped when a run ends early tells a user nothing.
-                quiet = {"dashboard_address": None, "silence_logs": logging.ERROR}
+                # A failed task raises here. What its workers say of dropped tasks, or of a scheduler that is gone
+                # when a run ends early, tells a user nothing more.
+                quiet = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
                 cluster = stack.enter_context(LocalCluster(n_workers=max(jobs, 1), threads_per_worker=1, **quiet))
                 client = stack.enter_context(Client(cluster))
             else:
