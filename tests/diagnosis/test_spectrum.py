@@ -98,6 +98,19 @@ def test_what_shakes_at_one_speed_alone_is_common_where_the_simulation_does_so_t
     assert line_of(real, shaken_in(3.0, [0, 1, 2, 3], 2.5, seed=5)) is not None
 
 
+def test_a_few_samples_say_nothing_of_a_common_line(drive):
+    """After 20 s one row is compared, of which two samples lie in the last ten seconds: too few for an amplitude."""
+    cut = drive.select(np.arange(len(drive)) != 1002)  # rows begin anew there, and one of them 20 ms before 30 s
+    angle = 2.0 * np.pi * 8.0 * cut["t"]
+    real = bare_objective(light_evidence(shaken(cut, "vx", angle, 0.5)))
+    (evidence,) = real.evidence
+    policy = replace(real.policy, unnamed=replace(real.policy.unnamed, fewest=1000))
+    at = evidence.series.t[evidence.at]
+    asked = replace(real, keep=((at < 19.9) | (np.abs(at - 30.0) < 0.02),), policy=policy)
+    assert strongest_line(asked, ()) is not None
+    assert strongest_line(asked, (), [light_evidence(shaken(cut, "vx", angle + 1.0, 0.5, seed=5))]) is None
+
+
 def test_the_second_line_is_told_where_the_first_is_common(drive):
     both = 2.0 * np.pi * 13.0 * drive["t"]
     real = shaken(drive, "vx", both, 1.5)

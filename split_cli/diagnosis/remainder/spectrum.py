@@ -184,17 +184,17 @@ def _block_by_block(line: Line, asked: _Remainder, others: Sequence[_Remainder])
 
 
 def _blocks(line: Line, asked: _Remainder) -> tuple[np.ndarray, np.ndarray]:
-    """Return the speed of each block of time [m/s] and the square of a line's amplitude there, both (B,).
+    """Return the speed of each block [m/s] and the square of a line's amplitude there, both (B,).
 
     Notes
     -----
-    At the share of the frequency where the mean square is largest, less what frequencies around it have by noise.
+    Blocks hold as many used samples each, in order of time: of a few samples no amplitude is told. The squares are
+    those at the share of the frequency where their mean is largest, less what frequencies around it have by noise.
     """
-    seconds = asked.policy.comparison.least_rows * ROW_SECONDS
-    series = asked.one.series
-    block = np.unique((series.t[:-1][asked.used] / seconds).astype(int), return_inverse=True)[1]
-    count = int(block.max(initial=-1)) + 1
-    speed = np.bincount(block, series.smooth[:-1, 0][asked.used]) / np.maximum(np.bincount(block), 1)
+    series, used = asked.one.series, int(asked.used.sum())
+    count = max(1, int(used * series.period / (asked.policy.comparison.least_rows * ROW_SECONDS)))
+    block = np.arange(used) * count // used
+    speed = np.bincount(block, series.smooth[:-1, 0][asked.used]) / np.bincount(block)
 
     def squares(share: float) -> np.ndarray:
         _, offered, left = _swing(asked, line.over, share * line.frequency, _CHANNELS.index(line.channel))
