@@ -72,6 +72,7 @@ _TAUGHT_LITTLE = (
     "The simulation has {rows} rows of 0.04 s of driving; {least} are needed to tell what the vehicle file gets "
     "wrong and by how much two drives of one car differ. Simulate a longer drive."
 )
+_REACHES = 8  # distances from the usual to the far one that are tried in turn: how near the least is found
 _TESTS = 5  # of whether there is a difference, see `_compare`
 
 
@@ -116,7 +117,8 @@ def diagnose(
     progress("smoothing")
     series = _smoothed(drives, roles, vehicle)
     progress("whitening")
-    case, kept, is_far = _compared(gather_case(vehicle, series, policy), policy)
+    case, kept, reach = _compared(gather_case(vehicle, series, policy), policy)
+    is_far = reach > settings.reach
     share = kept / max(sum(len(one.at) for one in case.real), 1)
     not_judged = (*notes, *what_was_not_excited(case.real, vehicle, share, policy), *((_FAR,) if is_far else ()))
     positions = [
@@ -148,7 +150,6 @@ def diagnose(
         [one.series for one in case.simulated],
     )
     candidates = beyond_wandering(case, candidates, policy)
-    reach = settings.far_reach if is_far else settings.reach
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
     if outcome.self_test.ratio > policy.selection.much_over_noise:
         not_judged += (_MUCH_FORM_ERROR,)
@@ -209,12 +210,19 @@ def _smoothed(drives: Sequence[Drive], roles: Sequence[str], vehicle: Vehicle) -
     )
 
 
-def _compared(case: DiagnosisCase, policy: Policy) -> tuple[DiagnosisCase, int, bool]:
-    """Return a case, how many rows are compared, and whether samples further off than usual had to be."""
-    settings, kept = policy.comparison, _rows(case)
-    is_far = bool(kept < settings.least_rows and case.simulated)
-    case = case.compared(settings.far_reach, policy) if is_far else case
-    return case, _rows(case), is_far
+def _compared(case: DiagnosisCase, policy: Policy) -> tuple[DiagnosisCase, int, float]:
+    """Return a case, how many of its rows are compared, and up to which distance.
+
+    Where hardly any row is as near as usual, that is the least distance within which enough are, or the far one.
+    """
+    settings = policy.comparison
+    if not case.simulated or _rows(case) >= settings.least_rows:
+        return case, _rows(case), settings.reach
+    for reach in np.linspace(settings.reach, settings.far_reach, _REACHES)[1:].tolist():
+        further = case.compared(reach, policy)
+        if _rows(further) >= settings.least_rows:
+            break
+    return further, _rows(further), reach
 
 
 def _is_common(share: float, theirs: np.ndarray, policy: Policy) -> bool:

@@ -60,8 +60,8 @@ class ComparisonRules:
     reach: float = number(
         0.35,
         "1",
-        "distance in scaled features up to which a real row lies where the simulation has been; twice as far "
-        "where hardly any row is nearer",
+        "distance in scaled features up to which a real row lies where the simulation has been; as far as it "
+        "takes, up to twice that, where hardly any row is nearer",
         CHOSEN,
     )
     least_rows: int = number(
@@ -78,7 +78,7 @@ class ComparisonRules:
 
     @property
     def far_reach(self) -> float:
-        """Distance in scaled features that is taken where hardly any real row is nearer: twice `reach`."""
+        """Distance in scaled features that is taken at most where hardly any real row is nearer: twice `reach`."""
         return 2.0 * self.reach
 
     @property

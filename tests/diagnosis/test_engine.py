@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 import threading
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -86,7 +86,7 @@ def run(reality, simulation, tmp_path_factory) -> tuple[Path, subprocess.Complet
     reader = threading.Thread(target=lambda: shown.extend(iter(lambda: read_terminal(ours), b"")), daemon=True)
     reader.start()
     finished = subprocess.run(
-        [sys.executable, "-m", "split_cli", *words], cwd=folder, stdout=subprocess.PIPE, stderr=theirs, timeout=300
+        [sys.executable, "-m", "split_cli", *words], cwd=folder, stdout=subprocess.PIPE, stderr=theirs, timeout=900
     )
     os.close(theirs)
     reader.join(timeout=10)
@@ -239,6 +239,30 @@ def test_what_is_in_no_catalogue_is_unexplained(strange):
     assert said.remainder.p_value < 0.01
     # The lead is the right one: the front axle, by the size of its slip angle.
     assert "front_lateral" in said.remainder.formula and "|B alpha_f|" in said.remainder.formula
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A case of which as many rows are within a distance as that is in hundredths."""
+
+    reach: float = STANDARD.comparison.reach
+    simulated: tuple[str, ...] = ("one",)
+
+    @property
+    def keep(self):
+        return [np.arange(100) < round(100.0 * self.reach)]
+
+    def compared(self, reach, policy):
+        return Spread(reach, self.simulated)
+
+
+@pytest.mark.parametrize(("least", "expected"), [(30, 0.35), (36, 0.40), (41, 0.45), (68, 0.70), (90, 0.70)])
+def test_no_more_is_compared_than_has_to_be(least, expected):
+    case, kept, reach = engine._compared(Spread(), STANDARD.altered("comparison", least_rows=least))
+    assert reach == case.reach == pytest.approx(expected)
+    assert kept == round(100.0 * expected)
+    nominal = engine._compared(Spread(simulated=()), STANDARD.altered("comparison", least_rows=90))
+    assert nominal[1:] == (35, STANDARD.comparison.reach)
 
 
 class TestFarFromTheSimulation:
