@@ -10,7 +10,7 @@ from split_cli.cli.main import group
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Logs of single experiments, which nobody needs to read at one go.
-LOGS = {"natural.md"}
+LOGS = {"natural_experiments.md"}
 PAGES = [*sorted(ROOT.glob("docs/**/*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES = [page for page in PAGES if page.name not in LOGS]
 #: A sentence with more words than this is two.

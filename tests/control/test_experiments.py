@@ -10,7 +10,7 @@ from split_cli.workflows.racing.maneuver import ManeuverSettings
 from split_cli.workflows.racing.result import RaceResult
 from tests.studies import experiments
 from tests.studies.experiments import PLAN, run_experiments
-from tests.studies.experiments_page import fill_page, tables
+from tests.studies.experiments_page import fill_pages, tables
 
 
 def lap(number: int, time: float | None, outside: float = 0.0) -> dict:
@@ -94,13 +94,15 @@ def test_a_lap_off_the_track_does_not_count_and_the_page_is_filled(tmp_path, sam
     assert "| 0 | 38.00 (0.50) | 40.00 |" in made["times-small"] and "not finished" in made["times-small"]
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- table: race-small -->\nold\n<!-- end -->\nafter\n")
-    figures, left_out = fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
+    record = tmp_path / "record.md"
+    record.write_text("<!-- table: times-small -->\nold\n<!-- end -->\n")
+    figures, left_out = fill_pages([page, record], races, read_vehicle(sample_logs / "road_car.yaml"))
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text and "36.00" in text
-    assert left_out == ["times-small", "timing"]
+    assert "38.00 (0.50)" in record.read_text() and left_out == ["timing"]
     assert all((tmp_path / "figures" / name).stat().st_size > 5000 for name in figures) and len(figures) == 3
     page.write_text("<!-- table: maneuvers -->\nearlier\n<!-- end -->\n")
-    fill_page(page, races, read_vehicle(sample_logs / "road_car.yaml"))
+    fill_pages([page], races, read_vehicle(sample_logs / "road_car.yaml"))
     assert "earlier" in page.read_text(), "nothing was kept of its experiments"
 
 

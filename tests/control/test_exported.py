@@ -18,7 +18,7 @@ from split_cli.workflows.export import export_set
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
-from tests.control.test_closed_loop import CAR, ROOT, invoke, ring
+from tests.control.courses import CAR, ROOT, invoke, ring
 
 WET = ManeuverSettings(grip=0.5, seed=3)
 

@@ -20,7 +20,7 @@ from split_cli.workflows.racing.entry import check_trusted
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
-from tests.control.test_closed_loop import CAR, ROOT, invoke
+from tests.control.courses import CAR, ROOT, invoke
 
 
 @pytest.mark.parametrize(

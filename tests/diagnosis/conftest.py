@@ -6,8 +6,20 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_sh
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.recording.series import Series
+from split_cli.diagnosis.search.selection import Selection, select_terms
 from split_cli.logs.drive import Drive
-from tests.diagnosis.recordings import bare_objective, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import (
+    NAMES,
+    VARIANCE_INFLATION,
+    bare_objective,
+    candidates_of,
+    driven,
+    light_evidence,
+    noisy,
+    objective_with,
+    planted,
+    prepared,
+)
 from tests.factories import road_car
 
 
@@ -43,3 +55,15 @@ def discrepancy(nominal_series) -> SharedDiscrepancy:
 def gathered(nominal_series, discrepancy) -> Evidence:
     """Evidence with the columns of the shared discrepancy, its disturbance found."""
     return gather_evidence(road_car(), nominal_series, discrepancy)
+
+
+@pytest.fixture(scope="session")
+def pair() -> MarginalLikelihood:
+    """Judges a car of 12 % more yaw inertia and some drag, two terms that a simulation lacks."""
+    return objective_with(*planted(yaw_inertia=1.12, aero_drag=0.5))
+
+
+@pytest.fixture(scope="session")
+def chosen_pair(pair) -> Selection:
+    """What a search among five terms says of it."""
+    return select_terms(pair, candidates_of(pair, *NAMES), VARIANCE_INFLATION)

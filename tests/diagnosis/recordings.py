@@ -14,9 +14,10 @@ from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.selection import Selection
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
-from split_cli.vehicle.effects import Term
+from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.integration import Situation, integrate_with_memory
 from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import make_drive, remembered, road_car
@@ -25,6 +26,9 @@ from tests.factories import make_drive, remembered, road_car
 SIGMA = np.array([0.02, 0.02, 0.004])
 #: Length of the lap that runs start anywhere on [m], and time from the start of one to that of the next [s].
 LAP, STAMP = 400.0, 6.0
+#: What widens chance in tests of the search, and five terms that it may name.
+VARIANCE_INFLATION = 1.5
+NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
 
 
 def recorded(seed: int, terms: Sequence[Term] = (), *, segments: int = 20, seconds: float = 4.0) -> Evidence:
@@ -175,6 +179,20 @@ def fitted_scale(case: DiagnosisCase, term: str, variant: str = "") -> float:
     (candidate,) = (one for one in candidates_of(objective, term) if one.variant == variant)
     fit = fit_parts(objective.with_fixed_baseline(), (Part(candidate, dict(candidate.starts[0])),))
     return fit.parts[0].values["scale"]
+
+
+def planted(**values: float) -> tuple[Term, ...]:
+    """Return terms by their names, each with the value of its first parameter."""
+    return tuple(CATALOGUE[name]({next(iter(CATALOGUE[name].units)): value}) for name, value in values.items())
+
+
+def objective_with(*terms: Term, seed: int = 21, **commands) -> MarginalLikelihood:
+    """Return an objective of a drive of the car with these terms, made by `driven`, with white sensor noise."""
+    return noisy_objective(driven(seed, terms, **commands), 5)
+
+
+def named(selection: Selection) -> set[str]:
+    return {term.id for term in selection.terms}
 
 
 def candidates_of(objective: MarginalLikelihood, *names: str) -> list[Candidate]:

@@ -6,61 +6,35 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import split_cli.diagnosis.search.forward as forward
 import split_cli.diagnosis.search.selection as selecting
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
-from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Fit, Part, fit_parts, without_parts
-from split_cli.diagnosis.search.form_error import form_error_columns, saved_beside_form_error
+from split_cli.diagnosis.search.fitting import Part, fit_parts, without_parts
 from split_cli.diagnosis.search.forward import other_beginnings
-from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, rivals_of, select_terms
-from split_cli.diagnosis.search.term_tests import is_form_error, term_p, term_size
-from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
-
-VARIANCE_INFLATION = 1.5
-
-
-def ignorant(objective: MarginalLikelihood) -> DiscrepancyPosterior:
-    """Return knowledge of a simulation that shows nothing beyond the nominal model."""
-    count = objective.discrepancy.columns(objective.evidence[0].series).shape[2]
-    return DiscrepancyPosterior(np.zeros(count), np.eye(count))
-
-
-DISCREPANCY = "discrepancy to noise"
-VARIED = "varied discrepancy"
-NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
-
-
-def objective_of(*terms: Term, seed: int = 21, **commands) -> MarginalLikelihood:
-    return noisy_objective(driven(seed, terms, **commands), 5)
+from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+from split_cli.diagnosis.search.term_tests import term_size
+from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import (
+    NAMES,
+    VARIANCE_INFLATION,
+    candidates_of,
+    driven,
+    first_order,
+    late,
+    named,
+    noisy_objective,
+    objective_with,
+    planted,
+)
 
 
 def behind(inputs: np.ndarray, step: float, *, tau: float = 0.0, delay: float = 0.0) -> np.ndarray:
     """Return inputs (runs, K) behind a lag or a delay."""
     return first_order(inputs, tau, step) if tau else late(inputs, delay, step)
-
-
-def planted(**values: float) -> tuple[Term, ...]:
-    return tuple(CATALOGUE[name]({next(iter(CATALOGUE[name].units)): value}) for name, value in values.items())
-
-
-@pytest.fixture(scope="module")
-def pair() -> MarginalLikelihood:
-    return objective_of(*planted(yaw_inertia=1.12, aero_drag=0.5))
-
-
-@pytest.fixture(scope="module")
-def chosen_pair(pair) -> Selection:
-    return select_terms(pair, candidates_of(pair, *NAMES), VARIANCE_INFLATION)
-
-
-def named(selection: Selection) -> set[str]:
-    return {term.id for term in selection.terms}
 
 
 def test_nothing_is_named_where_nothing_is_planted(nominal_objective):
@@ -71,7 +45,7 @@ def test_nothing_is_named_where_nothing_is_planted(nominal_objective):
 
 
 def test_a_single_is_named():
-    objective = objective_of(*planted(steer_gain=0.9))
+    objective = objective_with(*planted(steer_gain=0.9))
     selection = select_terms(objective, candidates_of(objective, *NAMES), VARIANCE_INFLATION)
     assert named(selection) == {"steer_gain"}
     assert selection.first_p < 1e-10
@@ -115,7 +89,7 @@ def test_rivals_are_in_the_place_of_one_part_and_sorted(pair, chosen_pair):
 def test_too_small_to_name_is_kept_as_a_nuisance_and_the_search_goes_on():
     """60 N of resistance are seen before all else, since a constant adds up, but are below the noise of a step."""
     terms = planted(rolling_resistance=60.0, yaw_inertia=1.03)
-    objective = objective_of(*terms)
+    objective = objective_with(*terms)
     evidence = objective.evidence[0]
     assert (
         effects_to_noise_of(evidence, evidence.at, terms[:1]).max()
@@ -138,7 +112,7 @@ def test_too_small_to_name_is_kept_as_a_nuisance_and_the_search_goes_on():
 
 def test_the_search_goes_on_beside_a_term_that_saves_in_a_few_moments(monkeypatch):
     """What is missing bends savings block by block: it stays if a further term is believed beside it alone."""
-    objective = objective_of(*planted(steer_gain=0.95, yaw_inertia=1.12, aero_drag=0.5))
+    objective = objective_with(*planted(steer_gain=0.95, yaw_inertia=1.12, aero_drag=0.5))
     candidates = candidates_of(objective, "steer_gain", "yaw_inertia", "aero_drag")
 
     def explorer(*names: str) -> Explorer:
@@ -163,7 +137,7 @@ def test_the_search_goes_on_beside_a_term_that_saves_in_a_few_moments(monkeypatc
 
 def test_a_fast_effect_is_seen_beside_a_slow_one_of_ten_thousand_times_its_cost():
     """What is constant adds up over minutes; a car that turns later does not, and is no model-form error of it."""
-    objective = objective_of(*planted(yaw_inertia=1.05, rolling_resistance=1500.0))
+    objective = objective_with(*planted(yaw_inertia=1.05, rolling_resistance=1500.0))
     selection = select_terms(
         objective, candidates_of(objective, "yaw_inertia", "rolling_resistance"), VARIANCE_INFLATION
     )
@@ -175,23 +149,10 @@ def test_a_fast_effect_is_seen_beside_a_slow_one_of_ten_thousand_times_its_cost(
     assert saved["rolling_resistance"] > 1e3 * saved["yaw_inertia"]
 
 
-def test_a_further_term_no_larger_than_a_form_error_is_not_named():
-    """A little steering offset beside a third of the inertia more: a tenth of its size, in its channel."""
-    objective = objective_of(*planted(yaw_inertia=1.33, steer_offset=0.00035))
-    selection = select_terms(objective, candidates_of(objective, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION)
-    assert named(selection) == {"yaw_inertia"}
-    assert "steer_offset" in selection.history[-1] and "model-form error" in selection.history[-1]
-    # Alone, as large as it is, it would be named.
-    alone = objective_of(*planted(steer_offset=0.00035))
-    assert named(select_terms(alone, candidates_of(alone, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION)) == {
-        "steer_offset"
-    }
-
-
 def test_a_refused_term_stands_beside_what_is_named_where_it_saves_more_than_form_error():
     """10 N along the car are too small to be reported, and save a twentieth of what a steering gain does."""
     for force, nuisances in ((10.0, True), (1.0, False)):
-        objective = objective_of(*planted(steer_gain=0.95, rolling_resistance=force))
+        objective = objective_with(*planted(steer_gain=0.95, rolling_resistance=force))
         selection = select_terms(objective, candidates_of(objective, *NAMES), VARIANCE_INFLATION)
         assert named(selection) == {"steer_gain"}
         parts = [part.candidate.term for part in selection.chosen.parts]
@@ -206,7 +167,7 @@ def test_a_refused_term_stands_beside_what_is_named_where_it_saves_more_than_for
 
 def test_names_are_given_in_the_order_of_size_not_of_finding():
     """A little steering offset, found before a third of the inertia more, is its model-form error all the same."""
-    objective = objective_of(*planted(yaw_inertia=1.33, steer_offset=0.00035))
+    objective = objective_with(*planted(yaw_inertia=1.33, steer_offset=0.00035))
     candidates = {one.term: one for one in candidates_of(objective, "yaw_inertia", "steer_offset")}
     parts = [Part(candidates[name], dict(candidates[name].starts[0])) for name in ("steer_offset", "yaw_inertia")]
     explore = Explorer(objective, tuple(candidates.values()), VARIANCE_INFLATION)
@@ -219,89 +180,9 @@ def test_names_are_given_in_the_order_of_size_not_of_finding():
         assert selecting._believed_together(explore, fit, without, backwards) == backwards
 
 
-def test_evidence_for_a_further_term_is_what_it_saves_beyond_a_form_error_of_the_shared_discrepancy(pair):
-    """No dictionary is exact: its columns times a tenth, their weights integrated out."""
-    rng, count = np.random.default_rng(7), len(pair.weight)
-    columns = 3.0 * rng.standard_normal((count, 18))
-    share = STANDARD.selection.form_error_share
-    objective = replace(pair, posterior=ignorant(pair), basis=np.zeros((count, 0)), memo={VARIED: columns})
-    noise, like, other = rng.standard_normal(count), columns @ rng.standard_normal(18), rng.standard_normal(count)
-
-    def left(rows: np.ndarray) -> Fit:
-        return Fit((), float(rows @ rows), rows, np.empty((count, 0)))
-
-    def saved(rows: np.ndarray) -> float:
-        return saved_beside_form_error(objective, left(rows), left(noise))
-
-    # Of columns Q R with orthonormal Q, what lies beside them stays, and what is along them is divided.
-    along, triangle = np.linalg.qr(share * columns)
-    inverse = np.linalg.inv(np.eye(18) + triangle @ triangle.T) - np.eye(18)
-
-    def cost(rows: np.ndarray) -> float:
-        return float(rows @ rows + (along.T @ rows) @ inverse @ (along.T @ rows))
-
-    for rows in (noise + share * like, noise + other):
-        assert saved(rows) == pytest.approx(cost(rows) - cost(noise), rel=1e-6)
-    # What resembles it saves no more than its eighteen weights do by chance; anything else saves all but as much.
-    assert left(noise + share * like).cost - left(noise).cost > 100.0 * saved(noise + share * like)
-    assert saved(noise + other) == pytest.approx(left(noise + other).cost - left(noise).cost, rel=0.05)
-
-
-def test_a_term_that_settles_a_channel_is_no_form_error_of_a_large_one_elsewhere(pair):
-    """What was left in v_x is a slow wave of five times the noise: taken wholly, or but half of it."""
-    rng, count = np.random.default_rng(4), len(pair.weight)
-    noise, wave = rng.standard_normal(count).reshape(-1, 3), np.zeros((count // 3, 3))
-    wave[:, 0] = 5.0 * np.sin(np.arange(count // 3) / 50.0)
-
-    def left(share: float) -> Fit:
-        return Fit((), 0.0, (noise + share * wave).ravel(), np.empty((count, 0)))
-
-    size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
-    for before, after, refused in ((1.0, 0.0, False), (1.0, 0.4, False), (1.0, 0.5, True), (0.3, 0.0, True)):
-        assert is_form_error(pair, size, other, left(before), left(after), STANDARD.selection) == refused
-    # Not larger than a model-form error in that channel anyway, or of what acts in the same.
-    assert not is_form_error(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
-    assert is_form_error(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
-
-
-def test_what_settles_a_channel_is_asked_beside_the_form_error_of_what_acts_there(pair, chosen_pair):
-    """A drag that is wrong in v_x by its own shape leaves more than a wave that another term takes wholly."""
-    rng, chosen = np.random.default_rng(4), chosen_pair.chosen
-    noise, wave = rng.standard_normal((len(pair.weight) // 3, 3)), np.zeros((len(pair.weight) // 3, 3))
-    wave[:, 0] = 5.0 * np.sin(np.arange(len(wave)) / 50.0)
-    columns = form_error_columns(pair, chosen)
-    wrong = (columns @ rng.standard_normal(columns.shape[1])).reshape(-1, 3)
-    wrong *= 5.0 / np.sqrt(np.mean(wrong[:, 0] ** 2))
-    assert np.mean(wave**2) * STANDARD.selection.fair_share < np.mean(wrong[:, 0] ** 2)
-    size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
-
-    def refused(parts: tuple[Part, ...], after: float) -> bool:
-        before, still = (replace(chosen, parts=parts, residuals=(noise + wrong + k * wave).ravel()) for k in (1, after))
-        return is_form_error(pair, size, other, before, still, STANDARD.selection)
-
-    assert refused((), 0.0) and not refused(chosen.parts, 0.0) and refused(chosen.parts, 0.6)
-
-
-def test_a_term_is_allowed_a_share_of_the_shared_discrepancy_in_its_channel(pair, chosen_pair):
-    fit = chosen_pair.chosen
-    saved = fit_parts(pair, fit.parts[1:]).cost - fit.cost
-    (evidence,) = pair.evidence
-    sizes = effects_to_noise_of(evidence, evidence.at, fit.terms, fit.terms[1:])
-
-    def p_value(discrepancy: np.ndarray) -> float:
-        objective = replace(pair, posterior=ignorant(pair), memo={DISCREPANCY: discrepancy})
-        return term_p(objective, fit, 0, saved, VARIANCE_INFLATION)
-
-    assert p_value(np.zeros(3)) < 1e-10
-    assert p_value(sizes.max() / STANDARD.allowances.discrepancy_share * np.ones(3)) > 0.4
-    # Much the shared discrepancy in another channel is no excuse.
-    elsewhere = np.where(np.arange(3) == np.argmax(sizes), 0.0, 1e3)
-    assert p_value(elsewhere) < 1e-10
-
-
 def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     """Steering that lags and torque that comes late look like late sensors before they are told apart."""
-    objective = objective_of(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
+    objective = objective_with(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
     candidates = candidates_of(objective, "drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
     first = Explorer(objective, candidates, VARIANCE_INFLATION)(nothing(objective))[0]
     assert first.names == ("sensor_delay",)
@@ -314,7 +195,7 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
 
 def test_one_term_is_preferred_to_two_that_say_the_same():
     """Late sensors are late steering and late torque at once; nothing tells them apart but their number."""
-    objective = objective_of(steer=partial(behind, delay=0.012), torque=partial(behind, delay=0.012))
+    objective = objective_with(steer=partial(behind, delay=0.012), torque=partial(behind, delay=0.012))
     candidates = candidates_of(objective, "drive_delay", "steer_delay", "sensor_delay")
     assert named(select_terms(objective, candidates, VARIANCE_INFLATION)) == {"sensor_delay"}
 
@@ -333,7 +214,7 @@ def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
 @pytest.fixture(scope="module")
 def moved() -> tuple[MarginalLikelihood, Selection]:
     """A centre of gravity that is 4 cm further ahead, gently driven: stiffness follows load, or it does not."""
-    objective = objective_of(CATALOGUE["cg_shift"]({"dx": 0.04}, "degressive"))
+    objective = objective_with(CATALOGUE["cg_shift"]({"dx": 0.04}, "degressive"))
     return objective, select_terms(objective, candidates_of(objective, "cg_shift"), VARIANCE_INFLATION)
 
 
@@ -348,117 +229,8 @@ def test_siblings_are_the_other_variants_in_the_same_place(moved):
         assert rival.excess == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_could_be_form_error_or_chance_explains_as_well(pair, chosen_pair):
-    k = 0
-    saved = chosen_pair.without[k].cost - chosen_pair.chosen.cost
-    (rival, *_) = chosen_pair.rivals[k]
-    share = max(STANDARD.allowances.unnamed / term_size(pair, chosen_pair.chosen, k), 0.1) ** 2
-
-    def as_well(excess: float, z: float) -> bool:
-        return bool(explaining_as_well(pair, chosen_pair, k, [replace(rival, excess=excess, z=z)]))
-
-    # By model-form error: whatever the standard error.
-    assert as_well(0.99 * share * saved, 50.0) and not as_well(1.01 * share * saved, 50.0)
-    # By chance: within 2.58 standard errors, and by no more than 20 % of what the term saves.
-    assert as_well(0.19 * saved, 2.5) and not as_well(0.19 * saved, 2.7) and not as_well(0.21 * saved, 1.0)
-
-
-def test_the_p_value_of_a_term_grows_with_what_the_simulation_shows_against_itself(pair, chosen_pair):
-    fit = chosen_pair.chosen
-    k = next(k for k, part in enumerate(fit.parts) if part.candidate.term == "aero_drag")
-    saved = fit_parts(pair, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost
-    plain = term_p(pair, fit, k, saved, VARIANCE_INFLATION)
-    forgiving, other = (
-        term_p(replace(pair, term_floors={name: 2.0 * saved}), fit, k, saved, VARIANCE_INFLATION)
-        for name in ("aero_drag", "mass")
-    )
-    assert plain < 1e-10 and forgiving > 0.9
-    assert other == plain
-
-
-def test_form_error_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
-    fit = chosen_pair.chosen
-    k = next(k for k, part in enumerate(fit.parts) if part.candidate.term == "aero_drag")
-    saved = fit_parts(pair, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost
-    floors = {"aero_drag": 0.5 * saved}
-
-    def p_value(**known) -> float:
-        return term_p(replace(pair, **known), fit, k, saved, VARIANCE_INFLATION)
-
-    widened = saved / 30.0
-    # The same as chance that is so wide, unless chance is wider itself.
-    assert p_value(form_error_inflation=widened) == pytest.approx(term_p(pair, fit, k, saved, widened), rel=1e-12)
-    assert p_value(form_error_inflation=widened) > 1e-8 > p_value(form_error_inflation=VARIANCE_INFLATION) == p_value()
-    both = p_value(form_error_inflation=widened, term_floors=floors)
-    assert both == max(p_value(form_error_inflation=widened), p_value(term_floors=floors))
-    assert both < term_p(replace(pair, term_floors=floors), fit, k, saved, widened)
-    # Beside other terms each of three stands for itself: the floor is of what is saved without any of their error.
-    known = replace(pair, form_error_inflation=widened, term_floors=floors)
-    for apart, assumed in ((0.9, 0.8), (0.4, 0.3), (0.9, 0.005)):
-        ways = (
-            p_value(term_floors=floors),
-            term_p(replace(pair, form_error_inflation=widened), fit, k, apart * saved, VARIANCE_INFLATION),
-            term_p(pair, fit, k, assumed * saved, VARIANCE_INFLATION),
-        )
-        together = term_p(known, fit, k, saved, VARIANCE_INFLATION, (apart * saved, assumed * saved))
-        assert together == pytest.approx(max(ways), rel=1e-9)
-
-
-def test_the_best_of_many_places_has_to_save_more_where_there_is_form_error():
-    """The stretch with most of what model-form errors, of many: it saves no more than it is allowed by chance."""
-    rng = np.random.default_rng(3)
-    rows, lengths = 1000, range(5, 100)
-    best = []
-    for _ in range(200):
-        sums = np.concatenate([[0.0], np.cumsum(rng.standard_normal(rows))])
-        best.append(max(float(np.max((sums[n:] - sums[:-n]) ** 2)) / n for n in lengths))
-    assert np.mean(stats.chi2.sf(best, 1.0 + SEARCHED_PLACES) < 0.05) < 0.08
-    assert np.mean(stats.chi2.sf(best, 6.0) < 0.05) > 0.2
-
-
-def test_rivals_are_as_far_off_as_form_error_lets_them_be(pair, chosen_pair):
-    candidates = tuple(candidates_of(pair, *NAMES))
-    free = STANDARD.altered("selection", price=0.0)
-    explore = Explorer(
-        replace(pair, form_error_inflation=10.0 * VARIANCE_INFLATION, policy=free), candidates, VARIANCE_INFLATION
-    )
-    (near, *_), _ = rivals_of(explore, chosen_pair.chosen, 0, chosen_pair.without[0])
-    (far, *_), _ = rivals_of(replace(explore, objective=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
-    assert far.excess == pytest.approx(10.0 * near.excess, rel=1e-9) and far.excess > 0.0
-    assert far.z == pytest.approx(near.z, rel=1e-6)
-
-
-def test_a_stretch_over_nearly_the_whole_lap_is_none():
-    """Grip lost on 380 of 400 m: the whole road has less of it, as far as names go."""
-    objective = objective_of(CATALOGUE["friction_patch"]({"scale": 0.8, "s_start": 10.0, "s_end": 390.0}))
-    patches = candidates_of(objective, "friction_patch")
-    for fit in Explorer(objective, patches, VARIANCE_INFLATION)(nothing(objective)):
-        values = fit.parts[0].values
-        assert (values["s_end"] - values["s_start"]) % LAP <= 0.8 * LAP
-    selection = select_terms(objective, [*patches, *candidates_of(objective, "friction_scale")], VARIANCE_INFLATION)
-    assert named(selection) == {"friction_scale"}
-
-
-def test_a_stretch_is_named_and_not_the_whole_road():
-    objective = objective_of(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
-    candidates = candidates_of(objective, "friction_patch", "friction_scale")
-    assert named(select_terms(objective, candidates, VARIANCE_INFLATION)) == {"friction_patch"}
-
-
-def test_a_stretch_that_lies_elsewhere_than_it_saves_most_is_searched_for_again():
-    """Ends of a stretch do not move over ground where it does nothing: what was found first put them there."""
-    objective = objective_of(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
-    patch = candidates_of(objective, "friction_patch")[0]
-    explore, base = Explorer(objective, (patch,), VARIANCE_INFLATION), nothing(objective)
-    elsewhere = fit_parts(objective, [Part(patch, {"scale": 0.9, "s_start": 20.0, "s_end": 60.0})])
-    _, (again,) = rivals_of(explore, elsewhere, 0, base)
-    assert again.excess < -100.0 and again.fit.parts[0].values["s_end"] == pytest.approx(220.0, abs=0.02 * LAP)
-    # Where it lies where it should, it is no rival of itself.
-    assert rivals_of(explore, again.fit, 0, base) == ((), ())
-
-
 def test_two_nuisances_that_share_an_effect_become_one_name():
-    objective = objective_of(steer=partial(behind, tau=0.03))
+    objective = objective_with(steer=partial(behind, tau=0.03))
     lag, delay = candidates_of(objective, "steer_lag", "steer_delay")
     explore, base = Explorer(objective, (lag, delay), VARIANCE_INFLATION), nothing(objective)
     both = fit_parts(objective, [Part(one, dict(one.starts[0])) for one in (lag, delay)])

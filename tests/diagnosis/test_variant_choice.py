@@ -15,15 +15,14 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms, with_chosen
 from split_cli.diagnosis.search.variant_choice import open_loop_errors, with_variants_by_rollout
-from tests.diagnosis.recordings import candidates_of
-from tests.diagnosis.test_selection import objective_of, planted
+from tests.diagnosis.recordings import candidates_of, objective_with, planted
 
 VARIANCE_INFLATION = 1.5
 
 
 @pytest.fixture(scope="module")
 def objective() -> MarginalLikelihood:
-    return objective_of(*planted(load_transfer=0.9))
+    return objective_with(*planted(load_transfer=0.9))
 
 
 @pytest.fixture(scope="module")

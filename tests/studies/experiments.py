@@ -1,10 +1,11 @@
 """The paper's closed-loop experiments: a plan of races and manoeuvres, each run once and kept.
 
     python -m tests.studies.experiments --vehicle road_car.yaml --only small -o results/
-    python -m tests.studies.experiments --vehicle road_car.yaml -o results/ --page docs/experiments.md
+    python -m tests.studies.experiments --vehicle road_car.yaml -o results/ \
+        --page docs/experiments.md docs/records/races.md
 
 The folder keeps the result of every race and manoeuvre; what is there is not run again. The whole plan takes about
-an hour on one core. ``--page`` writes its tables between the marks of a page, and figures beside it.
+an hour on one core. ``--page`` writes its tables between the marks of pages, and figures beside the first.
 """
 
 import argparse
@@ -230,22 +231,22 @@ def stored(folder: Path) -> dict[str, dict]:
 
 def main() -> None:
     """Run from the command line."""
-    from tests.studies.experiments_page import fill_page
+    from tests.studies.experiments_page import fill_pages
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     for name, what in (("", "gentle tests"), ("limit-", "tests near the limit"), ("physics-", "`split diagnose`")):
         parser.add_argument(f"--{name}vehicle", type=Path, required=not name, help=f"vehicle file from {what}")
     parser.add_argument("--formula-vehicle", type=Path, help="vehicle file of the formula car")
     parser.add_argument("--only", default="", help="how the names of the experiments begin")
-    parser.add_argument("--page", type=Path, help="page whose tables are written anew")
+    parser.add_argument("--page", type=Path, nargs="+", help="pages whose tables are written anew")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the results")
     given = parser.parse_args()
     files = {name: getattr(given, f"{name}_vehicle") for name in ("limit", "physics", "formula")}
     vehicles = {name: path for name, path in {"gentle": given.vehicle, **files}.items() if path is not None}
     print(f"run: {', '.join(run_experiments(given.output, vehicles, given.only)) or 'nothing new'}")
     if given.page is not None:
-        figures, left_out = fill_page(given.page, stored(given.output), read_vehicle(given.vehicle))
-        print(f"written: {', '.join([str(given.page), *figures])}; not on the page: {', '.join(left_out) or 'none'}")
+        figures, left_out = fill_pages(given.page, stored(given.output), read_vehicle(given.vehicle))
+        print(f"written: {', '.join([*map(str, given.page), *figures])}; on no page: {', '.join(left_out) or 'none'}")
 
 
 if __name__ == "__main__":

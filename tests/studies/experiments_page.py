@@ -1,4 +1,4 @@
-"""Tables and figures of the closed-loop experiments, put between the markers of a page."""
+"""Tables and figures of the closed-loop experiments, put between the markers of pages."""
 
 import re
 from collections.abc import Callable
@@ -24,15 +24,15 @@ from tests.studies.experiments_figures import (
 _TABLE = re.compile(r"<!-- table: ([\w-]+) -->\n.*?<!-- end -->", re.S)
 
 
-def fill_page(page: Path, results: dict[str, dict], vehicle: Vehicle) -> tuple[list[str], list[str]]:
-    """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, and figures beside the page.
+def fill_pages(pages: list[Path], results: dict[str, dict], vehicle: Vehicle) -> tuple[list[str], list[str]]:
+    """Write tables between ``<!-- table: NAME -->`` and ``<!-- end -->``, and figures beside the first page.
 
     A table none of whose experiments was kept stays as it is.
 
     Returns
     -------
     figures, left_out : list of str
-        Files that were drawn, and tables that the page does not ask for.
+        Files that were drawn, and tables that no page asks for.
     """
     made = tables(results)
 
@@ -40,10 +40,11 @@ def fill_page(page: Path, results: dict[str, dict], vehicle: Vehicle) -> tuple[l
         name = found.group(1)
         return f"<!-- table: {name} -->\n{made[name]}\n<!-- end -->" if name in made else found.group(0)
 
-    text = _TABLE.sub(put, page.read_text(encoding="utf-8"))
-    figures = _figures(results, vehicle, page.parent / "figures")
-    atomic_write_text(page, text)
-    return figures, [name for name in made if f"<!-- table: {name} -->" not in text]
+    texts = [_TABLE.sub(put, page.read_text(encoding="utf-8")) for page in pages]
+    figures = _figures(results, vehicle, pages[0].parent / "figures")
+    for page, text in zip(pages, texts, strict=True):
+        atomic_write_text(page, text)
+    return figures, [name for name in made if f"<!-- table: {name} -->" not in "".join(texts)]
 
 
 def tables(results: dict[str, dict]) -> dict[str, str]:
