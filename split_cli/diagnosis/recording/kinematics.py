@@ -78,7 +78,7 @@ class KinematicResiduals:
         return np.stack([self._integral(velocity[:, 2]), self._integral(velocity[:, 0])], axis=1)
 
     @cached_property
-    def drifting_or_late(self) -> np.ndarray:
+    def slow_causes(self) -> np.ndarray:
         """Return the patterns of a sensor whose angle drifts [m s] and one whose v_y is late [m/s], shape (W, 2).
 
         The spread is taken without them: a large fault would hide in a spread that it makes itself.
@@ -130,7 +130,7 @@ def build_kinematics(series: Series, usual: np.ndarray | None = None) -> Kinemat
     middle = angle[(begin + end) // 2]
     along, across = _in_car_frame(middle, x[end] - x[begin], y[end] - y[begin])
     plain = KinematicResiduals(series, begin, end, across, along, angle, 1.0, np.zeros(2) if usual is None else usual)
-    left, causes = plain.difference(()), np.hstack([plain.causes, plain.drifting_or_late])
+    left, causes = plain.difference(()), np.hstack([plain.causes, plain.slow_causes])
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9
     return replace(plain, scale=scale)

@@ -68,6 +68,11 @@ class Witness:
         _, made, rate = self._compared(())
         return np.stack([made, (self.end - self.begin) * self.series.period, self._change(rate)], axis=1)
 
+    @cached_property
+    def slow_causes(self) -> np.ndarray:
+        """Return the pattern of a bias that drifts, shape (W, 1)."""
+        return self.causes[:, 1:2] * self.series.t[self.begin, None]
+
     def select(self, windows: np.ndarray) -> Witness:
         """Return these windows alone."""
         position = None if self.position is None else self.position.select(windows)

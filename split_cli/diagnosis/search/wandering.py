@@ -37,12 +37,7 @@ def wandering(witnesses: Sequence[KinematicResiduals | Witness], policy: Policy 
     for kind, several in by_kind.items():
         left, stretches, spent = [], [], 0
         for number, one in enumerate(several):
-            slow = (
-                one.drifting_or_late
-                if isinstance(one, KinematicResiduals)
-                else (one.causes[:, 1] * one.series.t[one.begin])[:, None]
-            )
-            causes = np.hstack([one.causes, slow])
+            causes = np.hstack([one.causes, one.slow_causes])
             difference = one.difference(())
             left.append(difference - causes @ np.linalg.lstsq(causes, difference, rcond=1e-9)[0])
             stretches.append(np.stack([np.full(len(left[-1]), number), one.series.t[one.begin] // seconds], axis=1))
