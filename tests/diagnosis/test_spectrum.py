@@ -98,6 +98,19 @@ def test_what_shakes_at_one_speed_alone_is_common_where_the_simulation_does_so_t
     assert line_of(real, shaken_in(3.0, [0, 1, 2, 3], 2.5, seed=5)) is not None
 
 
+def test_what_is_out_of_balance_shakes_by_the_square_of_speed():
+    """A simulation that was as fast for a moment only, on average 16 m/s, beside 25 m/s in reality."""
+
+    def unbalanced(seed: int, amplitude: float) -> Series:
+        own = driven(seed, runs=1, seconds=40.0)
+        return shaken(own, "r", 2.0 * np.pi * way(own) / 1.9, amplitude * (own["vx"] / 25.0) ** 2, seed)
+
+    slow = unbalanced(75, 1.0)
+    fast_once = replace(slow, smooth=np.concatenate([[[40.0, 0.0, 0.0]], slow.smooth[1:]]))
+    assert line_of(unbalanced(74, 1.0), fast_once) is None
+    assert line_of(unbalanced(74, 2.5), fast_once) is not None
+
+
 def test_a_few_samples_say_nothing_of_a_common_line(drive):
     """After 20 s one row is compared, of which two samples lie in the last ten seconds: too few for an amplitude."""
     cut = drive.select(np.arange(len(drive)) != 1002)  # rows begin anew there, and one of them 20 ms before 30 s

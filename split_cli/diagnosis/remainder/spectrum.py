@@ -76,12 +76,24 @@ def strongest_line(
         for one in (simulated if lines else ())
     ]
     own = [line for other in others for line in _lines(other)]
-    margin = policy.self_test.unnamed_margin
+    margin, common = policy.self_test.unnamed_margin, []
     for line, one in lines:
+        if any(_is_one_swing(line, other, one) for other in common):
+            continue
         here, there = _block_by_block(line, one, others) if others else (np.inf, 0.0)
         if line.amplitude > margin * max(map(line.like, own), default=0.0) and here > margin * there:
             return line
+        common.append(line)
     return None
+
+
+def _is_one_swing(line: Line, other: Line, asked: _Remainder) -> bool:
+    """Return whether two lines are one swing over two clocks: at some speed of the drive a turn takes that time."""
+    if line.over == other.over or line.channel != other.channel:
+        return False
+    over_time, over_distance = (line, other) if line.over == "time" else (other, line)
+    speed = asked.one.series.smooth[:-1, 0][asked.used]
+    return bool(speed.min() <= over_time.frequency / over_distance.frequency <= speed.max())
 
 
 @dataclass(frozen=True)
@@ -174,13 +186,20 @@ def _block_by_block(line: Line, asked: _Remainder, others: Sequence[_Remainder])
     """Return the amplitude of a line's rate, with a phase of its own in each block of time, and that of others.
 
     What shakes grows with speed, and may do so in a few blocks alone. So each block of the recording is compared
-    with the block of the others whose speed is nearest.
+    with the block of the others whose speed is nearest; where all are slower, with what that makes at its speed.
+    Blocks count as much as they shake.
+
+    Notes
+    -----
+    The force of what is out of balance goes with the square of the speed of its turn.
     """
     speed, square = _blocks(line, asked)
     found = [_blocks(line, other) for other in others]
     speeds, squares = (np.concatenate([one[k] for one in found]) for k in (0, 1))
     nearest = np.argmin(np.abs(speed[:, None] - speeds), axis=1)
-    return float(np.sqrt(max(np.mean(square), 0.0))), float(np.sqrt(max(np.mean(squares[nearest]), 0.0)))
+    there = squares[nearest] * np.maximum(speed / max(float(speeds.max()), 1e-9), 1.0) ** 4
+    weight = np.maximum(square, 0.0) / max(float(np.maximum(square, 0.0).sum()), 1e-300)
+    return float(np.sqrt(weight @ square)), float(np.sqrt(max(weight @ there, 0.0)))
 
 
 def _blocks(line: Line, asked: _Remainder) -> tuple[np.ndarray, np.ndarray]:
