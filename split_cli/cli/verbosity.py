@@ -17,7 +17,7 @@ from split_cli.errors import printable
 _WIDTH = 20
 #: Between lines that tell how far a long run is where no terminal shows it, as in a pipe or the log of a job [s];
 #: judgement: a run of seconds leaves no line, and nobody takes a run of minutes for a dead one.
-_SILENCE = 20.0
+SILENCE = 20.0
 _COUNT = re.compile(r"\[(\d+)/(\d+)\] *")
 #: What of our own lines is news of a run that went well.
 _NEWS = ("note:", "report in", "figures in", "not drawn:")
@@ -211,7 +211,7 @@ class StepBar:
 
     def _tick(self) -> None:
         """Show the time anew, between steps as well."""
-        while not self._over.wait(1.0 if self._in_place else _SILENCE):
+        while not self._over.wait(1.0 if self._in_place else SILENCE):
             with self._drawing:
                 if not self._over.is_set():
                     self._show()

@@ -193,7 +193,7 @@ class TestVerbosity:
         with StepBar(2) as bar:
             bar("fast")
         assert capsys.readouterr().err == ""
-        monkeypatch.setattr("split_cli.cli.verbosity._SILENCE", 0.2)
+        monkeypatch.setattr("split_cli.cli.verbosity.SILENCE", 0.2)
         for stream, heard in ((sys.stderr, True), (Quiet(sys.stderr), False)):
             monkeypatch.setattr(sys, "stderr", stream)
             with StepBar(2) as bar:
