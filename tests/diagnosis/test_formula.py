@@ -65,7 +65,7 @@ def test_the_force_that_is_explained_most_is_told(nominal_evidence, columns):
     strong, weak = np.var(forces[:, 1]), np.var(forces[:, 0])
     assert strong > 1.5 * weak
     force, weights, _ = terms_of(formula_of(nominal_evidence, forces))
-    assert force == "front_lateral" and set(weights) == {"B alpha_f"}
+    assert force == "front lateral force" and set(weights) == {"B alpha_f"}
 
 
 def test_noise_has_no_formula(nominal_evidence):
