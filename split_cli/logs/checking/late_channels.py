@@ -166,7 +166,9 @@ def _finding(late: DelayEstimate) -> ConsistencyFinding:
         remedy = f"`--delay r={late.delay:.3g}` moves it; `--estimate-delays` would move the others."
     if late.channel in ("T", "delta") and late.delay < 0.0:
         # Of a command it is no fault of a clock: moved, it would hide what the actuator does.
-        remedy = f"If {late.channel} is a command, which comes first, say `kind: command` in the map. Else {remedy}"
+        otherwise = "" if late.reference == "r" else "Else "
+        command = f"If {late.channel} is a command, which comes first, say `kind: command` in the map."
+        remedy = f"{command} {otherwise}{remedy}"
     text = (
         f"{late.channel} is {abs(late.delay):.3f} +- {late.error:.3f} s {sense} against {late.reference} "
         f"(from {' and '.join(late.identities)}). {remedy}"
