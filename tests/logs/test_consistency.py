@@ -147,6 +147,9 @@ def test_a_lateral_velocity_that_the_path_confirms_has_no_factor_by_the_accelero
     slide = drive._splines["vy"](np.arange(0.0, drive.seconds, 0.01), 1)
     given = {"altered": {"ay": lambda v: v - 0.5 * slide}, "noise": {"vy": 0.002, "ay": 0.02}}
     assert "size" not in [f.check for f in judged(drive, **given).findings]
+    # Nor has it one beside the mistake of another channel, which is put right before v_y is looked at.
+    beside = {**given, "altered": {**given["altered"], "ax": lambda v: v / 9.80665}}
+    assert "size" not in [f.check for f in judged(drive, **beside).findings]
     without_path = tuple(channel for channel in UNITS if channel not in ("X", "Y", "yaw"))
     (size,) = [f for f in judged(drive, without_path, **given).findings if f.channel == "vy"]
     assert size.check == "size" and size.measured == pytest.approx(2.0, rel=0.1)
