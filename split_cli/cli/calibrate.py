@@ -120,7 +120,7 @@ def command(
     )
     if figure is not None:
         plot_calibration(calibration, figure)
-    _show_calibration(calibration, used, output, as_json)
+    _show_calibration(calibration, files, used, output, as_json)
 
 
 def _show_foreign(written, output, as_json) -> None:
@@ -134,7 +134,7 @@ def _show_foreign(written, output, as_json) -> None:
     click.echo(f"written: {output}")
 
 
-def _show_calibration(calibration, used, output, as_json) -> None:
+def _show_calibration(calibration, drives, used, output, as_json) -> None:
     if as_json:
         names = ("samples", "blocks", "curves", "resistance", "estimates", "remarks")
         values = {name: getattr(calibration, name) for name in names}
@@ -190,6 +190,7 @@ def _show_calibration(calibration, used, output, as_json) -> None:
         shared.print_table(("from turning", "value", "+-", "determined"), rows)
     print_notes(calibration.remarks)
     click.echo(f"wrote {output} from {calibration.samples} samples in {calibration.blocks} blocks of time", err=True)
+    shared.tell_to_train(drives, output)
 
 
 def _yes(determined: bool) -> str:

@@ -1,5 +1,6 @@
 """`split diagnose`: its options, and how its result is printed."""
 
+import re
 import sys
 
 import click
@@ -19,6 +20,8 @@ _BEGINS = {
     "writing": 0.95,
 }
 """Share of the whole time at which each step begins [1]."""
+#: Where a sentence of the summary ends and another begins, which stands on a line of its own.
+_SENTENCE = re.compile(r"(?<=\.) (?=[A-Z0-9])")
 _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
 #: Stages of the improvement, in the words of the report.
 _STAGES = {
@@ -59,7 +62,7 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, held, eng
       split diagnose --real lap.parquet --sim twin.parquet --vehicle car.yaml --out diagnosis
     """
     from split_cli.diagnosis.parallel import use_threads
-    from split_cli.diagnosis.statement.document import diagnosis_to_text
+    from split_cli.diagnosis.statement.document import VEHICLES, diagnosis_to_text, vehicle_name
     from split_cli.workflows.diagnose import diagnose_files
     from split_cli.workflows.engine import open_engine
 
@@ -71,7 +74,10 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, held, eng
     if as_json:
         click.echo(diagnosis_to_text(result), nl=False)
     else:
+        click.echo(f"split: report in {output / 'report.html'}", err=True)
         _tell(result)
+        if vehicle_name(result) == VEHICLES[0]:
+            shared.tell_to_train(real, output / VEHICLES[0])
     if exit_code and result.verdict == "mismatch":
         sys.exit(3)
 
@@ -81,7 +87,7 @@ def _tell(result) -> None:
     chance = result.p_value
     p_value = "" if chance is None else ", p < 1e-6" if chance < 1e-6 else f", p = {chance:.2g}"
     click.echo(f"{result.verdict}{p_value}; compared {100.0 * result.compared_share:.0f} % of the real drive")
-    click.echo(result.summary)
+    click.echo(_SENTENCE.sub("\n", result.summary))
     # Beside the summary: a match says nothing of what these drives cannot show.
     for note in result.not_judged:
         if note not in result.summary:

@@ -173,9 +173,9 @@ def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settin
     if vehicle_path is None or set_path is not None:
         raise click.UsageError("--select trains sets of its own: give --vehicle, and no --set")
     asked = SelectionSettings(settings["features"], **tried, horizon=settings["horizon"])
-    found = select_files(
-        drives, vehicle_path, asked, held=settings["held"], any_vehicle=settings["any_vehicle"], progress=StepBar()
-    )
+    trusted = {name: settings[name] for name in ("held", "any_vehicle")}
+    with StepBar() as progress:
+        found = select_files(drives, vehicle_path, asked, **trusted, progress=progress)
     if output is not None:
         from split_cli.plots.selection import write_selection
 

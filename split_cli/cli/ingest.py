@@ -151,20 +151,26 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
 
 def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
     """Name the command that takes the drives; where one contradicts itself, what to mend first."""
+    from split_cli.vehicle.parameters import read_vehicle
+
     drives = [result.drive_path for result in run.results]
     faulty = [str(result.drive_path) for result in run.results if result.faults]
     if faulty:
         names = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
         shared.tell_next(before=f"correct the map as `does not fit together` says of {names}, and ingest again")
     elif drives:
-        vehicle = vehicle_path or "VEHICLE.yaml"
+        vehicle = vehicle_path or Path("VEHICLE.yaml")
         doubtful = any(result.quality.consistency.findings for result in run.results)
         before = "see to what does not fit together, then: " if doubtful else ""
         before += "" if vehicle_path else "describe the car in VEHICLE.yaml (`split init` drafts one), then: "
         taken = drives if len(drives) < 4 else [output]
-        shared.tell_next(
-            ["split", "train", *taken, "--vehicle", vehicle, "-o", f"{Path(vehicle).stem}.split"], before=before
-        )
+        if vehicle_path and read_vehicle(vehicle_path).has_assumed_tires:
+            before += f"the tyres of {vehicle.name} are assumed, fit them first: "
+            known = ["--fit", "tires"] if any(one.metadata.torque_follows_motion for one in run.results) else []
+            made = f"{vehicle.stem}_calibrated.yaml"
+            shared.tell_next(["split", "calibrate", *drives, "--vehicle", vehicle, *known, "-o", made], before=before)
+        else:
+            shared.tell_to_train(taken, vehicle, before=before)
 
 
 def _write_report(run, vehicle_path, path: Path) -> None:

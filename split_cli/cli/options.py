@@ -311,6 +311,12 @@ def _cell(value: Any) -> str:
     return str(value)
 
 
+def tell_to_train(drives: Sequence[Path], vehicle: Path | str, *, before: str = "") -> None:
+    """Name the command that trains on drives; the set is called as the one drive, or as the car of several."""
+    name = Path(drives[0] if len(drives) == 1 else vehicle).stem
+    tell_next(["split", "train", *drives, "--vehicle", vehicle, "-o", f"{name}.split"], before=before)
+
+
 def tell_next(words: Sequence[str | Path] = (), *, before: str = "") -> None:
     """Print the command to run next on stderr, as a line to copy; `before` says what has to be done first."""
     line = before + " ".join(shlex.quote(typed_path(w) if isinstance(w, Path) else w) for w in words)

@@ -146,7 +146,7 @@ def _tell_seal(seal, as_json: bool) -> None:
 
 
 def _progress(what: str):
-    """Return a function that tells progress on stderr, where someone watches."""
+    """Return a function that tells progress on stderr."""
     from split_cli.cli.verbosity import StepBar
 
     bar = StepBar()

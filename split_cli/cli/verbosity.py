@@ -15,6 +15,9 @@ import click
 from split_cli.errors import printable
 
 _WIDTH = 20
+#: Between lines that tell how far a long run is where no terminal shows it, as in a pipe or the log of a job [s];
+#: judgement: a run of seconds leaves no line, and nobody takes a run of minutes for a dead one.
+SILENCE = 20.0
 _COUNT = re.compile(r"\[(\d+)/(\d+)\] *")
 #: What of our own lines is news of a run that went well.
 _NEWS = ("note:", "report in", "figures in", "not drawn:")
@@ -104,14 +107,15 @@ def note_line(text: str) -> str:
 
 
 def is_watched() -> bool:
-    """Return whether someone watches stderr; progress is for them alone."""
+    """Return whether someone watches stderr, who is shown every step."""
     return sys.stderr.isatty()
 
 
 class StepBar:
-    """Progress of steps on stderr: a bar, a count and the time that remains, where someone watches.
+    """Progress of steps on stderr: a bar, a count and the time that remains.
 
     On a terminal it is one line, drawn anew each second and with every step; for ``--verbose`` a line a step.
+    In a pipe or a file it is a line every 20 s, so that a run of seconds leaves none.
 
     Parameters
     ----------
@@ -194,21 +198,23 @@ class StepBar:
         self._done, self._total = done, total
 
     def _draw(self, begun: bool = True) -> None:
-        if not self._watched:
-            return
         with self._drawing:
             self._drawn = (self._done, begun)
-            click.echo(f"{_WIPE}{self._line()}" if self._in_place else self._line(), err=True, nl=not self._in_place)
-        if self._in_place and self._clock is None:
+            if self._watched:
+                self._show()
+        if self._clock is None and not self._over.is_set():
             self._clock = threading.Thread(target=self._tick, daemon=True)
             self._clock.start()
 
+    def _show(self) -> None:
+        click.echo(f"{_WIPE}{self._line()}" if self._in_place else self._line(), err=True, nl=not self._in_place)
+
     def _tick(self) -> None:
-        """Draw the time anew each second, between steps as well."""
-        while not self._over.wait(1.0):
+        """Show the time anew, between steps as well."""
+        while not self._over.wait(1.0 if self._in_place else SILENCE):
             with self._drawing:
                 if not self._over.is_set():
-                    click.echo(f"{_WIPE}{self._line()}", err=True, nl=False)
+                    self._show()
 
     def _wipe(self) -> None:
         if self._in_place:

@@ -123,6 +123,11 @@ class Vehicle:
         return 5.0 * float(np.sqrt(self.wheelbase / 2.7))
 
     @property
+    def has_assumed_tires(self) -> bool:
+        """Whether the file says that the stiffness of an axle is assumed, as `split init` writes it."""
+        return "assumed" in (self.origins.get("front_tire.B"), self.origins.get("rear_tire.B"))
+
+    @property
     def lateral_grip(self) -> float:
         """Lateral acceleration that the peaks D of both axles carry [m/s^2]."""
         return (self.front_tire.D + self.rear_tire.D) / self.mass

@@ -1,6 +1,7 @@
 """`split calibrate` run as users run it: its files reopened, its figures compared."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import yaml
 from click.testing import CliRunner
 
 from split_cli.cli.calibrate import command
+from split_cli.cli.main import group
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
 from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.parameters import read_vehicle
@@ -66,6 +68,22 @@ def test_the_file_names_its_drives_and_what_was_calibrated(calibrated):
     assert car.origins["front_tire.B"] == "calibrated"
     assert car.origins["front_tire.D"] == "assumed"
     assert car.origins["mass"] == "published"
+
+
+def test_each_step_names_the_next_and_assumed_tyres_are_fitted_before_training(sample_logs, tmp_path, monkeypatch):
+    """As a newcomer goes, whose vehicle file has the tyres of a template: by the printed lines alone."""
+    monkeypatch.chdir(tmp_path)
+    log, start = sample_logs / "f1tenth_laps.mcap", sample_logs / "f1tenth_car_start.yaml"
+    step = f"split ingest {log} --vehicle {start} --map split_sim --end 40 -o lap.parquet"
+    told = []
+    for _ in range(2):
+        done = CliRunner().invoke(group, shlex.split(step)[1:], catch_exceptions=False)
+        told.append(done.stderr.partition("next: ")[2])
+        step = told[-1][told[-1].index("split ") :]
+    assert told[0].startswith(f"the tyres of {start.name} are assumed, fit them first: split calibrate lap.parquet ")
+    made = "f1tenth_car_start_calibrated.yaml"
+    assert told[1] == f"split train lap.parquet --vehicle {made} -o lap.split\n"
+    assert not read_vehicle(made).has_assumed_tires
 
 
 def test_the_figure_is_a_png(calibrated):

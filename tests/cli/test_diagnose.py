@@ -1,6 +1,7 @@
 """`split diagnose`: what goes to stdout and stderr, exit codes, and vehicles of the library."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas
@@ -9,7 +10,7 @@ from click.testing import CliRunner
 
 from split_cli.cli.main import group
 from split_cli.diagnosis.statement.document import diagnosis_to_text
-from split_cli.diagnosis.statement.result import Detectable, Diagnosis, GapSeries
+from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding, GapSeries
 from split_cli.errors import VehicleError
 from split_cli.files import sha256_of_file
 from split_cli.logs.drive import read_drive, write_drive
@@ -81,6 +82,17 @@ def test_what_was_not_judged_stands_beside_the_summary(monkeypatch):
     verdict, summary, not_judged = told.stdout.splitlines()[:3]
     assert verdict.startswith("match") and summary == "Alike."
     assert not_judged.startswith("not judged: ") and "brake hard once" in not_judged
+
+
+def test_the_report_and_the_next_command_are_named_and_a_sentence_has_a_line(monkeypatch):
+    finding = Finding("brake_gain", "", {}, 0.5, (), "Weak.", 9.0)
+    found = replace(VERDICTS["mismatch"], findings=(finding,), summary="They differ by 1.5 m. 19 % is open. So.")
+    monkeypatch.setitem(VERDICTS, "mismatch", found)
+    told = run(monkeypatch, "mismatch")
+    assert told.stdout.splitlines()[1:4] == ["They differ by 1.5 m.", "19 % is open.", "So."]
+    train = "next: split train lap.parquet --vehicle out/vehicle_corrected.yaml -o lap.split"
+    assert told.stderr.splitlines() == ["split: report in out/report.html", train]
+    assert run(monkeypatch, "match").stderr.splitlines() == ["split: report in out/report.html"]
 
 
 def test_a_match_tells_what_would_have_been_named(monkeypatch):

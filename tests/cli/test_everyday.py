@@ -189,6 +189,19 @@ class TestVerbosity:
         told = capsys.readouterr().err
         assert told.count("1/2") >= 2 and "\rnote: heard\n" in told and told.endswith("\r")
 
+    def test_a_pipe_is_told_of_a_long_run_now_and_then_and_of_a_short_one_nothing(self, monkeypatch, capsys):
+        with StepBar(2) as bar:
+            bar("fast")
+        assert capsys.readouterr().err == ""
+        monkeypatch.setattr("split_cli.cli.verbosity.SILENCE", 0.2)
+        for stream, heard in ((sys.stderr, True), (Quiet(sys.stderr), False)):
+            monkeypatch.setattr(sys, "stderr", stream)
+            with StepBar(2) as bar:
+                bar("slow")
+                time.sleep(0.7)
+            told = capsys.readouterr().err.splitlines()
+            assert bool(told) is heard and all(re.search(r" 1/2  [01] s  slow$", line) for line in told)
+
     def test_a_text_that_counts_is_believed(self, drawn):
         shown = drawn([(0.0, ("[3/7] lap.mcap",)), (6.0, ("next",))])
         assert shown == "█" * 9 + "░" * 11 + " 4/7  6 s, about 8 s left  next"

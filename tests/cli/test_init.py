@@ -13,7 +13,9 @@ from split_cli.vehicle.parameters import read_vehicle
 def test_the_drafted_files_are_read_and_every_missing_value_is_named_at_once(tmp_path, sample_logs):
     log = str(sample_logs / "road_small_workshop.csv")
     shown = CliRunner().invoke(command, [log, "-o", str(tmp_path / "car")], catch_exceptions=False)
+    # Called as the log: a second log does not overwrite the first.
     assert shown.exit_code == 0 and "Run: split ingest" in shown.output
+    assert shown.output.endswith("map.yaml -o road_small_workshop.parquet\n")
     drafted = {entry.channel: entry.sources[0] for entry in read_map(tmp_path / "car" / "map.yaml").channels}
     assert {"vx", "vy", "r", "T", "delta", "X", "Y", "yaw", "ax", "ay"} <= set(drafted)
     assert (drafted["vx"].unit, drafted["r"].unit, drafted["ax"].unit) == ("km/h", "deg/s", "g")
@@ -35,7 +37,8 @@ def test_the_drafted_files_are_read_and_every_missing_value_is_named_at_once(tmp
     }.items():
         text = text.replace(f"\n{key} ", f"\n{key} {value} ")
     (tmp_path / "full.yaml").write_text(text.replace("D: }", "D: 7000}"))
-    assert read_vehicle(tmp_path / "full.yaml").mass == 1500.0
+    car = read_vehicle(tmp_path / "full.yaml")
+    assert car.mass == 1500.0 and car.has_assumed_tires
 
 
 def test_nothing_is_overwritten(tmp_path, sample_logs):

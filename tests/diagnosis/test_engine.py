@@ -238,7 +238,7 @@ def test_what_is_in_no_catalogue_is_unexplained(strange):
     assert said.verdict == "mismatch" and said.unexplained
     assert said.remainder.p_value < 0.01
     # The lead is the right one: the front axle, by the size of its slip angle.
-    assert "front_lateral" in said.remainder.formula and "|B alpha_f|" in said.remainder.formula
+    assert "front lateral force" in said.remainder.formula and "|B alpha_f|" in said.remainder.formula
 
 
 @dataclass(frozen=True)

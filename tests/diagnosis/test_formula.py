@@ -40,7 +40,7 @@ def test_one_planted_term_is_read_off(nominal_evidence, columns):
     braking = np.maximum(-columns["torque"], 0.0)
     forces[:, 1] += 900.0 * columns["front"] * braking
     force, weights, share = terms_of(formula_of(nominal_evidence, forces))
-    assert force == "front_lateral" and set(weights) == {"B alpha_f (T/T_max)_-"}
+    assert force == "front lateral force" and set(weights) == {"B alpha_f (T/T_max)_-"}
     # Four hundred rows of noise of 30 N against a column of about 0.1: some twenty newtons.
     assert weights["B alpha_f (T/T_max)_-"] == pytest.approx(900.0, rel=0.1)
     # Of the rows it looks at, every fifth.
@@ -53,7 +53,7 @@ def test_two_planted_terms_are_read_off_with_their_signs(nominal_evidence, colum
     forces = noise(2, (len(nominal_evidence.series), 3))
     forces[:, 2] += 2500.0 * columns["rear"] ** 2 - 250.0
     force, weights, _ = terms_of(formula_of(nominal_evidence, forces))
-    assert force == "rear_lateral" and set(weights) == {"(B alpha_r)^2", ""}  # a constant has no name
+    assert force == "rear lateral force" and set(weights) == {"(B alpha_r)^2", ""}  # a constant has no name
     assert weights["(B alpha_r)^2"] == pytest.approx(2500.0, rel=0.15)
     assert weights[""] == pytest.approx(-250.0, rel=0.1)
 
@@ -65,7 +65,7 @@ def test_the_force_that_is_explained_most_is_told(nominal_evidence, columns):
     strong, weak = np.var(forces[:, 1]), np.var(forces[:, 0])
     assert strong > 1.5 * weak
     force, weights, _ = terms_of(formula_of(nominal_evidence, forces))
-    assert force == "front_lateral" and set(weights) == {"B alpha_f"}
+    assert force == "front lateral force" and set(weights) == {"B alpha_f"}
 
 
 def test_noise_has_no_formula(nominal_evidence):

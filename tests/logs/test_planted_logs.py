@@ -186,7 +186,8 @@ def test_without_a_pose_a_late_yaw_rate_is_told_by_two_channels_and_left_open_by
     assert one.channel == "ay" and "Or r is as much late" in one.text
     assert "kind: command" not in one.text
     early = only(ingested(planted, without=(*pose, "ay"), delta=lambda t, v: np.interp(t + 0.15, t, v)))
-    assert early.measured == pytest.approx(-0.15, abs=0.03) and "if delta is one, say `kind: command`" in early.text
+    assert early.measured == pytest.approx(-0.15, abs=0.03)
+    assert "If delta is a command, which comes first, say `kind: command` in the map. Or r is as" in early.text
 
 
 def test_a_v_y_that_nothing_judges_is_beyond_every_car_in_millimetres(planted):

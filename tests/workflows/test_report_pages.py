@@ -189,3 +189,6 @@ def test_an_understeer_gradient_of_the_model_alone_is_not_drawn(monkeypatch, car
     for known, drawn in ((("model",), []), (("real", "model"), ["understeer"])):
         monkeypatch.setattr(handling, "understeer_of", lambda motion, _, known=known: motion in known and gradient)
         assert [chart.name for chart in handling_charts([real, model], car)] == drawn
+    monkeypatch.setattr(handling, "understeer_of", lambda motion, _: motion == "real" and gradient)
+    (chart,) = handling_charts([real, SimpleNamespace(**vars(model) | {"name": "nominal model"})], car)
+    assert chart.note.endswith(" Too little gentle cornering: nominal model.")

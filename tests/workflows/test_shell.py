@@ -110,6 +110,17 @@ def opened(browser, tmp_path):
     return open_page
 
 
+def test_a_band_breaks_where_its_line_does(browser, tmp_path):
+    """An interval was filled from one held-out stretch over the untested minute to the next."""
+    low = np.where(abs(T - 5.0) < 1.0, np.nan, -1.0)
+    line = ChartLine("learned", T, low + 1.0, "learned", low=low, high=low + 2.0)
+    band = (Chart("band", "Band", "time [s]", "y", (line,)),)
+    (tmp_path / "band.html").write_text(page("race", "", "", charts_block(band), band), encoding="utf-8")
+    browser.get((tmp_path / "band.html").as_uri())
+    drawn = [p.get_attribute("d") for p in browser.find_elements("css selector", "#chart-band .canvas > svg path")]
+    assert sorted(d.count("Z") for d in drawn)[-1] == 2
+
+
 def paths(browser, chart: str) -> int:
     return len(browser.find_elements("css selector", f"#chart-{chart} .canvas > svg path"))
 

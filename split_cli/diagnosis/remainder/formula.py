@@ -20,7 +20,7 @@ def sparse_formula(
     keep: Sequence[np.ndarray],
     rules: Reporting = STANDARD.reporting,
 ) -> str:
-    """Return the best formula of few terms for gap forces, such as ``front_lateral = 310 N (T/T_max)^2``.
+    """Return the best formula of few terms for gap forces, such as ``front lateral force = 310 N (T/T_max)^2``.
 
     Parameters
     ----------
@@ -59,7 +59,10 @@ def sparse_formula(
         gained = size - float(np.mean((gap[:, channel] - columns[:, chosen] @ weights) ** 2))
         if gained > best:
             sum_ = " ".join(f"{w:+.3g} N {names[k]}".rstrip() for w, k in zip(weights, chosen, strict=True))
-            best, text = gained, f"{force} = {sum_.lstrip('+')} ({percent(gained / size)} of it)"
+            best, text = (
+                gained,
+                f"{force.replace('_', ' ')} force = {sum_.lstrip('+')} ({percent(gained / size)} of it)",
+            )
     return text
 
 

@@ -12,7 +12,7 @@ from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding,
 from split_cli.files import json_ready
 
 #: Names that the vehicle file with the findings may have; one is written if anything of the car was found.
-VEHICLES = frozenset({"vehicle_corrected.yaml", "vehicle_rejected.yaml"})
+VEHICLES = ("vehicle_corrected.yaml", "vehicle_rejected.yaml")
 
 
 def vehicle_name(diagnosis: Diagnosis) -> str | None:
@@ -23,7 +23,7 @@ def vehicle_name(diagnosis: Diagnosis) -> str | None:
     if not any(finding.exported for finding in diagnosis.findings):
         return None
     corrected = diagnosis.corrected_vehicle
-    return "vehicle_corrected.yaml" if corrected is None or corrected.accepted else "vehicle_rejected.yaml"
+    return VEHICLES[0] if corrected is None or corrected.accepted else VEHICLES[1]
 
 
 def read_schema() -> dict[str, Any]:

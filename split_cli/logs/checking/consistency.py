@@ -98,6 +98,7 @@ def check_consistency(
         return Consistency(reported, _plain(checks), unjudged, factors, explanation.cost)
     if factors:
         corrected = of(corrected_columns(drive.columns, factors, vy_judged))
+        corrected.measure_relations()  # what judges a channel judges it still
         corrected.unjudged, finer = finer.unjudged, corrected
     wrong = {finding.channel for finding in found} - set(factors) - ({"X"} if "hand" in factors else set())
     # Whether v_y has the unit of v_x is open: a place that only one of the two gives is none.

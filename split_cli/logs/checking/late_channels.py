@@ -162,10 +162,13 @@ def _finding(late: DelayEstimate) -> ConsistencyFinding:
             f"Or r is as much {other}: nothing recorded decides. Pass `--delay {late.channel}={late.delay:.3g}` "
             f"or `--delay r={-late.delay:.3g}`."
         )
-        if late.channel == "delta" and late.delay < 0.0:
-            remedy += " A command comes before the wheels move: if delta is one, say `kind: command` in the map."
     elif late.channel == "r" and late.reference != "vx":
         remedy = f"`--delay r={late.delay:.3g}` moves it; `--estimate-delays` would move the others."
+    if late.channel in ("T", "delta") and late.delay < 0.0:
+        # Of a command it is no fault of a clock: moved, it would hide what the actuator does.
+        otherwise = "" if late.reference == "r" else "Else "
+        command = f"If {late.channel} is a command, which comes first, say `kind: command` in the map."
+        remedy = f"{command} {otherwise}{remedy}"
     text = (
         f"{late.channel} is {abs(late.delay):.3f} +- {late.error:.3f} s {sense} against {late.reference} "
         f"(from {' and '.join(late.identities)}). {remedy}"

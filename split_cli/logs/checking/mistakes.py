@@ -105,7 +105,8 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
     if channel == "T":
         known += _factor("T", 1e-3, "is in kN m", "set `unit: kN m`", COMMON, "kN m")
         what = "is the torque of engine or motor, or of one wheel or axle"
-        known.append(Mistake("T", 1 / 20.0, 1 / 2.5, False, what, "scale it to the sum at the wheels", 4.0))
+        remedy = "leave T out and pass `--derive torque-from-acceleration`, or scale it to the sum at the wheels"
+        known.append(Mistake("T", 1 / 20.0, 1 / 2.5, False, what, remedy, 4.0))
     return known
 
 

@@ -20,7 +20,7 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
     found = [(one, motion and understeer_of(motion, vehicle)) for one, motion in moving]
     shown = [(one, gradient) for one, gradient in found if gradient]
     if any(one.vehicle is None for one, _ in shown):
-        charts.append(_understeer(shown))
+        charts.append(_understeer(shown, [one.name for one, gradient in found if not gradient]))
     responses = [
         (one, one.lateral_motion and steering_response(one.lateral_motion, vehicle.minimum_speed)) for one in subjects
     ]
@@ -58,7 +58,7 @@ def understeer_words(name: str, found: Understeer) -> str:
     return f"{name} {DEG_PER_G * found.gradient:.2f} deg/g (95 %: {low:.2f} to {high:.2f})"
 
 
-def _understeer(shown: Sequence[tuple[Subject, Understeer]]) -> Chart:
+def _understeer(shown: Sequence[tuple[Subject, Understeer]], missing: Sequence[str]) -> Chart:
     series = []
     for one, found in shown:
         if one.vehicle is None:
@@ -78,6 +78,8 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]]) -> Chart:
     note = f"The slope is the understeer gradient, from {upto}: {words}."
     if not same:
         note += " Slopes from different ranges of a_y may differ."
+    if missing:
+        note += f" Too little gentle cornering: {', '.join(missing)}."
     return Chart("understeer", "Understeer gradient", "a_y [m/s²]", "alpha_f − alpha_r [rad]", tuple(series), note)
 
 

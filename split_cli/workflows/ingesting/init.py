@@ -40,8 +40,8 @@ drive_split_front:    # 0 rear drive, 1 front drive
 
 # F_y = D sin(C atan(B alpha)) for the whole axle. To start: D = friction x static load of the axle,
 # C = 1.4, B = cornering stiffness / (C D), about 10 for road tyres. `split calibrate` fits them to a gentle drive.
-front_tire: {B: 10.0, C: 1.4, D: }   # D in N
-rear_tire: {B: 10.0, C: 1.4, D: }    # D in N
+front_tire: {B: {value: 10.0, source: assumed}, C: {value: 1.4, source: assumed}, D: }   # D in N
+rear_tire: {B: {value: 10.0, source: assumed}, C: {value: 1.4, source: assumed}, D: }    # D in N
 """
 
 
@@ -53,7 +53,7 @@ class InitResult:
     vehicle_path: Path
     draft: Draft
     log: str  # as the user named it, for the command to run
-    several: bool = False  # logs that make a drive each
+    result: str  # drive to write, called as the log, or the folder of several
     differences: tuple[str, ...] = ()  # of several logs, where one map does not fit all
 
     @property
@@ -88,11 +88,10 @@ class InitResult:
         if any(" does not hold " in text for text in self.differences):
             steps.append("If the logs are parts of one drive, begin anew with --together.")
         run = f"With {', '.join(lost)}, run" if lost else "Run"
-        result = "drives" if self.several else "drive.parquet"
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         derive = "".join(f" --derive {name}" for name in chosen)
         derive += f" --gap {self.draft.gap:.2g}" if self.draft.gap else ""
-        steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o {result}")
+        steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o {self.result}")
         return tuple(steps)
 
     def _to_fill_and_check(self, missing: Sequence[str], opened: Collection[str]) -> Iterator[str]:
@@ -201,7 +200,8 @@ def init_project(
     targets = folder / "map.yaml", folder / "vehicle.yaml"
     for target in targets:
         if target.exists():
-            raise SplitError("exists already", where=str(target), advice="Name another folder with -o.")
+            advice = "Name another folder with -o, or ingest the logs of one car with the map and vehicle file it has."
+            raise SplitError("exists already", where=str(target), advice=advice)
     recordings = [open_logs(list(logs) if together else log, message_paths) for log in (logs[:1] if together else logs)]
     drafts = {str(log): draft_map(one, row_rate=row_rate) for log, one in zip(logs, recordings, strict=False)}
     recorded = {str(log): [info.name for info in one.channels()] for log, one in zip(logs, recordings, strict=False)}
@@ -218,5 +218,7 @@ def init_project(
     shown = " ".join(shlex.quote(str(log)) for log in logs) + (" --together" if together else "")
     databases = [f" --dbc {shlex.quote(str(p))}" for p in message_paths if Path(p).is_file()]
     rate = f" --row-rate {row_rate:g}" if row_rate is not None else ""
-    several = len(recordings) > 1
-    return InitResult(*targets, draft, shown + "".join(databases) + rate, several, differences)
+    first = Path(logs[0])
+    made = shlex.quote(f"{first.stem}{'_drive' * (first.suffix == '.parquet')}.parquet")
+    made = "drives" if len(recordings) > 1 else made
+    return InitResult(*targets, draft, shown + "".join(databases) + rate, made, differences)

@@ -20,7 +20,7 @@ def what_section(diagnosis: Diagnosis) -> str:
         cards = '<p class="lead">No effect of the catalogue was identified.</p>'
     if diagnosis.leads:
         leads = items(one.sentence for one in diagnosis.leads)
-        cards += f'<div class="note" id="leads"><p>Leads, not findings:</p><ul>{leads}</ul></div>'
+        cards += f'<div class="note" id="leads"><ul>{leads}</ul></div>'
     remainder = ""
     if diagnosis.remainder is not None:
         remainder = _remainder(diagnosis.remainder, diagnosis, _level(diagnosis))

@@ -91,9 +91,14 @@
           continue;
         }
         if (one.low) {
-          const kept = Array.from(one.y.keys()).filter((i) => point(x[i], one.low[i]) && point(x[i], one.high[i]));
-          const edge = [...kept.map((i) => point(x[i], one.high[i])), ...kept.reverse().map((i) => point(x[i], one.low[i]))];
-          if (edge.length) layer.append(shape("path", { d: `${path(edge)}Z`, fill: one.color, "fill-opacity": 0.2 }));
+          const runs = [[]];  // where there is no band, it breaks as the line does
+          one.y.forEach((_, i) => {
+            const ends = [point(x[i], one.high[i]), point(x[i], one.low[i])];
+            if (ends.every(Boolean)) runs[runs.length - 1].push(ends);
+            else runs.push([]);
+          });
+          const edge = runs.filter((run) => run.length).map((run) => `${path([...run.map((ends) => ends[0]), ...run.reverse().map((ends) => ends[1])])}Z`).join("");
+          if (edge) layer.append(shape("path", { d: edge, fill: one.color, "fill-opacity": 0.2 }));
         }
         const points = Array.from(one.y, (y, i) => point(x[i], y));
         layer.append(shape("path", { d: path(points), fill: "none", stroke: one.color, "stroke-width": one.role === "measured" ? 1.7 : 1.9, "stroke-linejoin": "round", "stroke-dasharray": DASHES[one.role] || "none" }));
