@@ -82,20 +82,27 @@ def test_what_was_written_passes_and_was_looked_at(made):
 @pytest.mark.parametrize("field", ["y", "z"])
 def test_points_of_a_set_that_its_drive_does_not_have(folder, field):
     trained = read_set(folder / "a.split")
-    values = getattr(trained, field).copy()
-    # One feature that is moved alone does not fit the gains, and the set is refused; all together do.
-    rows = slice(7, 8) if field == "y" else slice(None)
-    values[rows] += 1e-5 if field == "y" else 2e-6
-    write_set(replace(trained, **{field: values}), folder / "a.split")
+    # One number that is moved alone does not fit the gains or the sums, and the set is refused.
+    names, rows, by = (("y", "absorbed"), slice(7, 8), 1e-5) if field == "y" else (("z",), slice(None), 2e-6)
+    values = {name: getattr(trained, name).copy() for name in names}
+    for moved in values.values():
+        moved[rows] += by
+    write_set(replace(trained, **values), folder / "a.split")
     drives = {f"points of {trained.sources[number].name}" for number in trained.source[rows]}
-    assert failed(folder / "a.split") == drives
+    assert failed(folder / "a.split") - {"sums over labels"} == drives
 
 
-@pytest.mark.parametrize(("field", "factor"), [("absorbed", 0.0), ("absorbed", -1.0), ("information", 1.001)])
+@pytest.mark.parametrize(("field", "factor"), [("absorbed", 0.0), ("absorbed", -1.0), ("information", 0.999)])
 def test_sums_over_labels_that_its_drives_do_not_have(folder, field, factor):
     trained = read_set(folder / "a.split")
-    write_set(replace(trained, **{field: factor * getattr(trained, field)}), folder / "a.split")
+    own = dict(zip(("information", "absorbed"), replace(trained, information=None).sums(), strict=True))[field]
+    beside = getattr(trained, field) - own  # of labels that are no points: what reading a set cannot refuse
+    write_set(replace(trained, **{field: own + factor * beside}), folder / "a.split")
     assert failed(folder / "a.split") == {"sums over labels"}
+    (folder / "d1.parquet").unlink()
+    assert failed(folder / "a.split") == set()
+    told = {i.check: i for i in verify(folder / "a.split").items}
+    assert told["labels and sums"].passed is None and "1 of 2 drives" in told["labels and sums"].detail
 
 
 @pytest.mark.parametrize(("options", "labelled"), [((), 2), (("--held", "T"), 4), (("--stride", 1), 4)])
