@@ -63,6 +63,7 @@ def _is_sound(manifest: dict[str, Any]) -> bool:
     return all(isinstance(one, str) and one and Path(one).name == one for one in (name, *files, *targets))
 
 
+@np.errstate(all="ignore")  # of forged numbers; what is not finite then is within no tolerance
 def verify_folder(folder: str | Path) -> tuple[VerifiedItem, ...]:
     """Check the hash of every file of an export, then ask every target its stored check points.
 
@@ -178,6 +179,7 @@ def _verify_document(target: str, folder: Path, name: str) -> VerifiedItem:
     return VerifiedItem(asked.check, error <= RELEARNED, detail)
 
 
+@np.errstate(all="ignore")
 def verify_against_set(folder: Path, training_set: TrainingSet) -> tuple[VerifiedItem, ...]:
     """Compare an export with the set that it was made of: its points number by number, and its stored answers."""
     manifest = read_manifest(folder)
@@ -215,11 +217,8 @@ def _ask(answer: ExportAnswer, folder: Path, name: str, target: str) -> Verified
     points = _check_points(folder, name)
     mean, variance = answer.predict(points["z"])
     scale = points["signal_variance"]
-    with np.errstate(all="ignore"):  # of forged points; no number then is within the tolerance
-        worst = max(
-            float(np.max(np.abs(mean - points["mean"]) / np.sqrt(scale))),
-            float(np.max(np.abs(variance - points["variance"]) / scale)),
-        )
+    errors = np.abs(mean - points["mean"]) / np.sqrt(scale), np.abs(variance - points["variance"]) / scale
+    worst = float(np.max(errors))  # NaN, if one of them is
     # What rounding leaves of this set; a file that claims more than single precision loses is not believed.
     accuracy = float(points.get("accuracy", TOLERANCE["double"]))
     allowed = 10.0 * (accuracy if 0.0 < accuracy < TOLERANCE["float"] else TOLERANCE["double"])

@@ -22,7 +22,6 @@ LONGEST_TEXT = 4096
 """A name or digest in a header [characters]; that of the longest path of Linux."""
 FOUND = ("faults", "remarks")
 """What ingest found, in labels and in a drive of a set, a clause each; absent where it found nothing."""
-_ROUNDING = 1e-9  # of a sum of squares, over its largest direction: a cell hands over thousands of points
 _COUNTS = ("samples", "accepted", "insertions", "replacements", "points", "cells")
 
 
@@ -167,8 +166,6 @@ def check_points(
             raise ValueError(f"{name} holds numbers that are not finite")
         if np.abs(points[name]).max(initial=0.0) > largest:
             raise ValueError(f"{name} holds {np.abs(points[name]).max():g}, beyond {largest:g} none is possible")
-    if "information" in points:
-        _check_sums(lengths, points["information"], points["absorbed"])
     if points["row"].min(initial=0) < 0:
         raise ValueError("points name rows below zero")
     if len(points["source"]) and not 0 <= points["source"].min() <= points["source"].max() < sources:
@@ -178,21 +175,6 @@ def check_points(
         raise ValueError(
             f"it says {counts['points']} points in {counts['cells']} cells, and holds {sum(lengths)} in {len(lengths)}"
         )
-
-
-def _check_sums(lengths: Sequence[int], information: np.ndarray, absorbed: np.ndarray) -> None:
-    """Refuse sums that no labels have: sums of squares are symmetric, and no direction of them is negative."""
-    if not (np.isfinite(information).all() and np.isfinite(absorbed).all()):
-        raise ValueError("its sums over labels hold numbers that are not finite")
-    if max(np.abs(information).max(initial=0.0), np.abs(absorbed).max(initial=0.0)) > LARGEST_OF_KERNEL:
-        raise ValueError("its sums over labels are larger than any labels have")
-    counts = np.array(lengths, dtype=np.int64)
-    begins = np.cumsum(counts**2) - counts**2
-    for n in np.unique(counts).tolist():
-        matrices = information[begins[counts == n, None] + np.arange(n * n)].reshape(-1, n, n)
-        least, largest = np.linalg.eigvalsh(matrices)[:, [0, -1]].T
-        if (matrices != matrices.transpose(0, 2, 1)).any() or (least < -_ROUNDING * np.abs(largest)).any():
-            raise ValueError("its sums over labels are not those of any labels")
 
 
 def _number(name: str, value: Any) -> float:

@@ -18,7 +18,7 @@ from split_cli.errors import SetError, VehicleError
 from split_cli.files import atomic_path, parse_json
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import OUTPUTS, Kernel
-from split_cli.learning.label_sums import SUMS, read_sums, sums_by_cell
+from split_cli.learning.label_sums import SUMS, check_sums, read_sums, sums_by_cell
 from split_cli.learning.region import Grid, Region, valid_cells
 from split_cli.learning.set_limits import FOUND, check_header, check_points
 from split_cli.learning.trust import Trust
@@ -297,20 +297,21 @@ class SetFile:
             if self._described["format"] == SET_FORMAT:
                 points |= read_sums(self._reader, lengths)
             check_points(self._described, lengths, points, len(self.header.sources))
+            whole = _with_points(self.header, numbers[first], offsets, points)
+            stored = self._described.pop("content_sha256", "")
+            if content_digest(self._described, whole) != stored:
+                raise ValueError("its content does not match the digest in it")
+            if (np.diff(whole.cell_numbers) <= 0).any():
+                raise ValueError("its cells are out of order")
+            elsewhere = points_elsewhere(whole)
+            if elsewhere:
+                raise ValueError(f"{elsewhere} of {whole.size} points are outside their cells")
+            wrong = wrong_gains(whole, kernel_numbers)
+            if wrong:
+                raise ValueError(f"the gains of {wrong} of {whole.size} points are not those of the points")
+            check_sums(whole.kernel, points, offsets, sum(source.accepted for source in whole.sources))
         except ValueError as error:
             raise self._damaged(str(error)) from error
-        whole = _with_points(self.header, numbers[first], offsets, points)
-        stored = self._described.pop("content_sha256", "")
-        if content_digest(self._described, whole) != stored:
-            raise self._damaged("its content does not match the digest in it")
-        if (np.diff(whole.cell_numbers) <= 0).any():
-            raise self._damaged("its cells are out of order")
-        elsewhere = points_elsewhere(whole)
-        if elsewhere:
-            raise self._damaged(f"{elsewhere} of {whole.size} points are outside their cells")
-        wrong = wrong_gains(whole, kernel_numbers)
-        if wrong:
-            raise self._damaged(f"the gains of {wrong} of {whole.size} points are not those of the points")
         return whole
 
     def _batch(self, index: int) -> pa.RecordBatch:

@@ -169,10 +169,11 @@ def _start_worker(lifeline: Connection) -> None:
         os._exit(128 + signal.SIGTERM)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, stop)
-    threading.Thread(target=listen, daemon=True).start()
     for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
+    threading.Thread(target=listen, daemon=True).start()
+    # Last: a run that has ended ends a worker that starts without a word, where leaving would print a traceback.
+    signal.signal(signal.SIGTERM, stop)
 
 
 def _work(function: Callable[[Any], Any], item: Any) -> Any:

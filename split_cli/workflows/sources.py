@@ -78,6 +78,9 @@ class SourceFile:
     def local(self) -> Iterator[Path]:
         """Give a local path to the content; a remote file is copied for as long as the body runs."""
         if not is_remote(self.address):
+            # Drives, sets and manifests name what they are made of, in UTF-8.
+            if any("\ud800" <= letter <= "\udfff" for letter in self.address):
+                raise SplitError("its name is no text in UTF-8", where=self.address, advice="Rename it.")
             yield Path(self.address)
             return
         system, path = _system(self.address)
@@ -167,11 +170,13 @@ def find_sources(
         sources = _remote(text, suffixes) if is_remote(text) else _local(text, suffixes)
         if not sources:
             kinds = ", ".join(suffixes)
-            raise SplitError(f"holds no {what}", where=text, advice=f"Give a file or folder with {kinds}.")
+            glob_advice = " In a glob, [ begins a choice of letters: write [[] for the letter." if "[" in text else ""
+            advice = f"Give a file or folder with {kinds}.{glob_advice}"
+            raise SplitError(f"holds no {what}", where=text, advice=advice)
         for source in sources:
             if outside is not None and _is_below(source.address, outside) and not _is_below(text, outside):
                 continue
-            found.setdefault(source.address, source)
+            found.setdefault(_entry(source.address), source)
     return list(found.values())
 
 
@@ -187,6 +192,12 @@ def local_drives(addresses: Sequence[str | Path]) -> Iterator[list[Path]]:
     with contextlib.ExitStack() as stack:
         sources = find_sources(addresses, DRIVE_SUFFIXES, what="drive")
         yield [stack.enter_context(source.local()) for source in sources]
+
+
+def _entry(address: str) -> str:
+    """Return one name for every way to write the path of a file; a link is a name of its own."""
+    folder, name = os.path.split(address)
+    return address if is_remote(address) else os.path.join(os.path.realpath(folder), name)
 
 
 def _is_below(address: str, folder: str | Path) -> bool:
@@ -231,10 +242,15 @@ def _local(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     if path.is_dir() and not _is_bag(path):
         return _in_folder(path, path, suffixes)
     if not path.exists() and glob.has_magic(str(path)):
-        base = Path(_before_magic(str(path)) or ("/" if path.is_absolute() else "."))
+        base = _named_plainly(path)
         hits = sorted(base.glob(_pattern_below(path, base))) if base.is_dir() else []
-        inside = [hit for hit in hits if not hit.is_dir() or _is_bag(hit)]  # a broken link, too: it is told
-        return [SourceFile(str(hit), _place(hit, base)) for hit in inside if not _hidden(hit.relative_to(base))]
+        found: list[SourceFile] = []  # a broken link, too: it is told
+        for hit in (hit for hit in hits if not _hidden(hit.relative_to(base))):
+            if not hit.is_dir() or _is_closed(hit) or _is_bag(hit):
+                found.append(SourceFile(str(hit), _place(hit, base)))
+            elif not (hit.is_symlink() and "**" in path.parts):
+                found += _in_folder(hit, base, suffixes)
+        return found
     return [SourceFile(str(path), path.name or str(path))]
 
 
@@ -248,9 +264,9 @@ def _pattern_below(path: Path, base: Path) -> str:
     return "/".join((*parts, "*") if parts[-1] == "**" else parts)
 
 
-def _before_magic(path: str) -> str:
-    """Return the folder down to which a glob names folders plainly."""
-    return re.split(r"[*?\[]", path, maxsplit=1)[0].rpartition("/")[0]
+def _named_plainly(path: Path) -> Path:
+    """Return the folder down to which a glob names folders that are there, with a [ in their names, too."""
+    return next(folder for folder in (*path.parents, Path()) if folder.is_dir() or not glob.has_magic(str(folder)))
 
 
 def _in_folder(folder: Path, base: Path, suffixes: Sequence[str]) -> list[SourceFile]:
@@ -307,12 +323,14 @@ def _remote(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     system, path = _system(text)
     with _in_one_line(text):
         if glob.has_magic(path):
-            base, hits = _before_magic(path), system.glob(path)
-        elif system.isdir(path):
-            base = path
-            hits = [hit for hit in system.find(path) if hit.lower().endswith(tuple(suffixes))]
+            kinds = {hit: about["type"] for hit, about in system.glob(path, detail=True).items()}
+            base = re.split(r"[*?\[]", path, maxsplit=1)[0].rpartition("/")[0]
         else:
-            base, hits = path.rpartition("/")[0], [path]
+            kinds = {path: "directory" if system.isdir(path) else "file"}
+            base = path if kinds[path] == "directory" else path.rpartition("/")[0]
+        hits = {hit for hit, kind in kinds.items() if kind != "directory"}
+        folders = set(kinds) - hits
+        hits |= {f for one in folders for f in system.find(one) if f.lower().endswith(tuple(suffixes))}
     sources = []
     for hit in sorted(hits):
         place = hit.removeprefix(base).lstrip("/")

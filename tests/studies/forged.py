@@ -18,6 +18,7 @@ import numpy as np
 
 from split_cli.errors import SplitError
 from split_cli.learning.kernel import OUTPUTS
+from split_cli.learning.label_sums import SUMS
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from tests.factories import write_forged_set
 from tests.studies.fuzz import mutate_json, places
@@ -77,6 +78,20 @@ POINTS = {
     "rows below zero": points("row", lambda v: np.full_like(v, -5)),
     "rows of no drive": points("row", lambda v: np.full_like(v, 2**63 - 1)),
     "drives of none": points("source", lambda v: v + 5),
+    **{
+        f"{name} {e:g}": points(name, lambda v, e=e: np.full_like(v, e))
+        for name in SUMS
+        for e in (np.nan, np.inf, 1e300, -1e15, 0.0)
+    },
+    **{f"{name} times {e:g}": points(name, lambda v, e=e: v * e) for name in SUMS for e in (-1.0, 0.5, 2.0, 1e12)},
+    "information not symmetric": points("information", lambda v: v + 1e-6 * np.arange(len(v))),
+    "information cut": points("information", lambda v: v[:-1]),
+    "absorbed cut": points("absorbed", lambda v: v[:-1]),
+    "absorbed moved": points("absorbed", lambda v: v + 50.0),
+    **{
+        f"labels beside points times {e:g}": lambda s, e=e: replace(s, absorbed=s.y + e * (s.absorbed - s.y))
+        for e in (2.0, 1e6)
+    },
 }
 _TRACK = ("--vehicle", "road_car.yaml", "--start-set", "turn.split")
 COMMANDS = {

@@ -82,20 +82,27 @@ def test_what_was_written_passes_and_was_looked_at(made):
 @pytest.mark.parametrize("field", ["y", "z"])
 def test_points_of_a_set_that_its_drive_does_not_have(folder, field):
     trained = read_set(folder / "a.split")
-    values = getattr(trained, field).copy()
-    # One feature that is moved alone does not fit the gains, and the set is refused; all together do.
-    rows = slice(7, 8) if field == "y" else slice(None)
-    values[rows] += 1e-5 if field == "y" else 2e-6
-    write_set(replace(trained, **{field: values}), folder / "a.split")
+    # One number that is moved alone does not fit the gains or the sums, and the set is refused.
+    names, rows, by = (("y", "absorbed"), slice(7, 8), 1e-5) if field == "y" else (("z",), slice(None), 2e-6)
+    values = {name: getattr(trained, name).copy() for name in names}
+    for moved in values.values():
+        moved[rows] += by
+    write_set(replace(trained, **values), folder / "a.split")
     drives = {f"points of {trained.sources[number].name}" for number in trained.source[rows]}
-    assert failed(folder / "a.split") == drives
+    assert failed(folder / "a.split") - {"sums over labels"} == drives
 
 
-@pytest.mark.parametrize(("field", "factor"), [("absorbed", 0.0), ("absorbed", -1.0), ("information", 1.001)])
+@pytest.mark.parametrize(("field", "factor"), [("absorbed", 0.0), ("absorbed", -1.0), ("information", 0.999)])
 def test_sums_over_labels_that_its_drives_do_not_have(folder, field, factor):
     trained = read_set(folder / "a.split")
-    write_set(replace(trained, **{field: factor * getattr(trained, field)}), folder / "a.split")
+    own = dict(zip(("information", "absorbed"), replace(trained, information=None).sums(), strict=True))[field]
+    beside = getattr(trained, field) - own  # of labels that are no points: what reading a set cannot refuse
+    write_set(replace(trained, **{field: own + factor * beside}), folder / "a.split")
     assert failed(folder / "a.split") == {"sums over labels"}
+    (folder / "d1.parquet").unlink()
+    assert failed(folder / "a.split") == set()
+    told = {i.check: i for i in verify(folder / "a.split").items}
+    assert told["labels and sums"].passed is None and "1 of 2 drives" in told["labels and sums"].detail
 
 
 @pytest.mark.parametrize(("options", "labelled"), [((), 2), (("--held", "T"), 4), (("--stride", 1), 4)])
@@ -170,24 +177,9 @@ def test_a_vehicle_changed_since_it_was_written(folder):
     assert failed(folder / "calibrated.yaml") == set()
 
 
-def test_an_export_whose_numbers_changed(folder):
-    manifest = folder / "export" / "manifest.json"
-    others = ("manifest", "check", "schema")
-    path = next(p for p in (folder / "export").glob("*.json") if not any(name in p.name for name in others))
-    text = path.read_text()
-    told = json.loads(text)
-    told["projected_weights"] = [[value * 1.01 for value in row] for row in told["projected_weights"]]
-    path.write_text(json.dumps(told))
-    assert any("SHA-256" in check for check in failed(folder / "export"))
-    entered = json.loads(manifest.read_text())
-    entered["files"][path.name] = sha256_of_file(path)
-    manifest.write_text(json.dumps(entered))
-    assert failed(folder / "export") == {"json: answers"}
-
-
-def forged_export(folder: Path, change) -> Path:
-    """Change the numbers of an export's json, and enter the file's new digest in the manifest."""
-    export, path = folder / "export", folder / "export" / "a.json"
+def forged_export(folder: Path, change, name: str = "a.json") -> Path:
+    """Change the numbers of a JSON file of an export, and enter the file's new digest in the manifest."""
+    export, path = folder / "export", folder / "export" / name
     told = json.loads(path.read_text())
     change(told)
     path.write_text(json.dumps(told))
@@ -195,6 +187,37 @@ def forged_export(folder: Path, change) -> Path:
     entered["files"][path.name] = sha256_of_file(path)
     (export / "manifest.json").write_text(json.dumps(entered))
     return export
+
+
+def test_an_export_whose_numbers_changed(folder):
+    def change(told):
+        told["projected_weights"] = [[value * 1.01 for value in row] for row in told["projected_weights"]]
+
+    manifest = folder / "export" / "manifest.json"
+    entered = manifest.read_text()
+    forged_export(folder, change)
+    assert failed(folder / "export") == {"json: answers"}
+    manifest.write_text(entered)
+    assert any("SHA-256" in check for check in failed(folder / "export"))
+
+
+@pytest.mark.parametrize("predictor", ["rbcm", "projected"])
+@pytest.mark.parametrize("name", ["z", "y", "length_scales", "signal_variance", "noise_variance"])
+@pytest.mark.parametrize("number", [1e300, float("inf"), 0.0, -1.0])
+def test_forged_numbers_of_an_export_that_overflow_fail_without_a_warning(folder, predictor, name, number):
+    def change(told):
+        told["predictor"], told[name] = predictor, np.full_like(told[name], number).tolist()
+
+    assert failed(forged_export(folder, change)) & {"json: answers", "json: points"}
+
+
+@pytest.mark.parametrize("name", ["mean", "variance"])
+def test_stored_answers_that_are_no_numbers(folder, name):
+    def change(stored):
+        stored[name][0][0] = float("nan")
+
+    (folder / "a.split").unlink()
+    assert failed(forged_export(folder, change, "a_check.json")) == {"json: answers"}
 
 
 def test_a_label_of_a_projected_export_that_taught_it_nothing(folder):
@@ -227,14 +250,10 @@ def test_answers_that_the_set_does_not_give(folder):
         del told["projected_order"]
         told["projected_weights"] = [[2.0 * one for one in row] for row in told["projected_weights"]]
 
-    check = folder / "export" / "a_check.json"
-    stored = json.loads(check.read_text())
-    stored["mean"] = [[2.0 * one for one in row] for row in stored["mean"]]
-    check.write_text(json.dumps(stored))
-    manifest = folder / "export" / "manifest.json"
-    entered = json.loads(manifest.read_text())
-    entered["files"][check.name] = sha256_of_file(check)
-    manifest.write_text(json.dumps(entered))
+    def change_stored(stored):
+        stored["mean"] = [[2.0 * one for one in row] for row in stored["mean"]]
+
+    forged_export(folder, change_stored, "a_check.json")
     assert failed(forged_export(folder, change)) == {"set: answers"}
 
 

@@ -9,10 +9,11 @@ import pyarrow.parquet
 import pytest
 
 from split_cli.errors import SetError
-from split_cli.learning.cells import recompute_gains
+from split_cli.learning.cells import extend, recompute_gains, without_points
+from split_cli.learning.label_sums import SUMS, check_sums
 from split_cli.learning.training_set import read_set, write_set, wrong_gains
 from split_cli.workflows.verifying.verify import verify
-from tests.factories import make_training_set, write_forged_set
+from tests.factories import make_labels, make_training_set, write_forged_set
 from tests.studies.forged import HEADERS, POINTS, at
 
 
@@ -90,6 +91,20 @@ def test_points_that_are_no_numbers_are_refused(sound, tmp_path, name):
         ("y 1e+300", "none is possible"),
         ("t 1e+300", "none is possible"),
         ("rows below zero", "rows below zero"),
+        ("information nan", "not finite"),
+        ("absorbed inf", "not finite"),
+        ("information 1e+300", "labels beside its points"),
+        ("information -1e+15", "of any labels"),
+        ("information 0", "of any labels"),
+        ("information times 0.5", "of any labels"),
+        ("information times 2", "labels beside its points"),
+        ("information not symmetric", "of any labels"),
+        ("information cut", "cannot reshape"),
+        ("absorbed cut", "cannot reshape"),
+        ("absorbed 1e+300", "of any labels"),
+        ("absorbed 0", "of any labels"),
+        ("absorbed times 2", "of any labels"),
+        ("absorbed moved", "of any labels"),
         ("start time 1e299", "there is no time"),
         ("duration 1e299", "duration of source 0"),
     ],
@@ -101,6 +116,24 @@ def test_numbers_that_no_training_leaves_are_refused(sound, tmp_path, kind, says
         write_set(POINTS[kind](sound), tmp_path / "a.split")
     with pytest.raises(SetError, match=says):
         read_set(tmp_path / "a.split")
+
+
+@pytest.mark.parametrize(("capacity", "cells", "threshold"), [(3, 2.0, 1e-3), (10, 200.0, 1e-3), (10, 8.0, 1e-9)])
+def test_sums_over_labels_that_training_leaves_are_taken(sound, capacity, cells, threshold):
+    # Cells that replace points and hand their labels over, and cells at the edge of singular.
+    kernel = replace(sound.kernel, length_scales=cells * np.array(sound.grid.edges))
+    z = np.repeat(sound.z[:100], 60, axis=0)
+    z += np.random.default_rng(1).normal(0.0, 0.2, z.shape) * sound.grid.edges
+    labels = make_labels(z, np.sin(20.0 * z), sound.vehicle)
+    empty = replace(without_points(sound), capacity=capacity, threshold=threshold, kernel=kernel)
+    learned = extend(empty, [labels])
+    assert learned.sources[0].accepted > 3000 > learned.size
+    assert cells > 2.0 or learned.sources[0].replacements > 100
+    points = {name: getattr(learned, name) for name in ("z", "y", *SUMS)}
+    check_sums(kernel, points, learned.offsets, learned.sources[0].accepted)
+    with pytest.raises(ValueError, match="labels beside its points"):
+        points["information"] = 1.1 * points["information"]
+        check_sums(kernel, points, learned.offsets, learned.sources[0].accepted)
 
 
 def test_gains_are_those_of_the_definition_also_in_near_singular_cells(sound):

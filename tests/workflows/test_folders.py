@@ -100,6 +100,41 @@ def test_a_glob_keeps_places_below_what_it_names(archive):
         find_sources([archive / "*.mcap"])
 
 
+def test_a_folder_in_a_glob_stands_for_the_logs_in_it(tmp_path):
+    for name in ("a/run.csv", "a/notes.md", "b/below/run.csv", "run [1]/x.csv"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "b" / "up").symlink_to(tmp_path)
+    places = {
+        "*": ["a/run.csv", "b/below/run.csv", "run [1]/x.csv"],
+        "b/*": ["below/run.csv", "up/a/run.csv", "up/run [1]/x.csv"],
+        "b/**": ["below/run.csv"],
+        "run [1]/*.csv": ["x.csv"],
+        "run [[]1]/*.csv": ["run [1]/x.csv"],
+        "a/*": ["notes.md", "run.csv"],
+    }
+    assert {glob: [source.place for source in find_sources([tmp_path / glob])] for glob in places} == places
+    with pytest.raises(SplitError, match=r"write \[\[\] for the letter"):
+        find_sources([tmp_path / "ru* [1]/*.csv"])
+
+
+def test_one_file_under_several_ways_to_write_its_path_is_one(tmp_path, monkeypatch):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "x.csv").touch()
+    (tmp_path / "a" / "latest.csv").symlink_to("x.csv")
+    monkeypatch.chdir(tmp_path)
+    ways = ["a/x.csv", "./a/x.csv", "a/../a/x.csv", tmp_path / "a" / "x.csv", tmp_path / "a"]
+    assert [source.name for source in find_sources(ways)] == ["x.csv", "latest.csv"]
+
+
+def test_a_name_that_is_no_text_is_told(tmp_path):
+    with open(os.fsencode(tmp_path) + b"/caf\xe9.csv", "w"):
+        pass
+    (source,) = find_sources([tmp_path])
+    with pytest.raises(SplitError, match="no text in UTF-8"), source.local():
+        pass
+
+
 def test_a_glob_tells_a_link_to_nothing(archive, tmp_path):
     """It was passed over, and the drive of a log that had moved was missing without a word."""
     (archive / "moved.csv").symlink_to(archive / "elsewhere.csv")
@@ -421,6 +456,28 @@ def _runs(process: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc, as Linux has it")
+def test_a_worker_that_starts_when_its_run_has_ended_says_nothing(tmp_path):
+    """It printed the traceback of its own end, where a run failed while its workers were starting."""
+    script = tmp_path / "run.py"
+    script.write_text(
+        "from concurrent.futures import ProcessPoolExecutor\n"
+        "from multiprocessing import get_context\n"
+        "from types import SimpleNamespace\n"
+        "from split_cli.workflows import engine\n"
+        "def start(lifeline):  # its listener acts at once\n"
+        "    engine.threading = SimpleNamespace(Thread=lambda target, daemon: SimpleNamespace(start=target))\n"
+        "    engine._start_worker(lifeline)\n"
+        "if __name__ == '__main__':\n"
+        "    context = get_context('spawn')\n"
+        "    lifeline, alive = context.Pipe(duplex=False)\n"
+        "    alive.close()\n"
+        "    with ProcessPoolExecutor(1, context, start, (lifeline,)) as pool:\n"
+        "        print(type(pool.submit(abs, 1).exception()).__name__)\n"
+    )
+    ran = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    assert (ran.stdout, ran.stderr) == ("BrokenProcessPool\n", "")
+
+
 def test_no_worker_outlives_a_killed_parent(tmp_path):
     program = (
         "import sys, pathlib\nfrom split_cli.workflows.engine import open_engine\n"
