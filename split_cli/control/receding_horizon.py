@@ -110,6 +110,11 @@ class RecedingController(ABC):
     When a programme fails, the plan of the step before goes on (its next input is applied) and the step counts as
     a failure. So does a step whose plan spins, and there planning begins anew from the line. After `PATIENCE`
     failures in a row `ControllerLost` is raised.
+
+    A tangent of the slip limit says nothing of how the limit falls away from it: at no torque it is flat, and far
+    from there it rises beyond its top. With tangents alone plans jump from one to the other. So the cost of a
+    programme has the second derivative of the limits, times the multipliers of the programme before: sequential
+    convex quadratic programming (Verschueren et al., Exploiting convexity in direct optimal control, CDC 2016).
     """
 
     EXTRA_STATES = 0
