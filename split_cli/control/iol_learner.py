@@ -125,7 +125,6 @@ class IolLearner(LabellingLearner):
         if self._pending:
             self.residual.refresh()
             self._pending = False
-        labels = labels.inside(self.header.grid)
         self._offered.append(labels)
         if not labels.accepted[0]:
             return 0

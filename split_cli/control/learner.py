@@ -37,7 +37,7 @@ def learning_region(vehicle, alpha_max: float, dalpha_max: float, p_long: float)
 class Learned:
     """What one interval gave."""
 
-    label: np.ndarray | None  # (3,): what the nominal model got wrong, None when the sample was rejected
+    labels: Labels  # one: what the nominal model got wrong, accepted where it lies in the region and its grid
     predicted: np.ndarray  # (3,): what the residual said of it before
     updates: int
     seconds: float  # of label and update [s]
@@ -105,15 +105,14 @@ class LabellingLearner(Learner):
         """Label the interval, compare with what the residual says, then learn."""
         start = time.thread_time()
         labels = self._last_label(interval)
-        labels = replace(labels, row=labels.row + row)
-        accepted = bool(labels.inside(self.header.grid).accepted[0])
+        labels = replace(labels.inside(self.header.grid), row=labels.row + row)
+        accepted = bool(labels.accepted[0])
         predicted = self.residual.along(labels.z[:1]).mean[0] if accepted else np.zeros(3)
         known = time.thread_time() - start
         of_motion = self._of_motion(exact) if accepted and exact is not None else (None, None)
         start = time.thread_time()
         updates = self._update(labels)
-        label = labels.y[0] if accepted else None
-        return Learned(label, predicted, updates, known + time.thread_time() - start, *of_motion)
+        return Learned(labels, predicted, updates, known + time.thread_time() - start, *of_motion)
 
     def _last_label(self, interval: Drive) -> Labels:
         """Return the label of the last window; what is before it only lets lags settle."""
@@ -135,11 +134,12 @@ class LabellingLearner(Learner):
         labels : Labels
             Of the lap that was begun last, its intervals in order.
         """
+        labels = labels.inside(self.header.grid)
         return sum(self._update(labels.take(slice(k, k + 1))) for k in range(len(labels)))
 
     @abstractmethod
     def _update(self, labels: Labels) -> int:
-        """Learn the labels; return how many updates that made."""
+        """Learn one label, which is accepted where it lies in the grid, too; return how many updates that made."""
 
 
 class NoLearner(LabellingLearner):
@@ -221,8 +221,7 @@ class SplitLearner(LabellingLearner):
         if isinstance(self.known, OnlineCommittee):
             self.known.update(change.changed)
         elif self.known is not None:
-            valid = labels.inside(self.header.grid)
-            self.known.learn(valid.z[valid.accepted], valid.y[valid.accepted])
+            self.known.learn(labels.z[labels.accepted], labels.y[labels.accepted])
         return change.updates
 
     def end_lap(self, duration: float) -> TrainingSet:

@@ -130,8 +130,17 @@ def _scale(found: Linearization, grip: np.ndarray | float, shift: np.ndarray | f
 
 def slip_limit(
     limits: Limits, found: Linearization, grip: np.ndarray | float = 1.0, shift: np.ndarray | float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest slip angle of front and rear [rad], shape (N, 2), and its slope by the state (N, 2, n).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the largest slip angle of front and rear, and how it falls with the state and bends with the force.
+
+    Returns
+    -------
+    alpha : ndarray, shape (N, 2)
+        The limit [rad].
+    slope : ndarray, shape (N, 2, n)
+        Its slope by the state.
+    curvature : ndarray, shape (N, 2)
+        Its second derivative by the axle's own force [rad/N^2], at most zero.
 
     Notes
     -----
@@ -149,20 +158,26 @@ def slip_limit(
     angle = np.arcsin(left) / C
     alpha = np.tan(angle) / B
     inside = (used**2 < SATURATED * ellipse**2) & (alpha < limits.alpha_max)
-    by_left = 1.0 / np.sqrt(1.0 - left**2) / C / np.cos(angle) ** 2 / B
+    rest = np.sqrt(1.0 - left**2)
+    by_left = 1.0 / rest / C / np.cos(angle) ** 2 / B
     by_force = np.where(inside, -used * limits.p_long / D / left * by_left, 0.0)
+    bend = used**2 * (2.0 * np.tan(angle) / C / rest + left / rest**2) - ellipse**2 / left
+    curvature = np.where(
+        alpha < limits.alpha_max, np.minimum(bend, 0.0) * by_left * (limits.p_long / D / left) ** 2, 0.0
+    )
     by_scale = np.where(inside, alpha / scale + used**2 / scale / left * by_left, 0.0)
     of_whole = by_scale * grip * shift
     slope = by_force[:, :, None] * found.force_slope
     slope += of_whole[:, :, None] * found.force_slope.sum(axis=1)[:, None, :]
-    return np.minimum(alpha, limits.alpha_max), slope
+    return np.minimum(alpha, limits.alpha_max), slope, curvature
 
 
 def slip_rows(
     limits: Limits, found: Linearization, free: float, grip: np.ndarray | float = 1.0, shift: np.ndarray | float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rows C (N, 5, n) of a step dx, with lower and upper bounds (N, 5).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows C (N, 5, n) of a step dx, with lower and upper bounds (N, 5), and how an axle's rows bend.
 
+    The latter, of shape (N, 2, n, n), is the second derivative by the state of what its rows bound, not negative.
     Two rows an axle (alpha - limit <= 0 and alpha + limit >= 0), one for the difference of slip angles.
 
     Parameters
@@ -172,7 +187,7 @@ def slip_rows(
     grip, shift : ndarray, shape (2,)
         As of `slip_limit`.
     """
-    bound, slope = slip_limit(limits, found, grip, shift)
+    bound, slope, curvature = slip_limit(limits, found, grip, shift)
     count, n = found.slip_slope.shape[0], found.slip_slope.shape[2]
     C = np.zeros((count, SLIP_ROWS, n))
     lower, upper = np.full((count, SLIP_ROWS), -free), np.full((count, SLIP_ROWS), free)
@@ -184,4 +199,5 @@ def slip_rows(
     C[:, 4] = found.slip_slope[:, 0] - found.slip_slope[:, 1]
     difference = found.slip[:, 0] - found.slip[:, 1]
     lower[:, 4], upper[:, 4] = -limits.dalpha_max - difference, limits.dalpha_max - difference
-    return C, lower, upper
+    bend = -curvature[:, :, None, None] * found.force_slope[:, :, :, None] * found.force_slope[:, :, None, :]
+    return C, lower, upper, bend

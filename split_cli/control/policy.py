@@ -47,9 +47,9 @@ LEAST_SIDE = 0.1
 """Share of its side force that an axle keeps when it brakes with all it has [1], so that the limit has a
 slope."""
 
-SATURATED = 0.99
-"""Share of the squared ellipse beyond which the slip limit no longer moves with the force [1]: its slope grows
-without bound there."""
+SATURATED = 1.0 - LEAST_SIDE**2
+"""Share of the squared ellipse beyond which the slip limit no longer moves with the force [1]: what LEAST_SIDE
+leaves."""
 
 MAX_STEER, STEER_RATE, TORQUE_RATE = 0.5, 0.6, 20000.0
 """What commands may be: [rad], [rad/s], [N m/s]. A driver's quick hands at a steering ratio of 15 (9 rad/s),

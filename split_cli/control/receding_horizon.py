@@ -110,6 +110,11 @@ class RecedingController(ABC):
     When a programme fails, the plan of the step before goes on (its next input is applied) and the step counts as
     a failure. So does a step whose plan spins, and there planning begins anew from the line. After `PATIENCE`
     failures in a row `ControllerLost` is raised.
+
+    A tangent of the slip limit says nothing of how the limit falls away from it: at no torque it is flat, and far
+    from there it rises beyond its top. With tangents alone plans jump from one to the other. So the cost of a
+    programme has the second derivative of the limits, times the multipliers of the programme before: sequential
+    convex quadratic programming (Verschueren et al., Exploiting convexity in direct optimal control, CDC 2016).
     """
 
     EXTRA_STATES = 0
@@ -139,6 +144,7 @@ class RecedingController(ABC):
         self.load_shift = load_shift(model.vehicle)
         self.deviation = 0.0
         self.plan: Plan | None = None
+        self.slack = np.zeros((horizon - 1, 1 + SLIP_ROWS))  # of the last programme's rows
         self.failures_in_a_row = 0
 
     @abstractmethod
@@ -175,7 +181,7 @@ class RecedingController(ABC):
         """
         solved = False
         for share in FIRST_STEPS:
-            self.plan = self.first_plan(np.asarray(x, dtype=float), s)
+            self._guess(np.asarray(x, dtype=float), s)
             for _ in range(iterations):
                 solved = self._iterate(share)[0]
                 if not solved:
@@ -187,6 +193,11 @@ class RecedingController(ABC):
             advice = "Start slower, or inside the track and along it."
             raise ControllerLost(what, where=self.path.name, advice=advice)
         self.failures_in_a_row = 0
+
+    def _guess(self, x: np.ndarray, s: float) -> None:
+        """Begin with a guess of the plan, of which no programme has told a slack."""
+        self.plan = self.first_plan(x, s)
+        self.slack[:] = 0.0
 
     def step(self, x: np.ndarray) -> tuple[np.ndarray, StepInfo]:
         """Move the plan on by one interval, begin it at state `x`, shape (n_model,), and solve once.
@@ -226,6 +237,7 @@ class RecedingController(ABC):
         x[2] += 2.0 * np.pi * np.round((plan.x[1, 2] - x[2]) / (2.0 * np.pi))
         last = self._one_more(plan.x[-1], plan.u[-1])
         plan.x[:-1], plan.u[:-1] = plan.x[1:], plan.u[1:]
+        self.slack[:-1] = self.slack[1:]
         plan.x[-1] = last
         plan.u[-1] = 0.0
         plan.x[0] = self.extend_state(x)
@@ -248,7 +260,7 @@ class RecedingController(ABC):
         step leads back.
         """
         now = self.plan.x[0]
-        self.plan = self.first_plan(now[: self.n_model], self.place)
+        self._guess(now[: self.n_model], self.place)
         tries = [self._iterate() for _ in range(ANEW)]
         return sum(one[1] for one in tries), sum(one[2] for one in tries)
 
@@ -263,6 +275,7 @@ class RecedingController(ABC):
             return False, solution.seconds, residual_seconds
         plan.x[1:] += share * solution.x * self.x_scale
         plan.u += share * solution.u * self.u_scale
+        self.slack = solution.slack
         return True, solution.seconds, residual_seconds
 
     def dynamics(self, found: Linearization) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -279,9 +292,12 @@ class RecedingController(ABC):
         A, B, c = self.dynamics(found)
         s, point = self.reference()
         Q, q, R, r = self.cost(s, point)
-        C, lower, upper = self._rows(found, s, point)
+        C, lower, upper, bend = self._rows(found, s, point)
         x_lower, x_upper, u_lower, u_upper = self.bounds(found)
-        xs, us = self.x_scale, self.u_scale
+        xs, us, n = self.x_scale, self.u_scale, self.n_model
+        # The multiplier of a softened row is the slope of its price, 2 w |s|; both sides of an axle bend alike.
+        pressed = 2.0 * weights.ellipse * np.abs(self.slack[:, 1:5]).reshape(-1, 2, 2).sum(axis=2)
+        Q[:-1, :n, :n] += (pressed[:, :, None, None] * bend).sum(axis=1)
         Q = Q * xs[:, None] * xs
         Q[:, np.arange(self.n), np.arange(self.n)] += 2.0 * weights.proximal
         slack = np.array([weights.track, *(4 * [weights.ellipse]), weights.slip_difference])
@@ -323,7 +339,7 @@ class RecedingController(ABC):
         return Q, 2.0 * (across * contour[:, None] * of_contour + along * lag[:, None] * of_lag)
 
     def _rows(self, found: Linearization, s: np.ndarray, point: PathPoint) -> tuple[np.ndarray, ...]:
-        """Return the softened rows of stages 1 to N - 1: border, slip angles, their difference."""
+        """Return rows of stages 1 to N - 1 (border, slip angles, their difference), and how `slip_rows` bend."""
         N = self.horizon
         C = np.zeros((N - 1, 1 + SLIP_ROWS, self.n))
         lower, upper = np.empty((N - 1, 1 + SLIP_ROWS)), np.empty((N - 1, 1 + SLIP_ROWS))
@@ -333,10 +349,10 @@ class RecedingController(ABC):
         C[:, 0] = of_contour[:-1]
         lower[:, 0] = -(at.left - inside)[:-1] - contour[:-1]
         upper[:, 0] = (at.right - inside)[:-1] - contour[:-1]
-        C[:, 1:, : self.n_model], lower[:, 1:], upper[:, 1:] = slip_rows(
+        C[:, 1:, : self.n_model], lower[:, 1:], upper[:, 1:], bend = slip_rows(
             self.limits, found.stages(slice(1, None)), FREE, self.grip, self._shift_of_load
         )
-        return C, lower, upper
+        return C, lower, upper, bend
 
     def _tightened(self, found: Linearization, point: PathPoint) -> np.ndarray:
         """Return how far from the borders the CG has to stay [m], shape (N,).

@@ -92,7 +92,7 @@ def margins():
             error = np.hypot(noise[1], share * FIRST_ERROR * max_lateral * STANDARD_GRAVITY)
             given = {"error_after": (0.0, error, noise[2]), "accepted": 10**12}
             race.laps = [SimpleNamespace(number=1, max_lateral=max_lateral, **given)]
-            race._follow_lap(needed)
+            race._follow_lap(SimpleNamespace(needed=needed, labels=labels))
             kept.append(race.controller.deviation)
         return kept
 

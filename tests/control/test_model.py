@@ -160,14 +160,20 @@ def rolling(car, torque):
 def test_the_slip_limit_is_on_the_friction_ellipse():
     limits = Limits(alpha_max=1.0)
     torque = np.array([-2500.0, -1000.0, 0.0, 700.0])
-    alpha, slope = slip_limit(limits, rolling(CAR, torque))
+    found = rolling(CAR, torque)
+    alpha, slope, curvature = slip_limit(limits, found)
     kappa = np.where(torque < 0, CAR.brake_split_front, CAR.drive_split_front)
     force_x = kappa * torque / CAR.wheel_radius - CAR.rolling_resistance_front
     force_y = lateral_force(CAR.front_tire.B, CAR.front_tire.C, CAR.front_tire.D, alpha[:, 0])
     used = (limits.p_long * force_x) ** 2 + force_y**2
     assert used == pytest.approx(np.full(4, (limits.p_ellipse * CAR.front_tire.D) ** 2), rel=1e-9)
-    ahead, behind = (slip_limit(limits, rolling(CAR, torque + move))[0] for move in (0.1, -0.1))
-    assert slope[[0, 1, 3], :, 6] == pytest.approx((ahead - behind)[[0, 1, 3]] / 0.2, rel=1e-4)
+    moving = [0, 1, 3]  # at no torque the split of the axles jumps
+    ahead, behind = (slip_limit(limits, rolling(CAR, torque + move)) for move in (0.1, -0.1))
+    assert slope[moving, :, 6] == pytest.approx((ahead[0] - behind[0])[moving] / 0.2, rel=1e-4)
+    bend = (curvature[:, :, None] * found.force_slope**2)[moving, :, 6]
+    assert bend == pytest.approx((ahead[1] - behind[1])[moving, :, 6] / 0.2, rel=1e-4)
+    # Where the limit is that of the slip angle, no force moves it.
+    assert (slip_limit(replace(limits, alpha_max=0.01), found)[2] == 0.0).all()
 
 
 def test_the_slip_limit_is_that_of_the_tyres_that_the_terms_leave():
@@ -188,7 +194,7 @@ def test_the_slip_limit_is_that_of_the_tyres_that_the_terms_leave():
 def test_braking_moves_the_peak_from_the_rear_axle_to_the_front_one():
     limits, torque = Limits(alpha_max=1.0), np.array([-2000.0, 0.0, 700.0])
     grip, shift = np.array([0.9, 0.95]), load_shift(CAR)
-    alpha, slope = slip_limit(limits, rolling(CAR, torque), grip, shift)
+    alpha, slope, _ = slip_limit(limits, rolling(CAR, torque), grip, shift)
     whole = torque / CAR.wheel_radius - CAR.rolling_resistance_front - CAR.rolling_resistance_rear
     moved = whole * CAR.cg_height / CAR.wheelbase
     for axle, (tire, load, sign) in enumerate(
@@ -252,14 +258,16 @@ def test_rows_bound_the_slip_angles_of_the_linearised_model():
     x, u = situations()
     found = ControlModel(CAR, NoResidual(), 0.05).linearize(x, u)
     limits = Limits()
-    C, lower, upper = slip_rows(limits, found, 1e4)
-    bound = slip_limit(limits, found)[0]
+    C, lower, upper, bend = slip_rows(limits, found, 1e4)
+    bound, _, curvature = slip_limit(limits, found)
     # A step that brings the front slip angle to its bound at the same torque fills the row exactly.
     step = np.linalg.pinv(C[:, 0][:, None, [4, 5]])[:, :, 0] * (bound[:, 0] - found.slip[:, 0])[:, None]
     filled = np.einsum("ki,ki->k", C[:, 0][:, [4, 5]], step)
     assert filled == pytest.approx(upper[:, 0], abs=1e-9)
     assert (lower[:, 0] == -1e4).all()
     assert upper[:, 4] - lower[:, 4] == pytest.approx(2 * limits.dalpha_max)
+    assert bend[:, :, 6, 6] == pytest.approx(-curvature * found.force_slope[:, :, 6] ** 2)
+    assert (np.linalg.eigvalsh(bend) > -1e-12).all()
 
 
 def test_compiled_functions_give_what_interpreted_ones_give():

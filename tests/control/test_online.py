@@ -7,13 +7,13 @@ import pytest
 
 from split_cli.control.grip import PeakShift
 from split_cli.control.iol_learner import DictionaryResidual, IolLearner
-from split_cli.control.learner import SplitLearner, learning_region
+from split_cli.control.learner import NoLearner, SplitLearner, learning_region
 from split_cli.control.residual import PredictorResidual
 from split_cli.learning.cells import empty_set, extend
 from split_cli.learning.features import Z2
 from split_cli.learning.iol import Dictionary
 from split_cli.learning.kernel import Kernel
-from split_cli.learning.labels import compute_labels
+from split_cli.learning.labels import Labels, compute_labels
 from split_cli.learning.region import z2_grid
 from split_cli.prediction.bcm import BcmPredictor
 from split_cli.prediction.full import FullPredictor
@@ -60,6 +60,15 @@ def test_a_lap_learned_online_is_the_lap_learned_from_its_drive(drive, empty):
         theirs.insertions,
         theirs.replacements,
     )
+
+
+def test_a_lap_has_its_learners_labels(drive, empty):
+    learner, lap = NoLearner(empty), drive.select(slice(0, 1001))
+    parts = [lap.select(slice(first, first + WINDOW + 1)) for first in range(0, len(lap) - WINDOW, WINDOW)]
+    found = Labels.joined([learner.learn(part, WINDOW * k).labels for k, part in enumerate(parts)])
+    labels = compute_labels(lap, empty.vehicle, Z2, empty.region, horizon=empty.horizon).inside(empty.grid)
+    assert np.array_equal(found.row, labels.row) and np.array_equal(found.reason, labels.reason)
+    assert found.y == pytest.approx(labels.y, abs=1e-9) and labels.accepted.any() and len(labels) == 200
 
 
 def test_a_lap_that_was_watched_is_a_lap_that_was_driven(drive, empty):

@@ -58,6 +58,26 @@ def test_a_line_that_the_model_can_follow_is_tracked_to_nothing(alone):
         assert states[-1, 3] == pytest.approx(12.0, abs=0.05)
 
 
+@pytest.mark.parametrize(("bends", "least", "most"), [(True, 0.0, 200.0), (False, 1000.0, 5000.0)])
+def test_programmes_about_one_state_come_to_one_torque_since_the_slip_limits_bend(bends, least, most):
+    """Straight tangents let the torque swing between drive and brakes; what is left jumps with the brakes' split."""
+    controller = Mpcc(
+        ControlModel(CAR, NoResidual(), 0.05),
+        ring(),
+        ACTUATORS,
+        MpccSettings(horizon=40, limits=Limits(p_long=1.2, p_ellipse=0.8, guarded=True)),
+        1.77,
+    )
+    controller.begin(np.array([25.0, 0.0, np.pi / 2, 16.0, 0.0, 0.64, 0.0, 0.1]), 0.0, 1)
+    swings = []
+    for _ in range(16):
+        before = controller.plan.x[:, 6].copy()
+        controller.slack *= bends
+        assert controller._iterate()[0]
+        swings.append(np.abs(controller.plan.x[:, 6] - before).max())
+    assert least <= max(swings[-4:]) < most
+
+
 def test_contouring_control_keeps_to_its_limits_on_a_ring():
     model = ControlModel(CAR, NoResidual(), 0.05)
     settings = MpccSettings(horizon=40, max_speed=30.0, limits=Limits(p_long=1.2, p_ellipse=0.8))

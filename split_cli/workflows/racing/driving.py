@@ -30,7 +30,7 @@ from split_cli.control.residual import NoResidual
 from split_cli.errors import SplitError
 from split_cli.learning.cells import warm_up
 from split_cli.learning.features import parse_features
-from split_cli.learning.labels import Labels, compute_labels
+from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import find_car
@@ -327,24 +327,24 @@ class Race:
         outside = self.laps[-1].outside
         self.say(f"lap {number}: " + (f"{time:.2f} s, {outside:.2f} m outside" if time else self.ended))
         self.spans[number] = (tally.first, len(world.rows))
-        self._follow_lap(tally.needed)
+        self._follow_lap(tally)
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
             self._learn_grip(trained.z, trained.y)
         self._raise_share()
         self._keep(trained)
 
-    def _follow_lap(self, needed: float) -> None:
+    def _follow_lap(self, tally: Tally) -> None:
         """Choose by how much more than the least margin the next lap's plan keeps to the border.
 
-        The car came nearer to the border than planned by what was `needed` [m], and errors of position go with
+        The car came nearer to the border than planned by what was `tally.needed` [m], and errors of position go with
         those of the model. The next lap may err elsewhere: of what an error has needed, `DEVIATION_KEPT` stays.
         """
-        error = self._error()
-        self.per_error = max(needed / error, DEVIATION_KEPT * self.per_error)
+        error = self._error(tally)
+        self.per_error = max(tally.needed / error, DEVIATION_KEPT * self.per_error)
         self.controller.deviation = self.per_error * error
 
-    def _error(self) -> float:
+    def _error(self, tally: Tally) -> float:
         """Return the learned model's error in the last lap, over the largest lateral acceleration [1].
 
         What an error of acceleration adds up to goes with the square of the time, and the time with the root of a
@@ -355,8 +355,7 @@ class Race:
         if not self.settings.margin_by_error or isinstance(self.learner.residual, NoResidual) or self.ended:
             return FIRST_ERROR
         drive = self.world.recording(*self.spans[lap.number], name=f"lap {lap.number}")
-        labels = compute_labels(drive, header.vehicle, header.features, header.region, horizon=header.horizon)
-        noise = noise_floor(SingleTrack(header.vehicle), drive, labels).rms
+        noise = noise_floor(SingleTrack(header.vehicle), drive, tally.labels).rms
         if noise is None:
             return FIRST_ERROR
         error = acceleration_error(np.array(lap.error_after), noise, lap.accepted, header.vehicle)

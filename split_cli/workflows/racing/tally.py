@@ -4,6 +4,7 @@ import numpy as np
 
 from split_cli.control.learner import Learned
 from split_cli.control.receding_horizon import StepInfo
+from split_cli.learning.labels import Labels
 from split_cli.signals import STANDARD_GRAVITY
 from split_cli.workflows.racing.result import Lap
 
@@ -44,10 +45,15 @@ class Tally:
         self.margin = min(self.margin, kept)
         self.trace.append(row)
 
+    @property
+    def labels(self) -> Labels:
+        """What the learner labelled, in the order of the intervals."""
+        return Labels.joined([entry.labels for entry in self.learned])
+
     def lap(self, time: float | None, truth: np.ndarray, size: int, cells: int, ended: str) -> Lap:
         """Return the lap: its time [s], `truth` the exact rows (t, X, Y, yaw, v_x, v_y, r, a_x, a_y, ...)."""
-        used = [entry for entry in self.learned if entry.label is not None]
-        before, after = _errors([(entry.label, entry.predicted) for entry in used])
+        used = [entry for entry in self.learned if entry.labels.accepted[0]]
+        before, after = _errors([(entry.labels.y[0], entry.predicted) for entry in used])
         exact = [(entry.exact_label, entry.exact_predicted) for entry in used if entry.exact_label is not None]
         motion_before, motion_after = _errors(exact)
         return Lap(
