@@ -244,6 +244,25 @@ def test_what_persistence_predicts_better_is_told_with_its_mean_error():
     assert last.mean_share("before", 0) is None
 
 
+@pytest.mark.parametrize(
+    ("after", "change", "told"),
+    [
+        ((0.1, 0.33, 0.247), (0.0, 1.0, 3.0), "in v_y (0.33 instead of 0.15 m/s) and r (0.25 instead of 0.030 rad/s)"),
+        ((0.1, 0.18, 0.05), (0.0, 1.0, 3.0), "in r (0.050 instead of 0.030 rad/s)"),
+        ((0.1, 0.18, 0.05), (0.0, 1.0, 1.0), ""),
+    ],
+)
+def test_what_split_makes_worse_beside_the_effects_is_told(after, change, told):
+    """Beyond chance; or beyond persistence, of 0.2 and 0.2 in v_y and r, as where one run diverges."""
+    physics, held, noise = (0.1, 0.15, 0.03), (0.3, 0.2, 0.2), (0.01, 0.01, 0.001)
+    last = HorizonErrors(2.0, (0.5, 0.3, 0.1), physics, (0.4,) * 3, after, held, noise, {}, 40, beside_physics=change)
+    finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), 0.9, (), "", 1.0)
+    helped = Improvement(*([(0.1,) * 3] * 5), (0.05,) * 3, {}, (last,), {"physics": (0.5, 0.4, 0.6)})
+    said = summarise("mismatch", (finding,), improvement=helped)
+    expected = f"A correction learned by SPLIT beside them makes it worse {told}: use the effects alone."
+    assert (expected in said) if told else ("by SPLIT beside" not in said)
+
+
 def test_a_correction_that_is_not_applied_changes_no_error():
     last = HorizonErrors(2.0, *([(0.5, 0.1, 0.02)] * 4), (0.2, 0.2, 0.2), (0.01, 0.01, 0.001), {}, 40)
     row = (0.1, 0.1, 0.1)

@@ -87,6 +87,8 @@ class HorizonErrors:
     starts: int
     # Of a stage's squared error against ``before``, in standard errors by blocks of time [1].
     change: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    # Of the squared error of ``after`` against ``physics``, in the same unit.
+    beside_physics: tuple[float, ...] = ()
     # Mean error of a stage over all starts, model less recording.
     mean: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
@@ -104,6 +106,16 @@ class HorizonErrors:
     def worse(self, stage: str) -> tuple[int, ...]:
         """Return the channels whose error a stage makes larger beyond chance (5 %, two-sided)."""
         return tuple(k for k, z in enumerate(self.change.get(stage, ())) if z > NORMAL_95)
+
+    def worse_with_split(self) -> tuple[int, ...]:
+        """Return the channels that SPLIT beside the terms makes worse than the terms alone.
+
+        That is beyond chance, or beyond velocities held as they are where the terms alone are not: one run that
+        diverges makes the standard errors as large as itself.
+        """
+        apart = set(self.beaten_by_persistence("after")) - set(self.beaten_by_persistence("physics"))
+        beyond = {k for k, z in enumerate(self.beside_physics) if z > NORMAL_95}
+        return tuple(sorted(k for k in apart | beyond if self.after[k] > self.physics[k]))
 
     def beaten_by_persistence(self, stage: str) -> tuple[int, ...]:
         """Return the channels that velocities held as they are predict better than a stage does."""

@@ -268,6 +268,7 @@ def _help(improvement: Improvement, stage: str, vehicle: Vehicle | None = None) 
     if improvement.rollouts:
         change = (_as_it_is if nothing else _open_loop)(improvement.rollouts[-1], stage, vehicle)
         parts.append(change if parts else f"{intro}: {change[:1].lower()}{change[1:]}")
+        parts += _beside_split(improvement.rollouts[-1]) if stage == "physics" else []
     return " ".join(parts)
 
 
@@ -321,6 +322,17 @@ def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) 
         others.append(f"Persistence still predicts {names} better")
     doubtful = sorted({*beaten, *last.worse(stage)})
     return " ".join([*(f"{one}." for one in (text, *others)), *_offsets(last, stage, doubtful, vehicle)])
+
+
+def _beside_split(last: HorizonErrors) -> list[str]:
+    """Return which errors a correction learned beside the effects makes worse than these alone do."""
+    worse = [
+        f"{_STATES[k][0]} ({' instead of '.join(_apart(last.after[k], last.physics[k]))} {_STATES[k][1]})"
+        for k in last.worse_with_split()
+    ]
+    errors = " and ".join(filter(None, [", ".join(worse[:-1]), *worse[-1:]]))
+    text = f"A correction learned by SPLIT beside them makes it worse in {errors}: use the effects alone."
+    return [text] if worse else []
 
 
 def _apart(one: float, other: float) -> tuple[str, str]:

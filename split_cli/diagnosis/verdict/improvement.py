@@ -210,6 +210,7 @@ def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
                     name: tuple(in_standard_errors(squared[name] - squared["before"], block).tolist())
                     for name in ("physics", "split_only", "after")
                 },
+                tuple(in_standard_errors(squared["after"] - squared["physics"], block).tolist()),
                 {
                     name: tuple(np.concatenate([one.signed[name][:, k] for one in having]).mean(axis=0).tolist())
                     for name in squared
