@@ -148,5 +148,5 @@ def read_yaml_mapping(
         line = f", line {mark.line + 1}" if mark else ""
         raise error(f"is not YAML ({getattr(problem, 'problem', problem)}{line})", where=where) from problem
     if not isinstance(content, dict):
-        raise error("holds no keys", where=where, advice="See docs/formats.md.")
+        raise error("holds no keys", where=where, advice=f"{advice} See docs/formats.md.".lstrip())
     return content

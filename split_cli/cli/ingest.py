@@ -121,6 +121,8 @@ def command(logs, maps, vehicle_path, output, topics, message_paths, databases, 
         raise click.UsageError("Missing argument 'LOG...'.")
     message_paths = (*message_paths, *databases)
     if options["list_only"] or options["suggest_map"]:
+        if output is not None:
+            raise click.UsageError("'-o' is for drives. Write '> map.yaml' behind it, or let 'split init' draft a map.")
         return _look_at(logs, message_paths, options, vehicle_path, as_json)
     if output is None:
         raise click.UsageError("Missing option '-o'.")

@@ -88,6 +88,7 @@ def _load(path: str | Path, above: tuple[str, ...]) -> dict[str, Any]:
     if not file.is_file():
         file = preset_path(str(path)) or file
     advice = f"{nearest_names(str(path), preset_names())} A map is a YAML file or one of the presets."
+    advice += " `split init LOG` drafts one."
     content = read_yaml_mapping(file, MapError, missing="no such map", advice=advice)
     _check_keys(content, _MAP_KEYS, str(path))
     content.setdefault("name", file.stem)

@@ -61,6 +61,7 @@ from split_cli.workflows.evaluation_notes import (
     same_interval,
     says_something,
 )
+from split_cli.workflows.other_vehicle import trained_for_another
 from split_cli.workflows.recordings import RecordingCorrection, vehicle_warnings
 
 #: Marks a predictor whose whole correction is applied, beside one that is trusted in part.
@@ -95,7 +96,7 @@ def evaluate_files(
         raise SplitError("needs a vehicle or a trained set", advice="Give --vehicle or --set.")
     car = read_vehicle(vehicle) if vehicle else trained.nominal_vehicle
     if trained is not None and trained.nominal_vehicle.digest() != car.digest():
-        what = f"was trained for another vehicle than {car.name!r}"
+        what = trained_for_another(trained.nominal_vehicle, car)
         raise SetError(what, where=str(set_path), advice="Leave --vehicle out, the set carries its own.")
     opened = [open_drive(path, settings.held, beside=len(drives)) for path in drives]
     return evaluate(opened, car, settings, trained, progress, engine)

@@ -175,7 +175,7 @@ def test_damaged_metadata_of_a_drive_is_told(here, change, says):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--vehicle", "other.yaml"), ("a.split", "was trained for the vehicle 'test car'")),
+        (("--vehicle", "other.yaml"), ("a.split", "was trained for another vehicle of the same name")),
         (("--vehicle", "car.yaml", "--features", "z1"), ("features: alpha_f, alpha_r, torque_ratio; asked for: vx",)),
         (("--vehicle", "car.yaml", "--capacity", 5), ("its capacity: 10; asked for: 5",)),
         (("--vehicle", "car.yaml", "--plain-labels"), ("its plain labels: False; asked for: True",)),

@@ -210,7 +210,7 @@ def test_figures_are_written_and_named(garage, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--vehicle", "other.yaml", "--set", "a.split"), "was trained for another vehicle than 'test car'"),
+        (("--vehicle", "other.yaml", "--set", "a.split"), "was trained for another vehicle of the same name, test car"),
         ((), "needs a vehicle or a trained set"),
         (("a.split",), "is a trained set, not a drive. Name drives first, then the set: split eval"),
         (("--set", "a.split", "--predictor", "bmc"), "no predictor 'bmc'. Did you mean bcm"),

@@ -145,6 +145,8 @@ def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):
     assert "Note: v_y is worse than holding the velocities." in verdict and "a note" not in verdict
     worse = replace(run, report=replace(run.report, verdicts=(lines[0].replace("better", "WORSE"),)))
     assert '<section class="verdict mismatch' in evaluation_page(worse)
+    nothing = replace(run, report=replace(run.report, verdicts=("bcm z2 verdict: the correction changes nothing",)))
+    assert '<section class="verdict undecided' in evaluation_page(nothing)
 
 
 def test_the_headline_calls_harm_what_the_verdict_does():

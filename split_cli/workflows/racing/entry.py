@@ -1,7 +1,6 @@
 """Checks before a race: settings, tracks and sets that are refused."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -18,7 +17,8 @@ from split_cli.plant.cars import CarParameters
 from split_cli.plant.simulation import MOST_LAPS
 from split_cli.plant.tracks import TRACK_NAMES, find_track
 from split_cli.prediction import PREDICTORS
-from split_cli.vehicle.parameters import Vehicle, vehicle_to_mapping
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.workflows.other_vehicle import trained_for_another
 from split_cli.workflows.racing.closed_loop import path_of
 from split_cli.workflows.racing.settings import AUTO, LEARNERS, RaceSettings
 
@@ -239,11 +239,8 @@ def check_trusted(training_set: TrainingSet, vehicle: Vehicle, where: str | File
         correction that is not to be applied to any output.
     """
     if training_set.nominal_vehicle.digest() != vehicle.digest():
-        name = training_set.vehicle.name
-        other = f"({name}) than {vehicle.name}" if name != vehicle.name else f"of the same name, {name}"
-        what = f"was trained for another vehicle {other}: {_differences(training_set.nominal_vehicle, vehicle)}"
         advice = "Train a set for this vehicle, or name the vehicle file the set was trained with."
-        raise SetError(what, where=str(where), advice=advice)
+        raise SetError(trained_for_another(training_set.nominal_vehicle, vehicle), where=str(where), advice=advice)
     if training_set.plain:
         raise SetError(
             "holds plain differences, which depend on the label interval",
@@ -285,32 +282,3 @@ def check_exported(exported: ExportedResidual, settings: RaceSettings) -> None:
         what = f"has the features {', '.join(exported.features.names)}, and a race drives with exports of z2 alone"
         advice = "Name the set itself, or use `split maneuver`."
         raise SplitError(what, where=str(settings.start_set), advice=advice)
-
-
-def _differences(trained: Vehicle, given: Vehicle) -> str:
-    """Return where two vehicles differ first, in words, and in how many other places."""
-    for digits in (6, 17):
-        one, other = _physics(trained, digits), _physics(given, digits)
-        names = [name for name in {**one, **other} if one.get(name) != other.get(name)]
-        if names:
-            break
-    else:
-        return "the order or number of their effects differs"
-    more = f", and {len(names) - 1} more" if len(names) > 1 else ""
-    was, now = one.get(names[0], "absent"), other.get(names[0], "absent")
-    return f"{names[0]} is {was} in the set and {now} in the file{more}"
-
-
-def _physics(vehicle: Vehicle, digits: int) -> dict[str, str]:
-    """Return every value of a vehicle in words, with so many digits, by its name in the file."""
-    found = {}
-    for key, value in vehicle_to_mapping(replace(vehicle, name="", origins={}, notes={})).items():
-        if key == "effects":
-            for effect in value:
-                numbers = ", ".join(f"{name} {number:.{digits}g}" for name, number in effect["parameters"].items())
-                found[effect["term"]] = " ".join(part for part in (effect.get("variant"), numbers) if part)
-        elif isinstance(value, dict):
-            found |= {f"{key}.{name}": f"{number:.{digits}g}" for name, number in value.items()}
-        elif key != "name":
-            found[key] = f"{value:.{digits}g}"
-    return found

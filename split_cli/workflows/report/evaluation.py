@@ -33,6 +33,7 @@ from split_cli.workflows.report.words import escape, number, percent
 
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _HARM = "WORSE"
+_HELP = "the correction helps"
 _WARNING = "WARNING: "
 _RATIOS = "Error divided by that of the nominal model: left of the line at 1 it is smaller. Bars are 95 % intervals."
 _MODELS = {NOMINAL: "nominal model", VELOCITY_PERSISTENCE: "persistence: velocities held"}
@@ -131,7 +132,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison], left_out: It
     # The headline and its colour are those of the first predictor; the others stand below.
     own = [line for line in report.verdicts if comparisons and line.startswith(f"{comparisons[0].name} ")]
     harm = any(_HARM in line for line in own)
-    kind = "mismatch" if harm else "match"
+    kind = "mismatch" if harm else "match" if any(_HELP in line for line in own) else "undecided"
     lines = "".join(f"<p>{escape(line)}.</p>" for line in report.verdicts)
     valid = sum(drive.tested_valid for drive in report.drives)
     tested = sum(drive.tested for drive in report.drives)

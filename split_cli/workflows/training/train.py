@@ -21,6 +21,7 @@ from split_cli.learning.training_set import SetSource, TrainingSet, read_set, wr
 from split_cli.learning.trust import Trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
+from split_cli.workflows.other_vehicle import trained_for_another
 from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
 from split_cli.workflows.training.labelled_drives import LabelledDrives, Labelling, drive_digest
 from split_cli.workflows.training.laps import LapRow, lap_rows
@@ -275,8 +276,7 @@ def _check_continues(known: TrainingSet, vehicle: Vehicle, settings: TrainSettin
     nominal = known.nominal_vehicle
     if nominal.digest() != vehicle.digest():
         raise SetError(
-            f"was trained for the vehicle {nominal.name!r} (physics {nominal.digest()[:12]}), not for "
-            f"{vehicle.name!r} ({vehicle.digest()[:12]})",
+            trained_for_another(nominal, vehicle),
             where=where,
             advice="Give the vehicle file it was trained with, or train a set of its own.",
         )
