@@ -110,23 +110,6 @@ def test_rates_of_weights_are_the_columns_times_them(discrepancy, nominal_series
     np.testing.assert_allclose(discrepancy.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
 
 
-def test_fewer_rates_add_the_same_to_second_order(discrepancy, nominal_series):
-    """What rates add over stretches of 8 samples, from one rate each 2 or 4 samples, against one a sample."""
-    weights = np.random.default_rng(5).standard_normal(discrepancy.columns(nominal_series).shape[2])
-    late = (CATALOGUE["steer_lag"]({"tau": 0.05}),)
-
-    def added(at_once):
-        rates = discrepancy.rates(nominal_series, weights, late, at_once=at_once)
-        (begin, end), *_ = nominal_series.recording.segments
-        whole = begin + (end - begin) // 8 * 8
-        return rates[begin:whole].reshape(-1, 8, 3).mean(axis=1)
-
-    true = added(1)
-    two, four = (np.linalg.norm(added(count) - true, axis=0) / np.linalg.norm(true, axis=0) for count in (2, 4))
-    assert (four < 0.02).all()
-    assert (four > 3.0 * two).all()
-
-
 @pytest.mark.parametrize(
     ("term", "parameters"),
     [

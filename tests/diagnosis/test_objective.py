@@ -238,10 +238,7 @@ def test_variants_of_equal_value_are_not_taken_for_each_other(gathered, discrepa
     ],
 )
 def test_costs_follow_the_shared_discrepancy_where_a_term_moves_it(gathered, discrepancy, name, values):
-    """The rows of model, term and moved discrepancy, whitened together, against rows and shift apart.
-
-    What moves has two rates a row in the objective and one a sample here; no learned weights swing as these do.
-    """
+    """The rows of model, term and moved discrepancy, whitened together, against rows and shift apart."""
     known = learn_discrepancy([gathered])
     known = replace(known, weights=known.weights + 0.3)
     objective = build_objective([gathered], known, discrepancy, [np.ones(len(gathered.at), dtype=bool)])
@@ -249,7 +246,7 @@ def test_costs_follow_the_shared_discrepancy_where_a_term_moves_it(gathered, dis
     left = gathered.defects(terms, discrepancy.rates(gathered.series, known.weights, terms))
     expected = float(np.sum(objective.whiten(objective.stack([gathered.whitener(left)])) ** 2))
     # Between shifts of the CG that are 0.02 wheelbases apart the discrepancy runs in straight lines.
-    assert objective.cost(terms) == pytest.approx(expected, rel=0.01)
+    assert objective.cost(terms) == pytest.approx(expected, rel=1e-3 if name == "cg_shift" else 1e-9)
     # The shared discrepancy that stayed as the recording has it would be a different cost, not one by rounding.
     stayed = objective.whiten(objective.stack([gathered.rows(terms)]) - objective.offset)
     assert abs(float(np.sum(stayed**2)) / expected - 1.0) > 1e-3

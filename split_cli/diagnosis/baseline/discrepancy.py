@@ -17,7 +17,7 @@ from split_cli.diagnosis.baseline._functions_numba import weighted_functions
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
 from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_ratios
 from split_cli.diagnosis.cache import Recent
-from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, of_every, values_of
+from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, values_of
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
@@ -70,32 +70,26 @@ class SharedDiscrepancy:
         functions = len(_EVEN) + 1 + 2 * (len(_ODD) + 4) + 14 * len(_MEMORY_SECONDS)
         return 24 * len(series) * (len(self._altered) + functions)
 
-    def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = (), *, at_once: int = 1) -> np.ndarray:
+    def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors, tyres
         or body.
 
         What the actuators really did, and where the car really was, is what the shared discrepancy answers to; its
         forces are those of the tyres that are there, at the slips they have, and move the body that is there.
-
-        Parameters
-        ----------
-        at_once : int
-            Samples that get one rate, in their middle, of the mean of what actuators did.
         """
         there = moved_axles(self.vehicle, terms)
         if there is not self.vehicle:
             rest = [term for term in terms if not moves_axles(self.vehicle, term)]
-            return replace(self, vehicle=there).rates(series, weights, rest, at_once=at_once)
+            return replace(self, vehicle=there).rates(series, weights, rest)
         _, smooth = series.corrected(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), smooth)
         actual = replace(series, smooth=smooth, torque=torque, steer_angle=steer_angle)
-        actual, place = of_every(actual, at_once)
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
         flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
         out = SingleTrack.weighted_changes(actual.flow(extended_model(self.vehicle)), flows)
         rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
-        return self.at_another_car(rates, actual, terms)[place]
+        return self.at_another_car(rates, actual, terms)
 
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
         """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.

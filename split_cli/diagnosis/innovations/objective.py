@@ -18,7 +18,7 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.baseline.tires import alters_tires
 from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
-from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence, integrated
+from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.projection import damped
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
@@ -260,13 +260,10 @@ class MarginalLikelihood:
     def _rates(self, one: Evidence, altering: Sequence[Term]) -> np.ndarray:
         """Return the shared discrepancy's rates (N, 3) where terms alter inputs, sensors or the axles' slips."""
         return self._remembered(
-            ("discrepancy rates", id(one)), altering, lambda: self._discrepancy_rates(self.discrepancy, one, altering)
+            ("discrepancy rates", id(one)),
+            altering,
+            lambda: self.discrepancy.rates(one.series, self.posterior.weights, altering),
         )
-
-    def _discrepancy_rates(self, there: SharedDiscrepancy, one: Evidence, terms: Sequence[Term] = ()) -> np.ndarray:
-        # Two rates a row: what swings faster leaves next to nothing in a row.
-        at_once = max(1, int(round(0.5 * ROW_SECONDS / one.series.period)))
-        return there.rates(one.series, self.posterior.weights, terms, at_once=at_once)
 
     def carried(self, one: Evidence, terms: Sequence[Term]) -> np.ndarray | None:
         """Return how the discrepancy rates change where terms alter tyres or body, shape (N, 3), or nothing."""
@@ -288,7 +285,9 @@ class MarginalLikelihood:
 
         def at(shift: float) -> np.ndarray:
             there = replace(self.discrepancy, vehicle=with_cg_ahead(vehicle, shift * step))
-            return self._remembered(("rates at axles", id(one), shift), (), lambda: self._discrepancy_rates(there, one))
+            return self._remembered(
+                ("rates at axles", id(one), shift), (), lambda: there.rates(one.series, self.posterior.weights)
+            )
 
         return at(below) if share < 1e-9 else (1.0 - share) * at(below) + share * at(below + 1.0)
 

@@ -1,7 +1,7 @@
 """A drive prepared for the diagnosis: smoothed states for evaluating physics, raw ones for judging it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -280,29 +280,6 @@ class Series:
             if end - 1 < len(inside):
                 inside[end - 1] = False
         return inside
-
-
-def of_every(series: Series, count: int) -> tuple[Series, np.ndarray]:
-    """Return a series of every so many samples, shape (M,), and which of them each sample lies in, int64 (N,).
-
-    Inputs are means over the longer samples, and states those at their begin. No sample crosses a gap.
-    """
-    segments = series.recording.segments
-    first = np.concatenate([np.arange(begin, end, count) for begin, end in segments])
-    sizes = np.diff(first, append=len(series))
-    ends = np.cumsum([-((begin - end) // count) for begin, end in segments]).tolist()
-    longer = replace(
-        series,
-        recording=Recording(count * series.period, tuple(zip([0, *ends[:-1]], ends, strict=True))),
-        measured=series.measured[first],
-        smooth=series.smooth[first],
-        torque=np.add.reduceat(series.torque, first) / sizes,
-        steer_angle=np.add.reduceat(series.steer_angle, first) / sizes,
-        t=series.t[first],
-        s=series.s[first],
-        yaw=series.yaw[first],
-    )
-    return longer, np.repeat(np.arange(len(first)), sizes)
 
 
 def values_of(terms: Sequence[Term]) -> tuple:
