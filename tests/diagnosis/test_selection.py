@@ -86,19 +86,6 @@ def test_rivals_are_in_the_place_of_one_part_and_sorted(pair, chosen_pair):
             assert rival.excess == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(("small", "expected"), [("yaw_inertia", set()), ("aero_drag", {"aero_drag"})])
-def test_beside_more_than_a_car_has_only_another_channel_tells_a_name(small, expected):
-    """Wheels that turn by 0.8, where a car may have 0.85: what else would turn the car is not known beside that."""
-    objective = objective_with(*planted(steer_gain=0.8, **{small: {"yaw_inertia": 1.1, "aero_drag": 0.3}[small]}))
-    (gain, other) = candidates_of(objective, "steer_gain", small)
-    limited = replace(gain.ranges["gain"], lower=0.85)
-    bounded = replace(gain, ranges={"gain": limited}, starts=({"gain": 0.9},))
-    selection = select_terms(objective, [bounded, other], VARIANCE_INFLATION)
-    assert set(selection.chosen.names) == {"steer_gain", small}
-    assert named(selection) == expected
-    assert named(select_terms(objective, [gain, other], VARIANCE_INFLATION)) == {"steer_gain", small}
-
-
 def test_too_small_to_name_is_kept_as_a_nuisance_and_the_search_goes_on():
     """60 N of resistance are seen before all else, since a constant adds up, but are below the noise of a step."""
     terms = planted(rolling_resistance=60.0, yaw_inertia=1.03)

@@ -34,7 +34,6 @@ from split_cli.diagnosis.search.forward import (
 from split_cli.diagnosis.search.joint import all_at_once, at_its_least, cheapest_first, promised_by_all
 from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_part
 from split_cli.diagnosis.search.term_tests import (
-    beside_what_no_car_has,
     error_of_sum,
     exceeds_simulation_scatter,
     is_denied,
@@ -352,7 +351,6 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
         for k, one in enumerate(without)
     ]
     named = _believed_together(explore, chosen, without, sure)
-    named = beside_what_no_car_has(objective, chosen, named)
     return Selection(base, chosen, without, ((),) * len(without), ((),) * len(without), named)
 
 

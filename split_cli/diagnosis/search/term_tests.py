@@ -261,22 +261,6 @@ def part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:
     return sizes_of_terms(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
-def beside_what_no_car_has(objective: MarginalLikelihood, chosen: Fit, named: Sequence[bool]) -> tuple[bool, ...]:
-    """Return which parts are named, given those that end at their limit: something else acts in their place.
-
-    What that would leave is not known. So a name has to be larger than they are in some channel, or an instrument's
-    own by what witnesses show.
-    """
-    at_limit = [k for k, part in enumerate(chosen.parts) if part.candidate.at_limit(part.values)]
-    if not (at_limit and any(named)):
-        return tuple(named)
-    largest = np.max([part_sizes(objective, chosen, k) for k in at_limit], axis=0)
-    return tuple(
-        one and (is_witnessed(objective, chosen, k) or bool((part_sizes(objective, chosen, k) > largest).any()))
-        for k, one in enumerate(named)
-    )
-
-
 def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
     """Return the effect-to-noise ratio of one part of an explanation, the others in place."""
     return float(part_sizes(objective, fit, k).max())
