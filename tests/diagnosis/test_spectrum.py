@@ -94,8 +94,8 @@ def test_what_shakes_at_one_speed_alone_is_common_where_the_simulation_does_so_t
     assert line_of(shaken_in(3.0, [0, 2, 3, 1], 2.5, seed=5)) is None
     assert line_of(real, shaken_in(3.0, [0, 2, 3, 1], 2.5, seed=5)) is None
     assert line_of(real, shaken_in(3.0, [0, 2, 3, 1], 1.0, seed=5)) is not None
-    # What shakes in the simulation at another speed says nothing of it.
-    assert line_of(real, shaken_in(3.0, [0, 1, 2, 3], 2.5, seed=5)) is not None
+    # What shakes as much at another speed is no sure difference either.
+    assert line_of(real, shaken_in(3.0, [0, 1, 2, 3], 2.5, seed=5)) is None
 
 
 def test_what_is_out_of_balance_shakes_by_the_square_of_speed():

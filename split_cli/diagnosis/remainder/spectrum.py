@@ -187,7 +187,6 @@ def _block_by_block(line: Line, asked: _Remainder, others: Sequence[_Remainder])
 
     What shakes grows with speed, and may do so in a few blocks alone. So each block of the recording is compared
     with the block of the others whose speed is nearest; where all are slower, with what that makes at its speed.
-    Blocks count as much as they shake.
 
     Notes
     -----
@@ -198,8 +197,7 @@ def _block_by_block(line: Line, asked: _Remainder, others: Sequence[_Remainder])
     speeds, squares = (np.concatenate([one[k] for one in found]) for k in (0, 1))
     nearest = np.argmin(np.abs(speed[:, None] - speeds), axis=1)
     there = squares[nearest] * np.maximum(speed / max(float(speeds.max()), 1e-9), 1.0) ** 4
-    weight = np.maximum(square, 0.0) / max(float(np.maximum(square, 0.0).sum()), 1e-300)
-    return float(np.sqrt(weight @ square)), float(np.sqrt(max(weight @ there, 0.0)))
+    return float(np.sqrt(max(np.mean(square), 0.0))), float(np.sqrt(max(np.mean(there), 0.0)))
 
 
 def _blocks(line: Line, asked: _Remainder) -> tuple[np.ndarray, np.ndarray]:
