@@ -72,7 +72,9 @@ _TAUGHT_LITTLE = (
     "The simulation has {rows} rows of 0.04 s of driving; {least} are needed to tell what the vehicle file gets "
     "wrong and by how much two drives of one car differ. Simulate a longer drive."
 )
-_REACHES = 8  # distances from the usual to the far one that are tried in turn: how near the least is found
+#: Distances from the usual to the far one that are tried in turn [1]. Judgement: the least is found to a seventh of
+#: what lies between them.
+_REACHES = 8
 _TESTS = 5  # of whether there is a difference, see `_compare`
 
 
