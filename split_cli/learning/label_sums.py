@@ -12,8 +12,8 @@ from split_cli.learning.set_limits import LARGEST_LABEL
 
 SUMS = ("information", "absorbed")
 """Of a `TrainingSet`, and beside the columns of each cell's batch: little-endian doubles, in base64."""
-#: Error of a sum of squares over its largest direction that is no forgery [1]. Judgement: a cell hands over thousands of
-#: points, and each may leave some units of the last digit, 2e-16.
+#: Error of a sum of squares over its largest direction that is no forgery [1]. Judgement: a cell hands over thousands
+#: of points, and each may leave some units of the last digit, 2e-16.
 _ROUNDING = 1e-9
 
 
