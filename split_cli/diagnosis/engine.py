@@ -351,10 +351,12 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         reported = findings, remainder
         findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
         gone = ()
-        if structured:
+        # What the simulation shows against itself is called unexplained of no drive: where that is much, much hides.
+        if structured or found.outcome.self_test.ratio > policy.selection.much_over_noise:
             confirmed = confirmed_by_witnesses(found.outcome.structure.objective, selection)
             gone = withdrawn(findings, improvement, confirmed)
         if gone:
+            structured = unexplained = True
             leads = as_leads(gone, improvement, case.vehicle)
             selection, *reported = without_names(selection, *reported, gone)
             findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)

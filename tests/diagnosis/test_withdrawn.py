@@ -1,16 +1,23 @@
 """Held-out time takes names back where it gets worse with them, and says so."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from split_cli.diagnosis import engine
+from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.search.baselines import search
+from split_cli.diagnosis.search.calibration import SelfTest
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest
 from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
 from split_cli.vehicle.effects import CATALOGUE
+from tests.diagnosis.recordings import driven, noisy
+from tests.factories import road_car
 
 
 def finding(term: str, name: str, value: float, share: float) -> Finding:
@@ -48,3 +55,22 @@ def test_a_lead_says_by_how_much_held_out_time_gets_worse():
     assert lead.term == "tire_relaxation" and not lead.limits
     assert "rises by 161 % with all identified effects (95 %: 109 to 191 %)" in lead.sentence
     assert "stands for something else" in lead.sentence
+
+
+def test_held_out_time_is_asked_where_model_form_error_would_hide_what_has_no_name(monkeypatch):
+    """All that differs has a name here; halves of a simulation that differ much leave that open."""
+    planted = CATALOGUE["drive_gain"]({"drive_gain": 1.0, "brake_gain": 0.8})
+    real = noisy(driven(72, (planted,), runs=6, seconds=8.0, spaced=9.0), 572)
+    monkeypatch.setattr(engine, "measure_improvement", lambda *_: improved(-0.44, -1.14, -0.05))
+    monkeypatch.setattr(engine, "summarise", lambda *_: "")
+    found = []
+
+    def with_ratio(ratio, *arguments, **settings):
+        found.append(found[0] if found else search(*arguments, **settings))
+        return replace(found[0], self_test=SelfTest(ratio=ratio))
+
+    for ratio, named in ((1.0, True), (1.01 * STANDARD.selection.much_over_noise, False)):
+        monkeypatch.setattr(engine, "search", partial(with_ratio, ratio))
+        said = engine.diagnose([real], road_car())
+        assert bool(said.findings) is named and said.unexplained is not named
+        assert [one.term for one in said.leads] == ([] if named else ["drive_gain"])

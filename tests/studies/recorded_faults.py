@@ -3,8 +3,7 @@
 Example: ``python -m tests.studies.recorded_faults DATASETS OUT --list first``; `--only` takes some of its pairs.
 
 Every row is kept in ``OUT/rows.jsonl`` with the sizes that the clean pair promises; rows that are there are not
-computed again. Of the diagnosis search and findings are run, see `diagnose`. The lists stand in
-`recorded_faults_lists.py`; a list is fixed before its first row is run.
+computed again. The lists stand in `recorded_faults_lists.py`; a list is fixed before its first row is run.
 """
 
 import argparse
@@ -163,7 +162,7 @@ class Study:
         except SplitError as error:
             return replace(empty, said=str(error))
         begun = time.process_time()
-        told = diagnose([dealt(faulty, split)[1]], vehicle, [dealt(drive, split)[0]], improved=False)
+        told = diagnose([dealt(faulty, split)[1]], vehicle, [dealt(drive, split)[0]])
         mapping = diagnosis_to_mapping(told)
         return Told(
             pair=row.pair,

@@ -98,6 +98,21 @@ LISTS: dict[str, list[Row]] = {
         *_rows("tum, thirds", ("more yaw inertia", 3.0), ("steering late + velocity rotated", 2.0)),
         *_rows("tum second file, swapped halves", ("front tyres softer", 3.0), ("yaw rate late now and then", 4.0)),
     ],
+    "fifth": [
+        *_rows("rubber, swapped halves", ("steering scaled", 2.0), ("velocity biased", 2.0)),
+        *_rows("tape, halves", ("steering late", 2.0), ("yaw rate scaled", 2.0)),
+        *_rows("slippery, halves", ("torque scaled", 2.0), ("velocity moved", 2.0)),
+        *_rows("free, blocks 12", ("yaw rate late", 2.0), ("speed scaled", 2.0)),
+        *_rows("race, swapped halves", ("yaw rate scaled", 2.0), ("steering scaled", 2.0)),
+        *_rows("steering, swapped blocks", ("clocks shifted", 2.0), ("velocity rotated", 2.0)),
+        *_rows("tum, swapped halves", ("steering scaled", 2.0), ("yaw rate biased", 2.0)),
+        *_rows("tum second file, swapped blocks", ("yaw rate late", 2.0), ("velocity moved", 2.0)),
+        *_rows("genesis, swapped blocks 15", ("steering late", 2.0), ("velocity rotated", 2.0)),
+        *_rows("av21, swapped halves", ("yaw rate scaled", 2.0), ("lateral velocity late", 2.0)),
+        *_rows("autorally 5, swapped halves", ("steering offset", 2.0), ("yaw rate scaled", 2.0)),
+        *_rows("autorally 6, blocks 12", ("velocity moved", 2.0), ("torque scaled", 2.0)),
+        *_rows("kth step, swapped halves", ("speed scaled", 2.0), ("steering late", 2.0)),
+    ],
     "beside": [
         Row("slippery, blocks", "steering scaled + velocity moved=0.04", 1.5),
         Row("slippery, blocks", "torque late + velocity moved=0.04", 1.5),
@@ -156,5 +171,6 @@ LISTS: dict[str, list[Row]] = {
 1.5 times what is promised beside another fault, fixed the same day.
 ``fourth`` has parts, pairs of faults and faults that change in the course of a drive (`changing_faults.py`),
 fixed on 26 November 2026 before any row of it was run.
+``fifth`` has parts and sizes of no list before, fixed the same day before any row of it was run.
 ``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed,
 and ``several again`` other parts with round sizes, fixed the same day after ``several`` had been run once."""

@@ -13,11 +13,12 @@ from split_cli.vehicle.parameters import Vehicle
 def withdrawn(
     findings: Sequence[Finding], improvement: Improvement | None, confirmed: Set[str] = frozenset()
 ) -> tuple[Finding, ...]:
-    """Return findings that held-out time speaks against, where a part of the gap has no name.
+    """Return findings that held-out time speaks against, where a part of the gap has no name or none could be seen.
 
     Each of both alone says little. Model-form error beside a name has no name, either, and a right name of a small
     effect may predict worse by what else the car lacks. Both together say that the name stands for what has none.
-    What an instrument does is not withdrawn where its witnesses have `confirmed` it.
+    Where halves of the simulation differ much, a remainder of that size counts as model-form error: held-out time
+    is asked alone. What an instrument does is not withdrawn where its witnesses have `confirmed` it.
     """
     removed = None if improvement is None else improvement.removed.get("physics")
     if removed is None or removed[2] >= 0.0:
