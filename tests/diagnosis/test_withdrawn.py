@@ -62,6 +62,7 @@ def test_held_out_time_is_asked_where_model_form_error_would_hide_what_has_no_na
     planted = CATALOGUE["drive_gain"]({"drive_gain": 1.0, "brake_gain": 0.8})
     real = noisy(driven(72, (planted,), runs=6, seconds=8.0, spaced=9.0), 572)
     monkeypatch.setattr(engine, "measure_improvement", lambda *_: improved(-0.44, -1.14, -0.05))
+    monkeypatch.setattr(engine, "detection_limits", lambda *_: ())
     monkeypatch.setattr(engine, "summarise", lambda *_: "")
     found = []
 
