@@ -1,6 +1,7 @@
 """What a silence is worth: effects of the told size, and of others, planted and searched for."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part, tangent
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.diagnosis.statement.result import Detectable
-from split_cli.diagnosis.verdict.detectable import detection_limits
+from split_cli.diagnosis.verdict.detectable import _grown_seen, _Shown, detection_limits
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import candidates_of, driven, faulty, late, noisy_objective
@@ -82,6 +83,19 @@ def test_beside_a_name_a_size_is_told_by_what_the_name_cannot_take_up(told):
     for share, expected in ((1.5, ["steer_gain", "yaw_inertia"]), (0.5, ["steer_gain"])):
         inertia = CATALOGUE["yaw_inertia"]({"scale": 1.0 + share * (value - 1.0)}, "")
         assert sorted(named(objective_of(gain, inertia))) == expected
+
+
+def test_an_effect_grows_until_it_is_more_than_the_model_form_error_of_the_names_and_no_further(sound):
+    """At the first factor it is 0.9 of that, so that 1/0.9 of the factor is enough; recordings show it at any size."""
+    (gain,) = candidates_of(sound, "steer_gain")
+    beside = SimpleNamespace(objective=sound, fit=SimpleNamespace(terms=()))
+    shown = _Shown(size=1.0, ways=(), share=1.0, beyond=(), over=0.9, witnessed=0.0)
+
+    def excess(shown: _Shown, times: float, saved: float) -> float:
+        return float(np.log(times * shown.over))
+
+    factor = _grown_seen(beside, gain, {"gain": 0.99}, 0.5, shown, excess, lambda *_: (100.0, 1.0))
+    assert factor == pytest.approx(0.5 / 0.9, rel=0.03)
 
 
 def test_form_error_asks_for_more(sound, told):

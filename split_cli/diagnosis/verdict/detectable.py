@@ -240,13 +240,14 @@ def _grown_seen(
     """Return a factor, grown until recordings that have the effect pass; infinity beyond its range.
 
     They have it to either side, where it has two. What it saves there grows with the square of its size at most,
-    so that each step ends short of what is sought.
+    so that each step ends short of what is sought. `shown` is that of the first factor.
     """
+    first = factor
 
     def growth(saved: float, size: float) -> float:
         """Return by which factor an effect has to grow; 1 where it passes."""
-
-        there = replace(shown, size=size)
+        grown = factor / first
+        there = replace(shown, size=size, over=grown * shown.over, witnessed=grown * shown.witnessed)
 
         def passes(log: float) -> float:
             return excess(there, np.exp(log), np.exp(2.0 * log) * saved)
