@@ -32,7 +32,13 @@ from split_cli.diagnosis.statement.result import Diagnosis, Finding, InputFile, 
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import detection_limits
-from split_cli.diagnosis.verdict.findings import confirmed_by_witnesses, describe, is_autocorrelated, with_shares
+from split_cli.diagnosis.verdict.findings import (
+    Description,
+    confirmed_by_witnesses,
+    describe,
+    is_autocorrelated,
+    with_shares,
+)
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, fitted_alone, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.leads import find_leads
@@ -177,7 +183,7 @@ def diagnose(
     theirs = case.visited(reach, policy)
     apart = bool(case.simulated) and not _is_common(share, theirs, policy)
     if apart:
-        found = replace(found, outcome=with_witnessed_names(outcome))
+        found = replace(found, outcome=with_witnessed_names(outcome), description=None)
     stated = _mismatch(case, found, policy, improved)
     hardly = apart or is_far or share < settings.least_share
     if hardly and not stated.findings and not contradictions:
@@ -298,6 +304,8 @@ class _Comparison:
         Sensors out of scale, see `out_of_scale`.
     scales : mapping of str to float
         The same as scales by term.
+    description : Description or None
+        Of the outcome's names, where it has any.
     """
 
     outcome: SearchOutcome
@@ -305,6 +313,7 @@ class _Comparison:
     p_value: float
     contradictions: tuple[str, ...]
     scales: Mapping[str, float]
+    description: Description | None
 
 
 def _compare(
@@ -314,9 +323,12 @@ def _compare(
 
     A name, a name in a part of the drive, a smooth function, a line, or residual autocorrelation.
 
-    A sensor that contradicts position or yaw is one, however small the rest.
+    A sensor that contradicts position or yaw is one, however small the rest. Names show none if the intervals of
+    all hold no effect: their p values know of noise alone, and intervals of model-form error, too.
     """
     policy = outcome.structure.objective.policy
+    description = describe(outcome, scales) if any(outcome.selection.named) else None
+    is_named = description is not None and description.is_apart
     structure, selection = outcome.structure, outcome.selection
     unnamed = outcome.gap
     if selection.chosen.parts and not any(selection.named):
@@ -328,13 +340,13 @@ def _compare(
     usual = outcome.self_test.usual_autocorrelation(autocorrelation.rows)
     ways = [
         unnamed.p_value,
-        selection.first_p if any(selection.named) or ends_beyond(selection, policy) else 1.0,
+        selection.first_p if is_named or ends_beyond(selection, policy) else 1.0,
         1.0 if any(selection.named) else _p_of_a_part(selection),
         line.p_value if line else 1.0,
         autocorrelation.p_value(usual, policy.self_test) if is_autocorrelated(autocorrelation, usual, policy) else 1.0,
     ]
     p_value = 0.0 if contradictions else min(1.0, _TESTS * min(ways))
-    return _Comparison(outcome, line, p_value, contradictions, scales)
+    return _Comparison(outcome, line, p_value, contradictions, scales, description)
 
 
 def _p_of_a_part(selection: Selection) -> float:
@@ -344,20 +356,21 @@ def _p_of_a_part(selection: Selection) -> float:
 
 def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: bool) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
-    selection, findings, remainder, unexplained = describe(found.outcome, found.scales)
-    structured, unexplained = unexplained, unexplained or found.line is not None
+    described = found.description or describe(found.outcome, found.scales)
+    selection, findings, remainder = described.selection, described.findings, described.remainder
+    structured, unexplained = described.unexplained, described.unexplained or found.line is not None
     improvement, corrected, leads = None, None, ()
     if improved:
         reported = findings, remainder
         findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
-        gone = ()
+        gone, reason = (), ""
         # What the simulation shows against itself is called unexplained of no drive: where that is much, much hides.
         if structured or found.outcome.self_test.ratio > policy.selection.much_over_noise:
             confirmed = confirmed_by_witnesses(found.outcome.structure.objective, selection)
-            gone = withdrawn(findings, improvement, confirmed)
+            gone, reason = withdrawn(findings, improvement, corrected, confirmed)
         if gone:
             structured = unexplained = True
-            leads = as_leads(gone, improvement, case.vehicle)
+            leads = as_leads(gone, reason, case.vehicle)
             selection, *reported = without_names(selection, *reported, gone)
             findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
     forces, after = (

@@ -294,6 +294,13 @@ def names_of(drive: Drive, *simulated: Drive) -> set[str]:
     return {one.label for one in several}
 
 
+def test_no_grade_is_told_where_torque_comes_from_pedals(real):
+    """A wrong map of them looks like one; what turns with the wheels has no place, and is told."""
+    kinds = {"T": "derived: torque from throttle by a map to 900 N m and brake times 1 N m a unit"}
+    by_pedals = replace(real, metadata=replace(real.metadata, kinds=kinds))
+    assert names_of(real) - names_of(by_pedals) == {"road_grade (wave)", "road_grade (stretch)"}
+
+
 def test_places_and_wind_are_told_with_position_only(real):
     with_it, without_it = names_of(real), names_of(without(real, "X", "Y"))
     lost = with_it - without_it

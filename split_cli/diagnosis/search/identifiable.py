@@ -103,13 +103,14 @@ def identifiable(
 
     Places are identifiable only with position, since a distance travelled is nothing but a time; wind only with
     position and yaw. What acts along the car is identifiable only by a torque that was not derived from how the
-    car moved, and what comes of the torque only where that changes. A lateral velocity integrated from a_y shows
-    no sensor of velocity, and not what tilts a_y. Grip that takes the stiffness with it shows where tyres are
-    bent; up to there it is a stiffness, which has a name and a range of its own. Without position, what a sound
-    car does to a sensor is no fault of it. Where velocities were derived from position, no position tells of the
-    frame that was tracked, and a simulation recorded with it has the same. Speed and yaw rate are out of scale
-    against a_y only where the simulation tells which scale that has: the roll of the body is part of it. A lag can
-    be longer than the simulation's only where there is one.
+    car moved, and what comes of the torque only where that changes. A wrong map of pedals, as while a clutch slips,
+    looks like a road that climbs there. A lateral velocity integrated from a_y shows no sensor of velocity, and not
+    what tilts a_y. Grip that takes the stiffness with it shows where tyres are bent; up to there it is a stiffness,
+    which has a name and a range of its own. Without position, what a sound car does to a sensor is no fault of it.
+    Where velocities were derived from position, no position tells of the frame that was tracked, and a simulation
+    recorded with it has the same. Speed and yaw rate are out of scale against a_y only where the simulation tells
+    which scale that has: the roll of the body is part of it. A lag can be longer than the simulation's only where
+    there is one.
     """
     lacking = set() if simulated else {"simulation"}
     drives = [one.drive for one in real]
@@ -130,6 +131,8 @@ def identifiable(
         lacking.add("lateral velocity")
     if any(drive.metadata.torque_follows_motion for drive in drives):
         lacking.add("torque")
+    if any(drive.metadata.torque_is_from_pedals for drive in drives):
+        lacking.add("known torque")
     if torque_is_constant(np.concatenate([drive["T"] for drive in drives]), vehicle, policy.screening):
         lacking.add("torque changes")
     if not _leaves_linear_range(real, vehicle, policy):

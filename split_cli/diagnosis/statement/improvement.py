@@ -65,6 +65,14 @@ class CorrectedVehicle:
         return corrected > len(held) >= nominal
 
     @property
+    def is_refuted(self) -> bool:
+        """Whether it is worse than the nominal model at the longest horizon in some velocity, and better in none.
+
+        Both are beyond chance.
+        """
+        return any(one.is_worse for one in self.farthest) and not any(one.is_better for one in self.farthest)
+
+    @property
     def accepted(self) -> bool:
         """Whether it is no worse than the nominal model in any state beyond chance, and does not run away."""
         return not self.runs_away and not any(one.is_worse for one in self.states)

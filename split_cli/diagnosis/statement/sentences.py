@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from split_cli.diagnosis.statement.improvement import CorrectedVehicle, HorizonErrors, Improvement
+from split_cli.diagnosis.statement.improvement import CorrectedVehicle, HorizonErrors, Improvement, StateChange
 from split_cli.diagnosis.statement.result import Combination, Finding, Location, ParameterEstimate, RemainderTest
 from split_cli.diagnosis.statement.separation import separation
 from split_cli.diagnosis.statement.wording import number, percent, term_with_id, variable_name
@@ -105,22 +105,37 @@ def lead_sentence(
 
 
 def withdrawn_sentence(
-    term: str, variant: str, parameters: Parameters, rises: tuple[float, float, float], vehicle: Vehicle | None = None
+    term: str, variant: str, parameters: Parameters, reason: str, vehicle: Vehicle | None = None
 ) -> str:
-    """Return what would explain a part of the gap, and that held-out time speaks against it.
+    """Return what would explain a part of the gap, and the reason why held-out time speaks against it."""
+    statement = statement_for(term, variant, parameters, vehicle)
+    return (
+        f"A lead, not a finding: {statement[:1].lower()}{statement[1:]}. {reason} A part of the gap has no name. "
+        "So this effect stands for something else."
+    )
+
+
+def error_rises(rises: tuple[float, float, float]) -> str:
+    """Return by which share the one-step error rises on held-out time with all findings.
 
     Parameters
     ----------
     rises : tuple of float
-        By which share the squared one-step error above the noise floor rises on held-out time with all findings;
-        value, upper and lower end.
+        Of the squared error above the noise floor; value, upper and lower end.
     """
     share, high, low = (100.0 * one for one in rises)
-    statement = statement_for(term, variant, parameters, vehicle)
     return (
-        f"A lead, not a finding: {statement[:1].lower()}{statement[1:]}. On held-out time the squared one-step "
-        f"error above the noise floor rises by {share:.0f} % with all identified effects (95 %: {low:.0f} to "
-        f"{high:.0f} %), and a part of the gap has no name. So this effect stands for something else."
+        f"On held-out time the squared one-step error above the noise floor rises by {share:.0f} % with all "
+        f"identified effects (95 %: {low:.0f} to {high:.0f} %)."
+    )
+
+
+def nothing_is_better(corrected: CorrectedVehicle) -> str:
+    """Return which velocities a file with all findings predicts worse at the longest horizon; none is better."""
+    horizon, worse = corrected.farthest[0].horizon, [one for one in corrected.farthest if one.is_worse]
+    return (
+        f"On held-out time a vehicle file with all identified effects predicts no velocity after {horizon:g} s better "
+        f"than the given one, beyond chance, and worse: {_with_and_without(worse)}."
     )
 
 
@@ -341,14 +356,17 @@ def _apart(one: float, other: float) -> tuple[str, str]:
     return next((pair for pair in texts if pair[0] != pair[1]), texts[-1])
 
 
+def _with_and_without(states: Sequence[StateChange]) -> str:
+    """Return errors of a corrected vehicle and of the nominal one."""
+    return ", ".join(
+        f"{one.channel} after {one.horizon:g} s ({' instead of '.join(_apart(one.corrected, one.nominal))} {one.unit})"
+        for one in states
+    )
+
+
 def not_accepted(corrected: CorrectedVehicle) -> str:
     """Return why a corrected vehicle is not to be used."""
-    worse = [one for one in corrected.states if one.is_worse] or corrected.farthest
-    errors = ", ".join(
-        f"{one.channel} after {one.horizon:g} s ({' instead of '.join(_apart(one.corrected, one.nominal))} {one.unit})"
-        for one in worse
-    )
-    away = ""
+    errors, away = _with_and_without([one for one in corrected.states if one.is_worse] or corrected.farthest), ""
     if corrected.runs_away:
         held = ", ".join(f"{one.channel} {number(one.persistence, 2)} {one.unit}" for one in corrected.farthest)
         away = f" It runs away there, as in a spin: velocities held as they are would be nearer ({held})."

@@ -40,10 +40,19 @@ class _Reported:
     declared: tuple[str, ...]  # which of the alternatives are such whatever the data say
 
 
-def describe(
-    outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyType({})
-) -> tuple[Selection, tuple[Finding, ...], RemainderTest, bool]:
-    """Return what is trusted of a reading's selection, its findings, what is left, and whether that has no name.
+@dataclass(frozen=True)
+class Description:
+    """What may be said of an explanation."""
+
+    selection: Selection  # with the names that are trusted
+    findings: tuple[Finding, ...]
+    remainder: RemainderTest
+    unexplained: bool  # whether a part of the gap has no name
+    is_apart: bool  # whether the interval of some name, trusted or not, leaves out no effect
+
+
+def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyType({})) -> Description:
+    """Return what may be said of a search.
 
     Parameters
     ----------
@@ -58,6 +67,7 @@ def describe(
     remainder = _remainder(structure, selection, variance_inflation, left)
     reported = _findings(objective, selection, remainder.share)
     findings = _only_findings(reported)
+    is_apart = any(map(excludes_no_effect, findings))
     autocorrelation = residual_autocorrelation(structure, left)
     bent = _sure_bends(objective, selection, variance_inflation)
     unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome)
@@ -92,7 +102,7 @@ def describe(
             sensors = {one.term for one in findings if not one.exported}
             kept &= sensors | _stays_beside(objective, selection, findings, scales)
         vague |= doubted
-    return selection, findings, remainder, unexplained
+    return Description(selection, findings, remainder, unexplained, is_apart)
 
 
 def _only_findings(reported: Sequence[_Reported]) -> tuple[Finding, ...]:

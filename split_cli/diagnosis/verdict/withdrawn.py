@@ -1,29 +1,43 @@
-"""Names that held-out time takes back: what predicts worse with them, beside what has no name."""
+"""Names that held-out time takes back: it is predicted worse with them, beside what has no name."""
 
 from collections.abc import Sequence, Set
 from dataclasses import replace
 
 from split_cli.diagnosis.search.selection import Selection
-from split_cli.diagnosis.statement.improvement import Improvement
+from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
 from split_cli.diagnosis.statement.result import Finding, Lead, RemainderTest
-from split_cli.diagnosis.statement.sentences import withdrawn_sentence
+from split_cli.diagnosis.statement.sentences import error_rises, nothing_is_better, withdrawn_sentence
 from split_cli.vehicle.parameters import Vehicle
 
 
 def withdrawn(
-    findings: Sequence[Finding], improvement: Improvement | None, confirmed: Set[str] = frozenset()
-) -> tuple[Finding, ...]:
-    """Return findings that held-out time speaks against, where a part of the gap has no name or none could be seen.
+    findings: Sequence[Finding],
+    improvement: Improvement | None,
+    corrected: CorrectedVehicle | None = None,
+    confirmed: Set[str] = frozenset(),
+) -> tuple[tuple[Finding, ...], str]:
+    """Return findings that held-out time speaks against, and how it does so, in words.
 
-    Each of both alone says little. Model-form error beside a name has no name, either, and a right name of a small
-    effect may predict worse by what else the car lacks. Both together say that the name stands for what has none.
-    Where halves of the simulation differ much, a remainder of that size counts as model-form error: held-out time
-    is asked alone. What an instrument does is not withdrawn where its witnesses have `confirmed` it.
+    Asked where a part of the gap has no name, or none could be seen: where halves of the simulation differ much, a
+    remainder of that size counts as model-form error. Either alone says little. Model-form error beside a name has
+    no name, either, and a right name of a small effect may predict worse by what else the car lacks. Both together
+    say that the name stands for what has none.
+
+    Notes
+    -----
+    Held-out time speaks against all names if one step is predicted worse with them beyond chance. It speaks against
+    those of the car if a vehicle file with them is worse after 2 s in some velocity and better in none, both beyond
+    chance, unless one step is predicted better with them beyond chance. What an instrument does stays where its
+    witnesses have `confirmed` it.
     """
     removed = None if improvement is None else improvement.removed.get("physics")
-    if removed is None or removed[2] >= 0.0:
-        return ()
-    return tuple(one for one in findings if one.exported or one.term not in confirmed)
+    if removed is not None and removed[2] < 0.0:
+        gone = tuple(one for one in findings if one.exported or one.term not in confirmed)
+        return gone, error_rises((-removed[0], -removed[1], -removed[2]))
+    is_better = removed is not None and removed[1] > 0.0
+    if corrected is not None and corrected.is_refuted and not is_better:
+        return tuple(one for one in findings if one.exported), nothing_is_better(corrected)
+    return (), ""
 
 
 def without_names(
@@ -40,9 +54,8 @@ def without_names(
     return replace(selection, named=named), left, replace(remainder, share=min(share, 1.0))
 
 
-def as_leads(gone: Sequence[Finding], improvement: Improvement, vehicle: Vehicle) -> tuple[Lead, ...]:
+def as_leads(gone: Sequence[Finding], reason: str, vehicle: Vehicle) -> tuple[Lead, ...]:
     """Return withdrawn names as leads, which say why they are none."""
-    rises = tuple(-one for one in improvement.removed["physics"])
     return tuple(
         Lead(
             one.term,
@@ -51,7 +64,7 @@ def as_leads(gone: Sequence[Finding], improvement: Improvement, vehicle: Vehicle
             {},
             one.gap_explained,
             one.alternatives,
-            withdrawn_sentence(one.term, one.variant, one.parameters, rises, vehicle),
+            withdrawn_sentence(one.term, one.variant, one.parameters, reason, vehicle),
         )
         for one in gone
     )

@@ -91,7 +91,7 @@ class RoadGrade(_Incline):
     """
 
     id = "road_grade"
-    needs: ClassVar = frozenset({"torque"})
+    needs: ClassVar = frozenset({"torque", "known torque"})
     directions = ("climbs", "falls")
     steepest: ClassVar = {"": 0.35, "wave": 0.35, "stretch": 0.35}
     source = "judgement: the steepest streets climb 35 %"

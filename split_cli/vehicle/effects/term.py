@@ -101,7 +101,8 @@ class Term:
     needs : frozenset of str
         What a recording has to have, to show the term: ``position`` (with yaw), ``measured position``
         (not derived from velocities), ``measured velocities`` (not derived from position), ``derived velocities``
-        (from position), ``torque`` (logged, not derived from how the car moved), ``torque changes``,
+        (from position), ``torque`` (logged, not derived from how the car moved), ``known torque`` (not from pedals by
+        an assumed map), ``torque changes``,
         ``lateral velocity`` (not integrated from a_y), ``hard turns`` (beyond the nearly linear part of the tyres'
         curves), ``ax`` or ``ay`` (measured), ``witness`` (measured position or acceleration to the left),
         ``scale witness`` (measured position, or acceleration to the left in simulation and reality),
