@@ -375,7 +375,11 @@ def _invert(covariance: ndarray, n: int, low: ndarray, rows: ndarray, inverse: n
 def blocks_likelihood(
     z: ndarray, y: ndarray, offsets: ndarray, scales: ndarray, signal: ndarray, noise: ndarray
 ) -> tuple[float, ndarray]:
-    """Return the value and gradient that hyperparameters.block_likelihood defines, NaN where K is not positive.
+    """Return the negative log likelihood summed over blocks and outputs, NaN where K is not positive, and its gradient.
+
+    The gradient is by the logarithms of scales, signal and noise variances. With K = S0 R + s^2 I and a = K^-1 y:
+    -log p = y^T a/2 + log|K|/2 + n log(2 pi)/2, and its derivative is trace((K^-1 - a a^T) dK)/2, with
+    dK/d log l_d = S0 R (z_d - z_d')^2/l_d^2, dK/d log S0 = S0 R, dK/d log s^2 = s^2 I.
 
     Own loops rather than LAPACK: matrices of 60 are too small for threads, which some builds start all the same
     and then wait for each other longer than they compute.

@@ -25,7 +25,6 @@ BLOCK_POINTS = 60
 MAXIMUM_BLOCKS = 100
 FEWEST_TO_FIT = 60
 _AT_MOST = 6000
-_HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 
 
 @dataclass(frozen=True)
@@ -271,38 +270,3 @@ def neighbour_blocks(index: np.ndarray, most: int) -> list[np.ndarray]:
         cut = max(int(np.median(values)), int(values.min()) + 1)
         pending += [rows[values >= cut], rows[values < cut]]
     return [rows for rows in blocks if len(rows)]
-
-
-def block_likelihood(theta: np.ndarray, parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[float, np.ndarray]:
-    """Return the negative log likelihood summed over blocks and outputs, and its gradient; the plain version.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (D + 6,)
-        Logarithms of length scales, signal and noise variances.
-    parts : sequence of (ndarray, ndarray)
-        Features (n, D) and labels (n, 3) of each block.
-
-    Notes
-    -----
-    With K = S0 R + s^2 I and a = K^-1 y: -log p = y^T a/2 + log|K|/2 + n log(2 pi)/2, and its derivative is
-    trace((K^-1 - a a^T) dK)/2, with dK/d log l_d = S0 R (z_d - z_d')^2/l_d^2, dK/d log S0 = S0 R,
-    dK/d log s^2 = s^2 I.
-    """
-    scales, signals, noises = _split(theta)
-    dimension = len(scales)
-    total, gradient = 0.0, np.zeros_like(theta)
-    for z, y in parts:
-        distances = np.square((z[:, None] - z[None, :]) / scales)
-        correlation = np.exp(-0.5 * distances.sum(axis=2))
-        for output in range(len(OUTPUTS)):
-            covariance = signals[output] * correlation + noises[output] * np.eye(len(z))
-            inverse = np.linalg.inv(covariance)
-            weights = inverse @ y[:, output]
-            total += 0.5 * y[:, output] @ weights + 0.5 * np.linalg.slogdet(covariance)[1] + len(z) * _HALF_LOG_2PI
-            slope = inverse - np.outer(weights, weights)
-            weighted = 0.5 * signals[output] * slope * correlation
-            gradient[:dimension] += np.einsum("ij,ijd->d", weighted, distances)
-            gradient[dimension + output] += weighted.sum()
-            gradient[dimension + 3 + output] += 0.5 * noises[output] * np.trace(slope)
-    return total, gradient

@@ -9,8 +9,8 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.search.selection import Selection, select_terms
 from split_cli.logs.drive import Drive
 from tests.diagnosis.recordings import (
+    INFLATION,
     NAMES,
-    VARIANCE_INFLATION,
     bare_objective,
     candidates_of,
     driven,
@@ -66,4 +66,4 @@ def pair() -> MarginalLikelihood:
 @pytest.fixture(scope="session")
 def chosen_pair(pair) -> Selection:
     """What a search among five terms says of it."""
-    return select_terms(pair, candidates_of(pair, *NAMES), VARIANCE_INFLATION)
+    return select_terms(pair, candidates_of(pair, *NAMES), INFLATION)

@@ -13,8 +13,9 @@ from split_cli.diagnosis.innovations.whitening import build_whitener
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
+from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.selection import Selection, select_terms
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -26,8 +27,8 @@ from tests.factories import make_drive, remembered, road_car
 SIGMA = np.array([0.02, 0.02, 0.004])
 #: Length of the lap that runs start anywhere on [m], and time from the start of one to that of the next [s].
 LAP, STAMP = 400.0, 6.0
-#: What widens chance in tests of the search, and five terms that it may name.
-VARIANCE_INFLATION = 1.5
+#: Variance inflation factor of tests of the search, p value below which a term has a name, five terms that may.
+INFLATION, LEVEL = 1.5, 2.5e-4
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness")
 
 
@@ -199,6 +200,15 @@ def candidates_of(objective: MarginalLikelihood, *names: str) -> list[Candidate]
     """Return the candidates of these terms in all variants that need no simulation."""
     every = build_candidates(objective.evidence[0].vehicle, objective.evidence[0].series)
     return [one for one in every if one.term in names and "simulation" not in one.needs]
+
+
+def explorer(objective: MarginalLikelihood, *names: str) -> Explorer:
+    return Explorer(objective, tuple(candidates_of(objective, *names)), INFLATION)
+
+
+def selected(objective: MarginalLikelihood, *names: str) -> Selection:
+    """Return what the search selects among these terms."""
+    return select_terms(objective, candidates_of(objective, *names), INFLATION)
 
 
 def faulty(drive: Drive, *, angle: float = 0.0, dx: float = 0.0) -> Drive:

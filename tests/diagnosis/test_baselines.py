@@ -25,7 +25,7 @@ from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.selection import Rival, Selection
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import case_of
+from tests.diagnosis.recordings import INFLATION, case_of
 from tests.diagnosis.test_calibration import drive, recorded
 from tests.factories import road_car
 
@@ -114,7 +114,7 @@ def test_beside_a_sensors_fault_a_fault_of_commands_promises_what_it_saves_there
     displaced = Part(arm, {**arm.starts[0], "dx": 0.8})
     residuals = objective.left_by([displaced.term])
     current = Fit((displaced,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
-    explore = Explorer(objective, (gain,), 1.5)
+    explore = Explorer(objective, (gain,), INFLATION)
     ((promised, line), *_) = explore.promises(current)
     alone = min(one.cost(current) for one in explore.tangents())
     steps = np.linspace(0.7, 1.0, 16)
@@ -215,7 +215,7 @@ def test_a_fixed_baseline_names_what_the_first_search_names_where_it_explains_as
     none, rivals = ((), ()), ((), (Rival(fit, excess, 9.0),))
     selection = Selection(None, chosen, (SimpleNamespace(cost=1000.0),) * 2, rivals, none, (True, True))
     objective = SimpleNamespace(policy=STANDARD, form_error_inflation=1.0)
-    again = SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
+    again = SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, INFLATION)
     first = SimpleNamespace(selection=SimpleNamespace(terms=neutral(["drive_gain"])))
     found = named_as_first(first, again, ())
     assert [one.id for one in found.selection.terms] == expected
@@ -237,7 +237,9 @@ def test_a_sure_name_lends_its_sureness_to_no_other(restless):
     objective = fixed_objective(restless)
 
     def named(second: Selection) -> list[str]:
-        one, other = (SearchOutcome(SimpleNamespace(objective=objective), None, s, None, 1.5) for s in (both, second))
+        one, other = (
+            SearchOutcome(SimpleNamespace(objective=objective), None, s, None, INFLATION) for s in (both, second)
+        )
         return [term.id for term in settled(one, other, STANDARD.selection).selection.terms]
 
     assert named(nobody) == ["steer_offset"]
@@ -259,7 +261,7 @@ def test_a_surer_name_takes_none_from_a_sure_one_beside_it(restless, saved, expe
         selection = Selection(
             chosen, chosen, without, every[: len(parts)], every[: len(parts)], (True,) * len(parts), first_p=p_value
         )
-        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
+        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, INFLATION)
 
     believed = settled(outcome((offset,), 1e-160), outcome((torque, offset), 1e-60), STANDARD.selection)
     assert [one.id for one in believed.selection.terms] == expected
@@ -292,7 +294,7 @@ def test_the_surer_search_is_believed(restless, first, first_p, second, second_p
         chosen = Fit(parts, 1.0, np.zeros(0), np.zeros((0, 0)))
         every, named = tuple(() for _ in names), tuple("?" not in name for name in names)
         selection = Selection(chosen, chosen, (), every, every, named, first_p=p_value)
-        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
+        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, INFLATION)
 
     one, other = outcome(first, first_p), outcome(second, second_p)
     believed = settled(one, other, STANDARD.selection)
@@ -317,7 +319,7 @@ def test_what_would_need_more_than_a_car_has_is_a_difference_without_a_name(rest
         selection = Selection(
             base, chosen, tuple(base for _ in parts), every, every, tuple(False for _ in parts), first_p=p_value
         )
-        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, 1.5)
+        return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, INFLATION)
 
     first, second = (
         outcome((), 100.0, 1.0),

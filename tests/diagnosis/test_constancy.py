@@ -8,12 +8,11 @@ import pytest
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.form_error import form_error_columns
-from split_cli.diagnosis.search.selection import select_terms
 from split_cli.diagnosis.verdict import constancy
 from split_cli.diagnosis.verdict.constancy import bends, beyond_form_error
 from split_cli.diagnosis.verdict.findings import _sure_bends
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
+from tests.diagnosis.recordings import INFLATION, candidates_of, driven, noisy_objective, selected
 
 
 class Drifting(Term):
@@ -53,18 +52,18 @@ CONSTANT = CATALOGUE["steer_gain"]({"gain": 0.9})
 )
 def test_a_term_that_stands_for_what_changes_bends_with_it(term, variable, size):
     objective = objective_of(term)
-    first, *_ = bends(objective, fit_of(objective), (True,), 1.5)
+    first, *_ = bends(objective, fit_of(objective), (True,), INFLATION)
     assert (first.term, first.variable) == ("steer_gain", variable) and first.p_value < 1e-6
     # Rows count by how much they are steered, and part of a change with time is one with the operating point.
     assert 0.6 * size < first.size < 1.4 * size
-    assert bends(objective, fit_of(objective), (False,), 1.5) == ()
+    assert bends(objective, fit_of(objective), (False,), INFLATION) == ()
 
 
 def test_what_a_single_track_gets_wrong_is_no_bend():
     """A constant gain bends with nothing, and one that is another by a tenth of itself may be by chance."""
     for term in (CONSTANT, Drifting(lambda flow: 0.9 + 0.008 * np.sign(flow.r))):
         objective = objective_of(term)
-        found = bends(objective, fit_of(objective), (True,), 1.5)
+        found = bends(objective, fit_of(objective), (True,), INFLATION)
         assert {one.variable for one in found} >= {"time", "heat of sliding", "heat of braking", "heat of work"}
         assert min(one.p_value for one in found) * len(found) > 0.01
 
@@ -96,9 +95,9 @@ def test_a_bend_is_that_of_generalised_least_squares():
 def test_a_selection_that_bends_is_not_all():
     for term, bent in ((SLOW, True), (CONSTANT, False)):
         objective = objective_of(term)
-        selection = select_terms(objective, candidates_of(objective, "steer_gain"), 1.5)
+        selection = selected(objective, "steer_gain")
         assert [one.id for one in selection.terms] == ["steer_gain"]
-        assert bool(_sure_bends(objective, selection, 1.5)) is bent
+        assert bool(_sure_bends(objective, selection, INFLATION)) is bent
 
 
 class Bending(Term):
@@ -121,9 +120,9 @@ def test_a_gain_that_would_err_by_more_than_a_single_track_is_not_all_that_acts(
     term = Bending(bend) if bend else CATALOGUE["drive_gain"]({"drive_gain": gain, "brake_gain": 1.0})
     objective = objective_of(term)
     fit = fit_of(objective, "drive_gain")
-    (p_value,) = beyond_form_error(objective, fit, [True], 1.5).values()
+    (p_value,) = beyond_form_error(objective, fit, [True], INFLATION).values()
     assert (p_value < 1e-6) is beyond and (beyond or p_value > 0.5)
-    assert beyond_form_error(objective, fit, [False], 1.5) == {}
+    assert beyond_form_error(objective, fit, [False], INFLATION) == {}
 
 
 def test_model_form_errors_as_large_as_the_prior_has_them_are_none_too_many():
@@ -152,6 +151,6 @@ def test_an_error_counts_by_what_it_does_and_not_by_its_share_of_next_to_nothing
 
     def p_value(k: int, size: float) -> float:
         moved = replace(fit, residuals=fit.residuals + size * columns[:, k])
-        return beyond_form_error(objective, moved, [True], 1.5)["steer_gain"]
+        return beyond_form_error(objective, moved, [True], INFLATION)["steer_gain"]
 
     assert p_value(along, 10.0) > 0.1 > 1e-6 > p_value(across, 10.0)

@@ -13,9 +13,8 @@ from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.detectable import _grown_seen, _Shown, detection_limits
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, faulty, late, noisy_objective
+from tests.diagnosis.recordings import INFLATION, LEVEL, candidates_of, driven, faulty, late, noisy_objective, selected
 
-VARIANCE_INFLATION, LEVEL = 1.5, 2.5e-4
 NAMES = ("steer_gain", "aero_drag", "yaw_inertia", "steer_delay", "sensor_misalignment")
 
 
@@ -24,12 +23,12 @@ def objective_of(*terms) -> MarginalLikelihood:
 
 
 def smallest(objective: MarginalLikelihood, *objectives: MarginalLikelihood) -> dict[str, Detectable]:
-    found = detection_limits((objective, *objectives), candidates_of(objective, *NAMES), VARIANCE_INFLATION, LEVEL)
+    found = detection_limits((objective, *objectives), candidates_of(objective, *NAMES), INFLATION, LEVEL)
     return {one.term: one for one in found}
 
 
 def named(objective: MarginalLikelihood) -> list[str]:
-    selection = select_terms(objective, candidates_of(objective, *NAMES), VARIANCE_INFLATION)
+    selection = selected(objective, *NAMES)
     return [one.id for one in selection.terms]
 
 
@@ -73,8 +72,8 @@ def test_beside_a_name_a_size_is_told_by_what_the_name_cannot_take_up(told):
     gain = CATALOGUE["steer_gain"]({"gain": 0.9}, "")
     objective = objective_of(gain)
     candidates = candidates_of(objective, *NAMES)
-    chosen = select_terms(objective, candidates, VARIANCE_INFLATION).chosen
-    found = detection_limits((objective,), candidates, VARIANCE_INFLATION, LEVEL, named=chosen.parts)
+    chosen = select_terms(objective, candidates, INFLATION).chosen
+    found = detection_limits((objective,), candidates, INFLATION, LEVEL, named=chosen.parts)
     beside = {one.term: one.parameters for one in found}
     alone, value = told["yaw_inertia"].parameters["scale"][0], beside["yaw_inertia"]["scale"][0]
     assert abs(value - 1.0) > 1.2 * abs(alone - 1.0)
@@ -120,7 +119,7 @@ def test_a_size_that_is_told_has_an_interval_without_no_effect(sound):
     """Model-form error widens the intervals of all that acts on tyres: with 0.45 of a size it takes 0.9 of it."""
     vague = replace(sound, policy=sound.policy.altered("selection", form_error_share=0.45))
     candidates = candidates_of(vague, *NAMES)
-    for one in detection_limits((vague,), candidates, VARIANCE_INFLATION, LEVEL):
+    for one in detection_limits((vague,), candidates, INFLATION, LEVEL):
         for name, (value, _) in one.parameters.items():
             own = next(one_way for one_way in candidates if one_way.term == one.term and {*one_way.ranges} == {name})
             part = Part(own, {name: value})
@@ -139,7 +138,7 @@ def test_what_is_told_holds_for_every_variant(sound):
     assert len(candidates) == 3
 
     def dx(*some) -> float:
-        (one,) = detection_limits((sound,), some, VARIANCE_INFLATION, LEVEL * len(some))
+        (one,) = detection_limits((sound,), some, INFLATION, LEVEL * len(some))
         return one.parameters["dx"][0]
 
     each = [dx(one) for one in candidates]
@@ -149,13 +148,13 @@ def test_what_is_told_holds_for_every_variant(sound):
 def test_each_parameter_is_told_as_if_it_were_there_alone(sound):
     """Softer front tyres alone take more to be seen than both axles' tyres, and as much as is told is named."""
     candidates = candidates_of(sound, "tire_stiffness", *NAMES)
-    found = {one.term: one.parameters for one in detection_limits((sound,), candidates, VARIANCE_INFLATION, LEVEL)}
+    found = {one.term: one.parameters for one in detection_limits((sound,), candidates, INFLATION, LEVEL)}
     assert set(found["tire_stiffness"]) == {"front_scale", "rear_scale"}
     told = found["tire_stiffness"]["front_scale"][0]
     for share, expected in ((1.5, ["tire_stiffness"]), (0.5, [])):
         values = {"front_scale": 1.0 + share * (told - 1.0), "rear_scale": 1.0}
         objective = objective_of(CATALOGUE["tire_stiffness"](values, ""))
-        selection = select_terms(objective, candidates_of(objective, "tire_stiffness", *NAMES), VARIANCE_INFLATION)
+        selection = selected(objective, "tire_stiffness", *NAMES)
         assert [one.id for one in selection.terms] == expected
 
 

@@ -9,9 +9,8 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts, without_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import Recording, first_order_response
-from tests.diagnosis.recordings import candidates_of, driven, noisy_objective
+from tests.diagnosis.recordings import driven, explorer, noisy_objective
 
-VARIANCE_INFLATION = 1.5
 TRUE = {
     "drive_lag": {"tau": 0.05},
     "load_transfer": {"cg_height": 0.5, "tau": 0.06},
@@ -36,7 +35,7 @@ def explore() -> Explorer:
         torque=lambda inputs, step: lagging(inputs, step, TRUE["drive_lag"]["tau"]),
     )
     objective = noisy_objective(drive, 3)
-    return Explorer(objective, tuple(candidates_of(objective, *TRUE, *OTHERS)), VARIANCE_INFLATION)
+    return explorer(objective, *TRUE, *OTHERS)
 
 
 def test_lags_loads_and_what_turns_are_found_at_once_with_their_values(explore):

@@ -20,19 +20,23 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import Rival, Selection, _best_rival, nothing, select_terms
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import LAP, candidates_of, driven, first_order, late, noisy_objective
+from tests.diagnosis.recordings import (
+    INFLATION,
+    LAP,
+    candidates_of,
+    driven,
+    explorer,
+    first_order,
+    late,
+    noisy_objective,
+)
 
-VARIANCE_INFLATION = 1.5
 ACTUATORS = ("drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
 
 
 def behind(inputs, step: float, *, tau: float = 0.0, delay: float = 0.0):
     """Return inputs (runs, K) behind a lag or a delay."""
     return first_order(inputs, tau, step) if tau else late(inputs, delay, step)
-
-
-def explorer(objective, *names: str) -> Explorer:
-    return Explorer(objective, tuple(candidates_of(objective, *names)), VARIANCE_INFLATION)
 
 
 def fitted(explore: Explorer, **starts: dict[str, float]) -> Fit:
@@ -57,7 +61,7 @@ def test_a_peak_and_both_stiffnesses_merge_into_a_curve():
     (part,) = found.parts
     assert part.candidate.label == "friction_scale" and part.values["scale"] == pytest.approx(0.7, abs=0.02)
     assert move_in_words(both, found) == "another variant in place of tire_stiffness"
-    alone = select_terms(objective, explore.candidates, VARIANCE_INFLATION)
+    alone = select_terms(objective, explore.candidates, INFLATION)
     assert [term.id for term in alone.terms] == ["friction_scale"]
 
 

@@ -12,10 +12,18 @@ from split_cli.diagnosis.search.exploration import Explorer, nearest_start
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, late, noisy, noisy_objective, prepared
+from tests.diagnosis.recordings import (
+    INFLATION,
+    candidates_of,
+    driven,
+    explorer,
+    late,
+    noisy,
+    noisy_objective,
+    prepared,
+)
 from tests.factories import road_car
 
-VARIANCE_INFLATION = 1.5
 NAMES = ("aero_drag", "rolling_resistance", "steer_gain", "yaw_inertia", "tire_stiffness", "steer_lag")
 
 
@@ -27,7 +35,7 @@ def objective() -> MarginalLikelihood:
 
 @pytest.fixture(scope="module")
 def explore(objective) -> Explorer:
-    return Explorer(objective, tuple(candidates_of(objective, *NAMES)), VARIANCE_INFLATION)
+    return explorer(objective, *NAMES)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +74,7 @@ def test_what_was_explored_is_not_explored_again(objective, explore, current):
 
 
 def test_what_promises_too_little_is_fitted_only_among_the_first(objective, current):
-    fresh = Explorer(objective, tuple(candidates_of(objective, *NAMES)), VARIANCE_INFLATION)
+    fresh = explorer(objective, *NAMES)
     first = fresh(current, worth=0.0)
     assert len(first) == fresh.rules.considered < len(NAMES) - 1
     fits = fresh(current)
@@ -94,7 +102,7 @@ def test_a_late_steering_is_found_beside_a_file_that_is_wrong_by_more():
     series = prepared(noisy(real, 2)), prepared(noisy(driven(31, own, runs=6), 1), "sim")
     case = gather_case(road_car(), series)
     objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep)
-    explore = Explorer(objective, tuple(candidates_of(objective, "steer_delay", "aero_drag")), VARIANCE_INFLATION)
+    explore = explorer(objective, "steer_delay", "aero_drag")
     found = {label(fit): fit for fit in explore(nothing(objective))}["steer_delay"]
     assert found.parts[0].values["delay"] == pytest.approx(0.06, rel=0.1)
     held = objective.whiten(objective.residual(found.terms))
@@ -113,7 +121,7 @@ def test_a_forgotten_sensitivity_is_worked_out_anew(objective, explore, current)
     """Held or forgotten, explorations are the same; what is worked out anew is what straight lines were."""
     held = explore(current)
     two = sum(fit.residuals.nbytes + fit.sensitivity.nbytes for fit in (current, held[0]))
-    lean = Explorer(objective, tuple(candidates_of(objective, *NAMES)), VARIANCE_INFLATION, held=two)
+    lean = Explorer(objective, tuple(candidates_of(objective, *NAMES)), INFLATION, held=two)
     fits = lean(replace(current))
     assert fits[0].sensitivity.size and not any(fit.sensitivity.size for fit in fits[1:])
     assert [fit.cost for fit in fits] == [fit.cost for fit in held]

@@ -9,7 +9,6 @@ from scipy.optimize import lsq_linear
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search import form_error as module
 from split_cli.diagnosis.search import selection as selecting
-from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.form_error import (
     costs_beside_form_error,
@@ -21,7 +20,7 @@ from split_cli.diagnosis.search.form_error import (
 )
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, first_order, late, noisy_objective
+from tests.diagnosis.recordings import INFLATION, candidates_of, driven, explorer, first_order, late, noisy_objective
 
 
 @pytest.fixture(scope="module")
@@ -115,20 +114,20 @@ def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay):
 
 def test_an_alternative_takes_the_place_where_it_is_better_beside_form_error(behind, monkeypatch):
     candidates = candidates_of(behind, "steer_delay", "steer_lag")
-    plain = select_terms(behind, candidates, 1.5)
+    plain = select_terms(behind, candidates, INFLATION)
     assert plain.chosen.names == ("steer_delay",)
     # Alternatives are what may be model-form error; here the lag is made one.
     monkeypatch.setattr(selecting, "explaining_as_well", lambda objective, selection, k, rivals: list(rivals))
-    assert select_terms(behind, candidates, 1.5).chosen.names == ("steer_delay",)
+    assert select_terms(behind, candidates, INFLATION).chosen.names == ("steer_delay",)
     tie = 1.5 * behind.policy.selection.tie  # before variance inflation
 
     def saving(much):
         return lambda objective, fits: [much * ("steer_delay" in fit.names) for fit in fits]
 
     monkeypatch.setattr(selecting, "costs_beside_form_error", saving(0.9 * tie))
-    assert select_terms(behind, candidates, 1.5).chosen.names == ("steer_delay",)
+    assert select_terms(behind, candidates, INFLATION).chosen.names == ("steer_delay",)
     monkeypatch.setattr(selecting, "costs_beside_form_error", saving(1.1 * tie))
-    turned = select_terms(behind, candidates, 1.5)
+    turned = select_terms(behind, candidates, INFLATION)
     assert turned.chosen.names == ("steer_lag",) and turned.named == (True,)
     assert "beside model-form error" in turned.history[-1]
     # What it was compared with is reported as seen from the one that is chosen now.
@@ -203,7 +202,7 @@ def test_a_further_term_is_sought_beyond_the_form_error_of_the_others():
     policy = clean.policy.altered("selection", considered=1, form_error_across=0.0)
     objective = replace(clean, offset=clean.offset - 0.4 * wrong[:, 12], policy=policy)
     names = ("steer_delay", "steer_gain", "tire_stiffness", "yaw_inertia", "drive_lag")
-    explore = Explorer(objective, tuple(candidates_of(objective, *names)), 1.5)
+    explore = explorer(objective, *names)
     current = fitted(objective, "steer_delay")
     plainly, beyond = (
         [fit.parts[-1].candidate.term for fit in fits]
@@ -211,7 +210,7 @@ def test_a_further_term_is_sought_beyond_the_form_error_of_the_others():
     )
     assert plainly[0] == "tire_stiffness" and beyond[0] == "drive_lag"
     # Where only one is considered in each step, the search finds it all the same.
-    named = select_terms(objective, explore.candidates, 1.5).terms
+    named = select_terms(objective, explore.candidates, INFLATION).terms
     assert {term.id for term in named} == {"steer_delay", "drive_lag"}
 
 

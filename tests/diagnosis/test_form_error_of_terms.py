@@ -11,9 +11,9 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.form_error import form_error_columns, saved_beside_form_error
-from split_cli.diagnosis.search.selection import explaining_as_well, rivals_of, select_terms
+from split_cli.diagnosis.search.selection import explaining_as_well, rivals_of
 from split_cli.diagnosis.search.term_tests import is_form_error, term_p, term_size
-from tests.diagnosis.recordings import NAMES, VARIANCE_INFLATION, candidates_of, named, objective_with, planted
+from tests.diagnosis.recordings import INFLATION, NAMES, candidates_of, named, objective_with, planted, selected
 
 DISCREPANCY = "discrepancy to noise"
 VARIED = "varied discrepancy"
@@ -28,14 +28,12 @@ def ignorant(objective: MarginalLikelihood) -> DiscrepancyPosterior:
 def test_a_further_term_no_larger_than_a_form_error_is_not_named():
     """A little steering offset beside a third of the inertia more: a tenth of its size, in its channel."""
     objective = objective_with(*planted(yaw_inertia=1.33, steer_offset=0.00035))
-    selection = select_terms(objective, candidates_of(objective, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION)
+    selection = selected(objective, "yaw_inertia", "steer_offset")
     assert named(selection) == {"yaw_inertia"}
     assert "steer_offset" in selection.history[-1] and "model-form error" in selection.history[-1]
     # Alone, as large as it is, it would be named.
     alone = objective_with(*planted(steer_offset=0.00035))
-    assert named(select_terms(alone, candidates_of(alone, "yaw_inertia", "steer_offset"), VARIANCE_INFLATION)) == {
-        "steer_offset"
-    }
+    assert named(selected(alone, "yaw_inertia", "steer_offset")) == {"steer_offset"}
 
 
 def test_evidence_for_a_further_term_is_what_it_saves_beyond_a_form_error_of_the_shared_discrepancy(pair):
@@ -109,7 +107,7 @@ def test_a_term_is_allowed_a_share_of_the_shared_discrepancy_in_its_channel(pair
 
     def p_value(discrepancy: np.ndarray) -> float:
         objective = replace(pair, posterior=ignorant(pair), memo={DISCREPANCY: discrepancy})
-        return term_p(objective, fit, 0, saved, VARIANCE_INFLATION)
+        return term_p(objective, fit, 0, saved, INFLATION)
 
     assert p_value(np.zeros(3)) < 1e-10
     assert p_value(sizes.max() / STANDARD.allowances.discrepancy_share * np.ones(3)) > 0.4
@@ -137,9 +135,9 @@ def test_the_p_value_of_a_term_grows_with_what_the_simulation_shows_against_itse
     fit = chosen_pair.chosen
     k = next(k for k, part in enumerate(fit.parts) if part.candidate.term == "aero_drag")
     saved = fit_parts(pair, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost
-    plain = term_p(pair, fit, k, saved, VARIANCE_INFLATION)
+    plain = term_p(pair, fit, k, saved, INFLATION)
     forgiving, other = (
-        term_p(replace(pair, term_floors={name: 2.0 * saved}), fit, k, saved, VARIANCE_INFLATION)
+        term_p(replace(pair, term_floors={name: 2.0 * saved}), fit, k, saved, INFLATION)
         for name in ("aero_drag", "mass")
     )
     assert plain < 1e-10 and forgiving > 0.9
@@ -153,12 +151,12 @@ def test_form_error_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
     floors = {"aero_drag": 0.5 * saved}
 
     def p_value(**known) -> float:
-        return term_p(replace(pair, **known), fit, k, saved, VARIANCE_INFLATION)
+        return term_p(replace(pair, **known), fit, k, saved, INFLATION)
 
     widened = saved / 30.0
     # The same as chance that is so wide, unless chance is wider itself.
     assert p_value(form_error_inflation=widened) == pytest.approx(term_p(pair, fit, k, saved, widened), rel=1e-12)
-    assert p_value(form_error_inflation=widened) > 1e-8 > p_value(form_error_inflation=VARIANCE_INFLATION) == p_value()
+    assert p_value(form_error_inflation=widened) > 1e-8 > p_value(form_error_inflation=INFLATION) == p_value()
     both = p_value(form_error_inflation=widened, term_floors=floors)
     assert both == max(p_value(form_error_inflation=widened), p_value(term_floors=floors))
     assert both < term_p(replace(pair, term_floors=floors), fit, k, saved, widened)
@@ -167,19 +165,17 @@ def test_form_error_widens_chance_and_is_not_counted_twice(pair, chosen_pair):
     for apart, assumed in ((0.9, 0.8), (0.4, 0.3), (0.9, 0.005)):
         ways = (
             p_value(term_floors=floors),
-            term_p(replace(pair, form_error_inflation=widened), fit, k, apart * saved, VARIANCE_INFLATION),
-            term_p(pair, fit, k, assumed * saved, VARIANCE_INFLATION),
+            term_p(replace(pair, form_error_inflation=widened), fit, k, apart * saved, INFLATION),
+            term_p(pair, fit, k, assumed * saved, INFLATION),
         )
-        together = term_p(known, fit, k, saved, VARIANCE_INFLATION, (apart * saved, assumed * saved))
+        together = term_p(known, fit, k, saved, INFLATION, (apart * saved, assumed * saved))
         assert together == pytest.approx(max(ways), rel=1e-9)
 
 
 def test_rivals_are_as_far_off_as_form_error_lets_them_be(pair, chosen_pair):
     candidates = tuple(candidates_of(pair, *NAMES))
     free = STANDARD.altered("selection", price=0.0)
-    explore = Explorer(
-        replace(pair, form_error_inflation=10.0 * VARIANCE_INFLATION, policy=free), candidates, VARIANCE_INFLATION
-    )
+    explore = Explorer(replace(pair, form_error_inflation=10.0 * INFLATION, policy=free), candidates, INFLATION)
     (near, *_), _ = rivals_of(explore, chosen_pair.chosen, 0, chosen_pair.without[0])
     (far, *_), _ = rivals_of(replace(explore, objective=pair), chosen_pair.chosen, 0, chosen_pair.without[0])
     assert far.excess == pytest.approx(10.0 * near.excess, rel=1e-9) and far.excess > 0.0

@@ -22,7 +22,7 @@ from split_cli.diagnosis.search.term_tests import (
 )
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
-from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import INFLATION, bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 from tests.factories import road_car
 
 PLANTED = [
@@ -234,7 +234,7 @@ def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error
         candidates = tuple(one for one in sensors if one.variant != "frame")
         (unit,) = (one for one in candidates if one.variant == "unit")
         chosen = fit_parts(objective, (Part(unit, dict(unit.starts[0])),))
-        _, (sibling,) = rivals_of(Explorer(objective, candidates, 1.5), chosen, 0, nothing(objective))
+        _, (sibling,) = rivals_of(Explorer(objective, candidates, INFLATION), chosen, 0, nothing(objective))
         return sibling.excess
 
     assert abs(excess([])) < 1e-3 and excess(felt) > 100.0
@@ -248,7 +248,7 @@ def test_witnesses_speak_for_a_rival_whatever_model_form_error_makes_of_its_cost
 
     def excess(objective) -> tuple[float, Fit, Fit]:
         chosen = fit_at(objective, Part(steer, {"delay": 0.04}))
-        others, _ = rivals_of(Explorer(objective, candidates, 1.5), chosen, 0, nothing(objective))
+        others, _ = rivals_of(Explorer(objective, candidates, INFLATION), chosen, 0, nothing(objective))
         (rival,) = (one for one in others if one.fit.parts[-1].candidate is late)
         return rival.excess, rival.fit, chosen
 
@@ -296,15 +296,17 @@ def test_witnesses_alone_tell_how_late_a_channel_is(late_yaw_rate):
     every = tuple(candidates_of(late_yaw_rate, "channel_delay", "yaw_rate_scale", "yaw_rate_bias", "speed_scale"))
     part = late_by_witnesses(late_yaw_rate, every)
     assert part.candidate.variant == "r" and part.values["r"] == pytest.approx(0.04, abs=0.004)
-    told = with_late_channel(late_yaw_rate, without_a_name(late_yaw_rate), every, 1.5)
+    told = with_late_channel(late_yaw_rate, without_a_name(late_yaw_rate), every, INFLATION)
     assert [term.parameters for term in told.terms] == [part.values] and told.first_p < 1e-12
     # Halves of the simulation that contradict themselves as much leave no name, nor do equations that deny it.
     seen = late_yaw_rate.witnesses_cost(told.base.residuals) - late_yaw_rate.witnesses_cost(told.chosen.residuals)
     same = replace(late_yaw_rate, witness_floors={"channel_delay (r)": 0.4 * seen})
-    assert with_late_channel(same, without_a_name(same), every, 1.5) is None
+    assert with_late_channel(same, without_a_name(same), every, INFLATION) is None
     base = told.base
     denied = replace(base, cost=base.cost - 2.0 * seen - (base.cost - told.chosen.cost))
-    assert with_late_channel(late_yaw_rate, replace(without_a_name(late_yaw_rate), base=denied), every, 1.5) is None
+    assert (
+        with_late_channel(late_yaw_rate, replace(without_a_name(late_yaw_rate), base=denied), every, INFLATION) is None
+    )
 
 
 def test_a_late_channel_is_told_beside_a_name(late_yaw_rate):
@@ -313,13 +315,13 @@ def test_a_late_channel_is_told_beside_a_name(late_yaw_rate):
     chosen, base = fit_at(late_yaw_rate, Part(gain, {"gain": 0.95})), nothing(late_yaw_rate)
     before = Selection(base, chosen, (base,), ((),), ((),), (True,), first_p=1e-9)
     every = tuple(candidates_of(late_yaw_rate, "channel_delay", "steer_gain", "yaw_rate_scale", "speed_scale"))
-    told = with_late_channel(late_yaw_rate, before, every, 1.5)
+    told = with_late_channel(late_yaw_rate, before, every, INFLATION)
     first, second = told.terms
     assert first.parameters == {"gain": 0.95} and second.parameters["r"] == pytest.approx(0.04, abs=0.004)
     assert told.chosen.cost == pytest.approx(late_yaw_rate.cost(told.terms), rel=1e-6)
     assert told.without[0].cost == pytest.approx(late_yaw_rate.cost([second]), rel=1e-2)
     assert told.without[1] is chosen and told.chosen.sensitivity.shape[1] == 2 and told.first_p == 1e-9
-    assert with_late_channel(late_yaw_rate, told, every, 1.5) is None  # not twice
+    assert with_late_channel(late_yaw_rate, told, every, INFLATION) is None  # not twice
 
 
 @pytest.mark.parametrize("k", [None, 3, 4, 6])
@@ -331,7 +333,7 @@ def test_what_is_not_late_is_not_told_to_be(k):
     objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series, usual_by_kind))
     names = ("channel_delay", "velocity_bias", "yaw_rate_scale", "yaw_rate_bias", "speed_scale")
     every = tuple(candidates_of(objective, *names))
-    assert with_late_channel(objective, without_a_name(objective), every, 1.5) is None
+    assert with_late_channel(objective, without_a_name(objective), every, INFLATION) is None
 
 
 def test_a_term_is_one_where_it_saves_twice_what_halves_of_the_simulation_differ_by(late_yaw_rate):

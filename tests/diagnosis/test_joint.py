@@ -23,9 +23,7 @@ from split_cli.diagnosis.search.joint import (
 )
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import candidates_of, driven, late, noisy_objective
-
-VARIANCE_INFLATION = 1.5
+from tests.diagnosis.recordings import INFLATION, candidates_of, driven, explorer, late, noisy_objective
 
 
 def evaluated(objective, parts) -> Fit:
@@ -41,7 +39,7 @@ OTHERS = ("aero_downforce", "tire_stiffness", "friction_scale", "cg_shift", "rol
 @pytest.fixture(scope="module")
 def explore() -> Explorer:
     objective = noisy_objective(driven(41, [CATALOGUE[term](values) for term, values in TRUE.items()]), 3)
-    return Explorer(objective, tuple(candidates_of(objective, *TRUE, *OTHERS)), VARIANCE_INFLATION)
+    return explorer(objective, *TRUE, *OTHERS)
 
 
 def test_terms_that_a_wrong_beginning_hides_are_found(explore):
@@ -77,7 +75,7 @@ def test_a_valley_that_lies_far_from_no_effect_is_begun_in():
     drag = CATALOGUE["aero_drag"]({"drag": 0.6})
     objective = noisy_objective(driven(41, [drag], steer=lambda inputs, step: late(inputs, 0.25, step)), 3)
     candidates = candidates_of(objective, "steer_delay", "aero_drag", *OTHERS)
-    explore, base = Explorer(objective, tuple(candidates), VARIANCE_INFLATION), nothing(objective)
+    explore, base = Explorer(objective, tuple(candidates), INFLATION), nothing(objective)
     delay = next(one for one in candidates if one.term == "steer_delay")
     begun = fit_parts(objective, [Part(delay, {"delay": 0.25})])
     far, near = (fit_with_prior(objective, *_everything_from(explore, one))[0].cost for one in (base, begun))
@@ -95,7 +93,7 @@ def test_linear_costs_of_leaving_are_those_of_refits(explore):
     slopes = fit.sensitivity * steps
     told = [one for one, _ in _worth(explore, _blocks(fit.parts), slopes.T @ slopes, np.zeros(len(steps)))]
     refitted = [
-        (fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost) / VARIANCE_INFLATION
+        (fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :]).cost - fit.cost) / INFLATION
         - explore.rules.price
         for k in range(len(fit.parts))
     ]

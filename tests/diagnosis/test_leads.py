@@ -15,7 +15,7 @@ from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict import leads
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Course, Range
-from tests.diagnosis.recordings import candidates_of, driven, noisy, noisy_objective
+from tests.diagnosis.recordings import INFLATION, candidates_of, driven, noisy, noisy_objective
 from tests.factories import road_car
 
 
@@ -81,17 +81,17 @@ def test_beside_a_name_what_no_car_can_have_is_a_lead():
     objective = noisy_objective(driven(73, planted, runs=4), 7)
     (bank,) = (one for one in candidates_of(objective, "road_bank") if not one.variant)
     short = replace(bank, ranges={"angle": replace(bank.ranges["angle"], lower=-0.1, upper=0.1)})
-    selection = select_terms(objective, (*candidates_of(objective, "steer_gain"), short), 1.5)
+    selection = select_terms(objective, (*candidates_of(objective, "steer_gain"), short), INFLATION)
     assert [one.id for one in selection.terms] == ["steer_gain"]
-    (lead,) = leads.find_leads(objective, selection, 1.5)
+    (lead,) = leads.find_leads(objective, selection, INFLATION)
     assert lead.term == "road_bank" and lead.limits == {"angle": (-0.1, 0.1)}
     assert lead.parameters["angle"].value == pytest.approx(0.2, abs=0.02)
     assert lead.sentence.startswith("A lead, not a finding: what the findings leave would be explained if")
     # Asked beside what is chosen at last, whatever took its place; and not where nothing is named.
     asked = []
     counted = replace(selection, beside=lambda fit: asked.append(fit) or selection.beside(fit))
-    assert leads.find_leads(objective, counted, 1.5) == (lead,)
-    leads.find_leads(objective, replace(counted, named=(False,) * len(selection.named)), 1.5)
+    assert leads.find_leads(objective, counted, INFLATION) == (lead,)
+    leads.find_leads(objective, replace(counted, named=(False,) * len(selection.named)), INFLATION)
     assert [one is selection.chosen for one in asked] == [True]
 
 
@@ -100,12 +100,12 @@ def test_what_has_no_value_or_either_sign_is_no_lead(monkeypatch):
     (bank,) = (one for one in candidates_of(objective, "road_bank") if not one.variant)
     base, ended = nothing(objective), fit_parts(objective, [Part(bank, dict(bank.starts[0]))])
     selection = Selection(base, base, (), (), (), (), first=(ended,))
-    (lead,) = leads.find_leads(objective, selection, 1.5)
+    (lead,) = leads.find_leads(objective, selection, INFLATION)
     assert lead.parameters["angle"].interval_95[0] > 0.0
     # Four times a range that is too short by far: the data want more still, and what that would be is unknown.
     short = replace(bank, ranges={"angle": replace(bank.ranges["angle"], lower=-0.02, upper=0.02)})
     further = fit_parts(objective, [Part(short, {"angle": 0.01})])
-    assert leads.find_leads(objective, replace(selection, first=(further,)), 1.5) == ()
+    assert leads.find_leads(objective, replace(selection, first=(further,)), INFLATION) == ()
     known = lead.parameters["angle"].covering(ParameterEstimate(-0.1, 0.1, "rad", (-0.3, 0.1)))
     monkeypatch.setattr(leads, "parameter_estimates", lambda *_: ({"angle": known},))
-    assert leads.find_leads(objective, selection, 1.5) == ()
+    assert leads.find_leads(objective, selection, INFLATION) == ()

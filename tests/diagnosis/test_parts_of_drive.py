@@ -6,13 +6,13 @@ import pytest
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.witnesses import build_witnesses
-from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.parts_of_drive import most_saved, parts_of_drive, strongest_part
 from split_cli.diagnosis.search.selection import nothing
 from tests.diagnosis.recordings import (
+    INFLATION,
     bare_objective,
-    candidates_of,
     driven,
+    explorer,
     light_evidence,
     noisy,
     noisy_objective,
@@ -92,8 +92,8 @@ def test_a_steering_that_is_wrong_for_a_while_is_found_where_it_is(gain, runs):
         return out
 
     objective = noisy_objective(driven(41, steer=steer), 9)
-    explore = Explorer(objective, tuple(candidates_of(objective, *NAMES)), 1.5)
-    found = strongest_part(objective, explore.tangents(), nothing(objective).residuals, 1.5)
+    explore = explorer(objective, *NAMES)
+    found = strongest_part(objective, explore.tangents(), nothing(objective).residuals, INFLATION)
     if gain == 1.0:
         assert found.p_value > 0.05
         return
@@ -124,9 +124,9 @@ def test_a_late_channel_is_asked_of_a_part_only_where_nothing_witnesses_it(recor
     series = prepared(noisy(driven(43, steer=late), 9))
     witnesses = [one for one in build_witnesses(series) if recorded_twice]
     objective = bare_objective(light_evidence(series), kinematics=witnesses)
-    explore = Explorer(objective, tuple(candidates_of(objective, "channel_delay")), 1.5)
+    explore = explorer(objective, "channel_delay")
     lines = [one for one in explore.tangents() if "r" in one.part.values]
-    found = strongest_part(objective, lines, nothing(objective).residuals, 1.5)
+    found = strongest_part(objective, lines, nothing(objective).residuals, INFLATION)
     assert lines
     if recorded_twice:
         assert found is None

@@ -17,10 +17,10 @@ from split_cli.diagnosis.verdict.planted import faulty, planted_saving
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.single_track import SingleTrack
-from tests.diagnosis.recordings import candidates_of, driven, noisy, prepared
+from tests.diagnosis.recordings import INFLATION, LEVEL, candidates_of, driven, noisy, prepared
 from tests.factories import road_car
 
-VARIANCE_INFLATION, LEVEL, REACH = 1.5, 2.5e-4, STANDARD.comparison.reach
+REACH = STANDARD.comparison.reach
 MUCH = 600.0  # form-error inflation at which only a large effect has a name
 
 
@@ -57,7 +57,7 @@ def promised(sound) -> tuple[float, float]:
     objective = objective_of(sound)
     candidates = candidates_of(objective, "steer_gain")
     ways = None, partial(planted_saving, case=sound, reach=REACH)
-    found = [detection_limits((objective,), candidates, VARIANCE_INFLATION, LEVEL, way) for way in ways]
+    found = [detection_limits((objective,), candidates, INFLATION, LEVEL, way) for way in ways]
     before, after = (one.parameters["gain"][0] for (one,) in found)
     return before, after
 
@@ -76,7 +76,7 @@ def p_of_fault(objective: MarginalLikelihood, gain: float) -> float:
     """Return the p value of a steering gain, fitted on a drive that has it."""
     (candidate,) = candidates_of(objective, "steer_gain")
     fit = fit_parts(objective, (Part(candidate, {"gain": gain}),))
-    return term_p(objective, fit, 0, nothing(objective).cost - fit.cost, VARIANCE_INFLATION)
+    return term_p(objective, fit, 0, nothing(objective).cost - fit.cost, INFLATION)
 
 
 def rms(values: np.ndarray) -> float:

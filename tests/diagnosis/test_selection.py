@@ -19,8 +19,8 @@ from split_cli.diagnosis.search.selection import Selection, nothing, select_term
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import (
+    INFLATION,
     NAMES,
-    VARIANCE_INFLATION,
     candidates_of,
     driven,
     first_order,
@@ -29,6 +29,7 @@ from tests.diagnosis.recordings import (
     noisy_objective,
     objective_with,
     planted,
+    selected,
 )
 
 
@@ -38,7 +39,7 @@ def behind(inputs: np.ndarray, step: float, *, tau: float = 0.0, delay: float = 
 
 
 def test_nothing_is_named_where_nothing_is_planted(nominal_objective):
-    selection = select_terms(nominal_objective, candidates_of(nominal_objective, *NAMES, "mass"), VARIANCE_INFLATION)
+    selection = selected(nominal_objective, *NAMES, "mass")
     assert not selection.terms and not selection.rivals
     assert selection.first_p > 0.01
     assert selection.chosen.cost == pytest.approx(nominal_objective.cost(()), rel=1e-12)
@@ -46,7 +47,7 @@ def test_nothing_is_named_where_nothing_is_planted(nominal_objective):
 
 def test_a_single_is_named():
     objective = objective_with(*planted(steer_gain=0.9))
-    selection = select_terms(objective, candidates_of(objective, *NAMES), VARIANCE_INFLATION)
+    selection = selected(objective, *NAMES)
     assert named(selection) == {"steer_gain"}
     assert selection.first_p < 1e-10
     assert selection.chosen.terms[0].parameters["gain"] == pytest.approx(0.9, abs=0.005)
@@ -59,7 +60,7 @@ def test_a_pair_is_named_as_a_search_of_every_subset_would(pair, chosen_pair):
         for size in (1, 2, 3)
         for several in combinations(candidates, size)
     ]
-    best = min(fits, key=Explorer(pair, (), VARIANCE_INFLATION).price)
+    best = min(fits, key=Explorer(pair, (), INFLATION).price)
     assert set(best.names) == named(chosen_pair) == {"yaw_inertia", "aero_drag"}
     # Where the fits stop, 0.02 are left at most.
     assert chosen_pair.chosen.cost == pytest.approx(best.cost, abs=0.05)
@@ -82,7 +83,7 @@ def test_rivals_are_in_the_place_of_one_part_and_sorted(pair, chosen_pair):
         assert excess == sorted(excess) and excess[0] > 0.0
         for rival in rivals:
             dearer = rival.fit.complexity - fit.complexity
-            expected = (rival.fit.cost - fit.cost) / VARIANCE_INFLATION + STANDARD.selection.price * dearer
+            expected = (rival.fit.cost - fit.cost) / INFLATION + STANDARD.selection.price * dearer
             assert rival.excess == pytest.approx(expected, rel=1e-9)
 
 
@@ -97,9 +98,9 @@ def test_too_small_to_name_is_kept_as_a_nuisance_and_the_search_goes_on():
         < effects_to_noise_of(evidence, evidence.at, terms[1:]).max()
     )
     candidates = candidates_of(objective, "rolling_resistance", "yaw_inertia", "steer_gain")
-    first = Explorer(objective, candidates, VARIANCE_INFLATION)(nothing(objective))[0]
+    first = Explorer(objective, candidates, INFLATION)(nothing(objective))[0]
     assert first.names == ("rolling_resistance",)
-    selection = select_terms(objective, candidates, VARIANCE_INFLATION)
+    selection = select_terms(objective, candidates, INFLATION)
     assert named(selection) == {"yaw_inertia"}
     assert selection.chosen.names == ("rolling_resistance", "yaw_inertia")
     assert [bool(rivals) for rivals in selection.rivals] == list(selection.named)
@@ -116,7 +117,7 @@ def test_the_search_goes_on_beside_a_term_that_saves_in_a_few_moments(monkeypatc
     candidates = candidates_of(objective, "steer_gain", "yaw_inertia", "aero_drag")
 
     def explorer(*names: str) -> Explorer:
-        return Explorer(objective, tuple(one for one in candidates if one.term in names), VARIANCE_INFLATION)
+        return Explorer(objective, tuple(one for one in candidates if one.term in names), INFLATION)
 
     base, everything = nothing(objective), explorer("steer_gain", "yaw_inertia", "aero_drag")
     begun = everything(base)[0]
@@ -138,9 +139,7 @@ def test_the_search_goes_on_beside_a_term_that_saves_in_a_few_moments(monkeypatc
 def test_a_fast_effect_is_seen_beside_a_slow_one_of_ten_thousand_times_its_cost():
     """What is constant adds up over minutes; a car that turns later does not, and is no model-form error of it."""
     objective = objective_with(*planted(yaw_inertia=1.05, rolling_resistance=1500.0))
-    selection = select_terms(
-        objective, candidates_of(objective, "yaw_inertia", "rolling_resistance"), VARIANCE_INFLATION
-    )
+    selection = selected(objective, "yaw_inertia", "rolling_resistance")
     assert named(selection) == {"yaw_inertia", "rolling_resistance"}
     saved = {
         part.candidate.term: without.cost - selection.chosen.cost
@@ -153,7 +152,7 @@ def test_a_refused_term_stands_beside_what_is_named_where_it_saves_more_than_for
     """10 N along the car are too small to be reported, and save a twentieth of what a steering gain does."""
     for force, nuisances in ((10.0, True), (1.0, False)):
         objective = objective_with(*planted(steer_gain=0.95, rolling_resistance=force))
-        selection = select_terms(objective, candidates_of(objective, *NAMES), VARIANCE_INFLATION)
+        selection = selected(objective, *NAMES)
         assert named(selection) == {"steer_gain"}
         parts = [part.candidate.term for part in selection.chosen.parts]
         assert parts == ["steer_gain", *["rolling_resistance"] * nuisances]
@@ -170,7 +169,7 @@ def test_names_are_given_in_the_order_of_size_not_of_finding():
     objective = objective_with(*planted(yaw_inertia=1.33, steer_offset=0.00035))
     candidates = {one.term: one for one in candidates_of(objective, "yaw_inertia", "steer_offset")}
     parts = [Part(candidates[name], dict(candidates[name].starts[0])) for name in ("steer_offset", "yaw_inertia")]
-    explore = Explorer(objective, tuple(candidates.values()), VARIANCE_INFLATION)
+    explore = Explorer(objective, tuple(candidates.values()), INFLATION)
     for ordered, expected in ((parts, (False, True)), (parts[::-1], (True, False))):
         fit = fit_parts(objective, ordered)
         without = without_parts(objective, nothing(objective), fit)
@@ -184,9 +183,9 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     """Steering that lags and torque that comes late look like late sensors before they are told apart."""
     objective = objective_with(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
     candidates = candidates_of(objective, "drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
-    first = Explorer(objective, candidates, VARIANCE_INFLATION)(nothing(objective))[0]
+    first = Explorer(objective, candidates, INFLATION)(nothing(objective))[0]
     assert first.names == ("sensor_delay",)
-    selection = select_terms(objective, candidates, VARIANCE_INFLATION)
+    selection = select_terms(objective, candidates, INFLATION)
     assert named(selection) == {"steer_lag", "drive_delay"}
     values = {part.candidate.term: part.values for part in selection.chosen.parts}
     assert values["steer_lag"]["tau"] == pytest.approx(0.05, rel=0.03)
@@ -197,11 +196,11 @@ def test_one_term_is_preferred_to_two_that_say_the_same():
     """Late sensors are late steering and late torque at once; nothing tells them apart but their number."""
     objective = objective_with(steer=partial(behind, delay=0.012), torque=partial(behind, delay=0.012))
     candidates = candidates_of(objective, "drive_delay", "steer_delay", "sensor_delay")
-    assert named(select_terms(objective, candidates, VARIANCE_INFLATION)) == {"sensor_delay"}
+    assert named(select_terms(objective, candidates, INFLATION)) == {"sensor_delay"}
 
 
 def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
-    first = Explorer(pair, candidates_of(pair, *NAMES), VARIANCE_INFLATION)(nothing(pair))
+    first = Explorer(pair, candidates_of(pair, *NAMES), INFLATION)(nothing(pair))
     everything = replace(STANDARD.selection, fair_share=1.0, beginnings=9)
     assert other_beginnings(first, nothing(pair), everything) == first[1:]
     assert len(other_beginnings(first, nothing(pair), replace(everything, beginnings=2))) == 2
@@ -215,7 +214,7 @@ def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
 def moved() -> tuple[MarginalLikelihood, Selection]:
     """A centre of gravity that is 4 cm further ahead, gently driven: stiffness follows load, or it does not."""
     objective = objective_with(CATALOGUE["cg_shift"]({"dx": 0.04}, "degressive"))
-    return objective, select_terms(objective, candidates_of(objective, "cg_shift"), VARIANCE_INFLATION)
+    return objective, selected(objective, "cg_shift")
 
 
 def test_siblings_are_the_other_variants_in_the_same_place(moved):
@@ -225,14 +224,14 @@ def test_siblings_are_the_other_variants_in_the_same_place(moved):
     told = {rival.fit.parts[-1].candidate.variant for rival in selection.siblings[0]}
     assert told == {"", "loaded", "degressive"} - {own}
     for rival in selection.siblings[0]:
-        expected = (rival.fit.cost - selection.chosen.cost) / VARIANCE_INFLATION
+        expected = (rival.fit.cost - selection.chosen.cost) / INFLATION
         assert rival.excess == pytest.approx(expected, rel=1e-9)
 
 
 def test_two_nuisances_that_share_an_effect_become_one_name():
     objective = objective_with(steer=partial(behind, tau=0.03))
     lag, delay = candidates_of(objective, "steer_lag", "steer_delay")
-    explore, base = Explorer(objective, (lag, delay), VARIANCE_INFLATION), nothing(objective)
+    explore, base = Explorer(objective, (lag, delay), INFLATION), nothing(objective)
     both = fit_parts(objective, [Part(one, dict(one.starts[0])) for one in (lag, delay)])
     shared = selecting._examined(explore, base, both)
     history: list[str] = []
@@ -243,7 +242,7 @@ def test_two_nuisances_that_share_an_effect_become_one_name():
 
 def test_a_name_that_is_none_without_a_nuisance_leaves_with_it(pair):
     parts = [Part(one, dict(one.starts[0])) for one in candidates_of(pair, *NAMES[:4])]
-    explore, base = Explorer(pair, tuple(part.candidate for part in parts), VARIANCE_INFLATION), nothing(pair)
+    explore, base = Explorer(pair, tuple(part.candidate for part in parts), INFLATION), nothing(pair)
     true = [part.candidate.term in ("yaw_inertia", "aero_drag") for part in parts]
     leaning = tuple(part.candidate.term != "rolling_resistance" for part in parts)
     selection, history = selecting._examined(explore, base, fit_parts(pair, parts)), []
@@ -267,7 +266,7 @@ def test_what_wants_more_than_makes_sense_is_not_named():
     """Where the search ends before the truth, a value at its end stands for something else."""
     objective = noisy_objective(driven(31, (CATALOGUE["yaw_inertia"]({"scale": 0.78}),)), 7)
     (candidate,) = candidates_of(objective, "yaw_inertia")
-    assert [one.id for one in select_terms(objective, [candidate], VARIANCE_INFLATION).terms] == ["yaw_inertia"]
+    assert [one.id for one in select_terms(objective, [candidate], INFLATION).terms] == ["yaw_inertia"]
     short = replace(candidate, ranges={"scale": replace(candidate.ranges["scale"], lower=0.9)})
-    selection = select_terms(objective, [short], VARIANCE_INFLATION)
+    selection = select_terms(objective, [short], INFLATION)
     assert selection.terms == () and len(selection.chosen.parts) == 1 and selection.first_p < 1e-6  # it stays

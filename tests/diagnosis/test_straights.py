@@ -12,7 +12,7 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.off_centre import confirmed_by_straights, with_offset_of_straights
 from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import INFLATION, bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 from tests.factories import road_car
 
 OFFSET = 0.01
@@ -71,10 +71,10 @@ def test_an_offset_that_a_search_passed_over_is_added_where_straights_show_it(se
             ((),) * len(parts),
             (True,) * len(parts),
         )
-        found = with_offset_of_straights(objective, passed_over, candidates, 1.5)
+        found = with_offset_of_straights(objective, passed_over, candidates, INFLATION)
         assert found.terms[-1].id == "steer_offset" and len(found.without) == len(found.named) == len(parts) + 1
         assert found.chosen.parts[-1].values["offset"] == pytest.approx(OFFSET, rel=0.3)
-        assert with_offset_of_straights(objective, found, candidates, 1.5) is found
+        assert with_offset_of_straights(objective, found, candidates, INFLATION) is found
 
 
 def test_no_offset_is_added_to_a_car_that_goes_straight():
@@ -83,7 +83,9 @@ def test_no_offset_is_added_to_a_car_that_goes_straight():
     objective = bare_objective(light_evidence(prepared(noisy(driven(45, [softer], seconds=16.0), 545))))
     candidates = candidates_of(objective, "steer_offset")
     empty = nothing(objective)
-    assert with_offset_of_straights(objective, Selection(empty, empty, (), (), (), ()), candidates, 1.5).named == ()
+    assert (
+        with_offset_of_straights(objective, Selection(empty, empty, (), (), (), ()), candidates, INFLATION).named == ()
+    )
 
 
 LEAN = 0.1

@@ -15,9 +15,7 @@ from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, nothing, select_terms, with_chosen
 from split_cli.diagnosis.search.variant_choice import open_loop_errors, with_variants_by_rollout
-from tests.diagnosis.recordings import candidates_of, objective_with, planted
-
-VARIANCE_INFLATION = 1.5
+from tests.diagnosis.recordings import INFLATION, candidates_of, objective_with, planted
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +39,14 @@ def variants(objective) -> list:
 @pytest.fixture(scope="module")
 def wrong(objective, variants) -> Selection:
     """A selection that has taken the variant that moves the peak alone."""
-    selection = select_terms(objective, variants, VARIANCE_INFLATION)
+    selection = select_terms(objective, variants, INFLATION)
     peak = next(one for one in variants if one.variant == "peak")
     fit = fit_parts(objective, (Part(peak, dict(peak.starts[0])),))
-    return with_chosen(Explorer(objective, tuple(variants), VARIANCE_INFLATION), selection, fit)
+    return with_chosen(Explorer(objective, tuple(variants), INFLATION), selection, fit)
 
 
 def test_the_truth_runs_freely_as_far_as_noise_lets_it(objective, variants, wrong):
-    selection = select_terms(objective, variants, VARIANCE_INFLATION)
+    selection = select_terms(objective, variants, INFLATION)
     assert selection.chosen.parts[0].candidate.variant == ""
     base, true, peak = open_loop_errors(objective, [nothing(objective), selection.chosen, wrong.chosen])
     assert 0.8 < true < 1.2
@@ -78,15 +76,15 @@ def test_an_error_is_the_geometric_mean_of_rms_over_what_noise_makes(objective, 
 
 def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, variants, wrong):
     """The wrong variant leaves something without a name; the right one is among what explains the data as well."""
-    found = with_variants_by_rollout(structure, variants, wrong, VARIANCE_INFLATION)
+    found = with_variants_by_rollout(structure, variants, wrong, INFLATION)
     assert found.chosen.parts[0].candidate.variant == ""
     assert found.named == (True,) and found.chosen.cost < wrong.chosen.cost
     assert "of its open-loop error" in found.history[-1] and found.first_p == wrong.first_p
 
 
 def test_where_nothing_is_left_without_a_name_one_step_decides(objective, structure, variants):
-    selection = select_terms(objective, variants, VARIANCE_INFLATION)
-    assert with_variants_by_rollout(structure, variants, selection, VARIANCE_INFLATION) is selection
+    selection = select_terms(objective, variants, INFLATION)
+    assert with_variants_by_rollout(structure, variants, selection, INFLATION) is selection
 
 
 def test_a_variant_that_runs_as_well_takes_no_place(structure, variants, wrong, monkeypatch):
@@ -94,10 +92,10 @@ def test_a_variant_that_runs_as_well_takes_no_place(structure, variants, wrong, 
         monkeypatch.setattr(
             variant_choice, "open_loop_errors", lambda objective, fits, e=error: [1.0, *[e] * len(fits[1:])]
         )
-        found = with_variants_by_rollout(structure, variants, wrong, VARIANCE_INFLATION)
+        found = with_variants_by_rollout(structure, variants, wrong, INFLATION)
         assert (found is not wrong) == taken
 
 
 def test_no_variant_takes_a_place_that_would_lose_a_name(structure, variants, wrong):
     named_twice = replace(wrong, named=(True, True))
-    assert with_variants_by_rollout(structure, variants, named_twice, VARIANCE_INFLATION) is named_twice
+    assert with_variants_by_rollout(structure, variants, named_twice, INFLATION) is named_twice

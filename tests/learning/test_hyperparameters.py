@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from split_cli.errors import SetError
 from split_cli.learning._compiled import blocks_likelihood
 from split_cli.learning.features import Z2, FeatureSet, parse_features
 from split_cli.learning.hyperparameters import (
-    block_likelihood,
     default_kernel,
     fit_kernel,
     longest_scale,
@@ -32,32 +32,38 @@ def draw(kernel: Kernel, z: np.ndarray, seed: int) -> np.ndarray:
     ) * np.sqrt(kernel.noise_variance)
 
 
+def likelihood(theta: np.ndarray, parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[float, np.ndarray]:
+    """Return the negative log likelihood of blocks (z, y) and its gradient, as the fit asks for them."""
+    z, y = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    offsets = np.concatenate([[0], np.cumsum([len(part[0]) for part in parts])])
+    return blocks_likelihood(z, y, offsets, *np.split(np.exp(theta), [z.shape[1], z.shape[1] + 3]))
+
+
 def test_gradient_equals_central_differences():
     rng = np.random.default_rng(0)
     parts = [(rng.normal(size=(n, 4)), rng.normal(size=(n, 3))) for n in (1, 12, 30)]
     theta = rng.normal(0.0, 0.4, 4 + 6)
-    _, gradient = block_likelihood(theta, parts)
+    _, gradient = likelihood(theta, parts)
     step = 1e-5
     for i in range(len(theta)):
         shift = step * np.eye(len(theta))[i]
-        difference = block_likelihood(theta + shift, parts)[0] - block_likelihood(theta - shift, parts)[0]
+        difference = likelihood(theta + shift, parts)[0] - likelihood(theta - shift, parts)[0]
         # Truncation is of order step^2 = 1e-10, rounding 1e-16 * 100/1e-5 = 1e-9.
         assert gradient[i] == pytest.approx(difference / (2 * step), rel=1e-6, abs=1e-7)
 
 
-def test_compiled_likelihood_equals_the_plain_one():
+def test_likelihood_is_the_density_of_the_process():
     rng = np.random.default_rng(1)
-    sizes = (1, 2, 17, 60)
-    parts = [(rng.normal(size=(n, 3)), rng.normal(size=(n, 3))) for n in sizes]
+    parts = [(rng.normal(size=(n, 3)), rng.normal(size=(n, 3))) for n in (1, 2, 17, 60)]
     theta = rng.normal(0.0, 0.5, 9)
-    z, y = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-    values = np.exp(theta)
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    fast = blocks_likelihood(z, y, offsets, values[:3], values[3:6], values[6:])
-    plain = block_likelihood(theta, parts)
-    # Covariances of condition below 1e3: thirteen digits in the value, fewer where gradients cancel.
-    assert fast[0] == pytest.approx(plain[0], rel=1e-12)
-    np.testing.assert_allclose(fast[1], plain[1], rtol=1e-9, atol=1e-9)
+    kernel = Kernel(*np.split(np.exp(theta), 3))
+    expected = 0.0
+    for z, y in parts:
+        for i, (signal, noise) in enumerate(zip(kernel.signal_variance, kernel.noise_variance, strict=True)):
+            covariance = signal * kernel.correlation(z, z) + noise * np.eye(len(z))
+            expected -= stats.multivariate_normal(cov=covariance).logpdf(y[:, i])
+    # Covariances of condition below 1e3: thirteen digits.
+    assert likelihood(theta, parts)[0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_planted_hyperparameters_are_found_again():
