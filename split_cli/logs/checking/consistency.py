@@ -132,7 +132,8 @@ def _fine(
     exchanged = exchanged_accelerations(finer)
     findings = [*findings, *exchanged]
     if "vx" not in wrong:
-        sides = torque_sides(finer, any(f.channel == "T" for f in findings))
+        judged = not {"vy", "time"} & set(wrong)  # what accelerating takes hangs on them
+        sides = torque_sides(finer, wrong, any(f.channel == "T" for f in findings)) if judged else []
         # Where they differ, no one factor puts T right.
         findings = [f for f in findings if not sides or f.channel != "T"] + [*speed_jumps(finer), *sides]
     if not {"vx", "r"} & set(wrong):
