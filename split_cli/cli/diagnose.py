@@ -1,6 +1,5 @@
 """`split diagnose`: its options, and how its result is printed."""
 
-import re
 import sys
 
 import click
@@ -20,8 +19,6 @@ _BEGINS = {
     "writing": 0.95,
 }
 """Share of the whole time at which each step begins [1]."""
-#: Where a sentence of the summary ends and another begins, which stands on a line of its own.
-_SENTENCE = re.compile(r"(?<=\.) (?=[A-Z0-9])")
 _CHANNELS = ("v_x [m/s]", "v_y [m/s]", "r [rad/s]")
 #: Stages of the improvement, in the words of the report.
 _STAGES = {
@@ -87,7 +84,7 @@ def _tell(result) -> None:
     chance = result.p_value
     p_value = "" if chance is None else ", p < 1e-6" if chance < 1e-6 else f", p = {chance:.2g}"
     click.echo(f"{result.verdict}{p_value}; compared {100.0 * result.compared_share:.0f} % of the real drive")
-    click.echo(_SENTENCE.sub("\n", result.summary))
+    click.echo("\n".join(result.sentences))
     # Beside the summary: a match says nothing of what these drives cannot show.
     for note in result.not_judged:
         if note not in result.summary:

@@ -159,11 +159,12 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
 
 def _tell_what_follows(drives, vehicle_path, set_path) -> None:
     if set_path is not None:
-        exported = ["split", "export", set_path, "--target", "c", "-o", "controller/"]
+        exported = ["split", "export", set_path, "--target", "c", "-o", shared.named_after(set_path, "controller/")]
         shared.tell_next(exported, before="where the correction helps, ")
     else:
         real = [word for path in drives for word in ("--real", path)]
-        shared.tell_next(["split", "diagnose", *real, "--vehicle", vehicle_path, "--out", "diagnosis/"])
+        made = shared.named_after(drives[0], "diagnosis/")
+        shared.tell_next(["split", "diagnose", *real, "--vehicle", vehicle_path, "--out", made])
 
 
 def _select(drives, vehicle_path, set_path, output, as_json, tried: dict, settings: dict) -> None:

@@ -169,7 +169,7 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
         if vehicle_path and read_vehicle(vehicle_path).has_assumed_tires:
             before += f"the tyres of {vehicle.name} are assumed, fit them first: "
             known = ["--fit", "tires"] if any(one.metadata.torque_follows_motion for one in run.results) else []
-            made = f"{vehicle.stem}_calibrated.yaml"
+            made = shared.named_after(drives[0], "calibrated.yaml")
             shared.tell_next(["split", "calibrate", *drives, "--vehicle", vehicle, *known, "-o", made], before=before)
         else:
             shared.tell_to_train(taken, vehicle, before=before)

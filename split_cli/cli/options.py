@@ -317,6 +317,11 @@ def tell_to_train(drives: Sequence[Path], vehicle: Path | str, *, before: str = 
     tell_next(["split", "train", *drives, "--vehicle", vehicle, "-o", f"{name}.split"], before=before)
 
 
+def named_after(path: Path | str, what: str) -> str:
+    """Return a name for an output that no other log's output has."""
+    return f"{Path(path).stem}_{what}"
+
+
 def tell_next(words: Sequence[str | Path] = (), *, before: str = "") -> None:
     """Print the command to run next on stderr, as a line to copy; `before` says what has to be done first."""
     line = before + " ".join(shlex.quote(typed_path(w) if isinstance(w, Path) else w) for w in words)

@@ -115,9 +115,11 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
     # Where the drives are there, without --set: on held-out blocks, since an unseen drive may not exist.
     named = all(path.is_file() and ".labels" not in path.name for path in drives)
     scored = drives if named else ["UNSEEN_DRIVE", "--set", output]
-    shared.tell_next(["split", "evaluate", *scored, "--vehicle", vehicle_path, "-o", "figures/"])
+    shared.tell_next(
+        ["split", "evaluate", *scored, "--vehicle", vehicle_path, "-o", shared.named_after(output, "figures/")]
+    )
     if result.trust.array.any():
-        exported = ["split", "export", output, "--target", "c", "-o", "controller/"]
+        exported = ["split", "export", output, "--target", "c", "-o", shared.named_after(output, "controller/")]
         shared.tell_next(exported, before="where the correction helps, ")
 
 

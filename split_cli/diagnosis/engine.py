@@ -276,7 +276,7 @@ def _match(
         share,
         (*not_judged, *reasons),
         history=found.outcome.selection.history,
-        summary=summarise("match", reasons=reasons),
+        sentences=summarise("match", reasons=reasons),
         gaps=_gaps(case),
         **record,
     )
@@ -398,7 +398,7 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
             *find_leads(found.outcome.structure.objective, found.outcome.selection, found.outcome.variance_inflation),
         ),
         history=selection.history,
-        summary=summarise(
+        sentences=summarise(
             "mismatch",
             findings,
             unexplained,
@@ -475,5 +475,5 @@ def _gaps(case: DiagnosisCase):
 
 def _undecided(reasons: Sequence[str], share: float, record: Mapping[str, Any]) -> Diagnosis:
     return Diagnosis(
-        "undecided", None, share, tuple(reasons), summary=summarise("undecided", reasons=reasons), **record
+        "undecided", None, share, tuple(reasons), sentences=summarise("undecided", reasons=reasons), **record
     )

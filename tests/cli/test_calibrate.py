@@ -81,7 +81,7 @@ def test_each_step_names_the_next_and_assumed_tyres_are_fitted_before_training(s
         told.append(done.stderr.partition("next: ")[2])
         step = told[-1][told[-1].index("split ") :]
     assert told[0].startswith(f"the tyres of {start.name} are assumed, fit them first: split calibrate lap.parquet ")
-    made = "f1tenth_car_start_calibrated.yaml"
+    made = "lap_calibrated.yaml"
     assert told[1] == f"split train lap.parquet --vehicle {made} -o lap.split\n"
     assert not read_vehicle(made).has_assumed_tires
 

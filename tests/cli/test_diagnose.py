@@ -25,11 +25,11 @@ VERDICTS = {
         0.4,
         0.9,
         ("brake gain: there is no braking; brake hard once",),
-        summary="Alike.",
+        sentences=("Alike.",),
         detectable=(Detectable("steer_delay", {"delay": (0.01372, "s")}), Detectable("wind", {})),
     ),
-    "mismatch": Diagnosis("mismatch", 1e-9, 0.9, summary="They differ."),
-    "undecided": Diagnosis("undecided", None, 0.1, ("too short",), summary="Too short."),
+    "mismatch": Diagnosis("mismatch", 1e-9, 0.9, sentences=("They differ.",)),
+    "undecided": Diagnosis("undecided", None, 0.1, ("too short",), sentences=("Too short.",)),
 }
 ARGUMENTS = ["--real", "lap.parquet", "--vehicle", "car.yaml", "--out", "out"]
 
@@ -86,7 +86,9 @@ def test_what_was_not_judged_stands_beside_the_summary(monkeypatch):
 
 def test_the_report_and_the_next_command_are_named_and_a_sentence_has_a_line(monkeypatch):
     finding = Finding("brake_gain", "", {}, 0.5, (), "Weak.", 9.0)
-    found = replace(VERDICTS["mismatch"], findings=(finding,), summary="They differ by 1.5 m. 19 % is open. So.")
+    found = replace(
+        VERDICTS["mismatch"], findings=(finding,), sentences=("They differ by 1.5 m.", "19 % is open.", "So.")
+    )
     monkeypatch.setitem(VERDICTS, "mismatch", found)
     told = run(monkeypatch, "mismatch")
     assert told.stdout.splitlines()[1:4] == ["They differ by 1.5 m.", "19 % is open.", "So."]

@@ -122,7 +122,7 @@ def test_the_tables_show_baselines_and_the_floor(garage):
     # Not a terminal: no progress, and nothing to note but what every plain table leaves open.
     *noted, following = outcome.stderr.splitlines()
     assert all(re.search(PLAIN_NOTES, line) for line in noted)
-    exported = f"split export {garage / 'a.split'} --target c -o controller/"
+    exported = f"split export {garage / 'a.split'} --target c -o a_controller/"
     assert following == f"next: where the correction helps, {exported}"
     # The last line is the verdict on the predictor that is named first, as a terminal shows it.
     assert rows[-1].startswith("projected z2 verdict: the correction helps")
@@ -144,7 +144,7 @@ def test_scores_on_a_drive_the_set_was_trained_on_are_marked(garage, tmp_path):
 def test_without_a_set_the_drives_go_on_to_the_diagnosis(garage):
     vehicle = garage / "car.yaml"
     outcome = run("evaluate", garage / "d1.parquet", "--vehicle", vehicle, "--predictor", "bcm", "--rollout", "")
-    expected = f"next: split diagnose --real {garage / 'd1.parquet'} --vehicle {vehicle} --out diagnosis/"
+    expected = f"next: split diagnose --real {garage / 'd1.parquet'} --vehicle {vehicle} --out d1_diagnosis/"
     assert outcome.stderr.splitlines()[-1] == expected
 
 

@@ -120,8 +120,8 @@ def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
     # Not a terminal: no progress; said once what these drives do not tell, and what comes next.
     assert [line.split(":")[0] for line in outcome.stderr.splitlines()] == ["note", "next", "next"]
     drives = " ".join(str(path) for path in drives_of(garage))
-    assert f"next: split evaluate {drives} --vehicle {garage / 'car.yaml'} -o figures/" in outcome.stderr
-    exported = f"next: where the correction helps, split export {tmp_path / 'a.split'} --target c -o controller/"
+    assert f"next: split evaluate {drives} --vehicle {garage / 'car.yaml'} -o a_figures/" in outcome.stderr
+    exported = f"next: where the correction helps, split export {tmp_path / 'a.split'} --target c -o a_controller/"
     assert exported in outcome.stderr and "--held T,delta" in outcome.stderr
 
 

@@ -115,14 +115,14 @@ def test_the_summary_tells_what_changed_most_in_noise_and_what_got_worse():
         {"physics": (0.5, 3.0, -5.0)},
     )
     finding = found(CorrectedVehicle(())).findings
-    text = summarise("mismatch", finding, improvement=improvement_of(last))
+    text = " ".join(summarise("mismatch", finding, improvement=improvement_of(last)))
     assert "error of r changes from 0.10 to 0.010 rad/s (persistence: 0.050; noise floor: 0.0010)" in text
     assert "The error of v_y rises from 0.20 to 0.30 m/s" in text
     assert "Persistence still predicts v_y better." in text
     assert "v_x" not in text
     # A state that only changed within chance is not said to be worse.
     calm = replace(last, change={"physics": (0.5, 1.0, -5.0)})
-    assert "rises" not in summarise("mismatch", finding, improvement=improvement_of(calm))
+    assert "rises" not in " ".join(summarise("mismatch", finding, improvement=improvement_of(calm)))
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,9 @@ def test_the_summary_tells_what_changed_most_in_noise_and_what_got_worse():
 def test_an_error_that_rises_is_said_to_rise(removed, words):
     row = (0.1, 0.1, 0.1)
     last = HorizonErrors(2.0, row, row, row, row, row, (0.01, 0.01, 0.01), {}, 40)
-    text = summarise("mismatch", found(CorrectedVehicle(())).findings, improvement=improvement_of(last, removed))
+    text = " ".join(
+        summarise("mismatch", found(CorrectedVehicle(())).findings, improvement=improvement_of(last, removed))
+    )
     assert f"the squared one-step error above the noise floor {words}." in text
     assert "Persistence" not in text
 

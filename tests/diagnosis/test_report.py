@@ -123,7 +123,7 @@ MATCH = replace(
     remainder=None,
     improvement=None,
     history=(),
-    summary="Simulation and reality agree within noise wherever both have been.",
+    sentences=("Simulation and reality agree within noise wherever both have been.",),
 )
 UNDECIDED = Diagnosis("undecided", None, 0.02, ("lap.parquet has 3.0 s without a gap; drive for 8 s.",))
 

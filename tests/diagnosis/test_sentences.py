@@ -198,7 +198,7 @@ def test_the_summary_says_what_where_and_whether_it_helps():
         0.87,
         0.09,
     )
-    said = summarise("mismatch", (finding,), False, location, None, (), improvement())
+    said = " ".join(summarise("mismatch", (finding,), False, location, None, (), improvement()))
     for part in (
         "between s = 310 and 420 m grip is 22.0 % lower",
         "These data are explained as well by grip fade (grip_fade).",
@@ -216,7 +216,7 @@ def test_held_out_time_without_the_gap_tells_nothing():
     quiet = (0.011, 0.01, 0.001)
     last = HorizonErrors(2.0, *([quiet] * 5), (0.0105, 0.0098, 0.001), {}, 100)
     blind = Improvement(*([quiet] * 5), quiet, {}, (last,), {"physics": None})
-    said = summarise("mismatch", (finding,), improvement=blind)
+    said = " ".join(summarise("mismatch", (finding,), improvement=blind))
     assert (
         "The held-out data show too little of the gap to tell whether the identified effects would reduce it." in said
     )
@@ -238,7 +238,7 @@ def test_what_persistence_predicts_better_is_told_with_its_mean_error():
     )
     finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), 0.9, (), "", 1.0)
     helped = Improvement(*([(0.1,) * 3] * 5), (0.05,) * 3, {}, (last,), {"physics": (0.5, 0.4, 0.6)})
-    said = summarise("mismatch", (finding,), improvement=helped, vehicle=car)
+    said = " ".join(summarise("mismatch", (finding,), improvement=helped, vehicle=car))
     assert "Persistence still predicts v_x better. The mean error of v_x is 0.10 m/s, 83 % of the squared" in said
     assert "as of 50 N of longitudinal force too much." in said and "mean error of v_y" not in said
     assert last.mean_share("before", 0) is None
@@ -258,7 +258,7 @@ def test_what_split_makes_worse_beside_the_effects_is_told(after, change, told):
     last = HorizonErrors(2.0, (0.5, 0.3, 0.1), physics, (0.4,) * 3, after, held, noise, {}, 40, beside_physics=change)
     finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), 0.9, (), "", 1.0)
     helped = Improvement(*([(0.1,) * 3] * 5), (0.05,) * 3, {}, (last,), {"physics": (0.5, 0.4, 0.6)})
-    said = summarise("mismatch", (finding,), improvement=helped)
+    said = " ".join(summarise("mismatch", (finding,), improvement=helped))
     expected = f"A correction learned by SPLIT beside them makes it worse {told}: use the effects alone."
     assert (expected in said) if told else ("by SPLIT beside" not in said)
 
@@ -278,7 +278,7 @@ def test_a_correction_that_is_not_applied_changes_no_error():
         {"split_only": (0.0, 0.0, 0.0)},
         trust={"split_only": (0.0, 0.0, 0.0)},
     )
-    said = summarise("mismatch", (), True, improvement=helped)
+    said = " ".join(summarise("mismatch", (), True, improvement=helped))
     assert "does not hold on training time, and none is applied. After 2 s of open-loop simulation" in said
     assert "0.50 m/s in v_x (persistence: 0.20), 0.10 m/s in v_y (persistence: 0.20) and 0.020 rad/s in r" in said
     assert "falls by" not in said and "changes from" not in said
@@ -297,7 +297,7 @@ def test_findings_that_explain_little_are_not_headed_by_a_small_unexplained_part
 def test_place_does_not_stand_for_what_repeats_every_lap():
     shares = {"longitudinal": 0.2, "front_lateral": 0.5, "rear_lateral": 0.3}
     location = Location(shares, (("s", 0.9), ("delta", 0.6)), {"delta": (0.05, 0.2)}, None, None, 1.0, 1.0)
-    said = summarise("mismatch", (), True, location)
+    said = " ".join(summarise("mismatch", (), True, location))
     assert "Steer angle alone explains" in said and "a steer angle of 0.0500 to 0.200 rad" in said
 
 
@@ -311,7 +311,7 @@ def test_terms_look_alike_whichever_of_them_declares_it():
 def test_shares_that_do_not_add_up_are_told_with_what_is_left(explained, unnamed, rest):
     """A drift explained to 9 % with 2 % unexplained: where the other 89 % belong has to be said."""
     finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), explained, (), "", 1.0)
-    said = summarise("mismatch", (finding,), True, None, RemainderTest(1e-9, unnamed, 3.0, ()))
+    said = " ".join(summarise("mismatch", (finding,), True, None, RemainderTest(1e-9, unnamed, 3.0, ())))
     alone = f"{unnamed:.0%} of the gap is explained by no effect of the catalogue".replace("%", " %")
     beside = f"{unnamed:.0%} of the gap has a structure that no effect of the catalogue explains".replace("%", " %")
     assert (alone in said) == (rest is None) and (beside in said) == (rest is not None)
@@ -321,7 +321,7 @@ def test_shares_that_do_not_add_up_are_told_with_what_is_left(explained, unnamed
 
 def test_a_share_of_nothing_is_not_said_to_be_unexplained_beside_a_rest_without_structure():
     finding = Finding("friction_scale", "", planted("friction_scale", "", 0.5, -1.0), 0.57, (), "", 1.0)
-    said = summarise("mismatch", (finding,), True, None, RemainderTest(1e-9, 0.0, 3.0, ()))
+    said = " ".join(summarise("mismatch", (finding,), True, None, RemainderTest(1e-9, 0.0, 3.0, ())))
     assert "Less than 1 % of the gap has a structure" in said and "Another 43 % has neither name" in said
     assert " 0 % of the gap" not in said
 

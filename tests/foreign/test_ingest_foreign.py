@@ -17,7 +17,7 @@ def ingest(tmp_path, log, *arguments: str) -> tuple[Drive, dict]:
     output = tmp_path / "drive.parquet"
     shown = CliRunner().invoke(command, [str(log), *arguments, "-o", str(output), "--json"], catch_exceptions=False)
     assert shown.exit_code == 0
-    return read_drive(output), json.loads(shown.output)[0]
+    return read_drive(output), json.loads(shown.stdout)[0]
 
 
 def findings(report: dict) -> dict[tuple[str, str], float]:

@@ -177,7 +177,7 @@ def test_one_map_for_several_logs_is_that_of_the_log_which_judges_most(car, tmp_
     }
     assert made.differences == ()
     channels = yaml.safe_load((tmp_path / "two" / "map.yaml").read_text())["channels"]
-    assert channels["r"]["source"] == "yaw_rate" and made.next_steps[-1].endswith("-o drives")
+    assert channels["r"]["source"] == "yaw_rate" and made.next_steps[-1].endswith("-o pits_drives")
 
 
 def test_several_logs_that_differ_are_told_apart(car, tmp_path):

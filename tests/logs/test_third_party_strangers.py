@@ -144,6 +144,19 @@ def test_a_speed_that_jumps_beyond_all_grip_is_counted_with_its_times():
     assert not [f for f in check_consistency(drive, planted.vehicle, {}).findings if f.check == "jump"]
 
 
+def test_a_position_that_runs_away_is_told_with_its_time():
+    """The tail of a tracker's log: kilometres within a fraction of a second, and the channels were said to fit."""
+    planted = PlantedDrive(seconds=59.0)
+    t = np.arange(0.0, 59.0, 0.01)
+    columns = {"t": t, **{name: planted.at(name, t) for name in ("vx", "vy", "r", "T", "delta", "X", "Y", "yaw")}}
+    sound = Drive("sound", columns, np.zeros(len(t), np.int32), 0.01)
+    assert not [f for f in check_consistency(sound, planted.vehicle, {}).findings if f.check == "jump"]
+    away = columns | {"X": columns["X"] + 2e5 * np.maximum(t - 58.8, 0.0)}
+    told = check_consistency(replace(sound, columns=away), planted.vehicle, {}).findings
+    assert [(f.channel, f.measured) for f in told if f.check == "jump"] == [("X", 1.0)]
+    assert "at t = 58.8 s" in next(f.text for f in told if f.check == "jump")
+
+
 def test_a_clock_of_the_day_goes_on_over_midnight(tmp_path):
     """Night of a race: HH:MM:SS falls by a day, and nothing of the drive is lost or moved."""
     t = 0.02 * np.arange(1000)

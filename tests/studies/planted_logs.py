@@ -100,6 +100,8 @@ PLANTED: dict[str, Planted] = {
     "steer angle 0.3 s late": Planted(_late("delta", 0.3), ("delta",), "late"),
     "steer angle 2 deg off": Planted(lambda c: {"delta": c["delta"] + 2.0 / DEG}, ("delta",), "straight"),
     "torque of one wheel": Planted(_times("T", 0.25), ("T",), "one wheel"),
+    "torque without the brakes": Planted(lambda c: {"T": np.maximum(c["T"], 0.0)}, ("T",), "without the brakes"),
+    "torque 1.4 times too large": Planted(_times("T", 1.4), ("T",), "would fit"),
     "torque in kN m": Planted(_times("T", 1e-3), ("T",), "kN m"),
     "torque positive when braking": Planted(_times("T", -1.0), ("T",), "when braking"),
     "wheels left and right exchanged": Planted(

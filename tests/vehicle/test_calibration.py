@@ -228,7 +228,7 @@ def test_a_slip_offset_is_noticed_and_fitted_when_asked():
     slip, force, block = made_axle(np.random.default_rng(8), tire, 0.04)
     settings = {"given_peak": 7900.0, "static_load": 7900.0, "draws": 0}
     silent = fit_force_curve("front", slip - 0.006, force, block, tire, **settings)
-    assert any("seem off by +0.00" in remark for remark in silent.remarks)
+    assert any("seem off by +0.00" in remark for remark in silent.slip_remarks)
     asked = fit_force_curve("front", slip - 0.006, force, block, tire, fit_offset=True, **settings)
     assert asked.slip_offset == pytest.approx(0.006, abs=3e-4)
     assert asked.cornering_stiffness[0] == pytest.approx(tire.cornering_stiffness, rel=0.01)

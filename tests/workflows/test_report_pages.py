@@ -137,16 +137,20 @@ def test_its_headline_leaves_out_what_a_derived_torque_makes_true(run):
 
 
 def test_its_warnings_and_colour_are_those_of_the_headlines_predictor(run):
-    lines = ("bcm z2 verdict: the correction helps: v_y better", "rbcm z2 verdict: the correction does harm: r WORSE")
     told = ("WARNING: v_y is worse than holding the velocities", "a note")
-    page = evaluation_page(replace(run, report=replace(run.report, verdicts=lines, notes=told)))
-    verdict = page.split('<section class="verdict ')[1].split("</section>")[0]
-    assert verdict.startswith("match")
-    assert "Note: v_y is worse than holding the velocities." in verdict and "a note" not in verdict
-    worse = replace(run, report=replace(run.report, verdicts=(lines[0].replace("better", "WORSE"),)))
-    assert '<section class="verdict mismatch' in evaluation_page(worse)
-    nothing = replace(run, report=replace(run.report, verdicts=("bcm z2 verdict: the correction changes nothing",)))
-    assert '<section class="verdict undecided' in evaluation_page(nothing)
+
+    def verdict(*ratios: tuple[str, tuple[float, float, float]]) -> str:
+        found = tuple(Comparison(name, "z2", "v_y", 0.5, 20, 1.0, 1.0, 1.0, ratio, ratio) for name, ratio in ratios)
+        settings = replace(run.report.settings, predictors=("bcm", "rbcm"))
+        report = replace(run.report, comparisons=found, notes=told, settings=settings)
+        return evaluation_page(replace(run, report=report)).split('<section class="verdict ')[1].split("</section>")[0]
+
+    good, bad, none = (0.5, 0.4, 0.6), (1.5, 1.4, 1.6), (1.0, 0.9, 1.1)
+    helped = verdict(("bcm", good), ("rbcm", bad))
+    assert helped.startswith("match")
+    assert "Note: v_y is worse than holding the velocities." in helped and "a note" not in helped
+    assert verdict(("bcm", bad), ("rbcm", good)).startswith("mismatch")
+    assert verdict(("bcm", none), ("rbcm", good)).startswith("undecided")
 
 
 def test_the_headline_calls_harm_what_the_verdict_does():
@@ -156,9 +160,9 @@ def test_the_headline_calls_harm_what_the_verdict_does():
         return Comparison("bcm", "z2", state, 0.5, 20, 1.0, 1.0, 1.0, ratio, ratio)
 
     hardly = judged("v_y", 1.001, 1.0005, 1.002)
-    assert _headline([hardly]) == "The learned correction changes hardly anything."
-    assert _headline([hardly, judged("r", 0.5, 0.4, 0.6)]).startswith("The correction helps: errors up to 50 %")
-    assert "worse" in _headline([hardly, judged("r", 1.02, 1.01, 1.03)])
+    assert _headline([hardly]) == ("undecided", "The learned correction changes hardly anything.")
+    assert _headline([hardly, judged("r", 0.5, 0.4, 0.6)])[1].startswith("The correction helps: errors up to 50 %")
+    assert "worse" in _headline([hardly, judged("r", 1.02, 1.01, 1.03)])[1]
 
 
 def test_in_a_browser_no_name_runs_or_hides(run, drive, car, browser, tmp_path):

@@ -285,8 +285,8 @@ class Diagnosis:
         Strongest first.
     history : tuple of str
         Steps of the selection, in words.
-    summary : str
-        One paragraph a reader can act on.
+    sentences : tuple of str
+        The whole in sentences that a reader can act on.
     detectable : tuple of Detectable
         What a silence about each term is worth. Where the verdict is undecided, sizes hold if nothing differs yet.
     corrected_vehicle : CorrectedVehicle or None
@@ -308,7 +308,12 @@ class Diagnosis:
     settings: Mapping[str, object] = field(default_factory=dict)
     gaps: tuple[GapSeries, ...] = ()
     history: tuple[str, ...] = ()
-    summary: str = ""
+    sentences: tuple[str, ...] = ()
     detectable: tuple[Detectable, ...] = ()
     corrected_vehicle: CorrectedVehicle | None = None
     leads: tuple[Lead, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """The sentences as one paragraph."""
+        return " ".join(self.sentences)

@@ -197,23 +197,22 @@ def summarise(
     improvement: Improvement | None = None,
     vehicle: Vehicle | None = None,
     corrected: CorrectedVehicle | None = None,
-) -> str:
-    """Return the diagnosis in one paragraph: what differs, where, whether it helps, and what has no name.
+) -> tuple[str, ...]:
+    """Return the diagnosis in sentences: what differs, where, whether it helps, and what has no name.
 
     `reasons` are sentences: why nothing is decided, what a match leaves open, or what casts doubt on a mismatch.
     """
     if verdict == "undecided":
-        return "It cannot be decided whether simulation and reality differ: " + " ".join(reasons)
+        return (f"It cannot be decided whether simulation and reality differ: {' '.join(reasons[:1])}", *reasons[1:])
     if verdict == "match":
-        return " ".join(["Simulation and reality agree within noise at all operating points that both have.", *reasons])
-    parts = ["Simulation and reality differ."]
-    parts += reasons
+        return ("Simulation and reality agree within noise at all operating points that both have.", *reasons)
+    parts = ["Simulation and reality differ.", *reasons]
     # Of one finding the two statements are one; of several, what the simulation lacks follows all of them.
     alone = "; the simulation lacks this effect" if len(findings) == 1 and findings[0].exported else ""
     for finding in findings:
         statement = statement_for(finding.term, finding.variant, finding.parameters, vehicle)
         others = " or ".join(term_with_id(one) for one in finding.alternatives)
-        parts.append(f"{statement}{alone}." + (f" These data are explained as well by {others}." if others else ""))
+        parts += [f"{statement}{alone}.", f"These data are explained as well by {others}." if others else ""]
         parts.append("" if finding.combination is None else _only_together(finding.combination))
     lacking = sum(finding.exported for finding in findings)
     lacks = (
@@ -224,23 +223,23 @@ def summarise(
     )
     parts.append(lacks[min(lacking, 3)])
     if location is not None:
-        parts.append(_where(location))
+        parts += _where(location)
     if unexplained and remainder is not None:
-        parts.append(_unnamed(remainder, findings))
+        parts += _unnamed(remainder, findings)
     if improvement is not None:
-        parts.append(_help(improvement, "physics" if findings else "split_only", vehicle))
+        parts += _help(improvement, "physics" if findings else "split_only", vehicle)
     if corrected is not None and not corrected.accepted:
         parts.append(not_accepted(corrected))
-    return " ".join(part for part in parts if part)
+    return tuple(part for part in parts if part)
 
 
-def _where(location: Location) -> str:
+def _where(location: Location) -> list[str]:
     force = max(location.forces, key=location.forces.get)
-    text = f"The gap is mostly {force.replace('_', ' ')} force ({percent(location.forces[force])})."
+    told = [f"The gap is mostly {force.replace('_', ' ')} force ({percent(location.forces[force])})."]
     name, score = _tells_most(location)
     if score > _CLEARLY:
         words = variable_name(name)[0]
-        text += f" {words[:1].upper()}{words[1:]} alone explains {percent(score)} of the gap."
+        told.append(f"{words[:1].upper()}{words[1:]} alone explains {percent(score)} of the gap.")
     here = ""
     if location.place is not None:
         here = f"between s = {number(location.place.s_start)} and {number(location.place.s_end)} m"
@@ -248,12 +247,12 @@ def _where(location: Location) -> str:
         here = f"between {number(location.time[0])} and {number(location.time[1])} s"
     if here:
         share = percent(location.share_of_gap)
-        return f"{text} {share} of the gap lies {here}, in {percent(location.share_of_samples)} of the samples."
-    if name in location.region:
+        told.append(f"{share} of the gap lies {here}, in {percent(location.share_of_samples)} of the samples.")
+    elif name in location.region:
         low, high = location.region[name]
         words, unit = variable_name(name)
-        return f"{text} The gap is largest at a {words} of {number(low)} to {number(high)} {unit}."
-    return text
+        told.append(f"The gap is largest at a {words} of {number(low)} to {number(high)} {unit}.")
+    return told
 
 
 def _tells_most(location: Location) -> tuple[str, float]:
@@ -265,10 +264,10 @@ def _tells_most(location: Location) -> tuple[str, float]:
     return best
 
 
-def _help(improvement: Improvement, stage: str, vehicle: Vehicle | None = None) -> str:
+def _help(improvement: Improvement, stage: str, vehicle: Vehicle | None = None) -> list[str]:
     model = "the identified effects" if stage == "physics" else "a correction learned by SPLIT alone"
     if not improvement.tells:
-        return f"The held-out data show too little of the gap to tell whether {model} would reduce it."
+        return [f"The held-out data show too little of the gap to tell whether {model} would reduce it."]
     removed, intro, parts = improvement.removed.get(stage), f"With {model}, on held-out data", []
     nothing = stage in improvement.trust and not any(improvement.trust[stage])
     if nothing:
@@ -281,13 +280,13 @@ def _help(improvement: Improvement, stage: str, vehicle: Vehicle | None = None) 
         change = f"{verb} by {percent(abs(share))} (95 %: {low:.0f} to {high:.0f} %{chance})"
         parts.append(f"{intro}, the squared one-step error above the noise floor {change}.")
     if improvement.rollouts:
-        change = (_as_it_is if nothing else _open_loop)(improvement.rollouts[-1], stage, vehicle)
-        parts.append(change if parts else f"{intro}: {change[:1].lower()}{change[1:]}")
+        change, *others = (_as_it_is if nothing else _open_loop)(improvement.rollouts[-1], stage, vehicle)
+        parts += [change if parts else f"{intro}: {change[:1].lower()}{change[1:]}", *others]
         parts += _beside_split(improvement.rollouts[-1]) if stage == "physics" else []
-    return " ".join(parts)
+    return parts
 
 
-def _as_it_is(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> str:
+def _as_it_is(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> list[str]:
     """Return the errors of all velocities where a stage changes none."""
     errors = [
         f"{number(getattr(last, stage)[k], 2)} {unit} in {name} (persistence: {number(last.persistence[k], 2)})"
@@ -295,7 +294,7 @@ def _as_it_is(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -
     ]
     *most, final = errors
     text = f"After {last.horizon:g} s of open-loop simulation the error is {', '.join(most)} and {final}."
-    return " ".join([text, *_offsets(last, stage, last.beaten_by_persistence(stage), vehicle)])
+    return [text, *_offsets(last, stage, last.beaten_by_persistence(stage), vehicle)]
 
 
 def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: Vehicle | None) -> list[str]:
@@ -314,7 +313,7 @@ def _offsets(last: HorizonErrors, stage: str, channels: Sequence[int], vehicle: 
     return sentences
 
 
-def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> str:
+def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) -> list[str]:
     """Return what becomes of the error that a stage changes most, and which errors get worse."""
     k = last.most_changed(stage)
     name, unit = _STATES[k]
@@ -327,8 +326,8 @@ def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) 
     )
     beaten = last.beaten_by_persistence(stage)
     others = [
-        f"The error of {_STATES[i][0]} rises from {number(last.before[i], 2)} to "
-        f"{number(getattr(last, stage)[i], 2)} {_STATES[i][1]}"
+        f"The error of {_STATES[i][0]} rises from "
+        f"{' to '.join(_apart(last.before[i], getattr(last, stage)[i]))} {_STATES[i][1]}"
         for i in last.worse(stage)
         if i != k
     ]
@@ -336,7 +335,7 @@ def _open_loop(last: HorizonErrors, stage: str, vehicle: Vehicle | None = None) 
         names = " and ".join(_STATES[i][0] for i in beaten)
         others.append(f"Persistence still predicts {names} better")
     doubtful = sorted({*beaten, *last.worse(stage)})
-    return " ".join([*(f"{one}." for one in (text, *others)), *_offsets(last, stage, doubtful, vehicle)])
+    return [*(f"{one}." for one in (text, *others)), *_offsets(last, stage, doubtful, vehicle)]
 
 
 def _beside_split(last: HorizonErrors) -> list[str]:
@@ -395,18 +394,18 @@ def gap_left(findings: Sequence[Finding], remainder: RemainderTest) -> str:
     return f"{share} of the gap" if findings else "the gap"
 
 
-def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> str:
+def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> list[str]:
     share = gap_left(findings, remainder)
     kind = remainder.by_group[0][0] if remainder.by_group else ""
-    lead = f" It depends mostly on {_KINDS.get(kind, kind)}." if kind else ""
-    formula = f" A candidate formula: {remainder.formula}." if remainder.formula else ""
     rest = scatter(remainder, findings)
-    noted = (
-        f" Another {percent(rest)} has neither name nor structure: scatter, or the error of the model's form."
-        if rest
-        else ""
-    )
     nameless = "is explained by no effect of the catalogue"
     if rest:
         nameless = "has a structure that no effect of the catalogue explains"
-    return f"{share[:1].upper()}{share[1:]} {nameless}.{lead}{formula}{noted}"
+    return [
+        f"{share[:1].upper()}{share[1:]} {nameless}.",
+        f"It depends mostly on {_KINDS.get(kind, kind)}." if kind else "",
+        f"A candidate formula: {remainder.formula}." if remainder.formula else "",
+        f"Another {percent(rest)} has neither name nor structure: scatter, or the error of the model's form."
+        if rest
+        else "",
+    ]

@@ -269,7 +269,7 @@ class Checks:
         self.relate(name, delta, sum(parts), {"delta": 1, "r": -1, "vx": 1}, _STEER_TOLERANCE, corrected)
 
     def _torque(self) -> None:
-        parts = self._torque_parts()
+        parts = self.torque_parts()
         if parts is None:
             return
         torque = self.k.signal("T")
@@ -277,18 +277,14 @@ class Checks:
         name = "T against the torque that dv_x/dt takes"
         self.relate(name, torque, sum(parts), {"T": 1, "vx": -1}, TORQUE_TOLERANCE, corrected)
 
-    def _torque_parts(self) -> tuple[np.ndarray, np.ndarray] | None:
+    def torque_parts(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return what dv_x/dt and the file's drag take [N m], each (N,); None without T or a vehicle file."""
         if not self.usable("T") or not self.known("vx") or self.vehicle is None:
             return None
         k, car = self.k, self.vehicle
         inertial = k.rate("vx") - self.carried()
         drag = car.drag_coefficient * k.signal("vx") ** 2
         return car.wheel_radius * car.mass * inertial, car.wheel_radius * drag
-
-    def torque_needed(self) -> np.ndarray | None:
-        """Return the torque that dv_x/dt and drag take [N m], shape (N,); None without T or a vehicle file."""
-        parts = self._torque_parts()
-        return None if parts is None else parts[0] + parts[1]
 
     def straight_line(self) -> list[ConsistencyFinding]:
         """Look for v_y and a_y that are not zero where the car goes straight."""

@@ -1,4 +1,4 @@
-"""Jumps of the speed that no tyre drives or brakes: the car was moved, or its estimator failed there."""
+"""Jumps of speed or position that no car makes: it was moved, or its estimator failed there."""
 
 import numpy as np
 
@@ -37,35 +37,51 @@ def _largest(car: Vehicle | None) -> tuple[float, str]:
     return limit, against
 
 
-def speed_jumps(checks: Checks) -> list[ConsistencyFinding]:
-    """Count where v_x changes faster than the tyres allow, and say where and by how much.
+def jumps(checks: Checks) -> list[ConsistencyFinding]:
+    """Count where v_x changes faster than the tyres allow, or X, Y faster than any car drives, and say where.
 
-    With a vehicle file that is twice the sum of both D over the mass, else what no car reaches.
+    With a vehicle file the tyres allow twice the sum of both D over the mass, else what no car reaches.
     """
-    if not checks.usable("vx"):
-        return []
-    k, (limit, against) = checks.k, _largest(checks.vehicle)
-    vx, t = k.columns["vx"], k.times()
+    found, k = [], checks.k
     rows = max(1, round(_SECONDS / k.period))
-    found: list[tuple[float, float, float]] = []  # time, speed before, speed behind
-    for run in k.segments:
-        v, at = vx[run], t[run]
-        if len(v) <= rows:
-            continue
-        change = np.abs(v[rows:] - v[:-rows])
-        beyond = np.flatnonzero(change > limit * rows * k.period)
+    if checks.usable("vx"):
+        limit, against = _largest(checks.vehicle)
+        vx = k.columns["vx"]
+        places = _places(checks, np.abs(_change(vx, rows)), limit, rows)
+        shown = [f"{vx[at]:.3g} to {vx[at + rows]:.3g} m/s at t = {k.times()[at]:.1f} s" for at in places]
+        what = f"by more than {limit:.3g} m/s^2 over {rows * k.period:.2g} s, {against}"
+        found += _told("vx", "v_x jumps", what, shown)
+    if checks.usable("X", "Y"):
+        limit = NO_CAR_EXCEEDS["vx"][0]
+        way = np.hypot(*(_change(k.columns[c], rows) for c in "XY"))
+        places = _places(checks, way, limit, rows)
+        shown = [f"{way[at]:.3g} m at t = {k.times()[at]:.1f} s" for at in places]
+        found += _told("X", "X, Y jump", f"faster than {limit:g} m/s over {rows * k.period:.2g} s", shown)
+    return found
+
+
+def _change(values: np.ndarray, rows: int) -> np.ndarray:
+    return values[rows:] - values[: len(values) - rows]
+
+
+def _places(checks: Checks, change: np.ndarray, limit: float, rows: int) -> list[int]:
+    """Return the first row of each change over `rows` that is larger than `limit` a second."""
+    places = []
+    for run in checks.k.segments:
+        inside = change[run.start : max(run.stop - rows, run.start)]
+        beyond = np.flatnonzero(inside > limit * rows * checks.k.period)
         # A jump is beyond the limit in every window that it lies in.
         for jump in np.split(beyond, np.flatnonzero(np.diff(beyond) > rows) + 1):
-            if len(jump):
-                first = int(jump[np.argmax(change[jump])])
-                found.append((float(at[first]), float(v[first]), float(v[first + rows])))
-    if not found:
+            places += [run.start + int(jump[np.argmax(inside[jump])])] if len(jump) else []
+    return places
+
+
+def _told(channel: str, who: str, what: str, places: list[str]) -> list[ConsistencyFinding]:
+    if not places:
         return []
-    shown = "; ".join(f"{a:.3g} to {b:.3g} m/s at t = {time:.1f} s" for time, a, b in found[:_SHOWN])
-    more = f"; and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+    shown = "; ".join([*places[:_SHOWN], *([f"and {len(places) - _SHOWN} more"] if len(places) > _SHOWN else [])])
     text = (
-        f"v_x jumps {len(found)} time{'s' * (len(found) > 1)}: by more than {limit:.3g} m/s^2 over "
-        f"{rows * k.period:.2g} s, {against} ({shown}{more}). The car was put elsewhere, or its source failed. "
-        "Leave these stretches out with `--cut A:B`, or map another source."
+        f"{who} {len(places)} time{'s' * (len(places) > 1)}: {what} ({shown}). The car was put elsewhere, or its "
+        "source failed. Leave these stretches out with `--cut A:B`, or map another source."
     )
-    return [ConsistencyFinding("jump", "vx", text, float(len(found)), None)]
+    return [ConsistencyFinding("jump", channel, text, float(len(places)), None)]

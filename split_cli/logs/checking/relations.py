@@ -29,7 +29,7 @@ class ConsistencyFinding:
     """Something that does not fit together."""
 
     # ``scale``, ``sign``, ``hand``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``,
-    # ``constant``, ``copied``, ``range``, ``contradiction``, ``course``, ``clock``, ``uneven``.
+    # ``constant``, ``copied``, ``range``, ``contradiction``, ``course``, ``clock``, ``uneven``, ``factor``.
     check: str
     channel: str  # the one to look at
     text: str  # what was measured, what it probably is, and what to do

@@ -67,7 +67,7 @@ class Calibration:
     @property
     def remarks(self) -> tuple[str, ...]:
         """All that the reader must know, in sentences."""
-        found = [remark for curve in self.curves for remark in curve.remarks]
+        found = [remark for curve in self.curves for remark in (*curve.remarks, *curve.slip_remarks)]
         found += self.resistance.remarks if self.resistance else ()
         for estimate in self.estimates:
             if not estimate.settled:
@@ -202,9 +202,9 @@ def _kept_where_open(
     for curve in curves:
         tire = getattr(start, f"{curve.axle}_tire")
         force = lateral_force(tire.B, tire.C, tire.D, curve.slip_angle)
-        kept.append(replace(curve, tire=tire, force=force, determined=(), remarks=(*curve.remarks, why)))
-    # The reason belongs to both, and is said once.
-    return (replace(kept[0], remarks=curves[0].remarks), *kept[1:])
+        kept.append(replace(curve, tire=tire, force=force, determined=(), remarks=()))
+    # The reason belongs to both, and is said once. What was said of coefficients is of a fit that is not taken.
+    return (replace(kept[0], remarks=(why,)), *kept[1:])
 
 
 def _given_peak(start: Vehicle, axle: str, load: float) -> float:

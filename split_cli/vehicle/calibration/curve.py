@@ -60,7 +60,8 @@ class ForceCurve:
     held_out: HeldOutError
     samples: int
     blocks: int
-    remarks: tuple[str, ...]  # what the reader must know, in sentences
+    remarks: tuple[str, ...]  # what the reader must know of the coefficients, in sentences
+    slip_remarks: tuple[str, ...]  # the same of the slip angles, whatever coefficients are taken
 
     @property
     def slope_is_known(self) -> bool:
@@ -226,7 +227,8 @@ def fit_force_curve(
         held_out=_held_out(problem, chosen, start),
         samples=len(slip_angle),
         blocks=len(np.unique(block)),
-        remarks=(*remarks, *_offset_remark(problem, chosen, axle, fit_offset)),
+        remarks=tuple(remarks),
+        slip_remarks=tuple(_offset_remark(problem, chosen, axle, fit_offset)),
     )
 
 
@@ -355,9 +357,11 @@ def _settle(
         return best, ("B", "C", "D"), []
     limit = f"at least {_three(low)} N" if np.isinf(high) else f"between {_three(low)} and {_three(high)} N"
     peak = profile.nearest(given_peak)
-    kept = f"The given D = {_three(given_peak)} N is kept, the slope B C D is fitted"
+    of_the_file = given_peak == start.D
+    given = f"{'D of the file' if of_the_file else 'Friction times static load'}, {_three(given_peak)} N,"
+    kept = f"{given} is {'kept' if of_the_file else 'taken as D'}, the slope B C D is fitted"
     if peak != given_peak:
-        kept = f"The given D = {_three(given_peak)} N contradicts that: D = {_three(peak)} N is taken"
+        kept = f"{given} contradicts that: D = {_three(peak)} N is taken"
     remarks = [f"{axle}: the peak is not identified: forces reach {_three(reached)} N, D is {limit}. {kept}"]
     others = problem.free[problem.free != 1]
     held = problem.fit(_with_peak(best.parameters, np.log(peak)), free=others, scale=best.scale)

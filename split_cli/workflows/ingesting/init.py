@@ -219,6 +219,6 @@ def init_project(
     databases = [f" --dbc {shlex.quote(str(p))}" for p in message_paths if Path(p).is_file()]
     rate = f" --row-rate {row_rate:g}" if row_rate is not None else ""
     first = Path(logs[0])
-    made = shlex.quote(f"{first.stem}{'_drive' * (first.suffix == '.parquet')}.parquet")
-    made = "drives" if len(recordings) > 1 else made
+    made = f"{first.stem}{'_drive' * (first.suffix == '.parquet')}.parquet"
+    made = shlex.quote(f"{first.stem}_drives" if len(recordings) > 1 else made)
     return InitResult(*targets, draft, shown + "".join(databases) + rate, made, differences)

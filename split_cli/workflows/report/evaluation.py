@@ -32,8 +32,6 @@ from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number, percent
 
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
-_HARM = "WORSE"
-_HELP = "the correction helps"
 _WARNING = "WARNING: "
 _RATIOS = "Error divided by that of the nominal model: left of the line at 1 it is smaller. Bars are 95 % intervals."
 _MODELS = {NOMINAL: "nominal model", VELOCITY_PERSISTENCE: "persistence: velocities held"}
@@ -55,7 +53,7 @@ def evaluation_page(run: EvaluationRun, charts: Sequence[Chart] | None = None) -
         f"{''.join(chart_sections(charts))}{_tables(run)}"
         f"{notes_section([_sentence(note) for note in report.notes if not note.startswith(_WARNING)], 'Notes')}"
     )
-    return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)} {names}", body, charts)
+    return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)[1]} {names}", body, charts)
 
 
 def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
@@ -103,36 +101,35 @@ def _same(names: Sequence[str], trace: Trace) -> bool:
     return tuple(names) == tuple(trace.held.labels.features.names)
 
 
-def _headline(comparisons: Sequence[Comparison]) -> str:
-    """Return the verdict of the first predictor in plain words, what changes most first."""
+def _headline(comparisons: Sequence[Comparison]) -> tuple[str, str]:
+    """Return the verdict of the first predictor, as its colour and in plain words, what changes most first."""
     if not comparisons:
-        return "No predictor was scored on held-out time."
+        return "undecided", "No predictor was scored on held-out time."
     name = comparisons[0].name
     judged = [c for c in comparisons if c.name == name and np.isfinite(c.to_nominal).all()]
     worse = sorted({c.state for c in judged if does_harm(c)}, key=list(_STATES).index)
     if worse:
         states = " and ".join(_STATES[state][0].lower() for state in worse)
-        return f"The learned correction makes {states} worse."
+        return "mismatch", f"The learned correction makes {states} worse."
     better = {c.state: c for c in judged if c.to_nominal[2] < 1.0}
     if not judged:
-        return "Too little held-out time to tell whether the correction helps."
+        return "undecided", "Too little held-out time to tell whether the correction helps."
     if not better:
         changed = "hardly anything" if any(c.to_nominal[1] > 1.0 for c in judged) else "nothing significantly"
-        return f"The learned correction changes {changed}."
+        return "undecided", f"The learned correction changes {changed}."
     longest = [min((c for c in judged if c.state == s), key=lambda c: c.to_nominal[0]) for s in better]
     best = min(longest, key=lambda c: c.to_nominal[0])
     less = round(100.0 * (1.0 - best.to_nominal[0]))
     others = [s for s in better if s != best.state]
     more = f", smaller in {' and '.join(_STATES[s][1] for s in others)} too" if others else ""
-    return f"The correction helps: errors up to {less} % smaller in {_STATES[best.state][0].lower()}{more}."
+    return "match", f"The correction helps: errors up to {less} % smaller in {_STATES[best.state][0].lower()}{more}."
 
 
 def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison], left_out: Iterable[str]) -> str:
     report = run.report
     # The headline and its colour are those of the first predictor; the others stand below.
-    own = [line for line in report.verdicts if comparisons and line.startswith(f"{comparisons[0].name} ")]
-    harm = any(_HARM in line for line in own)
-    kind = "mismatch" if harm else "match" if any(_HELP in line for line in own) else "undecided"
+    kind, headline = _headline(comparisons)
+    harm = kind == "mismatch"
     lines = "".join(f"<p>{escape(line)}.</p>" for line in report.verdicts)
     valid = sum(drive.tested_valid for drive in report.drives)
     tested = sum(drive.tested for drive in report.drives)
@@ -149,7 +146,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison], left_out: It
     but = "".join(f"<p{style}>Note: {escape(text)}.</p>" for text in warned)
     more = f"<details><summary>Every predictor, state by state</summary>{lines}</details>"
     said = f"{but}{facts_list(facts)}" if harm else f"{facts_list(facts)}{but}"
-    return verdict(kind, _headline(comparisons), f"{said}{more}")
+    return verdict(kind, headline, f"{said}{more}")
 
 
 def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) -> list[Chart]:
