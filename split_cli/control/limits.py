@@ -9,6 +9,7 @@ from split_cli.control.policy import (
     ALPHA_MAX,
     DALPHA_MAX,
     LEAST_SIDE,
+    NO_FORCE,
     P_ELLIPSE,
     P_LONG,
     SATURATED,
@@ -149,23 +150,27 @@ def slip_limit(
     past the peak, and a linearised controller then steers into the slide instead of out of it. B, C, D are taken
     as they are at the point; only the forces move with the state. A scale s moves the peaks of front and rear, s D
     and B/s: `grip`, shape (2,) (see `learned_grip`), times 1 + `shift` F_x, shape (2,) (see `load_shift`).
+
+    With the whole peak (p_ellipse 1) the limit has a corner at no force, tan(acos(p_long |F_x|/D)/C)/B. There
+    the slope is the mean of both sides, zero, and so is the curvature.
     """
     ellipse = limits.ellipse(found.residual)[:, None]
     scale = _scale(found, grip, shift)
     B, C, D = found.curve[:, :, 0] / scale, found.curve[:, :, 1], found.curve[:, :, 2] * scale
-    used = limits.p_long * found.force / D
-    left = np.sqrt(np.maximum(ellipse**2 - used**2, (LEAST_SIDE * ellipse) ** 2))
-    angle = np.arcsin(left) / C
+    asked = limits.p_long * found.force / D
+    used = np.clip(asked, -np.sqrt(SATURATED) * ellipse, np.sqrt(SATURATED) * ellipse)
+    unused = np.maximum(1.0 - ellipse**2, 0.0)
+    left, rest = np.sqrt(ellipse**2 - used**2), np.maximum(np.sqrt(unused + used**2), NO_FORCE)
+    angle = np.arctan2(left, rest) / C
     alpha = np.tan(angle) / B
-    inside = (used**2 < SATURATED * ellipse**2) & (alpha < limits.alpha_max)
-    rest = np.sqrt(1.0 - left**2)
-    by_left = 1.0 / rest / C / np.cos(angle) ** 2 / B
-    by_force = np.where(inside, -used * limits.p_long / D / left * by_left, 0.0)
-    bend = used**2 * (2.0 * np.tan(angle) / C / rest + left / rest**2) - ellipse**2 / left
+    inside = (np.abs(asked) == np.abs(used)) & (alpha < limits.alpha_max)
+    by_angle = 1.0 / C / np.cos(angle) ** 2 / B
+    by_force = np.where(inside, -used / rest * limits.p_long / D / left * by_angle, 0.0)
+    bend = 2.0 * np.tan(angle) / C * (used / rest) ** 2 - (used**4 + unused * ellipse**2) / left / rest**3
     curvature = np.where(
-        alpha < limits.alpha_max, np.minimum(bend, 0.0) * by_left * (limits.p_long / D / left) ** 2, 0.0
+        alpha < limits.alpha_max, np.minimum(bend, 0.0) * by_angle * (limits.p_long / D / left) ** 2, 0.0
     )
-    by_scale = np.where(inside, alpha / scale + used**2 / scale / left * by_left, 0.0)
+    by_scale = np.where(inside, alpha / scale + used**2 / rest / scale / left * by_angle, 0.0)
     of_whole = by_scale * grip * shift
     slope = by_force[:, :, None] * found.force_slope
     slope += of_whole[:, :, None] * found.force_slope.sum(axis=1)[:, None, :]

@@ -51,6 +51,9 @@ SATURATED = 1.0 - LEAST_SIDE**2
 """Share of the squared ellipse beyond which the slip limit no longer moves with the force [1]: what LEAST_SIDE
 leaves."""
 
+NO_FORCE = 1e-100
+"""Share of the peak that is none [1]: keeps quotients finite, and its third power is not rounded to zero."""
+
 MAX_STEER, STEER_RATE, TORQUE_RATE = 0.5, 0.6, 20000.0
 """What commands may be: [rad], [rad/s], [N m/s]. A driver's quick hands at a steering ratio of 15 (9 rad/s),
 and the rate of the plant's road car."""

@@ -176,6 +176,20 @@ def test_the_slip_limit_is_on_the_friction_ellipse():
     assert (slip_limit(replace(limits, alpha_max=0.01), found)[2] == 0.0).all()
 
 
+def test_the_slip_limit_of_the_whole_peak_has_a_corner_at_no_force():
+    """tan(acos(u)/C)/B with u = p_long |F_x|/D: finite, as steep on both sides, and nowhere bent downwards."""
+    limits, found = Limits(p_ellipse=1.0, alpha_max=1.0), rolling(CAR, np.zeros(4))
+    share = np.array([0.0, 1e-12, 1e-3, -0.2])
+    B, C, D = (found.curve[:, 0, k] for k in range(3))
+    force = np.stack([share * D / limits.p_long, found.force[:, 1]], axis=1)
+    alpha, slope, curvature = slip_limit(limits, replace(found, force=force))
+    angle = np.arccos(np.abs(share)) / C
+    assert alpha[:, 0] == pytest.approx(np.tan(angle) / B, rel=1e-12)
+    steep = -np.sign(share) * limits.p_long / (B * C * D * np.cos(angle) ** 2 * np.sqrt(1.0 - share**2))
+    assert slope[:, 0] == pytest.approx(steep[:, None] * found.force_slope[:, 0], rel=1e-9)
+    assert (curvature[:, 0] == 0.0).all() and np.isfinite(curvature).all()
+
+
 def test_the_slip_limit_is_that_of_the_tyres_that_the_terms_leave():
     terms = EffectSpec("friction_scale", {"scale": 0.8}), EffectSpec("drive_lag", {"tau": 0.1})
     torque = np.array([-1000.0, 0.0])

@@ -17,6 +17,7 @@ from split_cli.control.receding_horizon import Actuators, ControllerLost
 from split_cli.control.residual import NoResidual, ResidualValues
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.driving import Race
+from split_cli.workflows.racing.maneuver import scaled_controller
 from tests.studies.experiments import PLAN
 
 CAR = read_vehicle(FilePath(__file__).resolve().parents[2] / "sample_logs" / "road_car.yaml")
@@ -56,6 +57,48 @@ def test_a_line_that_the_model_can_follow_is_tracked_to_nothing(alone):
     assert abs(states[-1, 1]) < 2e-3 and abs(states[-1, 2]) < 2e-3
     if not alone:
         assert states[-1, 3] == pytest.approx(12.0, abs=0.05)
+
+
+def similar_car(size: float):
+    """Return `CAR` and `ACTUATORS` times `size` at equal accelerations (Froude): times go with the root of it."""
+    tires = (replace(tire, D=tire.D * size**3) for tire in (CAR.front_tire, CAR.rear_tire))
+    powers = {"mass": 3, "yaw_inertia": 5, "max_torque": 4, "max_brake_torque": 4, "drag_coefficient": 2}
+    powers |= dict.fromkeys(("rolling_resistance_front", "rolling_resistance_rear"), 3)
+    powers |= dict.fromkeys(("cg_to_front_axle", "cg_to_rear_axle", "cg_height", "wheel_radius"), 1)
+    numbers = {name: getattr(CAR, name) * size**power for name, power in powers.items()}
+    front, rear = tires
+    a = ACTUATORS
+    actuators = Actuators(
+        a.max_torque * size**4,
+        a.max_brake_torque * size**4,
+        torque_rate=a.torque_rate * size**3.5,
+        steer_rate=a.steer_rate / np.sqrt(size),
+    )
+    return replace(CAR, front_tire=front, rear_tire=rear, **numbers), actuators
+
+
+def test_a_similar_car_of_another_size_has_the_same_plan_times_its_size():
+    """All weights but that of plan steps, which counts metres and seconds; the plan begins beyond the border."""
+    plans = []
+    for size in (1.0, 0.125):
+        car, actuators = similar_car(size)
+        root = np.sqrt(size)
+        model = ControlModel(car, NoResidual(), 0.04 * root)
+        settings = scaled_controller(MpcSettings(horizon=25, step=0.04 * root, steering_alone=False), size)
+        settings = replace(settings, weights=replace(settings.weights, proximal=0.0))
+        x = np.arange(0.0, 400.0, 1.0)
+        points, sides = size * np.stack([x, 0.0 * x], axis=1), np.full(400, 4.0 * size)
+        path = resampled("straight", points, sides, sides, closed=False)
+        controller = Mpc(
+            model, path, actuators, settings, 1.77 * size, lambda s, v=12.0 * root: np.full(np.shape(s), v)
+        )
+        units = np.array([size, size, 1.0, root, root, 1.0 / root, size**4, 1.0])
+        controller.begin(units * [5.0, 3.6, 0.0, 12.0, 0.0, 0.0, 110.0, 0.0], 5.0 * size, 3)
+        assert controller.plan.x[1, 1] > (4.0 - 0.5 * 1.77) * size
+        plans.append(controller.plan.x / units)
+    full, small = plans
+    assert np.abs(full[:, 7]).max() > 0.1  # it steers back
+    assert np.abs(small - full).max(axis=0) == pytest.approx(0.0, abs=1e-4)
 
 
 @pytest.mark.parametrize(("bends", "least", "most"), [(True, 0.0, 200.0), (False, 1000.0, 5000.0)])

@@ -188,7 +188,8 @@ def scaled_controller(settings: MpcSettings, scale: float) -> MpcSettings:
     multiplied by s.
     """
     w = settings.weights
-    places, rates = ({"contour": w.contour, "lag": w.lag}, {"torque_rate": w.torque_rate, "steer_rate": w.steer_rate})
+    places = {"contour": w.contour, "lag": w.lag, "track": w.track}
+    rates = {"torque_rate": w.torque_rate, "steer_rate": w.steer_rate}
     scaled = {name: value / scale**2 for name, value in places.items()}
     weights = replace(w, **scaled, **{name: value * scale for name, value in rates.items()})
     return replace(
