@@ -91,7 +91,7 @@ def test_held_out_time_is_asked_where_model_form_error_would_hide_what_has_no_na
     """All that differs has a name here; halves of a simulation that differ much leave that open."""
     real, outcome = weak_brakes
     monkeypatch.setattr(engine, "measure_improvement", lambda *_: improved(-0.44, -1.14, -0.05))
-    monkeypatch.setattr(engine, "summarise", lambda *_: "")
+    monkeypatch.setattr(engine, "summarise", lambda *_: ())
     monkeypatch.setattr(engine, "detection_limits", lambda *_: ())
     for ratio, named in ((1.0, True), (1.01 * STANDARD.selection.much_over_noise, False)):
         found = replace(outcome, self_test=SelfTest(ratio=ratio))
