@@ -1,7 +1,7 @@
 """What a silence is worth: effects of the told size, and of others, planted and searched for."""
 
+from collections.abc import Sequence
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +9,11 @@ import pytest
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part, tangent
 from split_cli.diagnosis.search.selection import nothing, select_terms
+from split_cli.diagnosis.search.term_tests import over_allowance
 from split_cli.diagnosis.statement.result import Detectable
-from split_cli.diagnosis.verdict.detectable import _grown_seen, _Shown, detection_limits
+from split_cli.diagnosis.verdict.detectable import detection_limits
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import INFLATION, LEVEL, candidates_of, driven, faulty, late, noisy_objective, selected
 
 NAMES = ("steer_gain", "aero_drag", "yaw_inertia", "steer_delay", "sensor_misalignment")
@@ -84,17 +85,26 @@ def test_beside_a_name_a_size_is_told_by_what_the_name_cannot_take_up(told):
         assert sorted(named(objective_of(gain, inertia))) == expected
 
 
-def test_an_effect_grows_until_it_is_more_than_the_model_form_error_of_the_names_and_no_further(sound):
-    """At the first factor it is 0.9 of that, so that 1/0.9 of the factor is enough; recordings show it at any size."""
-    (gain,) = candidates_of(sound, "steer_gain")
-    beside = SimpleNamespace(objective=sound, fit=SimpleNamespace(terms=()))
-    shown = _Shown(size=1.0, ways=(), share=1.0, beyond=(), over=0.9, witnessed=0.0)
+def test_beside_a_name_recordings_that_show_what_was_reckoned_pass_at_once():
+    """A size that is just over the model-form error of the named gain had been grown until none was told."""
+    objective = objective_of(CATALOGUE["steer_gain"]({"gain": 0.9}, ""))
+    chosen = selected(objective, "steer_gain").chosen
+    asked = []
 
-    def excess(shown: _Shown, times: float, saved: float) -> float:
-        return float(np.log(times * shown.over))
+    def planted(objective: MarginalLikelihood, term: Term, others: Sequence[Term]) -> tuple[float, float]:
+        asked.append(term)
+        rows = [objective.whiten(objective.left_by(terms)) for terms in (others, (*others, term))]
+        return float(np.sum((rows[1] - rows[0]) ** 2)), over_allowance(objective, (*others, term), tuple(others))
 
-    factor = _grown_seen(beside, gain, {"gain": 0.99}, 0.5, shown, excess, lambda *_: (100.0, 1.0))
-    assert factor == pytest.approx(0.5 / 0.9, rel=0.03)
+    candidates = candidates_of(objective, "steer_offset", "drive_gain", "drive_delay")
+    ways = (None, planted)
+    limits = [detection_limits((objective,), candidates, INFLATION, LEVEL, way, chosen.parts) for way in ways]
+    for without, grown in zip(*limits, strict=True):
+        assert grown.parameters and grown.parameters.keys() == without.parameters.keys()
+        for name, (value, _) in grown.parameters.items():
+            neutral = CATALOGUE[grown.term].neutral[name]
+            assert value - neutral == pytest.approx(without.parameters[name][0] - neutral, rel=0.1)
+    assert len(asked) < 25
 
 
 def test_form_error_asks_for_more(sound, told):

@@ -58,6 +58,10 @@ class _Shown:
     over: float  # size over the model-form error of the others
     witnessed: float  # how far it moves what a recording knows twice
 
+    def over_and_witnessed(self, times: float) -> "_Shown":
+        """Return what a term some times as large is over the model-form error of the others, and moves of witnesses."""
+        return replace(self, over=times * self.over, witnessed=times * self.witnessed)
+
 
 def detection_limits(
     objectives: Sequence[MarginalLikelihood],
@@ -179,7 +183,7 @@ def _smallest(
 
     values, factor = dict(start), 1.0
     for _ in range(_ROUNDS):
-        term = candidate.build(values)
+        term, before = candidate.build(values), factor
         shown = _shown(beside, candidate, values)
 
         def passes(log: float, shown=shown) -> float:
@@ -202,7 +206,8 @@ def _smallest(
             break
         if everyday or abs(log) < near:
             if planted is not None and alters_commands(term):
-                factor = _grown_seen(beside, candidate, start, factor, shown, excess, planted)
+                there = shown.over_and_witnessed(factor / before)
+                factor = _grown_seen(beside, candidate, start, factor, there, excess, planted)
             return _grown_until_significant(beside, candidate, start, factor)
     return np.inf, {}
 
@@ -240,14 +245,14 @@ def _grown_seen(
     """Return a factor, grown until recordings that have the effect pass; infinity beyond its range.
 
     They have it to either side, where it has two. What it saves there grows with the square of its size at most,
-    so that each step ends short of what is sought. `shown` is that of the first factor.
+    so that each step ends short of what is sought. `shown` is of the size at which it begins.
     """
-    first = factor
+    begun = factor
 
     def growth(saved: float, size: float) -> float:
         """Return by which factor an effect has to grow; 1 where it passes."""
-        grown = factor / first
-        there = replace(shown, size=size, over=grown * shown.over, witnessed=grown * shown.witnessed)
+
+        there = replace(shown.over_and_witnessed(factor / begun), size=size)
 
         def passes(log: float) -> float:
             return excess(there, np.exp(log), np.exp(2.0 * log) * saved)
