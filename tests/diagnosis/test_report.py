@@ -25,6 +25,8 @@ from split_cli.diagnosis.statement.result import (
     RemainderTest,
     RivalSummary,
 )
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.workflows.report.headline import finding_headline
 from split_cli.workflows.report.page import report_page
 from split_cli.workflows.report.payload import chart_numbers, embedded_json
 from split_cli.workflows.report.sections import all_sections
@@ -109,7 +111,7 @@ def mismatch(name: str = "lap.parquet") -> Diagnosis:
         {"holdout_share": 0.25},
         (gap_along_a_circle(name),),
         ("added steer_gain, saves 100",),
-        "Simulation and reality differ. In reality the wheels turn less.",
+        ("Simulation and reality differ.", "In reality the wheels turn less.", "The gap is large."),
     )
 
 
@@ -126,6 +128,14 @@ MATCH = replace(
     sentences=("Simulation and reality agree within noise wherever both have been.",),
 )
 UNDECIDED = Diagnosis("undecided", None, 0.02, ("lap.parquet has 3.0 s without a gap; drive for 8 s.",))
+
+
+@pytest.mark.parametrize("variant", CATALOGUE["channel_delay"].variants)
+def test_the_headline_names_the_sensor_that_is_late(variant):
+    late = {variant.replace("velocity", "vx"): ParameterEstimate(0.0452, 7e-4, "s", (0.0438, 0.0466))}
+    said = finding_headline(Finding("channel_delay", variant, late, 0.5, (), "Late.", 9.0))
+    words = {"r": "Yaw rate", "velocity": "Velocities"}
+    assert said.endswith(" late: 45.2 ms") and said.startswith(words.get(variant, ("Longitudinal", "Lateral")))
 
 
 def unpacked(column: dict) -> np.ndarray:

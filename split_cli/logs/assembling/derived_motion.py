@@ -92,7 +92,10 @@ def _run_lateral_velocity_from_accelerations(situation: DerivationInputs) -> Der
             advice="Integrated accelerations drift between such moments. Record v_y, the sideslip or a pose.",
         )
     if not made.belongs:
-        advice = "Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car."
+        advice = (
+            "Its unit, sign or frame is wrong, it is late against r, or it comes too slowly for this car. Where a pose "
+            "is recorded, map X, Y and yaw, and pass --derive velocity-from-pose instead."
+        )
         raise MapError(f"--derive {name}: a_y {made.doubt}", advice=advice)
     std = made.std[sure]
     rest = f"; {100.0 * (1.0 - sure.mean()):.0f} % of the rows left out, less sure than {TOLERANCE:g} rad"

@@ -165,14 +165,17 @@ def _unexplained(leaf: Leaf, alternative: str) -> ConsistencyFinding:
     corrected = f", {leaf.left:.4g} with what else was found corrected" if moved else ""
     measured, _, expected = relation.name.partition(" against ")
     cause = "No usual mistake of unit or sign explains that."
-    if {"vx", "X"} <= set(relation.powers) and leaf.left < 0.0:
-        cause = "The car drives backwards, if v_x is right: that is not modelled, leave it out with --cut."
+    remedy = f"Check the scale of {' and '.join(_name(c) for c in relation.powers)}."
+    if {"vx", "X"} <= set(relation.powers):
+        if leaf.left < 0.0:
+            cause = "The car drives backwards, if v_x is right: that is not modelled, leave it out with --cut."
+        else:
+            remedy += " Where X, Y are the sure ones, leave vx out, and pass `--derive velocity-from-pose`."
     return ConsistencyFinding(
         "scale" if leaf.left > 0 else "sign",
         "X" if relation.leaf == "hand" else relation.leaf,
         f"{measured} is {slope.slope:.4g} +- {slope.error:.1g} times {expected} "
-        f"(correlation {slope.correlation:.3f}{corrected}). {cause} "
-        f"Check the scale of {' and '.join(_name(c) for c in relation.powers)}.{alternative}",
+        f"(correlation {slope.correlation:.3f}{corrected}). {cause} {remedy}{alternative}",
         slope.slope,
         slope.error,
     )

@@ -33,7 +33,10 @@ from split_cli.workflows.report.words import escape, number, percent
 
 _STATES = {"v_x": ("Longitudinal velocity", "v_x"), "v_y": ("Lateral velocity", "v_y"), "r": ("Yaw rate", "r")}
 _WARNING = "WARNING: "
-_RATIOS = "Error divided by that of the nominal model: left of the line at 1 it is smaller. Bars are 95 % intervals."
+_RATIOS = (
+    "Error divided by that of the nominal model: left of the line at 1 it is smaller. Bars are 95 % "
+    "intervals; where too little time was held out for one, a ratio has none and says little."
+)
 _MODELS = {NOMINAL: "nominal model", VELOCITY_PERSISTENCE: "persistence: velocities held"}
 _PREDICTORS = (
     "<p>Predictors such as bcm and projected evaluate the same trained set in different ways; docs/prediction.md "

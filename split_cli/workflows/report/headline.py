@@ -22,7 +22,7 @@ _FACTORS = {
     ("speed_scale", "scale"): ("Speed sensor", "high", "low"),
     ("yaw_rate_scale", "scale"): ("Yaw rate sensor", "high", "low"),
 }
-#: The part of the car where a term's own name says something else.
+#: The part of the car where a term's own name, or that of its variant, says something else.
 _PARTS = {
     "drive_delay": "Drive torque late",
     "drive_lag": "Drive torque lags",
@@ -45,7 +45,12 @@ _PARTS = {
     "wind": "Wind",
     "sensor_delay": "Sensors late",
     "steer_signal_delay": "Steering logged late",
-    "channel_delay": "One sensor late",
+    "channel_delay/r": "Yaw rate late",
+    "channel_delay/vx": "Longitudinal velocity late",
+    "channel_delay/vy": "Lateral velocity late",
+    "channel_delay/velocity": "Velocities late",
+    "channel_delay/ax": "Longitudinal acceleration late",
+    "channel_delay/ay": "Lateral acceleration late",
     "sensor_lever_arm": "Velocity sensor off its place",
     "sensor_misalignment": "Velocity sensor turned",
     "velocity_bias": "Lateral velocity biased",
@@ -90,7 +95,8 @@ def finding_headline(finding: Finding) -> str:
             sizes.append(_size(estimate))
     if factors:
         return ", ".join(factors)
-    title = _PARTS.get(finding.term, term_title(finding.term))
+    names = f"{finding.term}/{finding.variant}", finding.term
+    title = next((_PARTS[name] for name in names if name in _PARTS), term_title(finding.term))
     return f"{title}: {', '.join(sizes)}" if sizes else title
 
 

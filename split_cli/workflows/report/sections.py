@@ -78,7 +78,12 @@ def all_sections(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
 def _verdict(diagnosis: Diagnosis) -> str:
     sign, sentence = _HEADLINES[diagnosis.verdict]
     kicker = f'<p class="kicker">{sentence}</p>' if diagnosis.findings else ""
-    lead = f'<p class="lead">{escape(_lead(diagnosis))}</p>'
+    told = [escape(typeset(sentence)) for sentence in _lead(diagnosis)]
+    lead = (
+        f'<ul class="lead"><li>{"</li><li>".join(told)}</li></ul>'
+        if len(told) > 1
+        else f'<p class="lead">{"".join(told)}</p>'
+    )
     body = f"{_chips(diagnosis)}{_doubt(diagnosis)}{lead}{facts_list(_facts(diagnosis))}"
     before = f'<span class="sign" aria-hidden="true">{sign}</span>{kicker}'
     return verdict(diagnosis.verdict, headline(diagnosis), body, before)
@@ -109,16 +114,16 @@ def _doubt(diagnosis: Diagnosis) -> str:
     )
 
 
-def _lead(diagnosis: Diagnosis) -> str:
-    """Return the summary without what the headline says already."""
+def _lead(diagnosis: Diagnosis) -> Sequence[str]:
+    """Return the sentences without what the headline says already."""
     if diagnosis.verdict == "match":
         subjects = [note.partition(": ")[0] for note in diagnosis.not_judged if note not in diagnosis.summary]
         # A match says nothing of what these drives cannot show.
         besides = f" Not judged: {'; '.join(subjects)}." if subjects else ""
-        return f"Within noise, at all operating points that both have.{besides}"
+        return [f"Within noise, at all operating points that both have.{besides}"]
     if diagnosis.verdict == "undecided" and diagnosis.not_judged:
-        return "Nothing is claimed about this pair of recordings."
-    return typeset(diagnosis.summary.removeprefix(_HEADLINES[diagnosis.verdict][1]).strip())
+        return ["Nothing is claimed about this pair of recordings."]
+    return [one for one in diagnosis.sentences if one != _HEADLINES[diagnosis.verdict][1]]
 
 
 def _facts(diagnosis: Diagnosis) -> Iterable[tuple[str, str, str]]:
