@@ -49,11 +49,11 @@ def test_the_deviation_between_stretches_is_that_of_random_effects():
     noise = rng.normal(0.0, 1.0, 20_000)
     wander = np.repeat(rng.normal(0.0, 0.3, 1000), 20)
     # A variance of 0.09 is known to (0.09 + 1/20) sqrt(2/1000).
-    assert _between(noise + wander, stretches, 1, 0.01) == pytest.approx(0.3, abs=3.0 * 0.0063 / 0.6)
+    assert _between(noise + wander, np.ones(20_000), stretches, 1, 0.01) == pytest.approx(0.3, abs=3.0 * 0.0063 / 0.6)
     few = np.stack([np.zeros(160), np.repeat(np.arange(8), 20)], axis=1)
-    found = [_between(rng.normal(0.0, 1.0, 160), few, 0, 0.01) for _ in range(2000)]
+    found = [_between(rng.normal(0.0, 1.0, 160), np.ones(160), few, 0, 0.01) for _ in range(2000)]
     assert np.mean(np.array(found) > 0.0) == pytest.approx(0.01, abs=3.0 * np.sqrt(0.01 * 0.99 / 2000))
-    assert _between(noise[:20], few[:20], 1, 0.01) == 0.0  # a single stretch tells nothing
+    assert _between(noise[:20], np.ones(20), few[:20], 1, 0.01) == 0.0  # a single stretch tells nothing
 
 
 def test_a_direction_that_wanders_is_no_fault_up_to_twice_its_deviation(drive):
@@ -84,3 +84,22 @@ def test_a_bias_of_the_yaw_rate_that_grows_is_no_wandering(drive):
     growing = 0.01 * (drive["t"] - drive["t"][0]) / np.ptp(drive["t"])
     drifting = replace(drive, columns={**drive.columns, "r": drive["r"] + growing})
     assert set(wandering(witnesses_of(drifting, 14)).values()) == {0.0}
+
+
+def late_yaw_rate(drive: Drive, delays: np.ndarray) -> Drive:
+    """Return a drive whose yaw rate is late by another time [s] in every run."""
+    t, r = drive["t"], drive["r"].copy()
+    for run, delay in enumerate(delays):
+        own = drive.segment == run
+        r[own] = np.interp(t[own] - delay, t[own], drive["r"][own])
+    return replace(drive, columns={**drive.columns, "r": r})
+
+
+def test_a_delay_is_a_fault_beyond_what_delays_of_stretches_wander_by(drive):
+    """Delays of 30 ms (rms) from run to run, on one side alone; a delay of 60 ms all along is no wandering."""
+    delays = np.random.default_rng(7).normal(0.06, 0.03, RUNS)
+    sound, wanders = witnesses_of(drive, 15), witnesses_of(late_yaw_rate(drive, delays), 16)
+    for ours, theirs in ((wanders, sound), (sound, wanders)):
+        assert everyday(ours, theirs)["channel_delay"]["r"] == pytest.approx(1.96 * np.std(delays), rel=0.3)
+    constant = witnesses_of(late_yaw_rate(drive, np.full(RUNS, 0.06)), 17)
+    assert everyday(constant, sound)["channel_delay"]["r"] == 0.0

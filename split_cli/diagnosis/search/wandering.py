@@ -4,7 +4,7 @@ Navigation systems correct their heading as they go, biases drift, and roads lea
 another wanders from one stretch of driving to the next. Two recordings of one car may lie as far apart.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.stats import f as fisher
@@ -15,19 +15,29 @@ from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.witnesses import Witness
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Term
 
 
-def wandering(witnesses: Sequence[KinematicResiduals | Witness], policy: Policy = STANDARD) -> dict[str, float]:
+def wandering(
+    witnesses: Sequence[KinematicResiduals | Witness],
+    policy: Policy = STANDARD,
+    pattern: Callable[[KinematicResiduals | Witness], np.ndarray] | None = None,
+) -> dict[str, float]:
     """Return how far witnesses of each kind wander from stretch to stretch, in the unit of their difference.
+
+    Parameters
+    ----------
+    pattern : callable, optional
+        What a fault of unit size adds to the difference of a witness, shape (W,): then in units of the fault. By
+        default the difference itself wanders, all through a stretch.
 
     Notes
     -----
     A stretch is as long as the evidence that a decision takes. Of what an instrument says beside the velocities,
-    scale, bias, delay and a steady drift are taken off by least squares: those have terms of their own. The mean
-    of n_j windows has the variance tau^2 + sigma^2/n_j, sigma^2 that within stretches: a one-way analysis
-    of variance with random effects, whose moments give tau (DerSimonian and Laird, 1986). It is 0 where Fisher's F
-    test finds no more than chance.
+    scale, bias, delay and a steady drift are taken off by least squares: those have terms of their own. With
+    windows y and the pattern p, a stretch says b = p^T y/(p^T p), of the variance tau^2 + sigma^2/(p^T p), sigma^2
+    that within stretches: an analysis of variance with random effects, whose moments give tau (DerSimonian and
+    Laird, 1986). It is 0 where Fisher's F test finds no more than chance.
     """
     seconds = policy.comparison.least_rows * ROW_SECONDS
     by_kind: dict[str, list[KinematicResiduals | Witness]] = {}
@@ -35,31 +45,44 @@ def wandering(witnesses: Sequence[KinematicResiduals | Witness], policy: Policy 
         by_kind.setdefault(one.kind, []).append(one)
     found = {}
     for kind, several in by_kind.items():
-        left, stretches, spent = [], [], 0
+        left, patterns, stretches, spent = [], [], [], 0
         for number, one in enumerate(several):
             causes = np.hstack([one.causes, one.slow_causes])
             difference = one.difference(())
             left.append(difference - causes @ np.linalg.lstsq(causes, difference, rcond=1e-9)[0])
+            patterns.append(np.ones(len(left[-1])) if pattern is None else pattern(one))
             stretches.append(np.stack([np.full(len(left[-1]), number), one.series.t[one.begin] // seconds], axis=1))
             spent += causes.shape[1]
-        found[kind] = _between(np.concatenate(left), np.concatenate(stretches), spent, policy.selection.level)
+        everything = (np.concatenate(several) for several in (left, patterns, stretches))
+        found[kind] = _between(*everything, spent, policy.selection.level)
     return found
 
 
-def _between(values: np.ndarray, stretches: np.ndarray, spent: int, level: float) -> float:
-    """Return the deviation between stretches beyond that within, of values (N,) numbered by rows (N, 2)."""
+def _between(values: np.ndarray, pattern: np.ndarray, stretches: np.ndarray, spent: int, level: float) -> float:
+    """Return the deviation of a pattern's size between stretches beyond chance.
+
+    Parameters
+    ----------
+    values, pattern : ndarray, shape (N,)
+    stretches : ndarray, shape (N, 2)
+        Numbers of recording and stretch.
+    spent : int
+        How many causes were taken off the values.
+    """
     if not len(values):
         return 0.0
-    own, count = np.unique(stretches, axis=0, return_inverse=True, return_counts=True)[1:]
-    mean = np.bincount(own.ravel(), values) / count
-    between, within = len(count) - spent, len(values) - len(count)
+    own = np.unique(stretches, axis=0, return_inverse=True)[1].ravel()
+    weight, moved = np.bincount(own, pattern**2), np.bincount(own, pattern * values)
+    shows = weight > 0.0
+    size = np.divide(moved, weight, out=np.zeros(len(weight)), where=shows)
+    between, within = int(shows.sum()) - spent, int(shows[own].sum()) - int(shows.sum())
     if between < 1 or within < 1:
         return 0.0
-    noise = float(np.sum((values - mean[own.ravel()]) ** 2)) / within
-    total = float(count @ mean**2)
+    noise = float(np.sum((values - pattern * size[own])[shows[own]] ** 2)) / within
+    total = float(weight @ size**2)
     if total <= noise * between * float(fisher.isf(level, between, within)):
         return 0.0
-    return float(np.sqrt((total - noise * between) / len(values)))
+    return float(np.sqrt((total - noise * between) / weight.sum()))
 
 
 def beyond_wandering(
@@ -68,31 +91,77 @@ def beyond_wandering(
     """Return candidates of which no size is a fault that instruments wander by, in reality or in the simulation.
 
     A size is a fault where it moves the witness that shows it most by more than that wanders, 95 % of a normal
-    deviate. Velocities are held against position and yaw alone: accelerometers hardly feel their biases. Delays
-    are not asked: what wanders slowly is none.
+    deviate. Velocities are held against position and yaw alone: accelerometers hardly feel their biases. What
+    wanders slowly is no delay: one is a fault where it exceeds what delays of single stretches wander by.
     """
     ours, theirs = (wandering(several, policy) for several in (case.kinematics, case.simulated_kinematics))
     most = {kind: policy.selection.deviations * max(size, theirs.get(kind, 0.0)) for kind, size in ours.items()}
-    return [_beyond(one, case.kinematics, most) if any(most.values()) else one for one in candidates]
+
+    def beyond(one: Candidate) -> Candidate:
+        kind = CATALOGUE[one.term]
+        if kind.exported or kind.on_command_clock or not one.starts:
+            return one
+        if kind.moves_samples:
+            return one.beyond(_late(one, case.kinematics, case.simulated_kinematics, policy))
+        return one.beyond(_moving_most(one, case.kinematics, most)) if any(most.values()) else one
+
+    return [beyond(one) for one in candidates]
 
 
-def _beyond(
+def _moving_most(
     candidate: Candidate, witnesses: Sequence[KinematicResiduals | Witness], most: Mapping[str, float]
-) -> Candidate:
-    """Return a candidate that is no fault where it moves its clearest witness by no more than `most`, by kind."""
-    kind = CATALOGUE[candidate.term]
-    if kind.exported or kind.moves_samples or kind.on_command_clock or not candidate.starts:
-        return candidate
-    start, none, everyday = candidate.starts[0], dict(candidate.starts[0]), {}
-    sizes = candidate.away(start)
-    none.update({name: kind.neutral[name] for name in sizes})
-    for name, size in sizes.items():
-        fault, clearest = candidate.build({**none, name: start[name]}), 0.0
-        for one in witnesses:
-            direct = one.kind.startswith("a_") != one.series.is_moved_by(fault)
-            if size and direct and one.feels(fault) and len(one.begin):
-                moved = one.difference([fault]) - one.difference(())
-                length = float(np.sqrt(np.mean(moved**2)))
-                if length / one.scale > clearest:
-                    clearest, everyday[name] = length / one.scale, most[one.kind] * size / length
-    return candidate.beyond(everyday)
+) -> dict[str, float]:
+    """Return from which size on each parameter moves its clearest witness by more than `most`, by kind."""
+    found = {}
+    for name, (fault, size) in _each_alone(candidate).items():
+        clearest = _clearest(
+            fault, [one for one in witnesses if _is_acceleration(one) != one.series.is_moved_by(fault)]
+        )
+        if clearest is not None:
+            found[name] = most[clearest.kind] * size / _length(clearest, fault)
+    return found
+
+
+def _late(
+    candidate: Candidate,
+    ours: Sequence[KinematicResiduals | Witness],
+    theirs: Sequence[KinematicResiduals | Witness],
+    policy: Policy,
+) -> dict[str, float]:
+    """Return from which size on each delay exceeds what delays of stretches wander by, by its clearest witness."""
+    found = {}
+    for name, (fault, size) in _each_alone(candidate).items():
+
+        def pattern(one: KinematicResiduals | Witness, fault=fault, size=size) -> np.ndarray:
+            return (one.difference([fault]) - one.difference(())) / size
+
+        clearest = _clearest(fault, [one for one in ours if _is_acceleration(one) == (name in ("ax", "ay"))])
+        if clearest is not None:
+            kinds = ([one for one in several if one.kind == clearest.kind] for several in (ours, theirs))
+            sizes = [size for several in kinds for size in wandering(several, policy, pattern).values()]
+            found[name] = policy.selection.deviations * max(sizes)
+    return found
+
+
+def _each_alone(candidate: Candidate) -> dict[str, tuple[Term, float]]:
+    """Return by parameter the term with its first start of that alone, and how far that is from no effect."""
+    kind, start = CATALOGUE[candidate.term], candidate.starts[0]
+    sizes = {name: size for name, size in candidate.away(start).items() if size}
+    none = {**start, **{name: kind.neutral[name] for name in candidate.away(start)}}
+    return {name: (candidate.build({**none, name: start[name]}), size) for name, size in sizes.items()}
+
+
+def _is_acceleration(one: KinematicResiduals | Witness) -> bool:
+    """Return whether a witness holds an accelerometer against the velocities: these hardly feel their biases."""
+    return one.kind.startswith("a_")
+
+
+def _clearest(fault: Term, witnesses: Sequence[KinematicResiduals | Witness]) -> KinematicResiduals | Witness | None:
+    """Return the witness that a fault moves most, in its spreads."""
+    felt = [one for one in witnesses if one.feels(fault) and len(one.begin) and _length(one, fault)]
+    return max(felt, key=lambda one: _length(one, fault) / one.scale, default=None)
+
+
+def _length(one: KinematicResiduals | Witness, fault: Term) -> float:
+    """Return by how much a fault moves a witness [rms], in the unit of its difference."""
+    return float(np.sqrt(np.mean((one.difference([fault]) - one.difference(())) ** 2)))
