@@ -4,18 +4,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from split_cli.diagnosis import engine
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rolling
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.innovations.whitening import build_whitener
+from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, select_terms
+from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.effects import CATALOGUE, Term
@@ -209,6 +213,13 @@ def explorer(objective: MarginalLikelihood, *names: str) -> Explorer:
 def selected(objective: MarginalLikelihood, *names: str) -> Selection:
     """Return what the search selects among these terms."""
     return select_terms(objective, candidates_of(objective, *names), INFLATION)
+
+
+def verdict_of(*drives: object, policy: Policy = STANDARD) -> Diagnosis:
+    """Return what is named, without held-out errors and detection limits, which take more than half of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine, "detection_limits", lambda *_: ())
+        return engine.diagnose(*drives, policy=policy, improved=False)
 
 
 def faulty(drive: Drive, *, angle: float = 0.0, dx: float = 0.0) -> Drive:

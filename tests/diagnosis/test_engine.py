@@ -24,14 +24,15 @@ from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.drive import Drive, write_drive
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import write_vehicle
+from tests.diagnosis import recordings
 from tests.diagnosis.recordings import driven, noisy
 from tests.diagnosis.test_report import label_of, one, opened
 from tests.factories import road_car
 
 GAIN = CATALOGUE["steer_gain"]({"gain": 0.93})
-# The long search finds no more in these drives; and what naming improves is not asked for here.
+# The long search finds no more in these drives.
 SHORT = STANDARD.altered("selection", full_fits=3, rounds=2)
-verdict_of = partial(diagnose, improved=False)
+verdict_of = partial(recordings.verdict_of, policy=SHORT)
 
 
 def recording(seed: int, *terms: Term, name: str = "drive.parquet", runs: int = 5) -> Drive:
@@ -121,7 +122,7 @@ def test_a_lag_longer_than_that_of_the_simulation_is_one_name():
     simulation, reality = (
         recording(seed, CATALOGUE["steer_lag"]({"tau": tau})) for seed, tau in ((181, 0.02), (182, 0.045))
     )
-    found = verdict_of([reality], road_car(), [simulation], policy=SHORT)
+    found = verdict_of([reality], road_car(), [simulation])
     (finding,) = found.findings
     assert (finding.term, finding.variant) == ("steer_lag", "changed")
     low, high = finding.parameters["tau"].interval_95
@@ -179,7 +180,7 @@ def test_what_acts_for_a_while_is_no_match():
         return out
 
     drive = noisy(driven(82, runs=8, seconds=8.0, spaced=9.0, steer=steer), 582, position=0.01)
-    found = verdict_of([drive], road_car(), [recording(81, runs=8)], policy=SHORT)
+    found = verdict_of([drive], road_car(), [recording(81, runs=8)])
     assert found.verdict == "mismatch" and found.p_value < STANDARD.comparison.level
     assert not found.findings and found.unexplained
     assert "it looks like steer gain (steer_gain) with gain = 0.9" in found.summary
@@ -209,7 +210,7 @@ def test_neither_names_nor_running_again_change_a_number(pair):
 
 def test_the_order_of_drives_changes_nothing(pair):
     drives, one = pair
-    other = verdict_of(drives[::-1], road_car(), policy=SHORT)
+    other = verdict_of(drives[::-1], road_car())
     assert one.verdict == other.verdict == "mismatch"
     assert [finding.term for finding in one.findings] == [finding.term for finding in other.findings]
     # Sums of the same rows in another order; the fit stops within a seventh of a standard error.
@@ -235,7 +236,7 @@ def strange(simulation, strange_car) -> tuple[Diagnosis, SearchOutcome]:
     found: list[SearchOutcome] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(engine, "search", lambda *a, **k: found.append(search(*a, **k)) or found[0])
-        return verdict_of([strange_car], road_car(), [simulation], policy=SHORT), found[0]
+        return verdict_of([strange_car], road_car(), [simulation]), found[0]
 
 
 def test_what_is_in_no_catalogue_is_unexplained(strange):

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.recording.witnesses import build_witnesses, late_against_position, usual_parts
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.exploration import Explorer
@@ -22,7 +21,16 @@ from split_cli.diagnosis.search.term_tests import (
 )
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
-from tests.diagnosis.recordings import INFLATION, bare_objective, candidates_of, driven, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import (
+    INFLATION,
+    bare_objective,
+    candidates_of,
+    driven,
+    light_evidence,
+    noisy,
+    prepared,
+    verdict_of,
+)
 from tests.factories import road_car
 
 PLANTED = [
@@ -378,7 +386,7 @@ def fit_at(objective, part: Part) -> Fit:
 @pytest.mark.parametrize("k", [2, 6, 10, 11])
 def test_a_planted_fault_is_named_with_its_value(k):
     term, variant, parameters = PLANTED[k]
-    said = diagnose([recording(36, fault(term, variant, parameters))], road_car())
+    said = verdict_of([recording(36, fault(term, variant, parameters))], road_car())
     assert said.verdict == "mismatch"
     assert [one.term for one in said.findings] == [term]
     (finding,) = said.findings
