@@ -44,6 +44,7 @@ def sample_logs() -> Path:
 
 _LONGEST = (
     "workflows/test_cluster.py",
+    "test_diagnosis_tutorial.py",
     "diagnosis/test_engine.py",
     "proof/test_multibody_faults.py",
     "trust/test_killed_runs.py",

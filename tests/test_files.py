@@ -81,21 +81,25 @@ KILLED = textwrap.dedent(
 )
 
 
+def old_output(folder: Path, kind: str) -> tuple[Path, Path]:
+    """Write an output of before; return it, and the file that holds its text."""
+    target = folder / "out"
+    if kind == "directory":
+        target.mkdir()
+    old = target if kind == "file" else target / "model.c"
+    old.write_text("old")
+    return target, old
+
+
 @pytest.mark.parametrize("kind", ["file", "directory"])
 def test_kill_nine_leaves_the_old_output_whole(tmp_path, kind):
-    target = tmp_path / "out"
-    if kind == "file":
-        target.write_text("old")
-    else:
-        target.mkdir()
-        (target / "model.c").write_text("old")
+    target, old = old_output(tmp_path, kind)
     process = subprocess.Popen([sys.executable, "-c", KILLED, kind, str(target)], stdout=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stdout.readline() == b"writing\n"
     process.send_signal(signal.SIGKILL)
     process.wait(timeout=10)
     process.stdout.close()
-    old = target if kind == "file" else target / "model.c"
     assert old.read_text() == "old"
     # What was half written stays under another, hidden name, so no reader takes it for output.
     assert all(name.startswith(".") for name in leftovers(tmp_path))
@@ -121,18 +125,12 @@ FULL = textwrap.dedent(
 
 @pytest.mark.parametrize("kind", ["file", "directory"])
 def test_a_limit_of_file_size_is_one_clear_error_and_the_old_output_stays(tmp_path, kind):
-    target = tmp_path / "out"
-    if kind == "file":
-        target.write_text("old")
-    else:
-        target.mkdir()
-        (target / "model.c").write_text("old")
+    target, old = old_output(tmp_path, kind)
     done = subprocess.run(
         [sys.executable, "-c", FULL, kind, str(target)], capture_output=True, text=True, check=True, timeout=30
     )
     assert "cannot be written" in done.stdout
     assert done.stdout.count("\n") == 1
-    old = target if kind == "file" else target / "model.c"
     assert old.read_text() == "old"
     assert leftovers(tmp_path) == []
 

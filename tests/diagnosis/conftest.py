@@ -6,19 +6,18 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_sh
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.recording.series import Series
-from split_cli.diagnosis.search.selection import Selection, select_terms
+from split_cli.diagnosis.search.selection import Selection
 from split_cli.logs.drive import Drive
 from tests.diagnosis.recordings import (
-    INFLATION,
     NAMES,
     bare_objective,
-    candidates_of,
     driven,
     light_evidence,
     noisy,
     objective_with,
     planted,
     prepared,
+    selected,
 )
 from tests.factories import road_car
 
@@ -66,4 +65,4 @@ def pair() -> MarginalLikelihood:
 @pytest.fixture(scope="session")
 def chosen_pair(pair) -> Selection:
     """What a search among five terms says of it."""
-    return select_terms(pair, candidates_of(pair, *NAMES), INFLATION)
+    return selected(pair, *NAMES)

@@ -206,13 +206,18 @@ def candidates_of(objective: MarginalLikelihood, *names: str) -> list[Candidate]
     return [one for one in every if one.term in names and "simulation" not in one.needs]
 
 
-def explorer(objective: MarginalLikelihood, *names: str) -> Explorer:
-    return Explorer(objective, tuple(candidates_of(objective, *names)), INFLATION)
+def explorer(objective: MarginalLikelihood, *terms: str | Candidate) -> Explorer:
+    return Explorer(objective, _as_candidates(objective, terms), INFLATION)
 
 
-def selected(objective: MarginalLikelihood, *names: str) -> Selection:
-    """Return what the search selects among these terms."""
-    return select_terms(objective, candidates_of(objective, *names), INFLATION)
+def selected(objective: MarginalLikelihood, *terms: str | Candidate) -> Selection:
+    """Return what the search selects among terms: candidates, or names as for `candidates_of`."""
+    return select_terms(objective, _as_candidates(objective, terms), INFLATION)
+
+
+def _as_candidates(objective: MarginalLikelihood, terms: Sequence[str] | Sequence[Candidate]) -> tuple[Candidate, ...]:
+    named = all(isinstance(one, str) for one in terms)
+    return tuple(candidates_of(objective, *terms) if named else terms)
 
 
 def verdict_of(*drives: object, policy: Policy = STANDARD) -> Diagnosis:

@@ -20,12 +20,11 @@ from split_cli.diagnosis.search.baselines import (
     settled,
 )
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
-from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
 from split_cli.diagnosis.search.selection import Rival, Selection
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
-from tests.diagnosis.recordings import INFLATION, case_of
+from tests.diagnosis.recordings import INFLATION, case_of, explorer
 from tests.diagnosis.test_calibration import drive, recorded
 from tests.factories import road_car
 
@@ -114,7 +113,7 @@ def test_beside_a_sensors_fault_a_fault_of_commands_promises_what_it_saves_there
     displaced = Part(arm, {**arm.starts[0], "dx": 0.8})
     residuals = objective.left_by([displaced.term])
     current = Fit((displaced,), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
-    explore = Explorer(objective, (gain,), INFLATION)
+    explore = explorer(objective, gain)
     ((promised, line), *_) = explore.promises(current)
     alone = min(one.cost(current) for one in explore.tangents())
     steps = np.linspace(0.7, 1.0, 16)

@@ -8,7 +8,7 @@ import pytest
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.fitting import Fit, Part, tangent
-from split_cli.diagnosis.search.selection import nothing, select_terms
+from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.search.term_tests import over_allowance
 from split_cli.diagnosis.statement.result import Detectable
 from split_cli.diagnosis.verdict.detectable import detection_limits
@@ -73,7 +73,7 @@ def test_beside_a_name_a_size_is_told_by_what_the_name_cannot_take_up(told):
     gain = CATALOGUE["steer_gain"]({"gain": 0.9}, "")
     objective = objective_of(gain)
     candidates = candidates_of(objective, *NAMES)
-    chosen = select_terms(objective, candidates, INFLATION).chosen
+    chosen = selected(objective, *candidates).chosen
     found = detection_limits((objective,), candidates, INFLATION, LEVEL, named=chosen.parts)
     beside = {one.term: one.parameters for one in found}
     alone, value = told["yaw_inertia"].parameters["scale"][0], beside["yaw_inertia"]["scale"][0]

@@ -20,7 +20,16 @@ from split_cli.diagnosis.search.form_error import (
 )
 from split_cli.diagnosis.search.selection import nothing, select_terms
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import INFLATION, candidates_of, driven, explorer, first_order, late, noisy_objective
+from tests.diagnosis.recordings import (
+    INFLATION,
+    candidates_of,
+    driven,
+    explorer,
+    first_order,
+    late,
+    noisy_objective,
+    selected,
+)
 
 
 @pytest.fixture(scope="module")
@@ -114,20 +123,20 @@ def test_what_one_may_get_wrong_is_free_for_the_others(behind, delay):
 
 def test_an_alternative_takes_the_place_where_it_is_better_beside_form_error(behind, monkeypatch):
     candidates = candidates_of(behind, "steer_delay", "steer_lag")
-    plain = select_terms(behind, candidates, INFLATION)
+    plain = selected(behind, *candidates)
     assert plain.chosen.names == ("steer_delay",)
     # Alternatives are what may be model-form error; here the lag is made one.
     monkeypatch.setattr(selecting, "explaining_as_well", lambda objective, selection, k, rivals: list(rivals))
-    assert select_terms(behind, candidates, INFLATION).chosen.names == ("steer_delay",)
+    assert selected(behind, *candidates).chosen.names == ("steer_delay",)
     tie = 1.5 * behind.policy.selection.tie  # before variance inflation
 
     def saving(much):
         return lambda objective, fits: [much * ("steer_delay" in fit.names) for fit in fits]
 
     monkeypatch.setattr(selecting, "costs_beside_form_error", saving(0.9 * tie))
-    assert select_terms(behind, candidates, INFLATION).chosen.names == ("steer_delay",)
+    assert selected(behind, *candidates).chosen.names == ("steer_delay",)
     monkeypatch.setattr(selecting, "costs_beside_form_error", saving(1.1 * tie))
-    turned = select_terms(behind, candidates, INFLATION)
+    turned = selected(behind, *candidates)
     assert turned.chosen.names == ("steer_lag",) and turned.named == (True,)
     assert "beside model-form error" in turned.history[-1]
     # What it was compared with is reported as seen from the one that is chosen now.

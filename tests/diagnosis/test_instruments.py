@@ -8,7 +8,6 @@ import pytest
 
 from split_cli.diagnosis.recording.witnesses import build_witnesses, late_against_position, usual_parts
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
-from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable
 from split_cli.diagnosis.search.late_channel import late_by_witnesses, with_late_channel
@@ -26,6 +25,7 @@ from tests.diagnosis.recordings import (
     bare_objective,
     candidates_of,
     driven,
+    explorer,
     light_evidence,
     noisy,
     prepared,
@@ -242,7 +242,7 @@ def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error
         candidates = tuple(one for one in sensors if one.variant != "frame")
         (unit,) = (one for one in candidates if one.variant == "unit")
         chosen = fit_parts(objective, (Part(unit, dict(unit.starts[0])),))
-        _, (sibling,) = rivals_of(Explorer(objective, candidates, INFLATION), chosen, 0, nothing(objective))
+        _, (sibling,) = rivals_of(explorer(objective, *candidates), chosen, 0, nothing(objective))
         return sibling.excess
 
     assert abs(excess([])) < 1e-3 and excess(felt) > 100.0
@@ -256,7 +256,7 @@ def test_witnesses_speak_for_a_rival_whatever_model_form_error_makes_of_its_cost
 
     def excess(objective) -> tuple[float, Fit, Fit]:
         chosen = fit_at(objective, Part(steer, {"delay": 0.04}))
-        others, _ = rivals_of(Explorer(objective, candidates, INFLATION), chosen, 0, nothing(objective))
+        others, _ = rivals_of(explorer(objective, *candidates), chosen, 0, nothing(objective))
         (rival,) = (one for one in others if one.fit.parts[-1].candidate is late)
         return rival.excess, rival.fit, chosen
 

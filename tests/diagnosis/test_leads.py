@@ -9,13 +9,13 @@ import pytest
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict import leads
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Course, Range
-from tests.diagnosis.recordings import INFLATION, candidates_of, driven, noisy, noisy_objective
+from tests.diagnosis.recordings import INFLATION, candidates_of, driven, noisy, noisy_objective, selected
 from tests.factories import road_car
 
 
@@ -81,7 +81,7 @@ def test_beside_a_name_what_no_car_can_have_is_a_lead():
     objective = noisy_objective(driven(73, planted, runs=4), 7)
     (bank,) = (one for one in candidates_of(objective, "road_bank") if not one.variant)
     short = replace(bank, ranges={"angle": replace(bank.ranges["angle"], lower=-0.1, upper=0.1)})
-    selection = select_terms(objective, (*candidates_of(objective, "steer_gain"), short), INFLATION)
+    selection = selected(objective, *candidates_of(objective, "steer_gain"), short)
     assert [one.id for one in selection.terms] == ["steer_gain"]
     (lead,) = leads.find_leads(objective, selection, INFLATION)
     assert lead.term == "road_bank" and lead.limits == {"angle": (-0.1, 0.1)}

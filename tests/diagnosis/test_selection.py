@@ -15,7 +15,7 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts, without_parts
 from split_cli.diagnosis.search.forward import other_beginnings
-from split_cli.diagnosis.search.selection import Selection, nothing, select_terms
+from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import (
@@ -23,6 +23,7 @@ from tests.diagnosis.recordings import (
     NAMES,
     candidates_of,
     driven,
+    explorer,
     first_order,
     late,
     named,
@@ -98,9 +99,9 @@ def test_too_small_to_name_is_kept_as_a_nuisance_and_the_search_goes_on():
         < effects_to_noise_of(evidence, evidence.at, terms[1:]).max()
     )
     candidates = candidates_of(objective, "rolling_resistance", "yaw_inertia", "steer_gain")
-    first = Explorer(objective, candidates, INFLATION)(nothing(objective))[0]
+    first = explorer(objective, *candidates)(nothing(objective))[0]
     assert first.names == ("rolling_resistance",)
-    selection = select_terms(objective, candidates, INFLATION)
+    selection = selected(objective, *candidates)
     assert named(selection) == {"yaw_inertia"}
     assert selection.chosen.names == ("rolling_resistance", "yaw_inertia")
     assert [bool(rivals) for rivals in selection.rivals] == list(selection.named)
@@ -183,9 +184,9 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     """Steering that lags and torque that comes late look like late sensors before they are told apart."""
     objective = objective_with(steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12))
     candidates = candidates_of(objective, "drive_lag", "drive_delay", "steer_lag", "steer_delay", "sensor_delay")
-    first = Explorer(objective, candidates, INFLATION)(nothing(objective))[0]
+    first = explorer(objective, *candidates)(nothing(objective))[0]
     assert first.names == ("sensor_delay",)
-    selection = select_terms(objective, candidates, INFLATION)
+    selection = selected(objective, *candidates)
     assert named(selection) == {"steer_lag", "drive_delay"}
     values = {part.candidate.term: part.values for part in selection.chosen.parts}
     assert values["steer_lag"]["tau"] == pytest.approx(0.05, rel=0.03)
@@ -196,7 +197,7 @@ def test_one_term_is_preferred_to_two_that_say_the_same():
     """Late sensors are late steering and late torque at once; nothing tells them apart but their number."""
     objective = objective_with(steer=partial(behind, delay=0.012), torque=partial(behind, delay=0.012))
     candidates = candidates_of(objective, "drive_delay", "steer_delay", "sensor_delay")
-    assert named(select_terms(objective, candidates, INFLATION)) == {"sensor_delay"}
+    assert named(selected(objective, *candidates)) == {"sensor_delay"}
 
 
 def test_other_beginnings_are_other_terms_that_save_nearly_as_much(pair):
@@ -266,7 +267,7 @@ def test_what_wants_more_than_makes_sense_is_not_named():
     """Where the search ends before the truth, a value at its end stands for something else."""
     objective = noisy_objective(driven(31, (CATALOGUE["yaw_inertia"]({"scale": 0.78}),)), 7)
     (candidate,) = candidates_of(objective, "yaw_inertia")
-    assert [one.id for one in select_terms(objective, [candidate], INFLATION).terms] == ["yaw_inertia"]
+    assert [one.id for one in selected(objective, candidate).terms] == ["yaw_inertia"]
     short = replace(candidate, ranges={"scale": replace(candidate.ranges["scale"], lower=0.9)})
-    selection = select_terms(objective, [short], INFLATION)
+    selection = selected(objective, short)
     assert selection.terms == () and len(selection.chosen.parts) == 1 and selection.first_p < 1e-6  # it stays

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import SEARCHED_PLACES, Part, fit_parts
-from split_cli.diagnosis.search.selection import nothing, rivals_of, select_terms
+from split_cli.diagnosis.search.selection import nothing, rivals_of
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import INFLATION, LAP, candidates_of, named, objective_with
+from tests.diagnosis.recordings import LAP, candidates_of, explorer, named, objective_with, selected
 
 
 def test_the_best_of_many_places_has_to_save_more_where_there_is_form_error():
@@ -27,24 +26,24 @@ def test_a_stretch_over_nearly_the_whole_lap_is_none():
     """Grip lost on 380 of 400 m: the whole road has less of it, as far as names go."""
     objective = objective_with(CATALOGUE["friction_patch"]({"scale": 0.8, "s_start": 10.0, "s_end": 390.0}))
     patches = candidates_of(objective, "friction_patch")
-    for fit in Explorer(objective, patches, INFLATION)(nothing(objective)):
+    for fit in explorer(objective, *patches)(nothing(objective)):
         values = fit.parts[0].values
         assert (values["s_end"] - values["s_start"]) % LAP <= 0.8 * LAP
-    selection = select_terms(objective, [*patches, *candidates_of(objective, "friction_scale")], INFLATION)
+    selection = selected(objective, *patches, *candidates_of(objective, "friction_scale"))
     assert named(selection) == {"friction_scale"}
 
 
 def test_a_stretch_is_named_and_not_the_whole_road():
     objective = objective_with(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
     candidates = candidates_of(objective, "friction_patch", "friction_scale")
-    assert named(select_terms(objective, candidates, INFLATION)) == {"friction_patch"}
+    assert named(selected(objective, *candidates)) == {"friction_patch"}
 
 
 def test_a_stretch_that_lies_elsewhere_than_it_saves_most_is_searched_for_again():
     """Ends of a stretch do not move over ground where it does nothing: what was found first put them there."""
     objective = objective_with(CATALOGUE["friction_patch"]({"scale": 0.7, "s_start": 120.0, "s_end": 220.0}))
     patch = candidates_of(objective, "friction_patch")[0]
-    explore, base = Explorer(objective, (patch,), INFLATION), nothing(objective)
+    explore, base = explorer(objective, patch), nothing(objective)
     elsewhere = fit_parts(objective, [Part(patch, {"scale": 0.9, "s_start": 20.0, "s_end": 60.0})])
     _, (again,) = rivals_of(explore, elsewhere, 0, base)
     assert again.excess < -100.0 and again.fit.parts[0].values["s_end"] == pytest.approx(220.0, abs=0.02 * LAP)

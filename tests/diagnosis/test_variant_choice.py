@@ -13,9 +13,9 @@ from split_cli.diagnosis.search import variant_choice
 from split_cli.diagnosis.search.candidates import Range
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.selection import Selection, nothing, select_terms, with_chosen
+from split_cli.diagnosis.search.selection import Selection, nothing, with_chosen
 from split_cli.diagnosis.search.variant_choice import open_loop_errors, with_variants_by_rollout
-from tests.diagnosis.recordings import INFLATION, candidates_of, objective_with, planted
+from tests.diagnosis.recordings import INFLATION, candidates_of, objective_with, planted, selected
 
 
 @pytest.fixture(scope="module")
@@ -39,14 +39,14 @@ def variants(objective) -> list:
 @pytest.fixture(scope="module")
 def wrong(objective, variants) -> Selection:
     """A selection that has taken the variant that moves the peak alone."""
-    selection = select_terms(objective, variants, INFLATION)
+    selection = selected(objective, *variants)
     peak = next(one for one in variants if one.variant == "peak")
     fit = fit_parts(objective, (Part(peak, dict(peak.starts[0])),))
     return with_chosen(Explorer(objective, tuple(variants), INFLATION), selection, fit)
 
 
 def test_the_truth_runs_freely_as_far_as_noise_lets_it(objective, variants, wrong):
-    selection = select_terms(objective, variants, INFLATION)
+    selection = selected(objective, *variants)
     assert selection.chosen.parts[0].candidate.variant == ""
     base, true, peak = open_loop_errors(objective, [nothing(objective), selection.chosen, wrong.chosen])
     assert 0.8 < true < 1.2
@@ -83,7 +83,7 @@ def test_the_variant_that_runs_takes_the_place_of_one_that_does_not(structure, v
 
 
 def test_where_nothing_is_left_without_a_name_one_step_decides(objective, structure, variants):
-    selection = select_terms(objective, variants, INFLATION)
+    selection = selected(objective, *variants)
     assert with_variants_by_rollout(structure, variants, selection, INFLATION) is selection
 
 

@@ -13,6 +13,9 @@ from split_cli.vehicle.parameters import read_vehicle
 pytestmark = pytest.mark.foreign
 
 
+AV21 = ("--map", "av21_lvms", "--vehicle", "av21", "--derive", "torque-from-throttle-and-brake")
+
+
 def ingest(tmp_path, log, *arguments: str) -> tuple[Drive, dict]:
     output = tmp_path / "drive.parquet"
     shown = CliRunner().invoke(command, [str(log), *arguments, "-o", str(output), "--json"], catch_exceptions=False)
@@ -55,17 +58,7 @@ def test_genesis_its_biases_on_straights_are_found_and_its_held_steering_is_held
 
 
 def test_av21_its_shifted_channels_are_found(tmp_path, datasets):
-    drive, report = ingest(
-        tmp_path,
-        datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",
-        "--map",
-        "av21_lvms",
-        "--vehicle",
-        "av21",
-        "--derive",
-        "torque-from-throttle-and-brake",
-        "--estimate-delays",
-    )
+    drive, report = ingest(tmp_path, datasets / "av21_lvms" / "LVMS_23_01_04_B.csv", *AV21, "--estimate-delays")
     assert drive.rate == pytest.approx(25.0)
     found = delays(report)
     # Yaw rate trails yaw and velocity by more than a quarter second, a_x by a whole one.
@@ -76,16 +69,7 @@ def test_av21_its_shifted_channels_are_found(tmp_path, datasets):
     assert abs(found["wheel_speed_fl"]["delay"]) < 0.04
     assert found["wheel_speed_rl"]["error"] > 0.02
     # Evidence by another measure: dyaw/dt and r agree better after, as far as r's own filter lets them.
-    before, _ = ingest(
-        tmp_path,
-        datasets / "av21_lvms" / "LVMS_23_01_04_B.csv",
-        "--map",
-        "av21_lvms",
-        "--vehicle",
-        "av21",
-        "--derive",
-        "torque-from-throttle-and-brake",
-    )
+    before, _ = ingest(tmp_path, datasets / "av21_lvms" / "LVMS_23_01_04_B.csv", *AV21)
     assert _yaw_rate_misfit(drive) < 0.8 * _yaw_rate_misfit(before)
     # Its a_x is filtered to half its size; that is said.
     assert findings(report)[("ax", "scale")] == pytest.approx(0.5, abs=0.1)
