@@ -78,11 +78,11 @@ def all_sections(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
 def _verdict(diagnosis: Diagnosis) -> str:
     sign, sentence = _HEADLINES[diagnosis.verdict]
     kicker = f'<p class="kicker">{sentence}</p>' if diagnosis.findings else ""
-    told = [escape(typeset(sentence)) for sentence in _lead(diagnosis)]
+    sentences = [escape(typeset(sentence)) for sentence in _lead(diagnosis)]
     lead = (
-        f'<ul class="lead"><li>{"</li><li>".join(told)}</li></ul>'
-        if len(told) > 1
-        else f'<p class="lead">{"".join(told)}</p>'
+        f'<ul class="lead"><li>{"</li><li>".join(sentences)}</li></ul>'
+        if len(sentences) > 1
+        else f'<p class="lead">{"".join(sentences)}</p>'
     )
     body = f"{_chips(diagnosis)}{_doubt(diagnosis)}{lead}{facts_list(_facts(diagnosis))}"
     before = f'<span class="sign" aria-hidden="true">{sign}</span>{kicker}'
