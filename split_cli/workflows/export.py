@@ -87,7 +87,7 @@ def export_set(
     training_set = read_set(set_path)
     doubts = export_doubts(training_set)
     if doubts and not insist:
-        advice = "Correct the drive's signal map and train again, or export it all the same with --insist."
+        advice = "Correct the signal map or record more, train again, or export it all the same with --insist."
         raise SetError(f"should not drive a car: {'; '.join(doubts)}", where=str(set_path), advice=advice)
     digest = sha256_of_file(set_path)
     provenance = provenance_of(training_set, predictor, set_path.name, digest)

@@ -235,11 +235,11 @@ def summarise(
 
 def _where(location: Location) -> list[str]:
     force = max(location.forces, key=location.forces.get)
-    parts = [f"The gap is mostly {force.replace('_', ' ')} force ({percent(location.forces[force])})."]
+    sentences = [f"The gap is mostly {force.replace('_', ' ')} force ({percent(location.forces[force])})."]
     name, score = _tells_most(location)
     if score > _CLEARLY:
         words = variable_name(name)[0]
-        parts.append(f"{words[:1].upper()}{words[1:]} alone explains {percent(score)} of the gap.")
+        sentences.append(f"{words[:1].upper()}{words[1:]} alone explains {percent(score)} of the gap.")
     here = ""
     if location.place is not None:
         here = f"between s = {number(location.place.s_start)} and {number(location.place.s_end)} m"
@@ -247,12 +247,12 @@ def _where(location: Location) -> list[str]:
         here = f"between {number(location.time[0])} and {number(location.time[1])} s"
     if here:
         share = percent(location.share_of_gap)
-        parts.append(f"{share} of the gap lies {here}, in {percent(location.share_of_samples)} of the samples.")
+        sentences.append(f"{share} of the gap lies {here}, in {percent(location.share_of_samples)} of the samples.")
     elif name in location.region:
         low, high = location.region[name]
         words, unit = variable_name(name)
-        parts.append(f"The gap is largest at a {words} of {number(low)} to {number(high)} {unit}.")
-    return parts
+        sentences.append(f"The gap is largest at a {words} of {number(low)} to {number(high)} {unit}.")
+    return sentences
 
 
 def _tells_most(location: Location) -> tuple[str, float]:

@@ -50,13 +50,13 @@ def jumps(checks: Checks) -> list[ConsistencyFinding]:
         places = _places(checks, np.abs(_change(vx, rows)), limit, rows)
         shown = [f"{vx[at]:.3g} to {vx[at + rows]:.3g} m/s at t = {k.times()[at]:.1f} s" for at in places]
         what = f"by more than {limit:.3g} m/s^2 over {rows * k.period:.2g} s, {against}"
-        found += _findings_at("vx", "v_x jumps", what, shown)
+        found += _finding("vx", "v_x jumps", what, shown)
     if checks.usable("X", "Y"):
         limit = NO_CAR_EXCEEDS["vx"][0]
         way = np.hypot(*(_change(k.columns[c], rows) for c in "XY"))
         places = _places(checks, way, limit, rows)
         shown = [f"{way[at]:.3g} m at t = {k.times()[at]:.1f} s" for at in places]
-        found += _findings_at("X", "X, Y jump", f"faster than {limit:g} m/s over {rows * k.period:.2g} s", shown)
+        found += _finding("X", "X, Y jump", f"faster than {limit:g} m/s over {rows * k.period:.2g} s", shown)
     return found
 
 
@@ -76,7 +76,7 @@ def _places(checks: Checks, change: np.ndarray, limit: float, rows: int) -> list
     return places
 
 
-def _findings_at(channel: str, who: str, what: str, places: list[str]) -> list[ConsistencyFinding]:
+def _finding(channel: str, who: str, what: str, places: list[str]) -> list[ConsistencyFinding]:
     if not places:
         return []
     shown = "; ".join([*places[:_SHOWN], *([f"and {len(places) - _SHOWN} more"] if len(places) > _SHOWN else [])])
