@@ -341,7 +341,7 @@ def _compare(
     ways = [
         unnamed.p_value,
         selection.first_p if is_named or ends_beyond(selection, policy) else 1.0,
-        1.0 if any(selection.named) else _p_of_a_part(selection),
+        1.0 if is_named else _p_of_a_part(selection),
         line.p_value if line else 1.0,
         autocorrelation.p_value(usual, policy.self_test) if is_autocorrelated(autocorrelation, usual, policy) else 1.0,
     ]

@@ -103,7 +103,8 @@ def test_held_out_time_is_asked_where_model_form_error_would_hide_what_has_no_na
 
 def test_a_name_whose_interval_holds_no_effect_is_no_difference_if_nothing_else_shows_one(monkeypatch, weak_brakes):
     real, outcome = weak_brakes
-    hidden = replace(outcome, gap=replace(outcome.gap, p_value=1.0))
+    nowhere = replace(outcome.selection, partly=lambda: None)
+    hidden = replace(outcome, gap=replace(outcome.gap, p_value=1.0), selection=nowhere)
     described = engine.describe(outcome)
     monkeypatch.setattr(engine, "detection_limits", lambda *_: ())
     for found, is_apart, verdict in (
