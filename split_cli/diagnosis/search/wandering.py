@@ -114,11 +114,10 @@ def _moving_most(
     """Return from which size on each parameter moves its clearest witness by more than `most`, by kind."""
     found = {}
     for name, (fault, size) in _each_alone(candidate).items():
-        clearest = _clearest(
-            fault, [one for one in witnesses if _is_acceleration(one) != one.series.is_moved_by(fault)]
-        )
-        if clearest is not None:
-            found[name] = most[clearest.kind] * size / _length(clearest, fault)
+        direct = [one for one in witnesses if _is_acceleration(one) != one.series.is_moved_by(fault)]
+        kind, length = _clearest(fault, direct)
+        if length:
+            found[name] = most[kind] * size / length
     return found
 
 
@@ -133,13 +132,13 @@ def _late(
     for name, (fault, size) in _each_alone(candidate).items():
 
         def pattern(one: KinematicResiduals | Witness, fault=fault, size=size) -> np.ndarray:
-            return (one.difference([fault]) - one.difference(())) / size
+            return _moved(one, fault) / size
 
-        clearest = _clearest(fault, [one for one in ours if _is_acceleration(one) == (name in ("ax", "ay"))])
-        if clearest is not None:
-            kinds = ([one for one in several if one.kind == clearest.kind] for several in (ours, theirs))
-            sizes = [size for several in kinds for size in wandering(several, policy, pattern).values()]
-            found[name] = policy.selection.deviations * max(sizes)
+        kind, length = _clearest(fault, [one for one in ours if _is_acceleration(one) == (name in ("ax", "ay"))])
+        if length:
+            alike = ([one for one in several if one.kind == kind] for several in (ours, theirs))
+            wander = max(wandering(several, policy, pattern).get(kind, 0.0) for several in alike)
+            found[name] = policy.selection.deviations * wander
     return found
 
 
@@ -156,12 +155,14 @@ def _is_acceleration(one: KinematicResiduals | Witness) -> bool:
     return one.kind.startswith("a_")
 
 
-def _clearest(fault: Term, witnesses: Sequence[KinematicResiduals | Witness]) -> KinematicResiduals | Witness | None:
-    """Return the witness that a fault moves most, in its spreads."""
-    felt = [one for one in witnesses if one.feels(fault) and len(one.begin) and _length(one, fault)]
-    return max(felt, key=lambda one: _length(one, fault) / one.scale, default=None)
+def _clearest(fault: Term, witnesses: Sequence[KinematicResiduals | Witness]) -> tuple[str, float]:
+    """Return the kind of the witness that a fault moves most, in its spreads, and by how much [rms]; 0 for none."""
+    felt = [one for one in witnesses if one.feels(fault) and len(one.begin)]
+    lengths = [(one, float(np.sqrt(np.mean(_moved(one, fault) ** 2)))) for one in felt]
+    clearest = max(lengths, key=lambda pair: pair[1] / pair[0].scale, default=None)
+    return ("", 0.0) if clearest is None else (clearest[0].kind, clearest[1])
 
 
-def _length(one: KinematicResiduals | Witness, fault: Term) -> float:
-    """Return by how much a fault moves a witness [rms], in the unit of its difference."""
-    return float(np.sqrt(np.mean((one.difference([fault]) - one.difference(())) ** 2)))
+def _moved(one: KinematicResiduals | Witness, fault: Term) -> np.ndarray:
+    """Return by how much a fault changes the difference of a witness, shape (W,)."""
+    return one.difference([fault]) - one.difference(())
