@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
-from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale, scales_as_terms
@@ -23,24 +22,13 @@ from split_cli.diagnosis.remainder.location import gap_forces, gap_series, locat
 from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
 from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, search, with_witnessed_names
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
-from split_cli.diagnosis.search.fitting import fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable, what_was_not_excited
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.search.wandering import beyond_wandering
-from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
-from split_cli.diagnosis.statement.result import Diagnosis, Finding, InputFile, RemainderTest
+from split_cli.diagnosis.statement.result import Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
-from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.detectable import detection_limits
-from split_cli.diagnosis.verdict.findings import (
-    Description,
-    confirmed_by_witnesses,
-    describe,
-    is_autocorrelated,
-    with_shares,
-)
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, fitted_alone, hold_out
-from split_cli.diagnosis.verdict.improvement import measure_improvement
+from split_cli.diagnosis.verdict.findings import Description, confirmed_by_witnesses, describe, is_autocorrelated
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.planted import planted_saving
 from split_cli.diagnosis.verdict.power import (
@@ -52,6 +40,7 @@ from split_cli.diagnosis.verdict.power import (
     unseen_in_words,
 )
 from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
+from split_cli.diagnosis.verdict.worth import Worth, fit_without_held_out, judge_names, with_nameless_parts
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.parameters import Vehicle
@@ -359,20 +348,24 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
     described = found.description or describe(found.outcome, found.scales)
     selection, findings, remainder = described.selection, described.findings, described.remainder
     structured, unexplained = described.unexplained, described.unexplained or found.line is not None
-    improvement, corrected, leads = None, None, ()
+    worth, leads = Worth(findings, remainder, None, None), ()
     if improved:
-        reported = findings, remainder
-        findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
+        objective = found.outcome.structure.objective
+        fit = fit_without_held_out(case, objective, selection.chosen, policy)
+        worth = judge_names(fit, selection.named, findings, remainder)
         gone, reason = (), ""
         # What the simulation shows against itself is called unexplained of no drive: where that is much, much hides.
         if structured or found.outcome.self_test.ratio > policy.selection.much_over_noise:
-            confirmed = confirmed_by_witnesses(found.outcome.structure.objective, selection)
-            gone, reason = withdrawn(findings, improvement, corrected, confirmed)
+            confirmed = confirmed_by_witnesses(objective, selection)
+            gone, reason = withdrawn(worth.findings, worth.improvement, worth.corrected, confirmed)
         if gone:
             structured = unexplained = True
             leads = as_leads(gone, reason, case.vehicle)
-            selection, *reported = without_names(selection, *reported, gone)
-            findings, remainder, improvement, corrected = _improve(case, found, selection, reported, policy)
+            selection, *reported = without_names(selection, findings, remainder, gone)
+            worth = judge_names(fit, selection.named, *reported)
+        worth = with_nameless_parts(fit, selection.named, worth)
+    findings, remainder = worth.findings, worth.remainder
+    improvement, corrected = worth.improvement, worth.corrected
     forces, after = (
         [gap_forces(one, terms, case.discrepancy_rates(one, terms)) for one in case.real]
         for terms in ((), selection.terms)
@@ -413,42 +406,6 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
     )
 
 
-def _improve(
-    case: DiagnosisCase,
-    found: _Comparison,
-    selection: Selection,
-    reported: tuple[Sequence[Finding], RemainderTest],
-    policy: Policy,
-) -> tuple[tuple[Finding, ...], RemainderTest, Improvement, CorrectedVehicle | None]:
-    """Return findings and remainder with their shares of held-out time, the improvement there, and the vehicle."""
-    findings, remainder = reported
-    split = hold_out(
-        case.real,
-        case.keep,
-        case.holdout,
-        case.keep_holdout,
-        case.posterior,
-        case.discrepancy,
-        case.kinematics,
-        policy,
-        fixed_baseline=found.outcome.structure.objective.fixed_baseline,
-    )
-    chosen = selection.chosen
-    trained = fit_parts(split.training, chosen.parts) if chosen.parts else chosen
-    named = tuple(part.term for part in fitted_alone(split.training, trained, selection.named, findings))
-    recordings = _held_out(case, split)
-    corrected = judge_corrected(recordings, named)
-    if corrected is not None and not all(selection.named):
-        parts = fitted_alone(found.outcome.structure.objective, chosen, selection.named, findings)
-        corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
-    return (
-        with_shares(findings, chosen, explained_shares(split, trained)),
-        replace(remainder, explained=explained_together(split, trained, selection.named)),
-        measure_improvement(recordings, named, case.discrepancy, case.posterior, case.simulated),
-        corrected,
-    )
-
-
 def _in_a_part(found: _Comparison, named: bool, policy: Policy) -> list[str]:
     """Return what terms explain of a gap without a name in a part of the drive, as sentences.
 
@@ -460,12 +417,6 @@ def _in_a_part(found: _Comparison, named: bool, policy: Policy) -> list[str]:
     several = len(found.outcome.structure.objective.evidence) > 1
     most = policy.abstention.most_alternatives
     return [acting_in_a_part(one.readings, one.begin, one.end, most, one.recording + 1 if several else None)]
-
-
-def _held_out(case: DiagnosisCase, split: HeldOut) -> list[tuple[Evidence, np.ndarray]]:
-    """Return all real recordings and which of their rows are kept out; the terms were fitted on the rest."""
-    everything = [np.ones(len(one.series), dtype=bool) for one in case.holdout]
-    return [*zip(case.real, split.masks, strict=True), *zip(case.holdout, everything, strict=True)]
 
 
 def _gaps(case: DiagnosisCase):

@@ -120,15 +120,15 @@ def _long(drives: Sequence[Drive]) -> tuple[str, ...]:
 
 
 def corrected_vehicle(diagnosis: Diagnosis, vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle with the findings of the car as effects, see `CorrectedVehicle.values`."""
+    """Return the vehicle with the findings of the car as effects, see `CorrectedVehicle.values` and `.further`."""
     judged = diagnosis.corrected_vehicle
-    alone = {} if judged is None else judged.values
+    alone, further = ({}, ()) if judged is None else (judged.values, judged.further)
     effects = [
         EffectSpec(f.term, alone.get(f.term, {name: p.value for name, p in f.parameters.items()}), f.variant)
         for f in diagnosis.findings
         if f.exported
     ]
-    return vehicle.with_effects(*effects)
+    return vehicle.with_effects(*effects, *further)
 
 
 def write_diagnosis(

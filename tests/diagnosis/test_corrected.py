@@ -2,12 +2,16 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
+from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.fitting import Fit, Part
 from split_cli.diagnosis.statement.document import diagnosis_to_text, read_schema
 from split_cli.diagnosis.statement.improvement import (
     NORMAL_95,
@@ -19,8 +23,11 @@ from split_cli.diagnosis.statement.improvement import (
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import not_accepted, summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
+from split_cli.diagnosis.verdict.heldout import HeldOut
 from split_cli.diagnosis.verdict.label_errors import in_standard_errors
+from split_cli.diagnosis.verdict.worth import HeldOutFit, Worth, with_nameless_parts
 from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects.search import Range
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.diagnose import write_diagnosis
 from split_cli.workflows.report.page import report_page
@@ -58,8 +65,43 @@ def test_nothing_of_the_car_is_nothing_to_objective(judged):
     assert judge_corrected([(evidence, np.ones(len(evidence.series), dtype=bool))], (turned,)) is None
 
 
-def found(corrected: CorrectedVehicle) -> Diagnosis:
-    force = ParameterEstimate(-450.0, 10.0, "N", (-470.0, -430.0))
+def test_what_has_no_name_joins_the_file_where_the_names_alone_are_worse(tmp_path):
+    """160 N less resistance and 300 N more by another name: the first alone is twice as wrong as neither."""
+    less, more = resistance(-160.0), resistance(300.0)
+    evidence = recorded(11, (less, more))
+    held = evidence.series.t > 0.75 * evidence.series.t[-1]
+    kind = Candidate("rolling_resistance", "", {"force": Range(-1000.0, 1000.0, 1.0)}, ())
+    whole = Fit((Part(kind, {"force": -160.0}), Part(kind, {"force": 300.0})), 0.0, np.zeros(0), np.zeros((0, 2)))
+    shared = build_shared_discrepancy(evidence.vehicle, evidence.series)
+    case = SimpleNamespace(real=(evidence,), holdout=(), simulated=(), posterior=None, discrepancy=shared)
+    fit = HeldOutFit(case, None, whole, HeldOut(None, None, (held,)), whole)
+    alone = judge_corrected(fit.recordings, (less,))
+    worth = Worth(found(alone, -160.0).findings, None, fit.improvement((less,)), alone)
+    assert not alone.accepted
+    # Nothing changes where every part has a name, or the whole fit is as bad.
+    assert with_nameless_parts(fit, (True, True), worth) is worth
+    bad = replace(whole, parts=(whole.parts[0], Part(kind, {"force": -300.0})))
+    assert with_nameless_parts(replace(fit, whole=bad, trained=bad), (True, False), worth) is worth
+    joined = with_nameless_parts(fit, (True, False), worth)
+    assert joined.corrected.accepted and joined.corrected.alone is alone
+    assert [dict(one.parameters) for one in joined.corrected.further] == [{"force": 300.0}]
+    assert joined.improvement.rollouts[-1].physics[0] < 0.2 * worth.improvement.rollouts[-1].physics[0]
+
+    stated = replace(found(joined.corrected, -160.0), improvement=joined.improvement)
+    write_diagnosis(stated, road_car(), tmp_path)
+    effects = read_vehicle(tmp_path / "vehicle_corrected.yaml").effects
+    assert sorted(dict(one.parameters)["force"] for one in effects) == [-160.0, 300.0]
+    Draft202012Validator(read_schema()).validate(json.loads(diagnosis_to_text(stated)))
+    failed = [one for one in verify_diagnosis(tmp_path) if one.passed is False]
+    assert not failed, failed
+    words = " ".join(summarise("mismatch", stated.findings, corrected=joined.corrected))
+    assert "also holds rolling resistance (rolling_resistance)" in words
+    assert "Without them the file would predict worse than the given one on held-out data: v_x" in words
+    assert "also holds rolling resistance" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def found(corrected: CorrectedVehicle, value: float = -450.0) -> Diagnosis:
+    force = ParameterEstimate(value, 10.0, "N", (value - 20.0, value + 20.0))
     finding = Finding("rolling_resistance", "", {"force": force}, 0.5, (), "Said.", 1.0)
     return Diagnosis("mismatch", 1e-9, 1.0, findings=(finding,), corrected_vehicle=corrected)
 

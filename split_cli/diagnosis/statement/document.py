@@ -66,6 +66,7 @@ def _corrected(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "file": vehicle_name(diagnosis),
         "accepted": corrected.accepted,
         "values": json_ready(corrected.values),
+        "further": [asdict(one) for one in corrected.further],
         "states": json_ready(states),
     }
 

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from split_cli.vehicle.parameters import EffectSpec
+
 NORMAL_95 = 1.96  # standard errors on either side that hold 95 % of a normal distribution
 _SHOWS = 1.25  # error before over the noise floor, from which on held-out rollouts show a gap
 
@@ -40,6 +42,10 @@ class CorrectedVehicle:
     states: tuple[StateChange, ...]
     # Values by term that the file holds: of the names without what has none, see `heldout.fitted_alone`.
     values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    # Effects of the explanation without a name that the file holds, too, and the file `alone` without them. Values
+    # are those of the joint fit then.
+    further: tuple[EffectSpec, ...] = ()
+    alone: "CorrectedVehicle | None" = None
 
     @property
     def farthest(self) -> tuple[StateChange, ...]:

@@ -228,7 +228,9 @@ def summarise(
         parts += _unnamed(remainder, findings)
     if improvement is not None:
         parts += _help(improvement, "physics" if findings else "split_only", vehicle)
-    if corrected is not None and not corrected.accepted:
+    if corrected is not None and corrected.further:
+        parts += with_nameless_effects(corrected)
+    elif corrected is not None and not corrected.accepted:
         parts.append(not_accepted(corrected))
     return tuple(part for part in parts if part)
 
@@ -363,9 +365,24 @@ def _with_and_without(states: Sequence[StateChange]) -> str:
     )
 
 
+def _errors_that_reject(corrected: CorrectedVehicle) -> str:
+    return _with_and_without([one for one in corrected.states if one.is_worse] or corrected.farthest)
+
+
+def with_nameless_effects(corrected: CorrectedVehicle) -> list[str]:
+    """Return which effects without a name a corrected vehicle file holds, too, and why."""
+    *others, last = (term_with_id(one.term) for one in corrected.further)
+    several = " and ".join(filter(None, (", ".join(others), last)))
+    return [
+        f"The corrected vehicle file also holds {several}, which these data do not tell from other effects.",
+        f"Errors with the identified effects are with these, too. Without them the file would predict worse than the "
+        f"given one on held-out data: {_errors_that_reject(corrected.alone)}.",
+    ]
+
+
 def not_accepted(corrected: CorrectedVehicle) -> str:
     """Return why a corrected vehicle is not to be used."""
-    errors, away = _with_and_without([one for one in corrected.states if one.is_worse] or corrected.farthest), ""
+    errors, away = _errors_that_reject(corrected), ""
     if corrected.runs_away:
         held = ", ".join(f"{one.channel} {number(one.persistence, 2)} {one.unit}" for one in corrected.farthest)
         away = f" It runs away there, as in a spin: velocities held as they are would be nearer ({held})."

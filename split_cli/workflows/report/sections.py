@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from split_cli.diagnosis.statement.document import vehicle_name
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Location
-from split_cli.diagnosis.statement.sentences import not_accepted, scatter, unexplained_part
+from split_cli.diagnosis.statement.sentences import not_accepted, scatter, unexplained_part, with_nameless_effects
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.chart_sections import chart_sections
 from split_cli.workflows.report.findings import what_section
@@ -274,6 +274,8 @@ def _corrected(diagnosis: Diagnosis) -> str:
             f"<td>{verdict}</td></tr>"
         )
     said = "" if corrected.accepted else f"<p><strong>{escape(not_accepted(corrected))}</strong></p>"
+    if corrected.further:
+        said = f"<p>{escape(' '.join(with_nameless_effects(corrected)))}</p>"
     heads = ["Rms error", "Given file", "Corrected file", "Persistence", "Noise floor", "Change"]
     return (
         "<h3>The corrected vehicle</h3><p>Errors of the nominal model alone, without corrections learned from a "

@@ -1,0 +1,127 @@
+"""What names are worth on held-out time: their shares of the gap, the improvement, and the corrected vehicle."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from split_cli.diagnosis.innovations.case import DiagnosisCase
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.policy import Policy
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
+from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvement
+from split_cli.diagnosis.statement.result import Finding, RemainderTest
+from split_cli.diagnosis.verdict.corrected import judge_corrected
+from split_cli.diagnosis.verdict.findings import with_shares
+from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, fitted_alone, hold_out
+from split_cli.diagnosis.verdict.improvement import measure_improvement
+from split_cli.vehicle.effects import Term
+from split_cli.vehicle.parameters import EffectSpec
+
+
+@dataclass(frozen=True)
+class HeldOutFit:
+    """An explanation, named or not, that was fitted without the time that judges it."""
+
+    case: DiagnosisCase
+    objective: MarginalLikelihood  # of all rows
+    whole: Fit  # on all rows
+    split: HeldOut
+    trained: Fit  # the same parts on the training rows
+
+    @property
+    def recordings(self) -> list[tuple[Evidence, np.ndarray]]:
+        """Return all real recordings and which of their rows are held out, masks of shape (N,)."""
+        everything = [np.ones(len(one.series), dtype=bool) for one in self.case.holdout]
+        pairs = zip(self.case.real, self.split.masks, strict=True)
+        return [*pairs, *zip(self.case.holdout, everything, strict=True)]
+
+    def improvement(self, terms: Sequence[Term]) -> Improvement | None:
+        """Return what terms improve on held-out time, see `measure_improvement`."""
+        case = self.case
+        return measure_improvement(self.recordings, terms, case.discrepancy, case.posterior, case.simulated)
+
+
+@dataclass(frozen=True)
+class Worth:
+    """Findings and remainder with their shares of held-out time, the improvement there, and the vehicle."""
+
+    findings: tuple[Finding, ...]
+    remainder: RemainderTest
+    improvement: Improvement | None
+    corrected: CorrectedVehicle | None
+
+
+def fit_without_held_out(case: DiagnosisCase, objective: MarginalLikelihood, whole: Fit, policy: Policy) -> HeldOutFit:
+    """Return an explanation fitted once more without the held-out time.
+
+    Parameters
+    ----------
+    objective : MarginalLikelihood
+        Of all rows.
+    whole : Fit
+        To it.
+    """
+    split = hold_out(
+        case.real,
+        case.keep,
+        case.holdout,
+        case.keep_holdout,
+        case.posterior,
+        case.discrepancy,
+        case.kinematics,
+        policy,
+        fixed_baseline=objective.fixed_baseline,
+    )
+    trained = fit_parts(split.training, whole.parts) if whole.parts else whole
+    return HeldOutFit(case, objective, whole, split, trained)
+
+
+def judge_names(fit: HeldOutFit, named: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest) -> Worth:
+    """Judge findings on held-out time, with the parts that have a name alone.
+
+    Parameters
+    ----------
+    named : sequence of bool
+        Of every part of the fit.
+    """
+    terms = tuple(part.term for part in fitted_alone(fit.split.training, fit.trained, named, findings))
+    corrected = judge_corrected(fit.recordings, terms)
+    if corrected is not None and not all(named):
+        parts = fitted_alone(fit.objective, fit.whole, named, findings)
+        corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
+    return Worth(
+        with_shares(findings, fit.whole, explained_shares(fit.split, fit.trained)),
+        replace(remainder, explained=explained_together(fit.split, fit.trained, named)),
+        fit.improvement(terms),
+        corrected,
+    )
+
+
+def with_nameless_parts(fit: HeldOutFit, named: Sequence[bool], worth: Worth) -> Worth:
+    """Return the vehicle and the improvement of the whole fit, if a vehicle file takes that and not the names alone.
+
+    Notes
+    -----
+    Values of a joint fit are right beside all of its parts. Some parts have no name since the data do not tell them
+    from others, and without them the rest may predict worse than nothing does.
+    """
+    corrected = worth.corrected
+    if corrected is None or corrected.accepted or all(named):
+        return worth
+    further = tuple(
+        _as_effect(part) for part, one in zip(fit.whole.parts, named, strict=True) if not one and part.term.exported
+    )
+    together = judge_corrected(fit.recordings, fit.trained.terms) if further else None
+    if together is None or not together.accepted:
+        return worth
+    return replace(
+        worth,
+        corrected=replace(together, further=further, alone=corrected),
+        improvement=fit.improvement(fit.trained.terms),
+    )
+
+
+def _as_effect(part: Part) -> EffectSpec:
+    return EffectSpec(part.candidate.term, part.values, part.candidate.variant)
