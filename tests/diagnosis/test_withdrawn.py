@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis import engine
-from split_cli.diagnosis.verdict import worth
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.baselines import SearchOutcome, search
 from split_cli.diagnosis.search.calibration import SelfTest
@@ -15,6 +14,7 @@ from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, StateChange
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest
+from split_cli.diagnosis.verdict import worth
 from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
