@@ -82,6 +82,10 @@ def test_what_has_no_name_joins_the_file_where_the_names_alone_are_worse(tmp_pat
     assert with_nameless_parts(fit, (True, True), worth) is worth
     bad = replace(whole, parts=(whole.parts[0], Part(kind, {"force": -300.0})))
     assert with_nameless_parts(replace(fit, whole=bad, trained=bad), (True, False), worth) is worth
+    # Nor where it is right on the held-out drive alone.
+    unlike = SimpleNamespace(**{**vars(case), "real": (recorded(12),), "holdout": (evidence,)})
+    nowhere = HeldOut(None, None, (np.zeros(len(unlike.real[0].series), dtype=bool),))
+    assert with_nameless_parts(replace(fit, case=unlike, split=nowhere), (True, False), worth) is worth
     joined = with_nameless_parts(fit, (True, False), worth)
     assert joined.corrected.accepted and joined.corrected.alone is alone
     assert [dict(one.parameters) for one in joined.corrected.further] == [{"force": 300.0}]

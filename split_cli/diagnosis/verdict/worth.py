@@ -105,7 +105,8 @@ def with_nameless_parts(fit: HeldOutFit, named: Sequence[bool], worth: Worth) ->
     Notes
     -----
     Values of a joint fit are right beside all of its parts. Some parts have no name since the data do not tell them
-    from others, and without them the rest may predict worse than nothing does.
+    from others, and without them the rest may predict worse than nothing does. Such a file has the held-out time judge
+    it for the second time. So it must be no worse where it was fitted, either, and better in some velocity after 2 s.
     """
     corrected = worth.corrected
     if corrected is None or corrected.accepted or all(named):
@@ -115,6 +116,9 @@ def with_nameless_parts(fit: HeldOutFit, named: Sequence[bool], worth: Worth) ->
     )
     together = judge_corrected(fit.recordings, fit.trained.terms) if further else None
     if together is None or not together.accepted:
+        return worth
+    fitted = judge_corrected([(one, ~held) for one, held in fit.recordings], fit.trained.terms)
+    if fitted is None or not fitted.accepted or not any(one.is_better for one in fitted.farthest):
         return worth
     return replace(
         worth,
