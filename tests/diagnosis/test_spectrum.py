@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.remainder.spectrum import strongest_line
@@ -137,6 +138,19 @@ def test_noise_has_no_lines_more_often_than_it_should(drive):
     """Told at p below 1e-3: in sixty drives of noise the second would be one in two thousand."""
     told = [line_of(prepared(noisy(drive, 100 + seed))) for seed in range(REPLICATES)]
     assert sum(line is not None for line in told) <= 1
+
+
+def test_a_resonance_is_no_line(drive):
+    """Noise through a spring and a damper at 21 Hz, 1 Hz wide: no frequency of it is apart from its neighbours."""
+    radius, turn = np.exp(-np.pi * 1.0 * drive.period), 2.0 * np.pi * 21.0 * drive.period
+
+    def resonant(seed: int) -> Series:
+        noise = np.random.default_rng(seed).normal(0.0, 0.01, len(drive))
+        rings = lfilter([1.0, -1.0], [1.0, -2.0 * radius * np.cos(turn), radius**2], noise)
+        columns = {**drive.columns, "vx": drive["vx"] + rings}
+        return prepared(noisy(replace(drive, columns=columns), seed))
+
+    assert not any(line_of(resonant(300 + seed)) for seed in range(6))
 
 
 def test_swings_that_a_driver_could_make_are_no_lines(drive):

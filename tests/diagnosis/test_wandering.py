@@ -8,7 +8,7 @@ import pytest
 
 from split_cli.diagnosis.recording.witnesses import build_witnesses
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.wandering import _between, beyond_wandering, wandering
+from split_cli.diagnosis.search.wandering import _between, beyond_wandering
 from split_cli.logs.drive import Drive
 from tests.diagnosis.recordings import driven, noisy, prepared
 from tests.factories import road_car
@@ -28,6 +28,11 @@ def turned(drive: Drive, angles: np.ndarray) -> Drive:
 def drive() -> Drive:
     """Return a drive in stretches of 10 s."""
     return driven(81, runs=RUNS, seconds=8.0, spaced=10.0)
+
+
+def moved(drive: Drive, places: np.ndarray) -> Drive:
+    """Return a drive whose velocity is measured at another place [m] ahead in every run."""
+    return replace(drive, columns={**drive.columns, "vy": drive["vy"] + places[drive.segment] * drive["r"]})
 
 
 def witnesses_of(drive: Drive, seed: int) -> list:
@@ -64,7 +69,7 @@ def test_a_direction_that_wanders_is_no_fault_up_to_twice_its_deviation(drive):
     # Some stretches hold parts of two runs, of which the mean is what counts.
     assert found["sensor_misalignment"]["angle"] == pytest.approx(1.96 * np.std(angles), rel=0.25)
     assert found["velocity_bias"]["angle"] == pytest.approx(found["sensor_misalignment"]["angle"], rel=0.1)
-    # As much as wandering moves the witnesses, rms: an angle that grows evenly over 300 s.
+    # An angle that grows evenly over 300 s is as large, rms.
     span = np.ptp(drive["t"]) / np.sqrt(12.0)
     drift = found["velocity_bias"]["drift"]
     assert drift * span == pytest.approx(found["sensor_misalignment"]["angle"], rel=0.2)
@@ -74,16 +79,26 @@ def test_a_direction_that_wanders_is_no_fault_up_to_twice_its_deviation(drive):
     assert not any(everyday(sound, sound)["sensor_misalignment"].values())
 
 
+def test_a_place_of_the_sensor_is_a_fault_beyond_what_its_places_in_stretches_wander_by(drive):
+    """Places 0.3 m (rms) from run to run; a sensor 1 m off all along does not wander."""
+    places, sound = np.random.default_rng(8).normal(0.5, 0.3, RUNS), witnesses_of(drive, 18)
+    wanders = witnesses_of(moved(drive, places), 19)
+    for ours, theirs in ((wanders, sound), (sound, wanders)):
+        assert everyday(ours, theirs)["sensor_lever_arm"]["dx"] == pytest.approx(1.96 * np.std(places), rel=0.3)
+    assert everyday(witnesses_of(moved(drive, np.ones(RUNS)), 20), sound)["sensor_lever_arm"]["dx"] == 0.0
+
+
 def test_a_constant_fault_and_a_drift_are_no_wandering(drive):
     for angles in (np.full(RUNS, 0.02), np.linspace(-0.02, 0.02, RUNS)):
-        assert wandering(witnesses_of(turned(drive, angles), 13))["across"] == 0.0
+        found = witnesses_of(turned(drive, angles), 13)
+        assert not any(everyday(found, found)["sensor_misalignment"].values())
 
 
 def test_a_bias_of_the_yaw_rate_that_grows_is_no_wandering(drive):
     """From 0 to 0.01 rad/s over the whole drive."""
     growing = 0.01 * (drive["t"] - drive["t"][0]) / np.ptp(drive["t"])
-    drifting = replace(drive, columns={**drive.columns, "r": drive["r"] + growing})
-    assert set(wandering(witnesses_of(drifting, 14)).values()) == {0.0}
+    found = witnesses_of(replace(drive, columns={**drive.columns, "r": drive["r"] + growing}), 14)
+    assert not any(everyday(found, found)["yaw_rate_bias"].values())
 
 
 def late_yaw_rate(drive: Drive, delays: np.ndarray) -> Drive:

@@ -6,7 +6,7 @@ import pytest
 from split_cli.proof.injection import FAULTS
 from tests.factories import make_drive
 from tests.studies.changing_faults import CHANGING
-from tests.studies.recorded_faults import DRIVES, dealt
+from tests.studies.recorded_faults import AGAINST, DRIVES, dealt
 from tests.studies.recorded_faults_lists import LISTS
 
 
@@ -24,8 +24,13 @@ def test_thirds_leave_the_middle_out():
     assert np.ptp(drive["t"][middle]) == pytest.approx(20.0, abs=1.1)
 
 
+def named(pair):
+    recording, split = pair.split(", ")
+    return [recording, split] if split.startswith(AGAINST) else [recording]
+
+
 def test_each_row_of_a_list_names_a_recording_and_a_fault():
     for rows in LISTS.values():
         assert {one.split("=")[0] for row in rows for one in row.fault.split(" + ")} <= {"none", *FAULTS, *CHANGING}
-        assert {row.pair.split(", ")[0] for row in rows} <= set(DRIVES)
+        assert {one.removeprefix(AGAINST) for row in rows for one in named(row.pair)} <= set(DRIVES)
         assert len(set(rows)) == len(rows)

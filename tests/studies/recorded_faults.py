@@ -80,6 +80,8 @@ DRIVES: dict[str, tuple[Prepared, Path | str]] = {
     "autorally 6": (lambda datasets, folder: autorally_drive(datasets, 6, folder), AUTORALLY_CAR),
 }
 """By name, how a recording is prepared, and its vehicle file."""
+AGAINST = "against "
+"""Begins a split in which another recording, named after it, stands for the simulation."""
 
 
 def dealt(drive: Drive, split: str) -> tuple[Drive, Drive]:
@@ -148,6 +150,7 @@ class Study:
 
     def _computed(self, row: Row) -> Told:
         name, split = row.pair.split(", ")
+        other = split.removeprefix(AGAINST) if split.startswith(AGAINST) else ""
         prepare, file = DRIVES[name]
         drive, vehicle = prepare(self.datasets, self.folder), read_vehicle(vehicle_file(file))
         faults = self._faults(row, drive, vehicle)
@@ -162,7 +165,11 @@ class Study:
         except SplitError as error:
             return replace(empty, said=str(error))
         begun = time.process_time()
-        told = diagnose([dealt(faulty, split)[1]], vehicle, [dealt(drive, split)[0]])
+        if other:
+            simulated, real = DRIVES[other][0](self.datasets, self.folder), faulty
+        else:
+            simulated, real = dealt(drive, split)[0], dealt(faulty, split)[1]
+        told = diagnose([real], vehicle, [simulated])
         mapping = diagnosis_to_mapping(told)
         return Told(
             pair=row.pair,

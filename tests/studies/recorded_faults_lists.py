@@ -10,7 +10,7 @@ class Row:
     Attributes
     ----------
     pair : str
-        Recording and split, joined by a comma.
+        Recording and split, joined by a comma, or ``against`` and another recording in place of the split.
     fault : str
         Of `proof.injection.FAULTS`, or ``none``. Several are joined by a plus sign, and are put in in that order:
         what changes the car, then commands, then sensors. ``name=size`` is one of that size.
@@ -113,6 +113,21 @@ LISTS: dict[str, list[Row]] = {
         *_rows("autorally 6, blocks 12", ("velocity moved", 2.0), ("torque scaled", 2.0)),
         *_rows("kth step, swapped halves", ("speed scaled", 2.0), ("steering late", 2.0)),
     ],
+    "sixth": [
+        *_rows("slippery, blocks 15", ("steering late", 1.2), ("yaw rate late", 1.5)),
+        *_rows("free, swapped blocks 12", ("velocity moved", 1.5), ("torque scaled + velocity rotated", 2.5)),
+        *_rows("rubber, swapped blocks 15", ("torque scaled", 1.5), ("yaw rate biased", 1.2)),
+        *_rows("tape, blocks 12", ("velocity rotated", 1.5), ("torque late", 1.5)),
+        *_rows("genesis, blocks 30", ("velocity biased", 1.5), ("yaw rate late", 1.5)),
+        *_rows("av21, swapped blocks 15", ("yaw rate late", 1.5), ("velocity rotated", 1.2)),
+        *_rows("autorally 5, blocks 12", ("steering late", 1.5), ("speed scaled", 1.5)),
+        *_rows("tum, blocks 15", ("yaw rate scaled", 1.2), ("velocity moved + steering late", 2.5)),
+        *_rows("tum second file, blocks 20", ("steering offset", 1.5), ("torque late", 1.5)),
+        *_rows("tum, against tum second file", ("steering scaled", 1.5), ("velocity rotated", 1.5)),
+        *_rows("autorally 6, against autorally 5", ("yaw rate scaled", 1.5)),
+        *_rows("kth step, against kth", ("yaw rate late", 1.5), ("steering offset", 1.5)),
+        *_rows("free, against steering", ("steering offset", 1.5)),
+    ],
     "beside": [
         Row("slippery, blocks", "steering scaled + velocity moved=0.04", 1.5),
         Row("slippery, blocks", "torque late + velocity moved=0.04", 1.5),
@@ -172,5 +187,7 @@ LISTS: dict[str, list[Row]] = {
 ``fourth`` has parts, pairs of faults and faults that change in the course of a drive (`changing_faults.py`),
 fixed on 26 November 2026 before any row of it was run.
 ``fifth`` has parts and sizes of no list before, fixed the same day before any row of it was run.
+``sixth`` has other blocks, and other drives of the same car as simulations, fixed on 27 November 2026 before any
+row of it was run.
 ``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed,
 and ``several again`` other parts with round sizes, fixed the same day after ``several`` had been run once."""

@@ -4,7 +4,7 @@ Navigation systems correct their heading as they go, biases drift, and roads lea
 another wanders from one stretch of driving to the next. Two recordings of one car may lie as far apart.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.stats import f as fisher
@@ -20,16 +20,15 @@ from split_cli.vehicle.effects import CATALOGUE, Term
 
 def wandering(
     witnesses: Sequence[KinematicResiduals | Witness],
+    pattern: Callable[[KinematicResiduals | Witness], np.ndarray],
     policy: Policy = STANDARD,
-    pattern: Callable[[KinematicResiduals | Witness], np.ndarray] | None = None,
-) -> dict[str, float]:
-    """Return how far witnesses of each kind wander from stretch to stretch, in the unit of their difference.
+) -> float:
+    """Return how far the size of a fault wanders from stretch to stretch by witnesses of one kind, as a deviation.
 
     Parameters
     ----------
-    pattern : callable, optional
-        What a fault of unit size adds to the difference of a witness, shape (W,): then in units of the fault. By
-        default the difference itself wanders, all through a stretch.
+    pattern : callable
+        What a fault of unit size adds to the difference of a witness, shape (W,).
 
     Notes
     -----
@@ -40,22 +39,17 @@ def wandering(
     Laird, 1986). It is 0 where Fisher's F test finds no more than chance.
     """
     seconds = policy.comparison.least_rows * ROW_SECONDS
-    by_kind: dict[str, list[KinematicResiduals | Witness]] = {}
-    for one in witnesses:
-        by_kind.setdefault(one.kind, []).append(one)
-    found = {}
-    for kind, several in by_kind.items():
-        left, patterns, stretches, spent = [], [], [], 0
-        for number, one in enumerate(several):
-            causes = np.hstack([one.causes, one.slow_causes])
-            difference = one.difference(())
-            left.append(difference - causes @ np.linalg.lstsq(causes, difference, rcond=1e-9)[0])
-            patterns.append(np.ones(len(left[-1])) if pattern is None else pattern(one))
-            stretches.append(np.stack([np.full(len(left[-1]), number), one.series.t[one.begin] // seconds], axis=1))
-            spent += causes.shape[1]
-        everything = (np.concatenate(several) for several in (left, patterns, stretches))
-        found[kind] = _between(*everything, spent, policy.selection.level)
-    return found
+    left, patterns, stretches, spent = [], [], [], 0
+    for number, one in enumerate(witnesses):
+        causes = np.hstack([one.causes, one.slow_causes])
+        difference = one.difference(())
+        left.append(difference - causes @ np.linalg.lstsq(causes, difference, rcond=1e-9)[0])
+        patterns.append(pattern(one))
+        stretches.append(np.stack([np.full(len(left[-1]), number), one.series.t[one.begin] // seconds], axis=1))
+        spent += causes.shape[1]
+    if not left:
+        return 0.0
+    return _between(*map(np.concatenate, (left, patterns, stretches)), spent, policy.selection.level)
 
 
 def _between(values: np.ndarray, pattern: np.ndarray, stretches: np.ndarray, spent: int, level: float) -> float:
@@ -90,55 +84,38 @@ def beyond_wandering(
 ) -> list[Candidate]:
     """Return candidates of which no size is a fault that instruments wander by, in reality or in the simulation.
 
-    A size is a fault where it moves the witness that shows it most by more than that wanders, 95 % of a normal
-    deviate. Velocities are held against position and yaw alone: accelerometers hardly feel their biases. What
-    wanders slowly is no delay: one is a fault where it exceeds what delays of single stretches wander by.
+    A size is a fault where it exceeds what sizes of single stretches wander by, by the witness that shows it most,
+    95 % of a normal deviate. Velocities are held against position and yaw alone: accelerometers hardly feel their
+    biases.
     """
-    ours, theirs = (wandering(several, policy) for several in (case.kinematics, case.simulated_kinematics))
-    most = {kind: policy.selection.deviations * max(size, theirs.get(kind, 0.0)) for kind, size in ours.items()}
 
     def beyond(one: Candidate) -> Candidate:
         kind = CATALOGUE[one.term]
         if kind.exported or kind.on_command_clock or not one.starts:
             return one
-        if kind.moves_samples:
-            return one.beyond(_late(one, case.kinematics, case.simulated_kinematics, policy))
-        return one.beyond(_moving_most(one, case.kinematics, most)) if any(most.values()) else one
+        return one.beyond(_everyday(one, case.kinematics, case.simulated_kinematics, policy))
 
     return [beyond(one) for one in candidates]
 
 
-def _moving_most(
-    candidate: Candidate, witnesses: Sequence[KinematicResiduals | Witness], most: Mapping[str, float]
-) -> dict[str, float]:
-    """Return from which size on each parameter moves its clearest witness by more than `most`, by kind."""
-    found = {}
-    for name, (fault, size) in _each_alone(candidate).items():
-        direct = [one for one in witnesses if _is_acceleration(one) != one.series.is_moved_by(fault)]
-        kind, length = _clearest(fault, direct)
-        if length:
-            found[name] = most[kind] * size / length
-    return found
-
-
-def _late(
+def _everyday(
     candidate: Candidate,
     ours: Sequence[KinematicResiduals | Witness],
     theirs: Sequence[KinematicResiduals | Witness],
     policy: Policy,
 ) -> dict[str, float]:
-    """Return from which size on each delay exceeds what delays of stretches wander by, by its clearest witness."""
+    """Return from which size on each parameter exceeds what sizes of stretches wander by, by its clearest witness."""
     found = {}
     for name, (fault, size) in _each_alone(candidate).items():
 
         def pattern(one: KinematicResiduals | Witness, fault=fault, size=size) -> np.ndarray:
             return _moved(one, fault) / size
 
-        kind, length = _clearest(fault, [one for one in ours if _is_acceleration(one) == (name in ("ax", "ay"))])
-        if length:
+        direct = [one for one in ours if _is_acceleration(one) == (name in ("ax", "ay"))]
+        kind = _clearest(fault, direct)
+        if kind:
             alike = ([one for one in several if one.kind == kind] for several in (ours, theirs))
-            wander = max(wandering(several, policy, pattern).get(kind, 0.0) for several in alike)
-            found[name] = policy.selection.deviations * wander
+            found[name] = policy.selection.deviations * max(wandering(several, pattern, policy) for several in alike)
     return found
 
 
@@ -155,12 +132,12 @@ def _is_acceleration(one: KinematicResiduals | Witness) -> bool:
     return one.kind.startswith("a_")
 
 
-def _clearest(fault: Term, witnesses: Sequence[KinematicResiduals | Witness]) -> tuple[str, float]:
-    """Return the kind of the witness that a fault moves most, in its spreads, and by how much [rms]; 0 for none."""
+def _clearest(fault: Term, witnesses: Sequence[KinematicResiduals | Witness]) -> str:
+    """Return the kind of the witness that a fault moves most [rms], in its spreads; empty if it moves none."""
     felt = [one for one in witnesses if one.feels(fault) and len(one.begin)]
-    lengths = [(one, float(np.sqrt(np.mean(_moved(one, fault) ** 2)))) for one in felt]
-    clearest = max(lengths, key=lambda pair: pair[1] / pair[0].scale, default=None)
-    return ("", 0.0) if clearest is None else (clearest[0].kind, clearest[1])
+    lengths = {one.kind: float(np.sqrt(np.mean(_moved(one, fault) ** 2))) / one.scale for one in felt}
+    clearest = max(lengths, key=lengths.__getitem__, default="")
+    return clearest if clearest and lengths[clearest] else ""
 
 
 def _moved(one: KinematicResiduals | Witness, fault: Term) -> np.ndarray:
