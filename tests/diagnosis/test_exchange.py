@@ -142,6 +142,12 @@ def test_the_rest_of_a_lap_gives_way_to_the_stretch_and_a_stretch_beside_a_true_
         inverted_stretch(explore, fitted(explore, road_grade__stretch=slope, rolling_resistance={"force": 50.0}))
         is None
     )
+    # Another term that made up for the force of the rest of the lap leaves it no place, and gives way to it.
+    explore = explorer(explore.objective, "road_grade", "rolling_resistance", "aero_drag")
+    found = inverted_stretch(explore, fitted(explore, road_grade__stretch=starts, aero_drag={"drag": -0.2}))
+    values = {part.candidate.term: part.values for part in found.parts}
+    assert set(values) == {"road_grade", "rolling_resistance"} and values["road_grade"]["angle"] < 0.0
+    assert values["rolling_resistance"]["force"] == pytest.approx(60.0, rel=0.1)
 
 
 def test_steering_and_torque_late_by_the_same_join_into_late_sensors_and_by_unlike_do_not():

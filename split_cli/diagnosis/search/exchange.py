@@ -201,18 +201,22 @@ def inverted_stretch(explore: Explorer, chosen: Fit) -> Fit | None:
 
     A slope on a stretch is the opposite slope on the rest of the lap, beside a force along the car and a bias of
     the accelerometer. While drag is not found yet, the rest of the lap may do its part as well, and be found
-    first. It then keeps force and bias in their places, since no change of one term alone costs less.
+    first. It then keeps force and bias in their places, or leaves drag no place beside it, since no change of one
+    term alone costs less. So the stretch is also asked for with what saves most beside it.
     """
     best, least = None, explore.price(chosen) - explore.rules.tie
     closed = explore.objective.evidence[0].series.lap_length is not None
     for k, part in enumerate(chosen.parts if closed and len(chosen.parts) > 1 else ()):
         if "s_start" in part.values:
-            there = part.candidate.moved(part.values, -1.0)
-            rest = Part(part.candidate, {**there, "s_start": there["s_end"], "s_end": there["s_start"]})
+            values = part.candidate.moved(part.values, -1.0)
+            rest = Part(part.candidate, {**values, "s_start": values["s_end"], "s_end": values["s_start"]})
             others = chosen.parts[:k] + chosen.parts[k + 1 :]
-            fit = without_needless(explore, fit_parts(explore.objective, (*others, rest), known=chosen))
-            if explore.price(fit) < least and not any(map(explore.is_everywhere, fit.parts)):
-                best, least = fit, explore.price(fit)
+            there = fit_parts(explore.objective, (*others, rest), known=chosen)
+            for begun in (there, *explore(there)[:1]):
+                fit = without_needless(explore, begun)
+                few = len(fit.parts) <= len(chosen.parts) and not any(map(explore.is_everywhere, fit.parts))
+                if few and explore.price(fit) < least:
+                    best, least = fit, explore.price(fit)
     return best
 
 

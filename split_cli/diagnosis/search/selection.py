@@ -161,10 +161,12 @@ def select_terms(
             break
         # What a wrong term took a share of is seen once that has given way.
         grown = search_forward(explore, base, begun=selection.chosen, nuisances=selection.named.count(False))
-        if len(grown.chosen.parts) == len(selection.chosen.parts):
+        more = len(grown.chosen.parts) > len(selection.chosen.parts)
+        history += grown.history if more else ()
+        turned = _inverted_stretch(explore, grown.chosen if more else selection.chosen, history)
+        if turned is selection.chosen:
             break
-        history += grown.history
-        selection = _examined(explore, base, _inverted_stretch(explore, grown.chosen, history))
+        selection = _examined(explore, base, turned)
     deeper = in_lowest_valleys(objective, selection.chosen, rules.tie * variance_inflation)
     if deeper is not selection.chosen:
         history.append(f"another valley of a delay saves {selection.chosen.cost - deeper.cost:.0f}")
