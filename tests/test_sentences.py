@@ -9,10 +9,12 @@ import pytest
 from split_cli.cli.main import group
 
 ROOT = Path(__file__).resolve().parents[1]
-#: Logs of single experiments, which nobody needs to read at one go.
-LOGS = {"natural_experiments.md"}
-PAGES = [page for page in sorted(ROOT.glob("docs/**/*.md")) if page.name not in LOGS]
-PAGES += [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "sample_logs" / "README.md"]
+PAGES = [
+    *sorted(ROOT.glob("docs/**/*.md")),
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "sample_logs/README.md",
+]
 #: A sentence with more words than this is two.
 MOST_WORDS = 25
 #: Code is read as one word.
