@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from split_cli.learning.cells import learn
 from split_cli.learning.features import FeatureSet, parse_features
-from split_cli.learning.kernel import Kernel
+from split_cli.learning.kernel import OUTPUTS, Kernel
 from split_cli.learning.labels import Labels
 from split_cli.learning.region import Grid, Region, z2_grid
 from split_cli.learning.training_set import TrainingSet, content_digest, write_set
@@ -248,3 +248,9 @@ def write_forged_set(training_set: TrainingSet, path: Path, change: Callable[[di
     with pa.ipc.new_file(str(path), schema) as writer:
         for batch, beside in batches:
             writer.write_batch(batch.replace_schema_metadata(schema.metadata), custom_metadata=beside)
+
+
+def kernel_to_yaml(kernel: Kernel, features: FeatureSet) -> str:
+    """Return a file of hyperparameters as `learning.kernel_file.read_kernel` reads it."""
+    names = {"length_scales": features.names, "signal_variance": OUTPUTS, "noise_variance": OUTPUTS}
+    return json.dumps({key: dict(zip(of, getattr(kernel, key).tolist(), strict=True)) for key, of in names.items()})

@@ -9,10 +9,12 @@ import pytest
 from split_cli.cli.main import group
 
 ROOT = Path(__file__).resolve().parents[1]
-#: Logs of single experiments, which nobody needs to read at one go.
-LOGS = {"natural_experiments.md"}
-PAGES = [*sorted(ROOT.glob("docs/**/*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-PAGES = [page for page in PAGES if page.name not in LOGS]
+PAGES = [
+    *sorted(ROOT.glob("docs/**/*.md")),
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "sample_logs/README.md",
+]
 #: A sentence with more words than this is two.
 MOST_WORDS = 25
 #: Code is read as one word.
@@ -66,7 +68,7 @@ def _said(command: click.Command):
             yield from _said(inner)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_no_sentence_of_a_page_needs_a_second_reading(page):
     text = page.read_text(encoding="utf-8")
     long = [sentence for paragraph in paragraphs(text) for sentence in long_sentences(paragraph)]

@@ -179,14 +179,6 @@ class StageQP:
         x, u, slack = v[self.x_at], v[self.u_at], v[self.s_at]
         return QPSolution(x, u, slack, ran and self._satisfies(data, v, x, u, slack), 0.0)
 
-    def dense(self, data: QPData) -> tuple[np.ndarray, ...]:
-        """Return (H, g, A, lba, uba, lbx, ubx) of the programme as dense arrays, for a reference solver."""
-        p = self._solvers[0]
-        self._fill(p, data)
-        H = np.array(casadi.DM(self._sparsity["h"], self._h))
-        A = np.array(casadi.DM(self._sparsity["a"], self._a))
-        return H, p.g.copy(), A, *(values.copy() for values in (p.lba, p.uba, p.lbx, p.ubx))
-
     def _fill(self, p: _Bound, d: QPData) -> None:
         self._h[self._Q], self._h[self._R], self._h[self._S] = d.Q, d.R, 2.0 * d.slack_weight
         self._a[self._A], self._a[self._B], self._a[self._C] = d.A[1:], d.B, d.C

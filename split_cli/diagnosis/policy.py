@@ -13,7 +13,7 @@ from dataclasses import Field, asdict, dataclass, fields, replace
 from statistics import NormalDist
 from typing import Any
 
-from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, kind_of, number
+from split_cli.diagnosis.policy_numbers import CHOSEN, JUDGEMENT, THEORY, number
 from split_cli.diagnosis.policy_recordings import Believing, Screening, Unnamed
 
 __all__ = [
@@ -29,7 +29,6 @@ __all__ = [
     "SelfTestRules",
     "Unnamed",
     "deciding_numbers",
-    "numbers_by_kind",
 ]
 
 
@@ -362,12 +361,3 @@ def deciding_numbers(policy: Policy = STANDARD) -> Iterator[tuple[str, Field[Any
         numbers = getattr(policy, group.name)
         for one in fields(numbers):
             yield group.name, one, getattr(numbers, one.name)
-
-
-def numbers_by_kind(policy: Policy = STANDARD) -> dict[str, list[str]]:
-    """Return the names `group.number` of all numbers by what they decide on, see `policy_numbers.KINDS`."""
-    out: dict[str, list[str]] = {}
-    for group, one, _ in deciding_numbers(policy):
-        name = f"{group}.{one.name}"
-        out.setdefault(kind_of(name), []).append(name)
-    return out

@@ -259,7 +259,7 @@ def _check_step(
     compare_features(features, steps, real)
     linear = driver.answers(3, steps.asked, n * (n + 2))
     parts = [linear[:, : n * n].reshape(-1, n, n), linear[:, n * n :].reshape(-1, n, 2)]
-    compare_linearisation(np.concatenate(parts, axis=2), steps, real, "C: the linearisation")
+    compare_linearisation(np.concatenate(parts, axis=2), steps, real)
     errors = []
     substeps = rk4_substeps(source.memory)
     compare_observer(lambda asked: driver.answers(12, asked, 63), steps, substeps, real, "C: the running trust")

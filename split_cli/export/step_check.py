@@ -207,9 +207,9 @@ def compare_observer(observe: Stepper, oracle: StepOracle, substeps: int, real: 
     return _require(observe(intervals.asked), after, np.abs(after), OBSERVER_TOLERANCE[real], what)
 
 
-def compare_linearisation(found: np.ndarray, oracle: StepOracle, real: str, what: str) -> float:
+def compare_linearisation(found: np.ndarray, oracle: StepOracle, real: str) -> float:
     """Return the largest relative error of [A, B], shape (N, n, n + 2); raise as `compare_states` does."""
-    return _require(found, oracle.linear, np.abs(oracle.linear), LINEARISATION_TOLERANCE[real], what)
+    return _require(found, oracle.linear, np.abs(oracle.linear), LINEARISATION_TOLERANCE[real], "C: the linearisation")
 
 
 def compare_features(found: np.ndarray, oracle: StepOracle, real: str) -> float:

@@ -60,7 +60,7 @@ class FeatureSet:
             **{name: flow.values[name] for name in model.state_names},
         }
         if "steer_rate" in self.names:
-            computed["steer_rate"] = _rate_inside_segments(drive, "delta")
+            computed["steer_rate"] = _steer_rate(drive)
         columns = []
         for name in self.names:
             if name not in computed and name not in drive:
@@ -148,9 +148,9 @@ def _named(name: str) -> tuple[str, ...]:
     return (name,)
 
 
-def _rate_inside_segments(drive: Drive, channel: str) -> np.ndarray:
+def _steer_rate(drive: Drive) -> np.ndarray:
     rate = np.zeros(len(drive))
     for run in drive.segments():
         if run.stop - run.start > 1:
-            rate[run] = np.gradient(drive[channel][run], drive.period)
+            rate[run] = np.gradient(drive["delta"][run], drive.period)
     return rate

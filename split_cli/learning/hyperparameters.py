@@ -32,7 +32,6 @@ class KernelFit:
     """A fitted kernel and how it was found."""
 
     kernel: Kernel
-    negative_log_likelihood: float  # per point and output, at the optimum [nat]
     # points, blocks: what the likelihood was summed over.
     points: int
     blocks: int
@@ -141,7 +140,6 @@ def fit_kernel(
     at_high[:dimension] &= np.asarray(longest) >= LENGTH_BOUNDS[1]
     return KernelFit(
         kernel=Kernel(*_split(best.x), origin="fitted"),
-        negative_log_likelihood=float(best.fun) / len(OUTPUTS),
         points=points,
         blocks=len(blocks),
         evaluations=sum(int(one.nfev) for one in found),

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from split_cli.errors import SetError, nearest_names
 from split_cli.learning.features import FeatureSet
@@ -33,17 +32,6 @@ def read_kernel(path: str | Path, features: FeatureSet) -> Kernel:
         np.array(_values(content[key], expected, key, where)) for key, expected in zip(_KEYS, names, strict=True)
     )
     return Kernel(scales, signal, noise, origin="given")
-
-
-def kernel_to_yaml(kernel: Kernel, features: FeatureSet) -> str:
-    """Return what `read_kernel` reads."""
-    names = (features.names, OUTPUTS, OUTPUTS)
-    mapping = {
-        key: dict(zip(expected, getattr(kernel, key).tolist(), strict=True))
-        for key, expected in zip(_KEYS, names, strict=True)
-    }
-    text: str = yaml.safe_dump(mapping, sort_keys=False)
-    return text
 
 
 def _check_keys(content: Any, expected: Sequence[str], what: str, where: str) -> None:

@@ -54,7 +54,7 @@ def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_
         _numbers(f"kernel.{name}", described["kernel"][name], length, LARGEST_OF_KERNEL)
     _text("kernel.origin", described["kernel"].get("origin", ""))
     _check_trust(described.get("trust", {}))
-    _boolean("plain", described["plain"])
+    _check_plain(described["plain"])
     for name in ("points", "cells"):
         _whole(f"counts.{name}", described["counts"][name], 0, np.inf)
     for number, source in enumerate(described["sources"]):
@@ -85,7 +85,7 @@ def check_labels_header(described: Mapping[str, Any]) -> None:
     for name in described["features"]:
         _text("a feature", name)
     _check_found(described)
-    _boolean("plain", described["plain"])
+    _check_plain(described["plain"])
 
 
 def _check_found(described: Mapping[str, Any]) -> None:
@@ -202,9 +202,9 @@ def _time(name: str, value: Any) -> None:
         raise ValueError(f"{name} is {value:g} s, beyond {limit:g} s there is no time")
 
 
-def _boolean(name: str, value: Any) -> None:
+def _check_plain(value: Any) -> None:
     if not isinstance(value, bool):
-        raise ValueError(f"{name} is neither true nor false")
+        raise ValueError("plain is neither true nor false")
 
 
 def _text(name: str, value: Any) -> str:

@@ -27,8 +27,7 @@ STATE_SIZE = 24
 OUT_AX, OUT_AY = 0, 1
 OUT_LOAD, OUT_FX, OUT_FY = 2, 6, 10
 OUT_POWER_IN, OUT_POWER_TIRE, OUT_POWER_ROLLING, OUT_POWER_AIR, OUT_POWER_GRAVITY = 14, 15, 16, 17, 18
-OUT_STEER_LEFT, OUT_STEER_RIGHT = 19, 20
-OUT_SIZE = 21
+OUT_SIZE = 19
 
 # Surroundings of the car at one instant.
 ENV_FRICTION, ENV_GRADE, ENV_BANK, ENV_WIND_X, ENV_WIND_Y, ENV_FRICTION_REAR = 0, 1, 2, 3, 4, 5
@@ -185,7 +184,6 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
     wheel_loads(x, head_pressure, env, car, out)
 
     steer_left, steer_right = wheel_angles(x[STEER] + car.steer_offset, car)
-    out[OUT_STEER_LEFT], out[OUT_STEER_RIGHT] = steer_left, steer_right
 
     # Summed axle by axle, so that a mirrored state gives mirrored rates to the last bit.
     front_fx, front_fy, front_moment = 0.0, 0.0, 0.0

@@ -90,40 +90,11 @@ class Outputs:
     power_rolling: float
     power_air: float
     power_gravity: float
-    wheel_angle: np.ndarray  # (2,): of the front wheels, left and right [rad]
 
 
 def outputs_from(vector: np.ndarray) -> Outputs:
-    """Return the outputs packed in a row, shape (21,), at the places `OUT_...` of the compiled code."""
-    return Outputs(
-        vector[0:2], vector[2:6], vector[6:10], vector[10:14], *(float(v) for v in vector[14:19]), vector[19:21]
-    )
-
-
-def state_rate(
-    car: CarParameters,
-    state: np.ndarray,
-    torque_command: float,
-    steer_command: float,
-    surroundings: Surroundings | None = None,
-) -> tuple[np.ndarray, Outputs]:
-    """Return the rate of a state, shape (24,), and what follows from it.
-
-    Parameters
-    ----------
-    state : ndarray, shape (24,)
-        In the order of `STATE_NAMES`.
-    torque_command : float
-        Total at the wheels [N m], braking negative.
-    steer_command : float
-        Mean road-wheel angle [rad].
-    """
-    rate, out = np.empty(_compiled.STATE_SIZE), np.empty(_compiled.OUT_SIZE)
-    around = (surroundings or Surroundings()).vector()
-    _compiled.derivative(
-        np.asarray(state, dtype=float), float(torque_command), float(steer_command), around, as_numbers(car), rate, out
-    )
-    return rate, outputs_from(out)
+    """Return the outputs packed in a row, shape (19,), at the places `OUT_...` of the compiled code."""
+    return Outputs(vector[0:2], vector[2:6], vector[6:10], vector[10:14], *(float(v) for v in vector[14:19]))
 
 
 def advance(

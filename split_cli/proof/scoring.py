@@ -116,7 +116,6 @@ class CaseSetScore:
     confusion: tuple[tuple[str, str, int], ...]
     coverage: Rate
     coverage_by_parameter: tuple[tuple[str, Rate], ...]
-    removed_median: float | None
     # seconds_median, seconds_most, memory_most: of one identification [s], [s], [MB].
     seconds_median: float = 0.0
     seconds_most: float = 0.0
@@ -143,7 +142,6 @@ def summarise(scores: Sequence[CaseScore]) -> CaseSetScore:
         coverage_by_parameter=tuple(
             (parameter, rate_of([inside for name, inside in covered if name == parameter])) for parameter in parameters
         ),
-        removed_median=median,
     )
 
 

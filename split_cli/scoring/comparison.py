@@ -74,7 +74,6 @@ class ModelScore:
     horizon: float
     states: tuple[StateScore, ...]
     total: float
-    total_interval: tuple[float, float]
     is_best: bool
 
 
@@ -147,8 +146,8 @@ def _rank_at(one: RunErrors) -> list[ModelScore]:
     least = [[float(rmse[name][0, k]) for name in names] for k in range(3)]
     best = [names[min(range(len(names)), key=sizes.__getitem__)] for sizes in least]
     with np.errstate(divide="ignore", invalid="ignore"):
-        total = {name: np.sqrt(draws[name] / draws[""]).mean(axis=1) for name in one.errors}
-    first = min(total, key=lambda name: total[name][0])
+        total = {name: float(np.sqrt(draws[name][0] / draws[""][0]).mean()) for name in one.errors}
+    first = min(total, key=total.__getitem__)
     spread = np.std(one.measured, axis=0)
     scores = []
     for name in one.errors:
@@ -171,10 +170,5 @@ def _rank_at(one: RunErrors) -> list[ModelScore]:
                     name == best[k] or to_best[1] <= 1.0,
                 )
             )
-        low, high = _ends(total[name][1:])
-        scores.append(
-            ModelScore(
-                name, one.horizon, tuple(states), float(total[name][0]), (float(low), float(high)), name == first
-            )
-        )
+        scores.append(ModelScore(name, one.horizon, tuple(states), total[name], name == first))
     return scores

@@ -12,14 +12,13 @@ from click.testing import CliRunner
 from split_cli.cli.main import group
 from split_cli.learning.cells import recompute_gains
 from split_cli.learning.features import Z1, Z2
-from split_cli.learning.kernel_file import kernel_to_yaml
 from split_cli.learning.label_file import read_labels
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive, write_drive
 from split_cli.workflows.training.train import TrainSettings, train_set
 from tests.cli.hostile import refused
-from tests.factories import MissingForce, road_car, write_garage
+from tests.factories import MissingForce, kernel_to_yaml, road_car, write_garage
 
 TERM = MissingForce({"front_grip_loss": 0.1, "front_lateral": 150.0})
 

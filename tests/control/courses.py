@@ -26,5 +26,6 @@ def first_rows(drive: Drive, count: int) -> Drive:
     return replace(drive, columns=columns, segment=drive.segment[:count])
 
 
-def invoke(*arguments: str):
-    return CliRunner().invoke(group, list(arguments))
+def invoke(*words: object):
+    """Run a command; several words may stand in one text."""
+    return CliRunner().invoke(group, " ".join(map(str, words)).split())

@@ -23,20 +23,7 @@ from tests.control.courses import CAR, ROOT, invoke, ring
 def test_two_laps_of_a_ring_are_driven_learned_and_written(tmp_path):
     drive, trained = tmp_path / "ring.parquet", tmp_path / "ring.split"
     done = invoke(
-        "race",
-        "--vehicle",
-        CAR,
-        "--track",
-        str(ring(tmp_path)),
-        "--laps",
-        "1",
-        "--max-speed",
-        "14",
-        "-o",
-        str(drive),
-        "--set",
-        str(trained),
-        "--json",
+        f"race --vehicle {CAR} --track {ring(tmp_path)} --laps 1 --max-speed 14 -o {drive} --set {trained} --json"
     )
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
@@ -121,24 +108,8 @@ def test_a_lap_may_take_as_long_as_its_bends_ask_whatever_the_largest_speed(tmp_
 def test_learners_are_compared_in_one_report(tmp_path):
     report = tmp_path / "laps.html"
     done = invoke(
-        "race",
-        "--vehicle",
-        CAR,
-        "--track",
-        str(ring(tmp_path)),
-        "--laps",
-        "0",
-        "--max-speed",
-        "10",
-        "--learner",
-        "none",
-        "--learner",
-        "split",
-        "--report",
-        str(report),
-        "--json",
-        "--features",
-        "z2",
+        f"race --vehicle {CAR} --track {ring(tmp_path)} --laps 0 --max-speed 10 --learner none --learner "
+        f"split --report {report} --json --features z2"
     )
     assert done.exit_code == 0, done.output
     (first,), (second,) = (result["laps"] for result in json.loads(done.stdout))

@@ -56,20 +56,8 @@ def test_an_export_passes_where_the_file_of_a_dry_road_does_not(learned):
 
 def test_a_lap_is_driven_with_an_export(learned, tmp_path):
     done = invoke(
-        "race",
-        "--vehicle",
-        CAR,
-        "--track",
-        str(ring(tmp_path)),
-        "--laps",
-        "1",
-        "--max-speed",
-        "10",
-        "--learner",
-        "none",
-        "--start-set",
-        str(learned[1]),
-        "--json",
+        f"race --vehicle {CAR} --track {ring(tmp_path)} --laps 1 --max-speed 10 --learner none "
+        f"--start-set {learned[1]} --json"
     )
     assert done.exit_code == 0, done.output
     (lap,) = json.loads(done.stdout)["laps"]

@@ -19,17 +19,8 @@ from tests.control.courses import CAR, ROOT, invoke
 def test_a_lane_change_is_driven_between_its_cones(tmp_path):
     trained = tmp_path / "run.split"
     done = invoke(
-        "maneuver",
-        "iso3888-2",
-        "--vehicle",
-        CAR,
-        "-o",
-        str(tmp_path / "run.parquet"),
-        "--json",
-        "--set",
-        str(trained),
-        "--features",
-        "z2,feature_lag",
+        f"maneuver iso3888-2 --vehicle {CAR} -o {tmp_path / 'run.parquet'} --json --set {trained} "
+        "--features z2,feature_lag"
     )
     assert done.exit_code == 0, done.output
     (run,) = json.loads(done.stdout)["runs"]

@@ -32,13 +32,32 @@ def programme(seed: int, N: int = 4, n: int = 3, m: int = 2, g: int = 2) -> QPDa
     )
 
 
+def dense(data: QPData, at: StageQP) -> tuple[np.ndarray, ...]:
+    """Return H, g, A, lower and upper of rows, gaps first, and of variables, written out from what `QPData` says."""
+    N, n, g = data.C.shape[0] + 1, data.A.shape[1], data.C.shape[1]
+    H, gradient = np.zeros((at.size, at.size)), np.zeros(at.size)
+    gaps, rows = np.zeros((N, n, at.size)), np.zeros((N - 1, g, at.size))
+    low, high = np.full(at.size, -1e3), np.full(at.size, 1e3)
+    for k in range(N):
+        x, u = at.x_at[k], at.u_at[k]
+        H[np.ix_(x, x)], H[u, u], gradient[x], gradient[u] = data.Q[k], data.R[k], data.q[k], data.r[k]
+        low[x], high[x], low[u], high[u] = data.x_lower[k], data.x_upper[k], data.u_lower[k], data.u_upper[k]
+        gaps[k][:, x], gaps[k][:, u] = -np.eye(n), data.B[k]
+        if k:
+            before, slack = at.x_at[k - 1], at.s_at[k - 1]
+            gaps[k][:, before], rows[k - 1][:, before], rows[k - 1][:, slack] = data.A[k], data.C[k - 1], np.eye(g)
+            H[slack, slack] = 2.0 * data.slack_weight
+    A = np.concatenate([gaps.reshape(-1, at.size), rows.reshape(-1, at.size)])
+    ends = ([-data.c.ravel(), bound.ravel()] for bound in (data.row_lower, data.row_upper))
+    return H, gradient, A, *map(np.concatenate, ends), low, high
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_answer_is_that_of_a_dense_solver(seed):
     data = programme(seed)
     solver = StageQP(4, 3, 2, 2)
     found = solver.solve(data)
-    H, g, A, lba, uba, lbx, ubx = solver.dense(data)
-    slack_free = np.clip(lbx, -1e3, 0.0), np.clip(ubx, 0.0, 1e3)
+    H, g, A, lba, uba, low, high = dense(data, solver)
     reference = minimize(
         lambda w: 0.5 * w @ H @ w + g @ w,
         np.zeros(len(g)),
@@ -46,7 +65,7 @@ def test_the_answer_is_that_of_a_dense_solver(seed):
         hess=lambda w: H,
         method="trust-constr",
         constraints=[LinearConstraint(A, lba, uba)],
-        bounds=list(zip(*slack_free, strict=True)),
+        bounds=list(zip(low, high, strict=True)),
         options={"gtol": 1e-9, "xtol": 1e-12, "maxiter": 3000},
     ).x
     assert found.solved
@@ -73,10 +92,9 @@ def test_without_bounds_the_answer_solves_the_normal_equations():
     data = replace(data, **wide)
     solver = StageQP(4, 3, 2, 2)
     found = solver.solve(data)
-    H, g, A, lba, *_ = solver.dense(data)
-    gaps = solver.gap_at.ravel()
-    kkt = np.block([[H, A[gaps].T], [A[gaps], np.zeros((len(gaps), len(gaps)))]])
-    exact = np.linalg.solve(kkt, np.concatenate([-g, lba[gaps]]))
+    H, g, A, lba, *_ = dense(data, solver)
+    G, gaps = A[: data.c.size], lba[: data.c.size]
+    exact = np.linalg.solve(np.block([[H, G.T], [G, np.zeros((len(G), len(G)))]]), np.concatenate([-g, gaps]))
     assert found.solved
     assert found.x == pytest.approx(exact[solver.x_at], abs=1e-5)
     assert found.u == pytest.approx(exact[solver.u_at], abs=1e-5)

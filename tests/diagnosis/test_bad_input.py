@@ -16,6 +16,7 @@ from split_cli.logs.drive import Drive, DriveMetadata, read_drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.tire import MagicFormula
+from tests.diagnosis.recordings import verdict_of
 from tests.factories import make_drive, one_run, road_car
 
 NOISE = {"X": 0.01, "Y": 0.01, "yaw": 0.001, "vx": 0.01, "vy": 0.01, "r": 0.002}
@@ -267,7 +268,7 @@ def test_what_is_left_out_is_told_and_brings_no_name(real, simulated):
     vy = np.where((real["t"] > 22.0) & (real["t"] < 30.0), real["vy"][1000], with_holes(real["vy"]))
     x = real["X"].copy()
     x[3500:3700] = np.nan
-    diagnosis = diagnose([altered(real, t=jumping(real["t"]), vy=vy, X=x)], road_car(), [simulated])
+    diagnosis = verdict_of([altered(real, t=jumping(real["t"]), vy=vy, X=x)], road_car(), [simulated])
     assert_nothing_named(diagnosis)
     told = (
         "vy stands still",
@@ -283,7 +284,7 @@ def test_what_is_left_out_is_told_and_brings_no_name(real, simulated):
 def test_the_rates_of_simulation_and_reality_need_not_agree(simulated):
     """At 50 Hz against real drives of twice and of half that."""
     real = [recorded(1, runs=4, period=0.01), recorded(4, runs=4, period=0.04)]
-    diagnosis = diagnose(real, road_car(), [simulated])
+    diagnosis = verdict_of(real, road_car(), [simulated])
     assert diagnosis.verdict == "match", said(diagnosis)
     assert diagnosis.compared_share > 0.5
 
@@ -326,7 +327,7 @@ def test_derived_torque_tells_nothing_along_the_car(real, simulated):
     assert {label.split()[0] for label in lost} >= {"drive_gain", "aero_drag", "rolling_resistance", "road_grade"}
     # A fault of the torque that is in the recording only because it was derived wrongly.
     scaled = replace(altered(real, T=0.9 * real["T"]), metadata=derived)
-    diagnosis = diagnose([scaled], road_car(), [simulated])
+    diagnosis = verdict_of([scaled], road_car(), [simulated])
     assert_nothing_named(diagnosis)
     assert "torque is derived" in said(diagnosis)
 

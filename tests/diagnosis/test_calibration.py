@@ -6,13 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.remainder.structure import FlexibleFit
 from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import case_of
+from tests.diagnosis.recordings import case_of, verdict_of
 from tests.factories import make_drive, road_car
 
 NOISE = {"vx": 0.01, "vy": 0.01, "r": 0.002}
@@ -92,7 +91,7 @@ def test_physics_that_comes_and_goes_is_forgiven_as_a_term():
 def test_two_recordings_of_one_restless_car_match():
     """With a fault it is named: test_baselines."""
     simulation = recorded(drive(1), 1, restless=0.1)
-    same = diagnose([recorded(drive(2), 2, restless=0.1)], road_car(), [simulation])
+    same = verdict_of([recorded(drive(2), 2, restless=0.1)], road_car(), [simulation])
     assert same.verdict == "match"
     assert not same.findings
 

@@ -6,7 +6,6 @@ import jsonschema
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, nothing
@@ -15,7 +14,7 @@ from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict import leads
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Course, Range
-from tests.diagnosis.recordings import INFLATION, candidates_of, driven, noisy, noisy_objective, selected
+from tests.diagnosis.recordings import INFLATION, candidates_of, driven, noisy, noisy_objective, selected, verdict_of
 from tests.factories import road_car
 
 
@@ -63,7 +62,7 @@ def test_a_bank_that_no_road_has_is_a_lead(nominal_series):
     limit = next(one for one in build_candidates(road_car(), nominal_series) if one.label == "road_bank")
     assert limit.ranges["angle"].upper < planted
     real = noisy(driven(72, (CATALOGUE["road_bank"]({"angle": planted}),), runs=8, seconds=8.0, spaced=9.0), 572)
-    said = diagnose([real], road_car())
+    said = verdict_of([real], road_car())
     assert said.verdict == "mismatch" and "road_bank" not in {one.term for one in said.findings}
     lead = said.leads[0]
     assert lead.term == "road_bank" and lead.share > 0.9

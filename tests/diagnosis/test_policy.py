@@ -1,14 +1,15 @@
 """Every number that decides is in one place, says what it is and where it comes from, and decides."""
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import pytest
 
-from split_cli.diagnosis.policy import STANDARD, deciding_numbers, numbers_by_kind
-from split_cli.diagnosis.policy_numbers import DECIDES, KINDS
+from split_cli.diagnosis.policy import STANDARD, deciding_numbers
+from split_cli.diagnosis.policy_numbers import DECIDES, KINDS, kind_of
 
 ROOT = Path(__file__).resolve().parents[2] / "split_cli" / "diagnosis"
 
@@ -45,7 +46,7 @@ MOST = {DECIDES: 36, "guards": 30, "effort": 6, "telling": 10}
 
 
 def test_numbers_of_every_kind_only_fall():
-    counts = {kind: len(names) for kind, names in numbers_by_kind().items()}
+    counts = Counter(kind_of(f"{group}.{one.name}") for group, one, _ in deciding_numbers())
     assert sum(counts.values()) == len(STANDARD.described())
     assert all(counts[kind] <= most for kind, most in MOST.items()), counts
 

@@ -7,7 +7,6 @@ import jsonschema
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals, build_kinematics
 from split_cli.diagnosis.recording.scales import out_of_scale, scale_of, scales_as_terms
 from split_cli.diagnosis.recording.witnesses import build_witnesses
@@ -20,7 +19,16 @@ from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.findings import _stays_beside
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
-from tests.diagnosis.recordings import bare_objective, candidates_of, driven, faulty, light_evidence, noisy, prepared
+from tests.diagnosis.recordings import (
+    bare_objective,
+    candidates_of,
+    driven,
+    faulty,
+    light_evidence,
+    noisy,
+    prepared,
+    verdict_of,
+)
 from tests.factories import road_car
 
 
@@ -143,7 +151,7 @@ def test_an_offset_of_the_steering_stays_beside_a_yaw_rate_out_of_scale_and_what
 
 def test_a_speed_out_of_scale_is_named_beside_a_turned_sensor_and_contradicts_nothing_then():
     """Without position it would be a match or a mass: 3 % of speed are 3 % of every force."""
-    said = diagnose([faulty(recording(83, vx=1.03), angle=0.02)], road_car())
+    said = verdict_of([faulty(recording(83, vx=1.03), angle=0.02)], road_car())
     findings = {one.term: one for one in said.findings}
     assert said.verdict == "mismatch" and set(findings) == {"speed_scale", "sensor_misalignment"}
     scale = findings["speed_scale"]

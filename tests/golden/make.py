@@ -14,7 +14,6 @@ from click.testing import CliRunner
 
 from split_cli.cli.main import group
 from split_cli.learning.features import parse_features
-from split_cli.learning.kernel_file import kernel_to_yaml
 from split_cli.learning.label_file import write_labels
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import Region
@@ -23,7 +22,7 @@ from split_cli.logs.drive import DriveMetadata, NoiseEstimate, Source, read_driv
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.export import export_set
 from split_cli.workflows.ingesting.ingest_manifest import MANIFEST_NAME, IngestManifest
-from tests.factories import make_drive, make_training_set, road_car
+from tests.factories import kernel_to_yaml, make_drive, make_training_set, road_car
 
 MAP = """name: golden
 about: every key of a signal map

@@ -15,9 +15,9 @@ from split_cli.learning.hyperparameters import (
     scatter_variance,
 )
 from split_cli.learning.kernel import Kernel
-from split_cli.learning.kernel_file import kernel_to_yaml, read_kernel
+from split_cli.learning.kernel_file import read_kernel
 from split_cli.learning.region import Grid, Region, z2_grid
-from tests.factories import make_labels, road_car, valid_features
+from tests.factories import kernel_to_yaml, make_labels, road_car, valid_features
 
 UNBOUNDED = (-np.inf,) * 3, (np.inf,) * 3
 GRID = Grid((0.02, 0.02, 0.1), *UNBOUNDED)

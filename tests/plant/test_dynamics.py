@@ -5,14 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from split_cli.plant import _compiled
+from split_cli.plant._numbers import as_numbers
 from split_cli.plant.cars import CARS, F1TENTH_CAR, FORMULA_CAR, ROAD_CAR
-from split_cli.plant.dynamics import STATE_NAMES, Surroundings, advance, state_rate
+from split_cli.plant.dynamics import STATE_NAMES, Surroundings, advance, outputs_from
 from split_cli.plant.maneuvers import MANEUVER_NAMES, build_maneuver, run_maneuver
 from split_cli.plant.simulation import initial_state
 from split_cli.signals import STANDARD_GRAVITY
 
 INDEX = {name: number for number, name in enumerate(STATE_NAMES)}
 WHEELS = slice(6, 10)
+
+
+def state_rate(car, state, torque, steer, around=None):
+    """Return the rate of a state, and what follows from it there."""
+    rate, out = np.empty(_compiled.STATE_SIZE), np.empty(_compiled.OUT_SIZE)
+    _compiled.derivative(state, torque, steer, (around or Surroundings()).vector(), as_numbers(car), rate, out)
+    return rate, outputs_from(out)
 
 
 def plain(car, **changes):

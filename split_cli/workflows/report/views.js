@@ -7,8 +7,6 @@
   const choice = document.getElementById("along");
   let along = Boolean(choice && choice.querySelector("[value=s]").checked); // whether charts with two kinds of x show the other one
 
-  const finite = (values) => Array.from(values).filter(Number.isFinite);
-
   function spread(lists, margin = 0.04) {
     let [low, high] = [Infinity, -Infinity];
     for (const list of lists) for (const v of list) if (Number.isFinite(v)) { if (v < low) low = v; if (v > high) high = v; }
