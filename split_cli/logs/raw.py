@@ -182,10 +182,12 @@ def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
     """
     # T is a torque.
     named = [info for info in reversed(infos) if info.name.strip() != "T"]
-    names = {re.sub(r"[\s.]+", "_", info.name.strip().lower()): info for info in named}
-    bare = {re.sub(r"_(s|sec|ms|us|ns)$", "", name): info for name, info in names.items()}
-    for name in TIME_COLUMNS:
-        info = names.get(name, bare.get(name))
+    parted = {re.sub(r"(?<=[a-z0-9])(?=[A-Z])|[\s.]+", "_", info.name.strip()): info for info in named}
+    names = {name.lower(): info for name, info in parted.items()}
+    joined = {name.replace("_", ""): info for name, info in names.items()}
+    bare = {re.sub(r"_(s|sec|ms|us|ns)$", "", name).replace("_", ""): info for name, info in names.items()}
+    for name in (name.replace("_", "") for name in TIME_COLUMNS):
+        info = joined.get(name, bare.get(name))
         if info is not None and info.type_name != "text":
             return info
     stamped = [info for info in infos if info.type_name.startswith("timestamp[")]

@@ -167,7 +167,7 @@ def _rank_at(one: RunErrors) -> list[ModelScore]:
                     float(100.0 * (1.0 - own / max(spread[k], 1e-300))),
                     to_best,
                     name == best[k],
-                    name == best[k] or to_best[1] <= 1.0,
+                    name == best[k] or not to_best[1] > 1.0,  # nor where its interval is not known
                 )
             )
         scores.append(ModelScore(name, one.horizon, tuple(states), total[name], name == first))

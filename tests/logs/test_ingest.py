@@ -202,7 +202,7 @@ def test_the_command_writes_a_drive_and_reports_as_text_and_json(folder, drive):
     shown = run(*common)
     assert shown.exit_code == 0, shown.output
     assert "vx: km/h to m/s" in shown.output and "3000 rows at 100 Hz" in shown.output
-    report = json.loads(run(*common, "--json").output)[0]
+    report = json.loads(run(*common, "--json").stdout)[0]
     assert report["rows"] == 3000 and report["kinds"]["T"] == "command"
     assert {n["channel"] for n in report["noise"]} >= {"vx", "vy", "r"}
     made = read_drive(folder / "d.parquet")
@@ -212,7 +212,7 @@ def test_the_command_writes_a_drive_and_reports_as_text_and_json(folder, drive):
 def test_list_and_drafts_need_no_output(folder, drive):
     frame(drive).to_csv(folder / "log.csv", index=False)
     assert "delta" in run(folder / "log.csv", "--list").output
-    listed = json.loads(run(folder / "log.csv", "--list", "--json").output)
+    listed = json.loads(run(folder / "log.csv", "--list", "--json").stdout)
     assert [c["name"] for c in listed["channels"]] == ["t", *CHANNELS]
     draft = yaml.safe_load(run(folder / "log.csv", "--suggest-map").output)
     assert draft["channels"]["delta"]["source"] == "delta"

@@ -38,6 +38,7 @@ MISTAKES = {
     "position in feet": ({"X": lambda v: v / 0.3048, "Y": lambda v: v / 0.3048}, "X", "ft"),
     "torque of the engine": ({"T": lambda v: v / 8.0}, "T", "engine"),
     "torque positive when braking": ({"T": lambda v: -v}, "T", "positive when braking"),
+    "v_y in mm/s": ({"vy": lambda v: 1000.0 * v}, "vy", "is in mm/s"),
     "v_y right-positive": ({"vy": lambda v: -v}, "vy", "right-positive"),
 }
 

@@ -1,7 +1,11 @@
 """Faults first seen when eight kinds of logs were taken from `split init` to a diagnosis as a stranger would."""
 
+import json
+from pathlib import Path
+
 import h5py
 import numpy as np
+import pyarrow as pa
 import pytest
 import yaml
 from scipy.io import savemat
@@ -9,6 +13,7 @@ from scipy.io import savemat
 from split_cli.errors import LogError, SplitError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.workflows.ingesting.ingest import open_logs
@@ -184,3 +189,150 @@ def test_the_next_step_of_a_slow_log_names_the_gap_that_ingest_asks_for(planted,
     with pytest.raises(LogError, match="--gap 0.5"):
         assemble_drive(slow, signal_map, planted.vehicle)
     assert len(assemble_drive(slow, signal_map, planted.vehicle, IngestSettings(gap=0.5)).drive) > 150
+
+
+def test_a_clock_in_words_is_the_time_whatever_its_title(planted, tmp_path):
+    """A German spreadsheet: a line for Excel, groups over the titles, the date apart, decimal commas."""
+    t = np.arange(0.0, 40.0, 0.02)
+    columns = [3.6 * planted.at("vx", t), planted.at("ay", t) / 9.80665, np.degrees(planted.at("r", t))]
+    rows = [
+        "sep=;",
+        "Messung;Handlingkurs",
+        "",
+        "Zeit;;Bewegung;;",
+        "Datum;Uhrzeit;Geschwindigkeit;Querbeschl;Gierrate",
+    ]
+    rows += [";;km/h;g;°/s"]
+    for moment, values in zip(t, np.transpose(columns), strict=True):
+        clock = f"14:{5 + int(moment // 60):02d}:{moment % 60:06.3f}".replace(".", ",")
+        rows.append(";".join(["03.06.2025", clock, *(f"{v:.4f}".replace(".", ",") for v in values)]))
+    (tmp_path / "log.csv").write_text("\n".join(rows), encoding="cp1252")
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert draft.time == "time: {source: Uhrzeit, unit: s}"
+    assert draft.of("vx").status == "judged"
+
+
+def test_names_of_times_are_known_however_their_words_are_parted(planted, tmp_path):
+    t = np.arange(0.0, 40.0, 0.02)
+    for title in ("GpsTow", "gps tow", "GPS_TOW"):
+        table = {"GpsWeek": np.full(len(t), 2369.0), title: 223_507.12 + t, "VelBodyX": planted.at("vx", t)}
+        write_table(tmp_path / "log.csv", table)
+        assert draft_map(open_recording(tmp_path / "log.csv")).time.startswith(f"time: {{source: {title}, unit: s}}")
+
+
+def test_without_a_clock_a_yaw_in_degrees_tells_the_rate_and_no_torque_is_judged(planted, tmp_path):
+    """It was taken in radians, which made a period of 0.57 s; T was judged by a period that nobody had stated."""
+    t = np.arange(0.0, 40.0, 0.01)
+    yaw = (np.degrees(planted.at("yaw", t)) + 170.0 + 180.0) % 360.0 - 180.0
+    assert np.abs(np.diff(yaw)).max() > 300.0
+    table = {"Yaw": yaw, "GyroZ": planted.at("r", t), "VelBodyX": planted.at("vx", t)}
+    write_table(tmp_path / "log.csv", table)
+    time = draft_map(open_recording(tmp_path / "log.csv")).time
+    assert yaml.safe_load(time)["time"]["period"] == pytest.approx(0.01, rel=0.01)
+    write_table(tmp_path / "log.csv", {"vx": planted.at("vx", t), "T": planted.at("T", t), "r": planted.at("r", t)})
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert "needed" in draft.time and draft.of("T").status == "assumed"
+    draft = draft_map(open_recording(tmp_path / "log.csv"), row_rate=100.0)
+    assert "mass times wheel radius" in draft.of("T").reason
+
+
+def test_a_torque_too_small_for_any_gear_is_in_kilonewton_metres(planted, tmp_path):
+    t = np.arange(0.0, 40.0, 0.01)
+    small = {"t": t, "vx": planted.at("vx", t), "r": planted.at("r", t), "torque": 1e-3 * planted.at("T", t)}
+    write_table(tmp_path / "log.csv", small)
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert draft.of("T").unit == "kN m" and draft.of("T").status == "assumed"
+    write_table(tmp_path / "log.csv", {**small, "torque": 0.1 * planted.at("T", t)})  # an engine's, in second gear
+    assert draft_map(open_recording(tmp_path / "log.csv")).of("T").status == "open"
+
+
+def test_units_beside_a_dataset_or_a_value_are_read(planted, tmp_path):
+    t = np.arange(0.0, 40.0, 0.01)
+    channels = {
+        "VehicleSpeed": (3.6 * planted.at("vx", t), "km/h"),
+        "YawRate": (np.degrees(planted.at("r", t)), "deg/s"),
+    }
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name, (values, unit) in {**channels, "time": (1e3 * t, "ms")}.items():
+            file.create_dataset(f"log/{name}", data=values).attrs["units"] = unit.encode() if unit == "ms" else unit
+    recording = open_recording(tmp_path / "log.h5")
+    assert {i.name: i.unit for i in recording.channels()} == {
+        "log.VehicleSpeed": "km/h",
+        "log.YawRate": "deg/s",
+        "log.time": "ms",
+    }
+    assert recording.read(["log.YawRate"])["log.YawRate"].time == pytest.approx(t)
+    rows = [
+        {"t": float(t[k])} | {n: {"value": float(v[k]), "unit": u} for n, (v, u) in channels.items()}
+        for k in range(4000)
+    ]
+    (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    draft = draft_map(open_recording(tmp_path / "log.jsonl"))
+    assert (draft.of("vx").unit, draft.of("r").unit) == ("km/h", "deg/s")
+
+
+@pytest.mark.parametrize("turned", [True, False], ids=["binTrans", "binNormal"])
+def test_a_result_of_modelica_is_read_by_its_names(planted, tmp_path, turned):
+    """Dymola and OpenModelica: an alias may turn the sign, a parameter has two values only."""
+    t = np.arange(0.0, 40.0, 0.01)
+    table = np.column_stack([t, planted.at("vx", t), planted.at("r", t)])
+    names = ["time", "car.body.v_x", "car.body.w_z", "sensor.w_down", "car.m"]
+    said = ["Time [s]", "Velocity [m/s]", "Yaw rate [rad/s]", "Yaw rate, z down [rad/s]", "Mass [kg]"]
+    info = np.array([[0, 1, 0, -1], [2, 2, 0, -1], [2, 3, 0, -1], [2, -3, 0, -1], [1, 2, 0, 0]], dtype=np.int32)
+
+    def characters(texts):
+        wide = np.array([list(text.ljust(max(map(len, texts)))) for text in texts])
+        return np.array(["".join(row) for row in (wide.T if turned else wide)])
+
+    matrices = {"dataInfo": info, "data_1": np.array([[0.0, 1500.0], [40.0, 1500.0]]), "data_2": table}
+    kind = np.array(["Atrajectory", "1.1        ", "           ", "binTrans   " if turned else "binNormal  "])
+    texts = {"Aclass": kind, "name": characters(names), "description": characters(said)}
+    made = texts | {name: matrix.T if turned else matrix for name, matrix in matrices.items()}
+    savemat(tmp_path / "res.mat", made, format="4")
+    recording = open_recording(tmp_path / "res.mat")
+    assert [(i.name, i.unit) for i in recording.channels()] == [
+        ("time", "s"),
+        ("car.body.v_x", "m/s"),
+        ("car.body.w_z", "rad/s"),
+        ("sensor.w_down", "rad/s"),
+    ]
+    read = recording.read(["car.body.w_z", "sensor.w_down"])
+    assert read["car.body.w_z"].values == pytest.approx(table[:, 2])
+    assert read["sensor.w_down"].values == pytest.approx(-table[:, 2])
+
+
+def test_an_arrow_file_that_was_written_as_it_came_is_read(planted, tmp_path):
+    t = np.arange(0.0, 40.0, 0.01)
+    table = pa.table({"t": t, "vx": planted.at("vx", t)})
+    with pa.OSFile(str(tmp_path / "log.arrows"), "wb") as file, pa.ipc.new_stream(file, table.schema) as stream:
+        stream.write_table(table)
+    assert open_recording(tmp_path / "log.arrows").read(["vx"])["vx"].values == pytest.approx(planted.at("vx", t))
+    whole = (tmp_path / "log.arrows").read_bytes()
+    (tmp_path / "cut.arrows").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(LogError, match="damaged"):
+        open_recording(tmp_path / "cut.arrows")
+
+
+def test_runs_in_an_array_of_structures_are_known_by_their_fields(planted, tmp_path):
+    t = np.arange(0.0, 40.0, 0.01)
+    runs = np.zeros(2, dtype=[(name, object) for name in ("t", "vx", "yawrate", "delta_f", "M_wheels")])
+    for k, half in enumerate((t[:2000], t[2000:])):
+        runs[k] = (half - half[0], *(planted.at(c, half) for c in ("vx", "r", "delta", "T")))
+    savemat(tmp_path / "runs.mat", {"runs": runs})
+    draft = draft_map(open_recording(tmp_path / "runs.mat"))
+    assert [draft.of(c).sources for c in ("delta", "T")] == [("runs[0].delta_f",), ("runs[0].M_wheels",)]
+
+
+@pytest.mark.parametrize(("channel", "kept"), [("r", True), ("vy", True), ("ay", True), ("r", False)])
+def test_a_channel_that_stands_still_while_the_car_moves_is_told(planted, channel, kept):
+    """A bus repeats its last message; a simulated car that goes straight has exactly no yaw rate."""
+    t = np.arange(0.0, 40.0, 0.01)
+    columns = {c: planted.at(c, t) for c in ("vx", "vy", "r", "ay", "T", "delta")}
+    columns[channel] = np.where((t >= 10.0) & (t < 12.0), columns[channel][1000] if kept else 0.0, columns[channel])
+    signals = {c: RawSignal(c, None, v, UNITS.get(c, "s")) for c, v in {"t": t, **columns}.items()}
+    named = {"time": {"source": "t"}, "channels": {c: {"source": c} for c in columns}}
+    made = assemble_drive(TableRecording("a.csv", Path("a.csv"), signals), map_from_mapping(named), planted.vehicle)
+    told = [f.text for f in made.quality.consistency.findings if f.check == "stopped"]
+    assert len(told) == kept
+    if kept:
+        assert f"{channel} stands still 1 time" in told[0] and "from t = 10.0 to 12.0 s" in told[0]

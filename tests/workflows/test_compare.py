@@ -13,7 +13,8 @@ from split_cli.errors import SplitError
 from split_cli.logs.drive import write_drive
 from split_cli.scoring.comparison import RunErrors, rank, worse_than
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.compare import ComparedModel, compare_models
+from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
+from split_cli.workflows.report.comparison import headline
 from tests.factories import make_drive, road_car
 
 CAR = road_car()
@@ -57,6 +58,9 @@ class TestScores:
         one = runs({"a": np.ones((30, 3)), "b": np.full((30, 3), 2.0)})
         found = rank([one])
         assert np.isnan(found[1].states[0].to_best[1]) and worse_than(found, [one], "b") == ()
+        assert all(state.as_good for score in found for state in score.states)
+        compared = ModelComparison(("a", "b"), ("lap",), 30, 0, found, (), (), ())
+        assert headline(compared) == "a has the smallest error after 1 s; the difference is not significant."
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from split_cli.logs.checking.changed_clock import changed_clock
 from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudged
 from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
-from split_cli.logs.checking.jumps import jumps
+from split_cli.logs.checking.jumps import jumps, stopped
 from split_cli.logs.checking.measuring_point import place_of_lateral_velocity
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
@@ -20,7 +20,7 @@ from split_cli.vehicle.parameters import Vehicle
 
 __all__ = ["Consistency", "ConsistencyFinding", "Unjudged", "check_consistency", "corrected_columns"]
 
-_IN_OTHERS = ("vx", "r", "X", "hand", "yaw")
+_IN_OTHERS = ("vx", "vy", "r", "X", "hand", "yaw")
 """Channels that others are judged by: with one of them put right, what stands beside it is measured again."""
 
 
@@ -71,15 +71,16 @@ def check_consistency(
     explanation = explain(checks.relations, vehicle, checks.magnitudes())
     found, factors, finer = list(explanation.findings), dict(explanation.factors), checks
     vy_judged = _is_across_judged(checks)
-    shared = {channel: factors[channel] for channel in _IN_OTHERS if channel in factors}
-    if {"X", "hand", "yaw"} & set(shared):
-        # What was derived from the pose before it was right judges nobody.
-        kinds = {c: NOT_RECORDED if is_derived(kind) else kind for c, kind in kinds.items()}
 
     def of(columns: Mapping[str, np.ndarray]) -> Checks:
-        return Checks(columns, drive, vehicle, kinds, certain, slowest)
+        # What was derived from the pose before it was right judges nobody.
+        turned = {"X", "hand", "yaw"} & set(shared)
+        own = {c: NOT_RECORDED if turned and is_derived(kind) else kind for c, kind in kinds.items()}
+        return Checks(columns, drive, vehicle, own, certain, slowest)
 
-    if shared:
+    shared: dict[str, float] = {}
+    while (known := {c: factors[c] for c in _IN_OTHERS if c in factors}) != shared:
+        shared = known
         # The path may judge v_y now; where it does not, v_y has the unit of v_x.
         for judged in (True, False):
             finer = of(corrected_columns(drive.columns, shared, judged))
@@ -88,10 +89,10 @@ def check_consistency(
             if vy_judged:
                 break
         again = explain(finer.relations, vehicle, finer.magnitudes())
+        found = [finding for finding in found if finding.check != "range"]  # what was put right may explain it
         named = {finding.channel for finding in found}
-        new = [finding for finding in again.findings if finding.channel not in named]
-        found += [_after(finding, shared) for finding in new]
-        factors |= {c: f for c, f in again.factors.items() if c not in factors and c not in _IN_OTHERS}
+        found += [_after(finding, shared) for finding in again.findings if finding.channel not in named]
+        factors |= {c: f for c, f in again.factors.items() if c not in factors}
     if any(f.channel == "time" and f.check == "sign" for f in found):
         # Whatever needs a rate of change is judged when the rows are in order.
         reported, unjudged = tuple([*constant, *found]), tuple(dict.fromkeys(checks.unjudged))
@@ -135,7 +136,7 @@ def _fine(
         judged = not {"vy", "time"} & set(wrong)  # what accelerating takes hangs on them
         sides = torque_sides(finer, wrong, any(f.channel == "T" for f in findings)) if judged else []
         # Where they differ, no one factor puts T right.
-        findings = [f for f in findings if not sides or f.channel != "T"] + [*jumps(finer), *sides]
+        findings = [f for f in findings if not sides or f.channel != "T"] + [*jumps(finer), *stopped(finer), *sides]
     if not {"vx", "r"} & set(wrong):
         across_is_right = not {"ay", "vy"} & set(wrong)
         placed = place_of_lateral_velocity(finer, across_is_right)

@@ -60,6 +60,8 @@ _LENGTH_UNITS = ((1 / 0.3048, "ft"), (1e-3, "km"), (100.0, "cm"), (1000.0, "mm")
 _STEERING_RATIOS = (8.0, 25.0)
 """Of steering wheel to road wheel, from racing cars to lorries [1]."""
 
+HIGHEST_RATIO = 20.0
+"""Of an engine's speed to a wheel's, in first gear [1]."""
 _RADIUS_RATIOS = (0.7, 1.4)
 """Of a wheel's radius as stated to the one that it rolls on [1]: all tyres of one class of cars."""
 
@@ -106,7 +108,7 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
         known += _factor("T", 1e-3, "is in kN m", "set `unit: kN m`", COMMON, "kN m")
         what = "is the torque of engine or motor, or of one wheel or axle"
         remedy = "leave T out and pass `--derive torque-from-acceleration`, or scale it to the sum at the wheels"
-        known.append(Mistake("T", 1 / 20.0, 1 / 2.5, False, what, remedy, 4.0))
+        known.append(Mistake("T", 1 / HIGHEST_RATIO, 1 / 2.5, False, what, remedy, 4.0))
     return known
 
 

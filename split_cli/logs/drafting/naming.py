@@ -95,8 +95,8 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("yaw", 2, r"heading(_angle)?|phi|hdg|theta|head_imu\d?|yaw_imu|azimuth"),
     ("course", 3, r"course(_over_ground)?|cog|gps_(heading|course|bearing)|bearing|track_angle"),
     ("course", 3, r"motion_heading|heading_motion"),
-    ("latitude", 3, r"(gps_|pos_)?lat(itude)?(_?deg|_?min(utes)?)?|breite(ngrad)?"),
-    ("longitude", 3, r"(gps_|pos_)?(lon|long|lng)(gitude|itude)?(_?deg|_?min(utes)?)?|laenge(ngrad)?"),
+    ("latitude", 3, r"(gps_|pos_|ins_)?lat(itude)?(_?deg|_?min(utes)?|_?abs)?|breite(ngrad)?"),
+    ("longitude", 3, r"(gps_|pos_|ins_)?(lon|long|lng)(gitude|itude)?(_?deg|_?min(utes)?|_?abs)?|laenge(ngrad)?"),
     ("X", 3, r"x|(pos(ition)?|loc(ation)?|local|enu|vicon|utm|map|odom|est)_?x(_pos\w*)?"),
     ("X", 3, r"x_?(pos\w*|m|cg|coord\w*)"),
     ("X", 3, r"(pos_?)?east(ing)?|pos_?e|utm_?e\w*|x_?cg(_tm)?|x_?o|xg|tx"),
@@ -125,7 +125,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("delta", 3, r"(steer(ing)?_?)?tire_?angle|tyre_angle|(m_)?front_?wheels?_?angle"),
     ("delta", 1, r"steer(ed|ing)?(_?(angle|ang|pos\w*|cmd|command|actual|measured|rad|input))?"),
     ("delta", 1, r"st_?angle|steering_?angle_?\d?"),
-    ("T", 3, r"T|(wheel_?|total_?|axle_?|drive_?)?torque(_?(wheel\w*|total|cmd|command))?|t_?wheel\w*|tq"),
+    ("T", 3, r"T|(wheel_?|total_?|axle_?|drive_?)?torque(_?(wheel\w*|total|cmd|command))?|(t|m|tau)_?wheel\w*|tq"),
     ("T", 3, r"axle_?trq|trq_?whl\w*"),
     ("wheel_torque", 3, rf"(pt_?)?(t|tq|torque|trq)_?(at_?w\w*|whl|wheel)?_?({'|'.join(_CORNER.values())})"),
     ("wheel_torque", 3, r"t_?wheel_?(fl|fr|rl|rr)"),
@@ -233,7 +233,7 @@ def words_of(name: str) -> list[str]:
         topic, tail = name.rsplit("/", 1)
         if tail.lower() in ("data", "value"):
             tail = topic.rsplit("/", 1)[-1]
-    parts = re.split(r"(?<=\w)\.(?=[A-Za-z])", tail)
+    parts = re.split(r"(?<=[\w\]])\.(?=[A-Za-z])", tail)
     # Of orientation.w the w alone says nothing.
     tail = "_".join(parts[-2:]) if len(parts[-1]) == 1 or _directs(parts) else parts[-1]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", tail)

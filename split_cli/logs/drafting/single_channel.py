@@ -7,6 +7,7 @@ import numpy as np
 
 from split_cli.logs.checking.checks import LEAST_CORRELATION
 from split_cli.logs.checking.kinematics import Kinematics, Slope, block_interval, fit_slope
+from split_cli.logs.checking.mistakes import HIGHEST_RATIO
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.steering import is_full_size
@@ -61,6 +62,10 @@ def read_torque(s: Suggestion, columns: Mapping[str, np.ndarray], rate: float) -
     size = f"{abs(slope.slope):.3g} N m for 1 m/s^2, which should be mass times wheel radius"
     if slope.slope < 0.0:
         s, size = replace(s, scale=-s.scale), f"its sign is turned; {size}"
+    if abs(slope.slope) * HIGHEST_RATIO < _LEAST_OF_A_CAR <= abs(slope.slope) * 1e3 and is_full_size(columns):
+        # No gears make a car's torque of so little.
+        remark = f"{'the file says ' + s.unit if s.unit else 'unit not stated'}, and {size}: in kN m that is right"
+        return replace(s, unit="kN m", status="assumed", reason=remark)
     if abs(slope.slope) < _LEAST_OF_A_CAR and is_full_size(columns):
         remark = f"{size}: too small for a car, so of the engine? `scale:` with ratio times efficiency makes it T"
         return s.left_open(remark)

@@ -165,7 +165,7 @@ def _judged(
     steering = read_steering(corrected, turning, trial.vehicle)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
     alone = {
-        "T": read_torque,
+        **({"T": read_torque} if trial.time_is_known else {}),
         "sideslip": read_sideslip,
         "throttle": read_pedal,
         "brake": read_pedal,

@@ -124,8 +124,13 @@ class Trial:
             values = self.signals[name].values
             largest = float(np.quantile(np.abs(values[np.isfinite(values)]), 0.99))
             if largest > limit:
-                what = "arc minutes?" if largest < 1e6 else "degrees times 1e7? Write the columns in degrees"
-                return f"{name} reaches {largest:.4g}, no angle on the globe exceeds {limit:g} deg: {what}"
+                what = (
+                    "arc minutes, or degrees and minutes as in NMEA (ddmm.mmm)"
+                    if largest < 1e6
+                    else "degrees times 1e7"
+                )
+                beyond = f"{name} reaches {largest:.4g}, no angle on the globe exceeds {limit:g} deg"
+                return f"{beyond}: {what}? Write the columns in degrees"
         return ""
 
     def column(self, s: Suggestion) -> np.ndarray | None:

@@ -101,6 +101,8 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
         stated = sniffed.units[index].strip().strip("[]()") if sniffed.units else ""
         if stated:
             unit = symbol_of(stated)
+        elif unit is None and _is_clock(sniffed, index):
+            unit = "s"
         if not name and index == 0 and any(sniffed.header) and not _is_text(sniffed, index):
             # The index of a table, which programs write without a title: row numbers, or the time.
             name = FIRST_UNTITLED
@@ -139,6 +141,12 @@ def _is_text(sniffed: Sniffed, index: int) -> bool:
     cells = [cell for cell in cells if cell not in EMPTY_CELLS]
     numeric = sum(np.isfinite(number_of(cell, sniffed.dialect.decimal)) for cell in cells)
     return bool(cells) and 2 * numeric < len(cells)
+
+
+def _is_clock(sniffed: Sniffed, index: int) -> bool:
+    """Whether every cell is a time in words, such as ``14:05:07,12``, which is read as seconds."""
+    cells = [row[index].strip() for row in sniffed.rows if index < len(row) and row[index].strip() not in EMPTY_CELLS]
+    return bool(cells) and all(":" in cell and np.isfinite(seconds_of(cell)) for cell in cells)
 
 
 def _ungrouped(cell: str) -> str:

@@ -26,7 +26,7 @@ from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, is_channel, o
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
-from split_cli.signals import split_name_and_unit
+from split_cli.signals import split_name_and_unit, symbol_of
 
 _LISTED_ROWS = 200
 """Rows whose fields are listed: an event writes fields that the first row lacks [1]."""
@@ -81,8 +81,10 @@ def _table(
     real: dict[str, str] = {}
     units: dict[str, str | None] = {}
     infos, unique = [], UniqueNames()
+    stated = dict(_units_of(next(rows(), {})))
     for name in known:
         own, unit = split_name_and_unit(name)
+        unit = symbol_of(stated.get(name)) or unit
         own = unique.of(own or name)
         real[own], units[own] = name, unit
         infos.append(RawChannelInfo(own, "column", None, unit))
@@ -266,6 +268,18 @@ def _numbers_of(value: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[
             yield prefix, number
 
 
+def _units_of(value: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, str]]:
+    """Yield address and unit of what has its unit beside it: ``{"value": 57.3, "unit": "km/h"}``."""
+    if not isinstance(value, dict) or depth > _DEEPEST or len(prefix) > LONGEST_NAME:
+        return
+    unit = next((item for key, item in value.items() if key.lower() in ("unit", "units")), None)
+    for key, item in value.items():
+        address = f"{prefix}.{key}" if prefix else str(key)
+        yield from _units_of(item, address, depth + 1)
+        if isinstance(unit, str) and prefix:
+            yield address, unit
+
+
 def _number(value: Any) -> float:
     """Return a number, or a text that is a time, as seconds; NaN for anything else."""
     if isinstance(value, bool | int | float):
@@ -292,6 +306,6 @@ def _no_rows(path: Path) -> LogError:
         return LogError(what, where=path.name, advice=advice)
     advice = (
         "Write one object a line, each with its time; or an object for each channel, with its name and the list "
-        "`values`; or CSV or Parquet."
+        "`values`; or CSV or Parquet. Pandas writes rows with `to_json(path, orient='records', lines=True)`."
     )
     return LogError("is JSON without rows of numbers", where=path.name, advice=advice)

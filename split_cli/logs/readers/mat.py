@@ -55,7 +55,32 @@ def open_mat(path: Path) -> RawRecording:
     lost = [str(warning.message) for warning in said if not issubclass(warning.category, DeprecationWarning)]
     if any("byte ordering" in text for text in lost):
         raise damaged(path, ValueError("numbers in an order of bytes that no PC writes"), "Save it again.")
-    return _recording(path, leaves, objects, len(lost))
+    return _recording(path, _trajectories(dict(leaves)) or leaves, objects, len(lost))
+
+
+def _trajectories(arrays: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Return the variables of a result of Modelica (Dymola, OpenModelica) by their names; none of another file.
+
+    Texts stand in columns of characters, the unit at the end of a description. A row of ``dataInfo`` gives the table
+    of a variable and its column there, which counts from 1 and is negative where the sign is turned.
+    """
+    if not {"Aclass", "name", "description", "dataInfo", "data_2"} <= set(arrays):
+        return []
+    turned = any("binTrans" in text for text in _texts(arrays["Aclass"], turned=False))
+    names, said = (_texts(arrays[key], turned) for key in ("name", "description"))
+    info, table = (arrays[key].T if turned else arrays[key] for key in ("dataInfo", "data_2"))
+    units = (re.search(r"\[([^\]|]+)", text) for text in said)
+    return [
+        (f"{name} [{unit[1].replace('.', ' ')}]" if unit else name, np.sign(column) * table[:, abs(column) - 1])
+        for name, unit, (of, column) in zip(names, units, info[:, :2].astype(int), strict=False)
+        if of != 1 and 0 < abs(column) <= table.shape[1]
+    ]
+
+
+def _texts(characters: np.ndarray, turned: bool) -> list[str]:
+    """Return texts that MATLAB keeps as the rows of a matrix of characters, or its columns where it is turned."""
+    rows = [list(text) for text in np.ravel(characters)]
+    return ["".join(text).strip("\0 ") for text in (zip(*rows, strict=False) if turned else rows)]
 
 
 def _variables(path: Path) -> Iterator[tuple[str, Any]]:
@@ -253,8 +278,17 @@ class _Hdf5:
         most = self._unfolded.most(place, stored)
         refuse_unpacked_size(item.nbytes, stored, f"variable {name}", self._where, most)
         self._unfolded.add(place, item.nbytes)
+        own = next((_attribute(item.attrs[key]) for key in item.attrs if key.lower() in _UNIT_FIELDS), "")
+        titled = f"{name} [{own.replace('.', ' ')}]" if own else _with_unit(name, unit)
         # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
-        self.leaves.append((_with_unit(name, unit), _aside(np.atleast_2d(np.asarray(item[()])).T)))
+        self.leaves.append((titled, _aside(np.atleast_2d(np.asarray(item[()])).T)))
+
+
+def _attribute(value: Any) -> str:
+    """Return a text that HDF5 stores beside a dataset, in any of its ways; nothing where it is something else."""
+    text = np.ravel(value)[0] if np.size(value) == 1 else ""
+    text = text.decode(errors="replace") if isinstance(text, bytes) else text
+    return text.strip() if isinstance(text, str) else ""
 
 
 def _inside(group: Any, key: str) -> Any:

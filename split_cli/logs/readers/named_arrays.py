@@ -196,14 +196,15 @@ def _clocks_of_structures(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray
     """Return for each vector of a structure (``imu.r``) the structure's rising vector of time (``imu.t``)."""
     times: dict[str, np.ndarray] = {}
     for name, values in arrays.items():
-        structure, _, field = name.rpartition(".")
+        bare, unit = split_name_and_unit(name)
+        structure, _, field = bare.rpartition(".")
         match = _TIME_FIELD.fullmatch(field)
         if not structure or match is None or structure in times or min(values.shape, default=0) != 1:
             continue
         time = np.asarray(values, dtype=np.float64).ravel()
         step = np.diff(time[np.isfinite(time)])
         if len(step) and np.mean(step > 0) > 0.95:
-            times[structure] = _in_seconds(time, match[1])
+            times[structure] = _in_seconds(time, match[1] or unit)
     clocks = {}
     for name, values in arrays.items():
         time = times.get(name.split(" [")[0].rpartition(".")[0])

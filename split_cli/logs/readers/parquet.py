@@ -49,12 +49,18 @@ def open_parquet(path: Path) -> RawRecording:
     return _recording(path, "Parquet", file.schema_arrow, file.metadata.num_rows, read)
 
 
+STREAM = b"\xff\xff\xff\xff"
+"""How an Arrow file begins that was written as it came, without the list of its parts at the end."""
+
+
 def read_arrow(path: Path) -> Any:
     """Return the table of an Arrow file: what a compressed part of it becomes, nobody knows before."""
     import pyarrow as pa
 
     with pa.memory_map(str(path)) as source:
-        table = pa.ipc.open_file(source).read_all()
+        opened = pa.ipc.open_stream if source.read(len(STREAM)) == STREAM else pa.ipc.open_file
+        source.seek(0)
+        table = opened(source).read_all()
         # A structure whose parts are shorter than it claims ends the process where one of them is taken out.
         table.validate(full=True)
     return table

@@ -151,7 +151,8 @@ def _table(scores: Sequence[ModelScore], name: str) -> str:
             if one.is_best:
                 best.append((k, len(cells)))
             ratio, low, high = one.to_best
-            relation = "best" if one.is_best else f"{ratio:.2f} ({low:.2f} to {high:.2f})"
+            interval = f"{low:.2f} to {high:.2f}" if low == low else "interval unknown: too short a drive"
+            relation = "best" if one.is_best else f"{ratio:.2f} ({interval})"
             cells += [number(one.rmse), f"{one.fit:.1f}", f"{one.skill:.3f}", relation]
         rows.append(cells)
     return plain_table(heads, rows, name, best)
