@@ -4,6 +4,8 @@ EXAMPLES: dict[tuple[str, str], dict[str, float]] = {
     ("combined_slip", ""): {"strength": 0.9},
     ("friction_scale", ""): {"scale": 0.85},
     ("friction_scale", "curve"): {"scale": 0.85},
+    ("friction_scale", "front"): {"scale": 0.85},
+    ("friction_scale", "rear"): {"scale": 0.85},
     ("friction_patch", ""): {"scale": 0.7, "s_start": 12.0, "s_end": 30.0},
     ("friction_patch", "curve"): {"scale": 0.7, "s_start": 30.0, "s_end": 12.0},
     ("grip_fade", ""): {"final_loss": 0.3, "tau": 20.0},

@@ -65,6 +65,15 @@ def test_a_peak_and_both_stiffnesses_merge_into_a_curve():
     assert [term.id for term in alone.terms] == ["friction_scale"]
 
 
+@pytest.mark.parametrize("axle", ["front", "rear"])
+def test_grip_that_one_axle_lost_is_told_from_grip_of_both_and_from_softer_tyres(axle):
+    objective = noisy_objective(driven(31, [CATALOGUE["friction_scale"]({"scale": 0.75}, axle)]), 2)
+    explore = explorer(objective, "friction_scale", "tire_stiffness")
+    (part,) = select_terms(objective, explore.candidates, INFLATION).chosen.parts
+    assert part.candidate.label == f"friction_scale ({axle})"
+    assert part.values["scale"] == pytest.approx(0.75, abs=0.02)
+
+
 def test_one_term_takes_the_place_of_two_that_imitate_it_and_of_no_true_pair():
     turned, slow = CATALOGUE["steer_gain"]({"gain": 0.9}, ""), CATALOGUE["steer_delay"]({"delay": 0.06}, "")
     starts = {"tire_stiffness": {"front_scale": 0.9, "rear_scale": 0.95}, "steer_delay": {"delay": 0.02}}

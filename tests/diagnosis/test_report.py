@@ -138,6 +138,16 @@ def test_the_headline_names_the_sensor_that_is_late(variant):
     assert said.endswith(" late: 45.2 ms") and said.startswith(words.get(variant, ("Longitudinal", "Lateral")))
 
 
+def test_the_headline_names_the_axle_that_lost_grip():
+    lost = {"scale": ParameterEstimate(0.87, 0.02, "1", (0.83, 0.91))}
+    said = [finding_headline(Finding("friction_scale", one, lost, 0.5, (), "", 9.0)) for one in ("", "front", "rear")]
+    assert said == [
+        "Tyre grip 13.0 % less",
+        "Grip of the front tyres 13.0 % less",
+        "Grip of the rear tyres 13.0 % less",
+    ]
+
+
 def unpacked(column: dict) -> np.ndarray:
     values = np.array([math.nan if v is None else v for v in column["values"]], dtype=float)
     return column["origin"] + values * 10.0 ** column["exponent"]

@@ -152,6 +152,9 @@ def test_grip_terms_scale_the_magic_formula(variant):
         )
 
     check(at, change(at, *axles(0.8, 0.8)), term("friction_scale", variant, scale=0.8))
+    if not variant:  # of one axle
+        check(at, change(at, *axles(0.8, 1.0)), term("friction_scale", "front", scale=0.8))
+        check(at, change(at, *axles(1.0, 0.8)), term("friction_scale", "rear", scale=0.8))
     fade = 1.0 - 0.2 * (1.0 - np.exp(-at["t"] / 30.0))
     check(at, change(at, *axles(fade, fade)), term("grip_fade", variant, final_loss=0.2, tau=30.0))
     on_f = (at["s"] + A >= 100.0) & (at["s"] + A < 300.0)

@@ -133,8 +133,9 @@ class CombinedSlip(Term):
 class FrictionScale(Term):
     """The grip of the whole road differs: by default the peak, scale D sin(C atan(B alpha/scale)).
 
-    The default keeps the stiffness. Variant ``curve`` scales the whole curve. Source: Pacejka (2012), section
-    4.3.1, the factor lambda_mu.
+    The default keeps the stiffness. Variant ``curve`` scales the whole curve. Variants ``front`` and ``rear``
+    scale the peak of one axle alone: its tyres are others, or worn, or cold. Source: Pacejka (2012), section 4.3.1, the
+    factor lambda_mu.
     """
 
     id = "friction_scale"
@@ -144,8 +145,9 @@ class FrictionScale(Term):
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
     discrepancy: ClassVar = (("", "scale", -0.15),)
-    variants: ClassVar = ("", "curve")
+    variants: ClassVar = ("", "curve", "front", "rear")
     variant_needs: ClassVar = _BENT
+    axles: ClassVar = ("front", "rear")
     mimics: ClassVar = (
         Mimic(
             "friction_scale+tire_stiffness",
@@ -163,11 +165,14 @@ class FrictionScale(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        return f"{_curve(variant)} is {scaled(p['scale'], 'higher', 'lower')} on the whole road"
+        what = scaled(p["scale"], "higher", "lower")
+        if variant in cls.axles:
+            return f"grip of the {variant} axle is {what}"
+        return f"{_curve(variant)} is {what} on the whole road"
 
     def tire(self, flow: Flow) -> None:
-        """Scale both axles."""
-        for axle in (flow.front, flow.rear):
+        """Scale both axles, or one."""
+        for axle in (getattr(flow, name) for name in self.axles if self.variant in (name, "", "curve")):
             _scale_grip(axle, self.parameters["scale"], self.variant == "curve")
 
 

@@ -16,6 +16,8 @@ _FACTORS = {
     ("mass", "scale"): ("Mass", "more", "less"),
     ("yaw_inertia", "scale"): ("Yaw inertia", "more", "less"),
     ("friction_scale", "scale"): ("Tyre grip", "more", "less"),
+    ("friction_scale/front", "scale"): ("Grip of the front tyres", "more", "less"),
+    ("friction_scale/rear", "scale"): ("Grip of the rear tyres", "more", "less"),
     ("friction_patch", "scale"): ("Grip on one stretch", "more", "less"),
     ("tire_stiffness", "front_scale"): ("Front tyres", "stiffer", "softer"),
     ("tire_stiffness", "rear_scale"): ("Rear tyres", "stiffer", "softer"),
@@ -81,12 +83,13 @@ def findings_headline(findings: Sequence[Finding], unexplained: str = "") -> str
 def finding_headline(finding: Finding) -> str:
     """Return one finding: the parameters that differ from what they should be, the others left out."""
     kind = CATALOGUE[finding.term]
+    names = f"{finding.term}/{finding.variant}", finding.term
     factors, sizes = [], []
     for name, estimate in finding.parameters.items():
         neutral = kind.neutral.get(name)
         if neutral is None or not _differs(estimate, neutral):
             continue
-        words = _FACTORS.get((finding.term, name))
+        words = next((_FACTORS[one, name] for one in names if (one, name) in _FACTORS), None)
         if words:
             part, above, below = words
             share = 100.0 * (estimate.value - 1.0)
@@ -95,8 +98,7 @@ def finding_headline(finding: Finding) -> str:
             sizes.append(_size(estimate))
     if factors:
         return ", ".join(factors)
-    names = f"{finding.term}/{finding.variant}", finding.term
-    title = next((_PARTS[name] for name in names if name in _PARTS), term_title(finding.term))
+    title = next((_PARTS[one] for one in names if one in _PARTS), term_title(finding.term))
     return f"{title}: {', '.join(sizes)}" if sizes else title
 
 
