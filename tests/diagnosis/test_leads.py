@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping, read_schema
@@ -108,3 +109,26 @@ def test_what_has_no_value_or_either_sign_is_no_lead(monkeypatch):
     known = lead.parameters["angle"].covering(ParameterEstimate(-0.1, 0.1, "rad", (-0.3, 0.1)))
     monkeypatch.setattr(leads, "parameter_estimates", lambda *_: ({"angle": known},))
     assert leads.find_leads(objective, selection, INFLATION) == ()
+
+
+@pytest.mark.parametrize("angle", [0.05, 0.0])
+def test_what_the_named_effects_may_hide_is_a_lead_with_its_value(angle):
+    """A bank beside a steering gain: not part of the explanation, or part of it without a name; and not there."""
+    planted = (CATALOGUE["steer_gain"]({"gain": 0.8}), *((CATALOGUE["road_bank"]({"angle": angle}),) if angle else ()))
+    objective = noisy_objective(driven(73, planted, runs=4), 7)
+    (gain,), (bank, *_) = candidates_of(objective, "steer_gain"), candidates_of(objective, "road_bank")
+    explore, base = Explorer(objective, (gain, bank), INFLATION), nothing(objective)
+    alone, other = (fit_parts(objective, [Part(one, dict(one.starts[0]))]) for one in (gain, bank))
+    both = fit_parts(objective, (*other.parts, *alone.parts))
+    one = Selection(base, alone, (base,), ((),), ((),), (True,), beside=explore)
+    nameless = Selection(base, both, (alone, other), ((),) * 2, ((),) * 2, (False, True), beside=explore)
+    for selection in (one, nameless):
+        found = leads.find_leads(objective, selection, INFLATION)
+        assert [lead.term for lead in found] == (["road_bank"] if angle else [])
+        for lead in found:
+            low, high = lead.parameters["angle"].interval_95
+            assert low < angle < high and not lead.limits
+            assert "may be as large" in lead.sentence and lead.share == pytest.approx(
+                (alone.cost - both.cost) / (base.cost - selection.chosen.cost), rel=0.01
+            )
+    assert leads.find_leads(objective, replace(one, named=(False,)), INFLATION) == ()

@@ -118,7 +118,9 @@ class Finding:
 
 @dataclass(frozen=True)
 class Lead:
-    """An explanation that is no finding: no real car has what it would need, or held-out time speaks against it.
+    """An explanation that is no finding.
+
+    No real car has what it would need, held-out time speaks against it, or the findings may hide it.
 
     Attributes
     ----------
@@ -292,7 +294,7 @@ class Diagnosis:
     corrected_vehicle : CorrectedVehicle or None
         None where nothing of the car was found, or no held-out time can judge it.
     leads : tuple of Lead
-        Explanations that no real car can have, with what it would take and what explains as much.
+        Explanations that are no findings, with what they would take and what explains as much.
     """
 
     verdict: Verdict

@@ -108,11 +108,23 @@ def withdrawn_sentence(
     term: str, variant: str, parameters: Parameters, reason: str, vehicle: Vehicle | None = None
 ) -> str:
     """Return what would explain a part of the gap, and the reason why held-out time speaks against it."""
+    reasons = f"{reason} A part of the gap has no name. So this effect stands for something else."
+    return _stated_as_lead(term, variant, parameters, reasons, vehicle)
+
+
+def hidden_sentence(
+    term: str, variant: str, parameters: Parameters, size: float, instead: Sequence[str], vehicle: Vehicle
+) -> str:
+    """Return which effect may act beside the findings, its size over noise, and which terms explain as much."""
+    reasons = f"It is {size:.2f} times the noise. What the model gets wrong of the findings may be as large."
+    if instead:
+        reasons += f" The same would be explained by {' or '.join(instead)}."
+    return _stated_as_lead(term, variant, parameters, reasons, vehicle)
+
+
+def _stated_as_lead(term: str, variant: str, parameters: Parameters, reasons: str, vehicle: Vehicle | None) -> str:
     statement = statement_for(term, variant, parameters, vehicle)
-    return (
-        f"A lead, not a finding: {statement[:1].lower()}{statement[1:]}. {reason} A part of the gap has no name. "
-        "So this effect stands for something else."
-    )
+    return f"A lead, not a finding: {statement[:1].lower()}{statement[1:]}. {reasons}"
 
 
 def error_rises(rises: tuple[float, float, float]) -> str:

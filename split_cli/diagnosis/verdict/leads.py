@@ -1,22 +1,24 @@
-"""Explanations that no real car can have: no findings, but leads, with what they would need."""
+"""Leads: explanations that no real car can have, and effects that the named ones may hide."""
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
+
+import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
 from split_cli.diagnosis.search.selection import Selection
-from split_cli.diagnosis.search.term_tests import term_p
+from split_cli.diagnosis.search.term_tests import term_p, term_size
 from split_cli.diagnosis.statement.result import Lead, ParameterEstimate
-from split_cli.diagnosis.statement.sentences import lead_sentence
+from split_cli.diagnosis.statement.sentences import hidden_sentence, lead_sentence
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.diagnosis.verdict.findings import one_excludes_no_effect
 
 
 def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> tuple[Lead, ...]:
-    """Return what would explain much, had a car what it would need.
+    """Return what would explain much, had a car what it would need; and what the named effects may hide.
 
     Parameters
     ----------
@@ -36,12 +38,59 @@ def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inf
     chosen, known = selection.chosen, {term.id for term in selection.terms}
     explore = Explorer(objective, tuple(fit.parts[-1].candidate for fit in selection.first), variance_inflation)
     found: dict[str, Lead] = {}
-    for rest, fits in ((selection.base, selection.first), *_beside_names(selection)):
+    beside = _beside_names(selection)
+    for rest, fits in ((selection.base, selection.first), *beside):
         least = min(chosen.cost, rest.cost) if rest is selection.base else rest.cost
         for lead, free in _leads_beside(objective, rest, fits, least, known):
             if rest is selection.base or _is_believed(explore, rest, free):
                 found.setdefault(lead.term, lead)
-    return tuple(sorted(found.values(), key=lambda one: -one.share)[: objective.policy.abstention.most_leads])
+    beyond = sorted(found.values(), key=lambda one: -one.share)
+    hidden = [one for one in _hidden(explore, selection, beside) if one.term not in found]
+    return tuple([*beyond, *hidden][: objective.policy.abstention.most_leads])
+
+
+def _hidden(explore: Explorer, selection: Selection, beside: Sequence[tuple[Fit, Sequence[Fit]]]) -> list[Lead]:
+    """Return effects that a car can have and that save beyond chance beside the names, which may yet be their error.
+
+    Either this effect acts, or a single track gets that much wrong of the named ones. A term without a name that is
+    part of the explanation is one of these, too. Of several that save as much the best stands for all.
+    """
+    objective, level = explore.objective, explore.rules.level / max(len(explore.candidates), 1)
+    chosen = selection.chosen
+    whole, out = max(selection.base.cost - chosen.cost, 1e-9), []
+    taken = {part.candidate.term for part in chosen.parts}
+    nameless = [
+        (without, [_as_last(chosen, k)])
+        for k, (without, named) in enumerate(zip(selection.without, selection.named, strict=True))
+        if beside and not named
+    ]
+    for rest, fits in (*nameless, *beside[:1]):
+        for fit in fits:
+            part, last, saved = fit.parts[-1], len(fit.parts) - 1, rest.cost - fit.cost
+            own = part.candidate
+            if own.at_limit(part.values) or own.is_everyday(part.values) or (own.term in taken and rest is chosen):
+                continue
+            if len(out) >= objective.policy.abstention.most_leads:
+                return out
+            sure = term_p(objective, fit, last, saved, explore.variance_inflation) < level
+            size = term_size(objective, fit, last) if sure else 0.0
+            if size <= objective.policy.allowances.large:
+                continue
+            estimates = parameter_estimates(objective, fit)[-1]
+            if one_excludes_no_effect(own.term, estimates):
+                others = _as_good(objective, rest, fits, saved, own.term)
+                instead = tuple(term for term, _, _ in others)
+                taken |= {own.term, *instead}
+                vehicle = objective.evidence[0].vehicle
+                sentence = hidden_sentence(own.term, own.variant, estimates, size, instead, vehicle)
+                out.append(Lead(own.term, own.variant, estimates, {}, saved / whole, instead, sentence))
+    return out
+
+
+def _as_last(fit: Fit, k: int) -> Fit:
+    """Return a fit with one of its parts behind the others."""
+    parts = (*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k])
+    return replace(fit, parts=parts, sensitivity=np.empty((len(fit.residuals), 0)))
 
 
 def _beside_names(selection: Selection) -> list[tuple[Fit, Sequence[Fit]]]:
@@ -55,8 +104,7 @@ def _beside_names(selection: Selection) -> list[tuple[Fit, Sequence[Fit]]]:
     found = [(chosen, selection.beside(chosen))]
     for k, (part, without, named) in enumerate(zip(chosen.parts, selection.without, selection.named, strict=True)):
         if not named and part.candidate.at_limit(part.values):
-            last = replace(chosen, parts=(*chosen.parts[:k], *chosen.parts[k + 1 :], part))
-            found.append((without, [last]))
+            found.append((without, [_as_last(chosen, k)]))
     return found
 
 
