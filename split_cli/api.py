@@ -269,7 +269,7 @@ class DiagnosisResult:
     @cached_property
     def charts(self) -> Mapping[str, Chart]:
         """The charts of the report by name."""
-        found = diagnosis_charts(self.diagnosis, self.vehicle, self.real, self.simulated)
+        found = diagnosis_charts(self.diagnosis, self.vehicle, self.corrected_vehicle, self.real, self.simulated)
         return {chart.name: chart for chart in found}
 
     def page(self) -> str:

@@ -280,6 +280,17 @@ def convert_to_si(
 
 _BARRED = re.compile(r'"?(?P<name>[^"|]+)"?\|"?(?P<unit>[^"|]*)"?(\|[-+.\deE]*)+')
 _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$")
+TWO_WORDS = {
+    "m_s": "m/s",
+    "m_s2": "m/s^2",
+    "km_h": "km/h",
+    "cm_s": "cm/s",
+    "mm_s": "mm/s",
+    "ft_s": "ft/s",
+    "rad_s": "rad/s",
+    "deg_s": "deg/s",
+}
+"""Units as the two last words of a name (``v_y_cm_s``), whose last alone would be another."""
 _SUFFIXES = {
     suffix: suffix
     for suffix in (
@@ -307,7 +318,7 @@ _SUFFIXES = {
         "sec",
         "mm",
     )
-} | {"m_s": "m/s", "m_s2": "m/s2", "km_h": "km/h", "rad_s": "rad/s", "deg_s": "deg/s"}
+} | TWO_WORDS
 _SUFFIX_UNITS = {suffix.lower(): unit for suffix, symbol in _SUFFIXES.items() if (unit := find_unit(symbol))}
 # The longest first: deg_s before s, mps2 before any shorter one.
 _SUFFIX_ORDER = sorted(_SUFFIX_UNITS, key=len, reverse=True)

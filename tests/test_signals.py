@@ -125,6 +125,7 @@ def test_unit_symbols_find_themselves():
         ("vx_mps", "vx_mps", "m/s"),
         ("yaw_rate_radps", "yaw_rate_radps", "rad/s"),
         ("yaw_rate_deg_s", "yaw_rate_deg_s", "deg/s"),
+        ("vy_cm_s", "vy_cm_s", "cm/s"),
         ("vx_km_h", "vx_km_h", "km/h"),
         ("ax_m_s2", "ax_m_s2", "m/s^2"),
         ("vx_m_s", "vx_m_s", "m/s"),

@@ -141,7 +141,7 @@ def write_diagnosis(
     """Write a diagnosis into a folder, all files or none; figures of an earlier one there are taken away."""
     from split_cli.plots.draw import CHARTS, write_charts
 
-    charts = diagnosis_charts(diagnosis, vehicle, drives, simulated)
+    charts = diagnosis_charts(diagnosis, vehicle, corrected_vehicle(diagnosis, vehicle), drives, simulated)
     earlier = [*VEHICLES, "figures/help.csv", *(f"figures/{name}.png" for name in CHARTS)]
     with atomic_directory(output, without=earlier) as folder:
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")

@@ -46,16 +46,20 @@ def recording_charts(drive: Drive, vehicle: Vehicle | None) -> tuple[Chart, ...]
 
 
 def diagnosis_charts(
-    diagnosis: Diagnosis, vehicle: Vehicle, drives: Sequence[Drive], simulated: Sequence[Drive] = ()
+    diagnosis: Diagnosis, vehicle: Vehicle, found: Vehicle, drives: Sequence[Drive], simulated: Sequence[Drive] = ()
 ) -> tuple[Chart, ...]:
-    """Return the charts of the longest real drive beside its simulation and the vehicle with what was found."""
+    """Return the charts of the longest real drive beside its simulation and the corrected vehicle, `found`."""
     if not drives:
         return ()
     drive = max(drives, key=len)
     nominal_drive = RecordingCorrection(vehicle)(drive)
-    effects = [
-        EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant) for f in diagnosis.findings
+    # Faults of sensors are no part of the car's file.
+    sensors = [
+        EffectSpec(f.term, {name: p.value for name, p in f.parameters.items()}, f.variant)
+        for f in diagnosis.findings
+        if not f.exported
     ]
+    found = found.with_effects(*sensors)
     subjects = [Subject("measured", "measured", drive)]
     if simulated:
         twin = max(simulated, key=len)
@@ -63,8 +67,7 @@ def diagnosis_charts(
     subjects.append(Subject("nominal model", "simulated", nominal_drive, vehicle))
     corrected = None
     residuals = [("nominal model", "simulated", nominal_drive, vehicle)]
-    if effects:
-        found = vehicle.with_effects(*effects)
+    if diagnosis.findings:
         corrected = RecordingCorrection(found)(drive), found
         subjects.append(Subject(_FOUND, "corrected", *corrected))
         residuals.append((_FOUND, "corrected", *corrected))

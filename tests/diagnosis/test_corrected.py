@@ -29,11 +29,12 @@ from split_cli.diagnosis.verdict.worth import HeldOutFit, Worth, with_nameless_p
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Range
 from split_cli.vehicle.parameters import read_vehicle
-from split_cli.workflows.diagnose import write_diagnosis
+from split_cli.workflows.diagnose import corrected_vehicle, write_diagnosis
+from split_cli.workflows.drive_charts import diagnosis_charts
 from split_cli.workflows.report.page import report_page
 from split_cli.workflows.verifying.verify_folders import verify_diagnosis
 from tests.diagnosis.recordings import recorded
-from tests.factories import road_car
+from tests.factories import make_drive, road_car
 
 
 def resistance(force: float):
@@ -139,6 +140,20 @@ def test_the_file_holds_what_was_judged_and_that_is_verified(tmp_path, judged):
     told = [one for one in verify_diagnosis(tmp_path) if "vehicle_corrected.yaml" in one.check]
     assert told and all(one.passed for one in told), told
     Draft202012Validator(read_schema()).validate(json.loads(diagnosis_to_text(found(alone))))
+
+
+def test_the_charts_are_those_of_the_file(judged):
+    """They drew values of a joint fit, of which the file holds others: names alone may make a car spin."""
+    drive, car = make_drive(1, 3, 2.0, vehicle=road_car(), name="lap.parquet"), road_car()
+    drawn = []
+    for name, values in ((-450.0, {"rolling_resistance": {"force": 440.0}}), (440.0, {})):
+        diagnosis = found(replace(judged[450.0], values=values))
+        named = replace(diagnosis.findings[0].parameters["force"], value=name)
+        diagnosis = replace(diagnosis, findings=(replace(diagnosis.findings[0], parameters={"force": named}),))
+        charts = diagnosis_charts(diagnosis, car, corrected_vehicle(diagnosis, car), [drive])
+        strip = next(one for one in charts if one.name == "strip-vx")
+        drawn.append(next(line.y for line in strip.series if line.name == "with the identified effects"))
+    np.testing.assert_array_equal(*drawn)
 
 
 def improvement_of(last: HorizonErrors, removed=(0.5, 0.4, 0.6)) -> Improvement:

@@ -130,6 +130,14 @@ MATCH = replace(
 UNDECIDED = Diagnosis("undecided", None, 0.02, ("lap.parquet has 3.0 s without a gap; drive for 8 s.",))
 
 
+def test_many_sentences_stand_below_the_numbers_of_the_first_screen():
+    few, many = (replace(mismatch(), sentences=tuple(f"It is so {k}." for k in range(n))) for n in (5, 20))
+    for diagnosis, below in ((few, False), (many, True)):
+        page = all_sections(diagnosis)
+        assert page.count("It is so 4.") == 1
+        assert (page.index("It is so 4.") > page.index("p value")) is below
+
+
 @pytest.mark.parametrize("variant", CATALOGUE["channel_delay"].variants)
 def test_the_headline_names_the_sensor_that_is_late(variant):
     late = {variant.replace("velocity", "vx"): ParameterEstimate(0.0452, 7e-4, "s", (0.0438, 0.0466))}

@@ -1,6 +1,7 @@
 """Faults first seen when eight kinds of logs were taken from `split init` to a diagnosis as a stranger would."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -336,3 +337,36 @@ def test_a_channel_that_stands_still_while_the_car_moves_is_told(planted, channe
     assert len(told) == kept
     if kept:
         assert f"{channel} stands still 1 time" in told[0] and "from t = 10.0 to 12.0 s" in told[0]
+
+
+class OnTwoClocks(TableRecording):
+    """Topics whose header times begin when each sensor was switched on; the times of the log are one clock's."""
+
+    def __init__(self, planted: PlantedDrive, late: float) -> None:
+        super().__init__("bag", Path("bag"), {c: RawSignal(c, None, planted.at(c, T100), UNITS[c]) for c in OF_CAR})
+        self.clocks, self.late = ("header", "log"), late
+
+    def read(self, names, clock=None):
+        found = super().read(names)
+        late = {name: self.late * (clock != "log" and name in ("ax", "ay")) for name in names}
+        return {name: replace(signal, time=T100 + late[name]) for name, signal in found.items()}
+
+
+T100 = np.arange(0.0, 40.0, 0.01)
+OF_CAR = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay", "delta", "T")
+
+
+def test_a_sensor_whose_stamps_are_of_another_clock_is_told_and_the_log_has_one_for_all(planted):
+    """Accelerations without a value in any row stood in the drive, and its channels were said to fit together."""
+    recording = OnTwoClocks(planted, late=1.7e9)
+    draft = draft_map(recording)
+    assert draft.time.startswith("time: {clock: log}") and "CHECK" in draft.time
+    assert [draft.of(c).status for c in ("ax", "ay", "r")] == ["judged", "unsided", "unsided"]
+    entries = {"channels": {c: {"source": c} for c in OF_CAR}}
+    made = assemble_drive(recording, map_from_mapping(entries, where="map"), planted.vehicle)
+    assert not {"ax", "ay"} & set(made.drive.columns)
+    said = "left out: it begins 1.7e+09 s after its end; with `--clock log` they may share one"
+    assert sum(said in warning for warning in made.quality.warnings) == 2
+    mapped = map_from_mapping({**entries, "time": {"clock": "log"}}, where="map")
+    assert {"ax", "ay"} <= set(assemble_drive(recording, mapped, planted.vehicle).drive.columns)
+    assert draft_map(OnTwoClocks(planted, late=0.02)).time == "# time: that of the messages"

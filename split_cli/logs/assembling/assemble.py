@@ -26,6 +26,7 @@ from split_cli.logs.assembling.synchronize import (
     resample_channels,
     slices_of,
     sum_sources,
+    without_absent,
     without_missing,
 )
 from split_cli.logs.assembling.trim import trim
@@ -161,6 +162,7 @@ def _assemble(
     grid, too_short = lay_grid(channels, settings.rate, recording.name)
     columns, noise, qualities = bring_to_clock(channels, grid)
     grid, columns, dropped = without_missing(grid, columns, needed)
+    unusable += without_absent(channels, columns, grid, recording.clocks)
     conversions = [*gathered.conversions, *joined, *trimmed]
     made, grid = _place_and_derive(derivations, columns, grid, vehicle, signal_map, gathered, noise, conversions)
     before = metadata_of_drive(recording.path)

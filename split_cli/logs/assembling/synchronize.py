@@ -333,6 +333,25 @@ def without_missing(
     return kept, columns, len(present) - len(rows)
 
 
+def without_absent(
+    channels: Channels, columns: dict[str, np.ndarray], grid: SampleClock, clocks: Sequence[str]
+) -> list[str]:
+    """Take out of `columns` what holds no value in any row, and say so: its clock is mostly another one."""
+    absent = [name for name, values in columns.items() if not np.isfinite(values).any()]
+    other = f"; with `--clock {clocks[-1]}` they may share one" if len(clocks) > 1 else ""
+    told = []
+    for name in absent:
+        del columns[name]
+        time = channels.clean[name][0].time
+        early = float(grid.time[0]) - float(time[-1])
+        apart = max(early, float(time[0]) - float(grid.time[-1]))
+        when = f"ends {apart:.6g} s before the drive begins" if early > 0.0 else f"begins {apart:.6g} s after its end"
+        told.append(
+            f"{name} was left out: it {when if apart > 0.0 else 'has no sample in the rows of the drive'}{other}"
+        )
+    return told
+
+
 def slices_of(segment: np.ndarray) -> list[slice]:
     """Return the runs of rows of one segment, in order."""
     edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]

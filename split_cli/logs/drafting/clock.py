@@ -33,8 +33,6 @@ _COUNTED = 1e-3
 """Of the step: what a logger counts for itself, not measures, keeps its step that closely [1]."""
 _LOST_ROW = 0.5
 """Of the step, beyond which a row is missing: one period would hide the gap [1]."""
-_FULL_TURN = 7.0
-"""A step from row to row beyond it is none of a wrapped angle in radians [1]: 2 pi and a turn of 0.7 rad."""
 _FEWEST_STEPS = 10
 """Between rows, up to which nothing says whether a column counts [1]; judgement."""
 
@@ -234,11 +232,17 @@ def _rate_from_motion(
     return None, ""
 
 
+def is_cut_in_degrees(angle: np.ndarray) -> bool:
+    """Tell an angle in degrees by a step of a whole turn, 60 degrees more or less, from row to row."""
+    steps = np.abs(np.diff(angle[np.isfinite(angle)]))
+    return bool(np.any((steps > 300.0) & (steps < 420.0)))
+
+
 def _rate_from_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]) -> float | None:
     for yaw in (c for c in candidates if c.channel == "yaw" and c.sources[0] in signals):
         for rate in (c for c in candidates if c.channel == "r" and c.sources[0] in signals):
             pair = [signals[c.sources[0]].values * (find_unit(c.unit).factor if c.unit else 1.0) for c in (yaw, rate)]
-            if not yaw.unit and np.nanmax(np.abs(np.diff(pair[0])), initial=0.0) > _FULL_TURN:
+            if not yaw.unit and is_cut_in_degrees(pair[0]):
                 pair[0] = np.radians(pair[0])
             found = row_rate_from_yaw(*pair)
             if found:

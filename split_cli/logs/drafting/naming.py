@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from split_cli.logs.drafting.vocabulary import concepts_of, read_concepts, tokens_of, unfolded
 from split_cli.logs.raw import RawChannelInfo
-from split_cli.signals import find_unit
+from split_cli.signals import TWO_WORDS, find_unit
 
 _UNIT_WORDS = {
     "mps": "m/s",
@@ -50,7 +50,7 @@ _UNIT_WORDS = {
     "ftlb": "lbf ft",
     "ftlbf": "lbf ft",
 }
-_LAST_TWO = {("m", "s"): "m/s", ("m", "s2"): "m/s^2", ("km", "h"): "km/h", ("rad", "s"): "rad/s", ("deg", "s"): "deg/s"}
+_LAST_TWO = {tuple(words.split("_")): unit for words, unit in TWO_WORDS.items()}
 
 
 @dataclass(frozen=True)

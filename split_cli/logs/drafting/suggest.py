@@ -14,7 +14,7 @@ from split_cli.logs.assembling.gather import fitting_presets
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.drafting.candidates import candidates_of
-from split_cli.logs.drafting.clock import clock_of_rows
+from split_cli.logs.drafting.clock import clock_of_rows, is_cut_in_degrees
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.handedness import (
@@ -43,7 +43,7 @@ from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
 from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity, unit_by_gravity
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheel_torques import PARTS, note_on_engine, torques_alike
-from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, time_column, turned
+from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, time_column, turned
 from split_cli.logs.readers.named_values import NAMES, VALUES
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
@@ -80,10 +80,12 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     if not any(c.channel in _OF_MOTION for c in candidates):
         candidates += named_by_motion(recording, infos)
     triples = names_of_triples(infos)
-    read = _read(recording, candidates, triples)
+    read, clock = _with_common_clock(recording, _read(recording, candidates, triples))
     signals = _of_one_table(read)
     candidates = [c for c in candidates if not set(names_of(c)) & (read.keys() - signals.keys())]
     time, line, known = clock_of_rows(recording, infos, signals, candidates, row_rate)
+    if clock:
+        line = f"time: {{clock: {clock}}}   # CHECK: by the {recording.clocks[0]} times, no moment is in all topics"
     candidates = [c for c in candidates if f"source: {quoted(c.sources[0])}," not in line]
     if time is not None and newest_first(time):
         time, signals = turned(time, signals)
@@ -280,6 +282,23 @@ def _read(
     return signals
 
 
+def _with_common_clock(
+    recording: RawRecording, signals: dict[str, RawSignal]
+) -> tuple[dict[str, RawSignal], Clock | None]:
+    """Return the signals by a clock that all topics share, and its name where that is not the usual one."""
+
+    def meet(read: Mapping[str, RawSignal]) -> bool:
+        stamps = [s.time[np.isfinite(s.time)] for s in read.values() if s.time is not None]
+        spans = [(stamp.min(), stamp.max()) for stamp in stamps if len(stamp)]
+        return not spans or max(first for first, _ in spans) < min(last for _, last in spans)
+
+    for clock in recording.clocks[1:] if not meet(signals) else ():
+        with suppress(SplitError):
+            if meet(read := recording.read(list(signals), clock)):
+                return read, clock
+    return signals, None
+
+
 def _of_one_table(signals: dict[str, RawSignal]) -> dict[str, RawSignal]:
     """Return the signals without vectors of other lengths than most have, as a map or a table of settings has."""
     lengths = Counter(len(signal.values) for signal in signals.values() if signal.time is None)
@@ -293,8 +312,7 @@ def _first_guess(candidate: TrialCandidate, trial: Trial) -> Suggestion:
     unit = candidate.unit
     if unit is None and candidate.channel in ("yaw", "sideslip") and candidate.convert == "":
         values = trial.signals[candidate.sources[0]].values
-        steps = np.abs(np.diff(values[np.isfinite(values)]))
-        if candidate.channel == "yaw" and np.any((steps > 300.0) & (steps < 420.0)):
+        if candidate.channel == "yaw" and is_cut_in_degrees(values):
             unit = "deg"
     to_the_right = (
         candidate.channel in ("vy", "ay")

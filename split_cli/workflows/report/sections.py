@@ -39,6 +39,9 @@ _SETTINGS = (
     "The fixed numbers of the program, the same for every recording; split_cli/diagnosis/policy.py gives unit, "
     "meaning and origin of each."
 )
+_AT_THE_TOP = 9
+"""Sentences that a first screen holds beside the headline [1]; judgement: those of one or two findings. More stand
+below the charts: they were two screens, of which the headline and its findings say the first half."""
 _STAGES = (
     ("before", "Simulation as it is"),
     ("physics", "With the identified effects"),
@@ -60,6 +63,8 @@ def all_sections(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
     parts = [_verdict(diagnosis)]
     if diagnosis.verdict != "undecided":
         parts += chart_sections(charts)
+    if len(_lead(diagnosis)) > _AT_THE_TOP:
+        parts.append(section("sentences", "What was found, in sentences", _in_sentences(diagnosis)))
     if diagnosis.verdict == "undecided":
         parts.append(_not_judged(diagnosis))
     if any(len(gap.t) for gap in diagnosis.gaps):
@@ -78,15 +83,17 @@ def all_sections(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
 def _verdict(diagnosis: Diagnosis) -> str:
     sign, sentence = _HEADLINES[diagnosis.verdict]
     kicker = f'<p class="kicker">{sentence}</p>' if diagnosis.findings else ""
-    sentences = [escape(typeset(sentence)) for sentence in _lead(diagnosis)]
-    lead = (
-        f'<ul class="lead"><li>{"</li><li>".join(sentences)}</li></ul>'
-        if len(sentences) > 1
-        else f'<p class="lead">{"".join(sentences)}</p>'
-    )
+    lead = _in_sentences(diagnosis) if len(_lead(diagnosis)) <= _AT_THE_TOP else ""
     body = f"{_chips(diagnosis)}{_doubt(diagnosis)}{lead}{facts_list(_facts(diagnosis))}"
     before = f'<span class="sign" aria-hidden="true">{sign}</span>{kicker}'
     return verdict(diagnosis.verdict, headline(diagnosis), body, before)
+
+
+def _in_sentences(diagnosis: Diagnosis) -> str:
+    sentences = [escape(typeset(sentence)) for sentence in _lead(diagnosis)]
+    if len(sentences) == 1:
+        return f'<p class="lead">{sentences[0]}</p>'
+    return f'<ul class="lead"><li>{"</li><li>".join(sentences)}</li></ul>'
 
 
 def _chips(diagnosis: Diagnosis) -> str:
