@@ -339,7 +339,7 @@ def without_absent(
     """Take out of `columns` what holds no value in any row, and say so: its clock is mostly another one."""
     absent = [name for name, values in columns.items() if not np.isfinite(values).any()]
     other = f"; with `--clock {clocks[-1]}` they may share one" if len(clocks) > 1 else ""
-    told = []
+    reports = []
     for name in absent:
         del columns[name]
         time = channels.clean[name][0].time
@@ -349,7 +349,7 @@ def without_absent(
         told.append(
             f"{name} was left out: it {when if apart > 0.0 else 'has no sample in the rows of the drive'}{other}"
         )
-    return told
+    return reports
 
 
 def slices_of(segment: np.ndarray) -> list[slice]:
