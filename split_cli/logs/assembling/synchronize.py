@@ -346,7 +346,7 @@ def without_absent(
         early = float(grid.time[0]) - float(time[-1])
         apart = max(early, float(time[0]) - float(grid.time[-1]))
         when = f"ends {apart:.6g} s before the drive begins" if early > 0.0 else f"begins {apart:.6g} s after its end"
-        told.append(
+        reports.append(
             f"{name} was left out: it {when if apart > 0.0 else 'has no sample in the rows of the drive'}{other}"
         )
     return reports
