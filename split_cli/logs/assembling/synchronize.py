@@ -339,17 +339,17 @@ def without_absent(
     """Take out of `columns` what holds no value in any row, and say so: its clock is mostly another one."""
     absent = [name for name, values in columns.items() if not np.isfinite(values).any()]
     other = f"; with `--clock {clocks[-1]}` they may share one" if len(clocks) > 1 else ""
-    told = []
+    reports = []
     for name in absent:
         del columns[name]
         time = channels.clean[name][0].time
         early = float(grid.time[0]) - float(time[-1])
         apart = max(early, float(time[0]) - float(grid.time[-1]))
         when = f"ends {apart:.6g} s before the drive begins" if early > 0.0 else f"begins {apart:.6g} s after its end"
-        told.append(
+        reports.append(
             f"{name} was left out: it {when if apart > 0.0 else 'has no sample in the rows of the drive'}{other}"
         )
-    return told
+    return reports
 
 
 def slices_of(segment: np.ndarray) -> list[slice]:

@@ -89,7 +89,8 @@ def check_consistency(
             if vy_judged:
                 break
         again = explain(finer.relations, vehicle, finer.magnitudes())
-        found = [finding for finding in found if finding.check != "range"]  # what was put right may explain it
+        # What was put right may explain what nothing did.
+        found = [f for f in found if f.check != "range" and f.channel not in explanation.unexplained]
         named = {finding.channel for finding in found}
         found += [_after(finding, shared) for finding in again.findings if finding.channel not in named]
         factors |= {c: f for c, f in again.factors.items() if c not in factors}

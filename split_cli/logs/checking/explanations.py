@@ -43,6 +43,7 @@ class Explanation:
     # Channel to the factor that is in it; only where one mistake is clearly the best.
     factors: Mapping[str, float] = field(default_factory=dict)
     cost: float = 0.0  # of the best story, 0 where all relations hold [1]
+    unexplained: frozenset[str] = frozenset()  # channels whose relations no known mistake accounts for
 
 
 def explain(relations: Sequence[Relation], vehicle: Vehicle | None, plausible: Sequence[Plausible] = ()) -> Explanation:
@@ -98,7 +99,8 @@ def explain(relations: Sequence[Relation], vehicle: Vehicle | None, plausible: S
         for m in best.mistakes
         if m.channel in sure and m.channel not in doubtful and m.factor is not None
     }
-    return Explanation(tuple(findings), factors, best.cost)
+    unexplained = frozenset(leaf.relation.leaf for leaf in best.leaves if leaf.unknown)
+    return Explanation(tuple(findings), factors, best.cost, unexplained)
 
 
 def _backwards(relations: Sequence[Relation]) -> ConsistencyFinding | None:
