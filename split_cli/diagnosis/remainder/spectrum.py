@@ -77,7 +77,8 @@ def strongest_line(
         _Remainder(one, _left(objective, one, ()), np.ones(len(one.series) - 1, dtype=bool), policy)
         for one in (simulated if lines else ())
     ]
-    own = [line for other in others for line in _lines(other)]
+    # Resonances count there, too: what reality shows may be one.
+    own = [line for other in others for line in _lines(other, _BACKGROUNDS[:1])]
     margin, common = policy.self_test.unnamed_margin, []
     for line, one in lines:
         if any(_is_one_swing(line, other, one) for other in common):
@@ -122,7 +123,7 @@ def _compared(one: Evidence, rows: np.ndarray, fastest: float) -> np.ndarray:
     return (group >= 0) & rows[group] & (one.series.smooth[:-1, 0] <= fastest)
 
 
-def _lines(asked: _Remainder) -> list[Line]:
+def _lines(asked: _Remainder, backgrounds: Sequence[int] = _BACKGROUNDS) -> list[Line]:
     """Return the strongest line of each channel, over time and over distance, in the used transitions."""
     one, policy = asked.one, asked.policy
     if asked.used.sum() < policy.unnamed.fewest:
@@ -137,8 +138,8 @@ def _lines(asked: _Remainder) -> list[Line]:
         even = white if over == "time" else np.stack([np.interp(grid, clock, row) for row in white.T], axis=1)
         power = np.abs(np.fft.rfft(even * np.hanning(len(even))[:, None], axis=0)) ** 2
         frequency = np.fft.rfftfreq(len(even), step)
-        medians = [median_filter(power, size=(bins, 1), mode="reflect") for bins in _BACKGROUNDS]
-        ratio = power / (np.maximum(*medians) / np.log(2.0) + 1e-300)
+        medians = [median_filter(power, size=(bins, 1), mode="reflect") for bins in backgrounds]
+        ratio = power / (np.max(medians, axis=0) / np.log(2.0) + 1e-300)
         allowed = _fast_enough(one, over, frequency, policy.unnamed)
         count = max(3 * int(allowed.sum()), 1)
         for channel in range(3):
