@@ -15,7 +15,7 @@ _BEYOND_GRIP = 2.0
 _SHOWN = 3
 _REPEATED = 0.05
 """Share of rows that repeat the one before, below which a channel changes with every row [1]: one whose noise is
-far above its resolution, or a simulated one."""
+far above its resolution, or a simulated one. Judgement."""
 _SAME = 1e-9
 """Of a channel's standard deviation, within which two rows are equal [1]: what filters and units round."""
 
