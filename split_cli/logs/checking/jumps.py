@@ -76,7 +76,8 @@ def stopped(checks: Checks) -> list[ConsistencyFinding]:
     same = {c: np.abs(np.diff(k.columns[c])) <= _SAME * np.std(k.columns[c]) for c in moving}
     for channel in (c for c in moving if c != "vx"):
         edges = np.flatnonzero(np.diff(same[channel], prepend=False, append=False)).reshape(-1, 2)
-        kept = [slice(a, b) for a, b in edges if b - a >= rows]
+        # A late channel keeps its first value, or its last: nothing of it is recorded there.
+        kept = [slice(a, b) for a, b in edges if b - a >= rows and a > 0 and b < len(same[channel])]
         elsewhere = np.ones(len(same[channel]), dtype=bool)
         for run in kept:
             elsewhere[run] = False
