@@ -141,12 +141,12 @@ def write_diagnosis(
     """Write a diagnosis into a folder, all files or none; figures of an earlier one there are taken away."""
     from split_cli.plots.draw import CHARTS, write_charts
 
-    charts = diagnosis_charts(diagnosis, vehicle, corrected_vehicle(diagnosis, vehicle), drives, simulated)
+    corrected = corrected_vehicle(diagnosis, vehicle)
+    charts = diagnosis_charts(diagnosis, vehicle, corrected, drives, simulated)
     earlier = [*VEHICLES, "figures/help.csv", *(f"figures/{name}.png" for name in CHARTS)]
     with atomic_directory(output, without=earlier) as folder:
         (folder / "diagnosis.json").write_text(diagnosis_to_text(diagnosis), encoding="utf-8")
         if (name := vehicle_name(diagnosis)) is not None:
-            corrected = corrected_vehicle(diagnosis, vehicle)
             write_vehicle(corrected, folder / name, comment=f"{_judged(diagnosis)}{diagnosis.summary}")
         _write_gap(diagnosis, drives, vehicle, folder / "gap.parquet")
         (folder / "report.html").write_text(report_page(diagnosis, charts), encoding="utf-8")

@@ -358,9 +358,13 @@ def _beside_split(last: HorizonErrors) -> list[str]:
         f"{_STATES[k][0]} ({' instead of '.join(_apart(last.after[k], last.physics[k]))} {_STATES[k][1]})"
         for k in last.worse_with_split()
     ]
-    errors = " and ".join(filter(None, [", ".join(worse[:-1]), *worse[-1:]]))
-    text = f"A correction learned by SPLIT beside them makes it worse in {errors}: use the effects alone."
+    text = f"A correction learned by SPLIT beside them makes it worse in {_listed(worse)}: use the effects alone."
     return [text] if worse else []
+
+
+def _listed(several: Sequence[str]) -> str:
+    """Return words as a list: ``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(several[:-1]), *several[-1:])))
 
 
 def _apart(one: float, other: float) -> tuple[str, str]:
@@ -383,8 +387,7 @@ def _errors_that_reject(corrected: CorrectedVehicle) -> str:
 
 def with_nameless_effects(corrected: CorrectedVehicle) -> list[str]:
     """Return which effects without a name a corrected vehicle file holds, too, and why."""
-    *others, last = (term_with_id(one.term) for one in corrected.further)
-    several = " and ".join(filter(None, (", ".join(others), last)))
+    several = _listed([term_with_id(one.term) for one in corrected.further])
     return [
         f"The corrected vehicle file also holds {several}, which these data do not tell from other effects.",
         f"Errors with the identified effects are with these, too. Without them the file would predict worse than the "

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +37,11 @@ class HeldOutFit:
         everything = [np.ones(len(one.series), dtype=bool) for one in self.case.holdout]
         pairs = zip(self.case.real, self.split.masks, strict=True)
         return [*pairs, *zip(self.case.holdout, everything, strict=True)]
+
+    @cached_property
+    def shares(self) -> tuple[float, ...] | None:
+        """Return what of the held-out error returns without each part, see `explained_shares`; names change none."""
+        return explained_shares(self.split, self.trained)
 
     def improvement(self, terms: Sequence[Term]) -> Improvement | None:
         """Return what terms improve on held-out time, see `measure_improvement`."""
@@ -92,7 +98,7 @@ def judge_names(fit: HeldOutFit, named: Sequence[bool], findings: Sequence[Findi
         parts = fitted_alone(fit.objective, fit.whole, named, findings)
         corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
     return Worth(
-        with_shares(findings, fit.whole, explained_shares(fit.split, fit.trained)),
+        with_shares(findings, fit.whole, fit.shares),
         replace(remainder, explained=explained_together(fit.split, fit.trained, named)),
         fit.improvement(terms),
         corrected,

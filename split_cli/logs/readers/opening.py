@@ -169,9 +169,9 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_mf4(path, databases)
     if is_can_log(path, head):
         return open_can(path, databases)
-    if head.startswith((b"PAR1", b"ARROW1\0\0", b"\xff\xff\xff\xff")):
-        from split_cli.logs.readers.parquet import open_arrow, open_parquet
+    from split_cli.logs.readers.parquet import STREAM, open_arrow, open_parquet
 
+    if head.startswith((b"PAR1", b"ARROW1\0\0", STREAM)):
         return open_parquet(path) if head.startswith(b"PAR1") else open_arrow(path)
     lowered = head.lower()
     if b"[column names]" in lowered or (path.suffix.lower() == ".vbo" and b"[header]" in lowered):

@@ -172,8 +172,8 @@ class FrictionScale(Term):
 
     def tire(self, flow: Flow) -> None:
         """Scale both axles, or one."""
-        for axle in (getattr(flow, name) for name in self.axles if self.variant in (name, "", "curve")):
-            _scale_grip(axle, self.parameters["scale"], self.variant == "curve")
+        for name in (self.variant,) if self.variant in self.axles else self.axles:
+            _scale_grip(getattr(flow, name), self.parameters["scale"], self.variant == "curve")
 
 
 class FrictionPatch(Term):
