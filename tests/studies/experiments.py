@@ -4,8 +4,8 @@
     python -m tests.studies.experiments --vehicle road_car.yaml -o results/ \
         --page docs/experiments.md docs/records/races.md
 
-The folder keeps the result of every race and manoeuvre; what is there is not run again. The whole plan takes about
-an hour on one core. ``--page`` writes its tables between the marks of pages, and figures beside the first.
+The folder keeps the result of every race and manoeuvre; what is there is not run again. The whole plan takes some
+hours on one core. ``--page`` writes its tables between the marks of pages, and figures beside the first.
 """
 
 import argparse
@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.files import atomic_path, atomic_write_text, json_ready
-from split_cli.vehicle.parameters import read_vehicle, write_vehicle
-from split_cli.workflows.racing.first_lap import PAST_TERM
+from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
-from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
+from split_cli.workflows.racing.settings import RaceSettings
 
 
 @dataclass(frozen=True)
@@ -39,9 +38,7 @@ _SEEDS = (0, 1, 2)
 _TRACKS = {"small": {"track": "small", "max_speed": 22.0}, "handling": {"track": "handling", "max_speed": 30.0}}
 _SMALL = _TRACKS["small"]
 # Tyres that nobody knows on a road of lower grip ask for more care: the nominal model begins at less of its peak.
-_WITH_THE_PAST = (("split", "split", "bcm"), ("split projected", "split", "projected"), ("iol", "iol", "bcm"))
-PAST_FEATURES = CANDIDATES[-1]
-_WET, _WORN = ({"grip": grip, "assumed_friction": grip, "first_share": _CAREFUL, **_SMALL} for grip in (0.5, 0.85))
+_WET = {"grip": 0.5, "assumed_friction": 0.5, "first_share": _CAREFUL, **_SMALL}
 
 
 def _race(
@@ -72,38 +69,13 @@ def _rivals_and_roads() -> list[Experiment]:
     for seed in _SEEDS:
         found += [_race("limit", learner, seed, "limit", laps=3, **_SMALL) for learner in ("none", "split")]
     for learner, laps in (("none", 2), ("split", 3)):
-        found.append(_race("worn", learner, 0, laps=laps, **_WORN))
         found += [_race("wet", learner, seed, laps=laps, **_WET) for seed in _SEEDS]
     for seed in _SEEDS:
         for learner, laps in (("none", 1), ("split", 2)):
             car = {"car": "formula_car", "model": "nominal" if learner == "none" else learner}
             found.append(_race("formula", learner, seed, "formula", laps=laps, **car, **_SMALL))
-    # The same set, asked as a table of its dense process after each lap instead of as a committee at once.
-    found.append(_race("table", "split", 0, model="split table", laps=3, predictor="table", **_SMALL))
-    # What the named terms remember, as further features.
-    memory = "alpha_f,alpha_r,torque_ratio,drive_lag.torque,tire_relaxation.front,tire_relaxation.rear"
-    options = {"laps": 3, "features": memory, "predictor": "projected", **_SMALL}
-    found.append(_race("memory", "split", 0, "physics", model="split physics memory", **options))
-    found += _with_the_past()
-    # v_x as a fourth feature: what hangs on the speed.
-    features = "alpha_f,alpha_r,torque_ratio,vx"
-    found.append(_race("feature", "split", 0, model="split vx", laps=3, features=features, **_SMALL))
     return found
 
-
-def _with_the_past() -> list[Experiment]:
-    """Return races with the recent past of slip angles and torque as features, beside any vehicle file."""
-    found = []
-    for seed in _SEEDS:
-        for group, laps, road in _LAGGED:
-            for model, learner, predictor in _WITH_THE_PAST:
-                options = {"laps": laps, "features": PAST_FEATURES, "predictor": predictor, **road}
-                found.append(_race(group, learner, seed, "lagged", model=model, **options))
-    return found
-
-
-_LAGGED = (("lagged", 5, _SMALL), ("lagged-handling", 10, _TRACKS["handling"]), ("lagged-wet", 3, _WET))
-"""Races with the recent past as features: group, laps, and the road."""
 
 _SWEEPS = {
     ("iso3888-1", 1.0): (14, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27),
@@ -117,13 +89,10 @@ _SWEEPS = {
 
 
 def _maneuvers() -> list[Experiment]:
-    past = {"vehicle": "lagged", "features": PAST_FEATURES, "laps": 1}
     found = [
         _race("lap1", "split", 0, model="split dry", laps=1, **_SMALL),
         _race("lap1", "split", 0, model="split wet", laps=1, **_WET),
         _race("lap1", "split", 0, "physics", model="split dry physics", laps=1, **_SMALL),
-        _race("lap1", "split", 0, model="split dry lagged", **past, **_SMALL),
-        _race("lap1", "split", 0, model="split wet lagged", **past, **_WET),
     ]
     for seed in _SEEDS:
         for (scenario, grip), speeds in _SWEEPS.items():
@@ -131,7 +100,6 @@ def _maneuvers() -> list[Experiment]:
             basic = ManeuverSettings(scenario=scenario, grip=grip, seed=seed, speeds=tuple(map(float, speeds)))
             for vehicle in ("gentle", "physics") if seed == 0 else ("gentle",):
                 found += _sweeps(f"{scenario}-{road}", basic, vehicle)
-            found += _sweeps_with_the_past(f"{scenario}-{road}", basic)
     return found
 
 
@@ -148,24 +116,6 @@ def _sweeps(group: str, basic: ManeuverSettings, vehicle: str) -> list[Experimen
     return [nominal, Experiment(f"{group}-split{end}-{basic.seed}", group, f"split{words}", learned, vehicle)]
 
 
-def _sweeps_with_the_past(group: str, basic: ManeuverSettings) -> list[Experiment]:
-    """Return the sweeps of a set with the recent past as features, as a committee and as one process.
-
-    The nominal run that such a set is learned from is driven at the sweep's first speed alone; its file differs
-    from the gentle one in nothing that moves the car.
-    """
-    origin, found = f"lap1-split-{group.rpartition('-')[2]}-lagged-0", []
-    if basic.scenario == "iso3888-1":
-        first = replace(basic, speeds=basic.speeds[:1], features=PAST_FEATURES)
-        found = [Experiment(f"{group}-nominal-lagged-{basic.seed}", group, "nominal lagged", first, "lagged")]
-        origin = found[0].name
-    for predictor, model in (("bcm", "split lagged"), ("projected", "split lagged projected")):
-        learned = replace(basic, start_set=origin, predictor=predictor)
-        name = f"{group}-{model.replace(' ', '-')}-{basic.seed}"
-        found.append(Experiment(name, group, model, learned, "lagged"))
-    return found
-
-
 PLAN = (*_races(), *_maneuvers())
 
 
@@ -178,14 +128,11 @@ def run_experiments(folder: Path, vehicles: dict[str, Path], only: str = "") -> 
         Results are kept here, a JSON and an npz with the traces of each experiment.
     vehicles : mapping of str to path
         Vehicle files: ``gentle``, ``limit``, ``physics``, ``formula``; experiments of one that is not given are
-        left out. *Lagged* is the gentle one with lagged features; it is written into the folder.
+        left out.
     only : str
         How the names begin.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    if "gentle" in vehicles:
-        vehicles = {**vehicles, "lagged": folder / "vehicle_lagged.yaml"}
-        write_vehicle(read_vehicle(vehicles["gentle"]).with_effects(PAST_TERM), vehicles["lagged"])
     ran = []
     for experiment in PLAN:
         due = experiment.name.startswith(only) and experiment.vehicle in vehicles

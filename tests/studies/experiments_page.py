@@ -11,7 +11,6 @@ from split_cli.files import atomic_path, atomic_write_text
 from split_cli.plots.style import save
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import slip_angles
-from tests.studies.experiments import PAST_FEATURES
 from tests.studies.experiments_figures import (
     ManeuverPicture,
     RacePicture,
@@ -57,7 +56,7 @@ def tables(results: dict[str, dict]) -> dict[str, str]:
     for name, group in groups.items():
         if "laps" in group[0]["result"]:
             made[f"times-{name}"] = _times_table(group)
-            made[f"race-{name}"] = _race_table(group, races)
+            made[f"race-{name}"] = _race_table(group)
     # A run at one speed only teaches what a sweep then drives with.
     sweeps = [result for result in results.values() if len(result["result"].get("runs", ())) > 1]
     made |= {"maneuvers": _sweep_table(sweeps)} if sweeps else {}
@@ -127,15 +126,14 @@ def _own_laps(race: dict) -> list[dict]:
     return [lap for lap in race["result"]["laps"] if nominal or lap["number"] > 0]
 
 
-def _race_table(group: list[dict], races: list[dict]) -> str:
+def _race_table(group: list[dict]) -> str:
     """Return a row for each model: clean laps, best and median, what was learned, errors; seeds in order.
 
-    Gains are on the nominal races of the same group and seed, or where a group has none, of the same road among
-    all `races`. Laps scatter, and the best of many is better than the best of few: so medians stand beside them.
+    Gains are on the nominal races of the same group and seed. Laps scatter, and the best of many is better than
+    the best of few: so medians stand beside them.
     """
     bases = [race for race in group if race["model"] == "nominal"]
     bases = bases or [race for race in group if race["model"].startswith("nominal")]
-    bases = bases or [race for race in races if race["model"] == "nominal" and _road(race) == _road(group[0])]
     nominal = {race["settings"]["seed"]: clean_times(race) for race in bases}
     models = _by_model(group)
     rows = []
@@ -169,10 +167,6 @@ def _race_table(group: list[dict], races: list[dict]) -> str:
     return _markdown(header, rows)
 
 
-def _road(race: dict) -> tuple:
-    return tuple(race["settings"][name] for name in ("car", "track", "grip", "max_speed"))
-
-
 def _sweep_table(sweeps: list[dict]) -> str:
     """Return a row for each manoeuvre, road and model: the highest speed of every seed, cones of the first."""
     alike: dict[tuple, list[dict]] = {}
@@ -193,8 +187,7 @@ def _timing_table(races: list[dict]) -> str:
     """Return a row for each model: the largest median of a race, the largest 99 % and worst value of any lap."""
     models: dict[str, list[dict]] = {}
     for race in races:
-        past = ", lagged" if race["settings"].get("features") == PAST_FEATURES else ""
-        models.setdefault(f"{race['model']}{past}", []).append(race)
+        models.setdefault(race["model"], []).append(race)
     rows = []
     for model, alike in models.items():
         cells = []
