@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.remainder.flexible import flexible_rows
+from split_cli.diagnosis.remainder.structure import build_structure
+from split_cli.diagnosis.search.baselines import SearchOutcome
+from split_cli.diagnosis.search.calibration import SelfTest
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.verdict import findings
 from split_cli.diagnosis.verdict.constancy import Bend
-from split_cli.diagnosis.verdict.findings import excludes_no_effect
+from split_cli.diagnosis.verdict.findings import describe, excludes_no_effect
 from split_cli.logs.drive_metadata import DriveMetadata
+from tests.diagnosis.recordings import INFLATION
 
 RULES = STANDARD.abstention
 
@@ -23,6 +28,23 @@ def test_values_hold_with_and_without_what_is_not_believed():
     covering = findings._covering(alone, {"scale": ParameterEstimate(0.45, 0.05, "1", (0.34, 0.56))})
     assert covering["scale"].value == 0.68 and covering["scale"].interval_95 == (0.34, 0.78)
     assert findings._covering(alone, {}) == alone
+
+
+def test_what_only_nameless_terms_explain_is_unexplained(pair, chosen_pair, discrepancy):
+    """Yaw inertia and drag: where the drag stays in the fit without a name, the drag's share has none."""
+    (evidence,) = pair.evidence
+    structure = build_structure(pair, [flexible_rows(evidence, discrepancy, uncompared=True)])
+    gap = structure.fit(chosen_pair.base.residuals, INFLATION)
+    without_drag = findings._nameless(chosen_pair, {"aero_drag"})
+    said = {}
+    for name, selection in (("both", chosen_pair), ("inertia", without_drag)):
+        said[name] = describe(SearchOutcome(structure, gap, selection, SelfTest(), INFLATION))
+    assert not said["both"].unexplained and said["both"].remainder.effect_to_noise < 0.1
+    assert [one.term for one in said["inertia"].findings] == ["yaw_inertia"] and said["inertia"].unexplained
+    # No less is left than the drag does.
+    drag = next(one for one in said["both"].findings if one.term == "aero_drag")
+    assert said["inertia"].remainder.effect_to_noise > drag.effect_to_noise > STANDARD.allowances.large
+    assert said["inertia"].remainder.p_value < 1e-6 < said["both"].remainder.p_value
 
 
 def test_a_term_that_is_not_singled_out_stays_in_the_fit_without_a_name():

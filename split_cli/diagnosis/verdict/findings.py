@@ -102,6 +102,10 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
             sensors = {one.term for one in findings if not one.exported}
             kept &= sensors | _stays_beside(objective, selection, findings, scales)
         vague |= doubted
+    by_names = _left_by_names(structure, selection, variance_inflation)
+    if findings and not unexplained and by_names.p_value < objective.policy.selection.level:
+        unexplained = by_names.effect_to_noise > _large(outcome)
+        remainder = by_names if unexplained else remainder
     return Description(selection, findings, remainder, unexplained, is_apart)
 
 
@@ -274,16 +278,20 @@ def _is_unexplained(
 ) -> bool:
     """Return whether what is left is structured and large, or autocorrelated."""
     policy = outcome.structure.objective.policy
-    least, selection = policy.allowances.unnamed, policy.selection
-    large = max(
-        policy.allowances.large, min(selection.form_error_share * outcome.gap.effect_to_noise, selection.above_noise)
-    )
+    least, selection, large = policy.allowances.unnamed, policy.selection, _large(outcome)
     usual = outcome.self_test.usual_autocorrelation(autocorrelation.rows)
     if is_autocorrelated(autocorrelation, usual, policy) and autocorrelation.effect_to_noise > large:
         return True
     if remainder.p_value >= selection.level or remainder.effect_to_noise < least:
         return False
     return remainder.effect_to_noise > large or remainder.share > selection.fair_share
+
+
+def _large(outcome: SearchOutcome) -> float:
+    """Return the effect-to-noise ratio beyond which what has no name is unexplained, whatever its share."""
+    policy = outcome.structure.objective.policy
+    of_gap = policy.selection.form_error_share * outcome.gap.effect_to_noise
+    return max(policy.allowances.large, min(of_gap, policy.selection.above_noise))
 
 
 def is_autocorrelated(autocorrelation: ResidualAutocorrelation, usual: float, policy: Policy = STANDARD) -> bool:
@@ -311,6 +319,19 @@ def _remainder(
     named = selection.base.cost - selection.chosen.cost
     share = structure.unnamed_share(left, named, variance_inflation)
     return RemainderTest(left.p_value, share, left.effect_to_noise, left.group_saved)
+
+
+def _left_by_names(structure: Structure, selection: Selection, variance_inflation: float) -> RemainderTest:
+    """Return what the named terms leave by themselves, without those that are in the fit and have no name.
+
+    These may stand for an effect that the search did not find: what they took up is explained by nothing.
+    """
+    named = [part for part, is_named in zip(selection.chosen.parts, selection.named, strict=True) if is_named]
+    if len(named) in (0, len(selection.named)):
+        return RemainderTest(1.0, 0.0, 0.0, ())
+    alone = replace(selection, chosen=fit_parts(structure.objective, named))
+    left = residuals_beside_form_error(structure.objective, alone.chosen)
+    return _remainder(structure, alone, variance_inflation, left)
 
 
 def _shares(selection: Selection, terms: Set[str]) -> dict[str, float]:
