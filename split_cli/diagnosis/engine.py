@@ -1,4 +1,4 @@
-"""The four questions in order: do they differ, where, what, does it help."""
+"""A diagnosis, step by step: do simulation and reality differ, where, by which effect, and does it help to know it."""
 
 from __future__ import annotations
 

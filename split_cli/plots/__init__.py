@@ -1,4 +1,4 @@
-"""Charts of reports, and figures; the only place that imports matplotlib.
+"""Charts of reports and figures as files; the only place that imports matplotlib.
 
 May import: scoring, prediction, learning, logs, vehicle, signals, files, errors.
 """

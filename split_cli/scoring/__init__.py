@@ -1,4 +1,4 @@
-"""Held-out splits, metrics, noise floor, rollouts, feature-set protocols.
+"""How good a model is: held-out blocks, errors, noise floor, rollouts, trust, and the choice of features.
 
 May import: prediction, learning, logs, vehicle, signals, files, errors.
 """

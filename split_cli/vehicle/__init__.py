@@ -1,4 +1,4 @@
-"""The nominal car: parameters, tyres, single track, integration, and the named terms that may be added.
+"""The nominal model: vehicle file, tyres, single track, integration, calibration, and the effects that may be added.
 
 May import: signals, files, errors, NumPy, SciPy, numba (and PyYAML in `parameters`). Never logs, learning, plant.
 """

@@ -1,4 +1,4 @@
-"""One plain function a command: what the command line does, for notebooks too.
+"""One function a command, for the command line and for notebooks.
 
 May import: every package but cli.
 """

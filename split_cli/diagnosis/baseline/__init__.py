@@ -1,4 +1,4 @@
-"""The model discrepancy that simulation and reality share: a dictionary of smooth forces with priors.
+"""What simulation and reality share beyond the nominal model: a discrepancy of smooth forces with priors.
 
 May import: recording, statement; vehicle, logs, signals, errors.
 """

@@ -1,4 +1,4 @@
-"""Prediction errors, whitened to unit noise, one step ahead and over seconds, and the fit's objective.
+"""Prediction errors of unit variance at common operating points, effect sizes over noise, the cost of a fit.
 
 May import: baseline, recording, statement; learning, vehicle, logs, signals, errors.
 """

@@ -1,4 +1,4 @@
-"""What is left in whitened residuals: structure, autocorrelation, spectral lines, location, a formula as lead.
+"""What is left without a name, and where: structure, autocorrelation, spectral lines, a formula as a lead.
 
 May import: innovations, baseline, recording, statement; learning, vehicle, logs, signals, errors.
 """

@@ -1,4 +1,4 @@
-"""Which physical terms explain the residuals: candidates, joint fits, selection, calibrated thresholds.
+"""Which physical terms explain the prediction errors: candidates, joint fits, selection, tests of one term.
 
 May import: remainder, innovations, baseline, recording, statement; vehicle, logs, signals, errors.
 """
