@@ -13,6 +13,7 @@ from scipy.io import savemat
 
 from split_cli.errors import LogError, SplitError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.drafting.draft import lines_on_runs
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.readers.opening import open_recording
@@ -314,14 +315,31 @@ def test_an_arrow_file_that_was_written_as_it_came_is_read(planted, tmp_path):
         open_recording(tmp_path / "cut.arrows")
 
 
-def test_runs_in_an_array_of_structures_are_known_by_their_fields(planted, tmp_path):
-    t = np.arange(0.0, 40.0, 0.01)
-    runs = np.zeros(2, dtype=[(name, object) for name in ("t", "vx", "yawrate", "delta_f", "M_wheels")])
-    for k, half in enumerate((t[:2000], t[2000:])):
-        runs[k] = (half - half[0], *(planted.at(c, half) for c in ("vx", "r", "delta", "T")))
-    savemat(tmp_path / "runs.mat", {"runs": runs})
-    draft = draft_map(open_recording(tmp_path / "runs.mat"))
+@pytest.mark.parametrize("kind", ["5", "7.3"])
+def test_runs_in_an_array_of_structures_are_known_by_their_fields(planted, kind, tmp_path):
+    """HDF5 keeps a field of all elements as references, which nothing followed; the other runs went unmentioned."""
+    t, fields = np.arange(0.0, 40.0, 0.01), {"vx": "vx", "yawrate": "r", "delta_f": "delta", "M_wheels": "T"}
+    runs = [{"t": h - h[0], **{f: planted.at(c, h) for f, c in fields.items()}} for h in (t[:2000], t[2000:])]
+    if kind == "5":
+        array = np.zeros(2, dtype=[(name, object) for name in runs[0]])
+        for k, run in enumerate(runs):
+            array[k] = tuple(run.values())
+        savemat(tmp_path / "runs.mat", {"runs": array})
+    else:
+        with h5py.File(tmp_path / "runs.mat", "w", userblock_size=512) as file:
+            for name in runs[0]:
+                field = file.create_dataset(f"runs/{name}", (2, 1), dtype=h5py.ref_dtype)
+                for k, run in enumerate(runs):
+                    field[k, 0] = file.create_dataset(f"#refs#/{name}{k}", data=run[name][None, :]).ref
+        with open(tmp_path / "runs.mat", "r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file".ljust(512, b" "))
+    recording = open_recording(tmp_path / "runs.mat")
+    read = recording.read(["runs[1].vx"])["runs[1].vx"]
+    np.testing.assert_allclose(read.values, runs[1]["vx"])
+    np.testing.assert_allclose(read.time, runs[1]["t"], atol=1e-9)
+    draft = draft_map(recording)
     assert [draft.of(c).sources for c in ("delta", "T")] == [("runs[0].delta_f",), ("runs[0].M_wheels",)]
+    assert lines_on_runs(draft)[0].startswith("The map takes runs[0]; runs[1] has the same fields.")
 
 
 NOISE = {"vx": 0.02, "vy": 0.01, "r": 0.002, "ay": 0.05, "T": 5.0, "delta": 2e-4, "yaw": 1e-3}
