@@ -340,6 +340,8 @@ def _way_to(channel: str, signal_map: SignalMap, reached: Collection[str]) -> st
     ways = [name for name, entry in DERIVATIONS.items() if channel in entry.makes and channel not in entry.needs]
     ways = [name for name in ways if name.replace("-", "_") in signal_map.derivations] or ways
     possible = [name for name in ways if can_derive(name, channel, reached)]
+    if channel == "delta" and "steering_wheel_angle" in reached:
+        return "delta: map the steering wheel's angle once more, with `scale: 1/RATIO`."
     if possible or not ways:
         derived = f", or derive it with --derive {' or '.join(possible)}" if possible else ""
         return f"{channel}: map a recorded signal{derived}."
