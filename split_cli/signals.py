@@ -89,6 +89,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("s", "s", 1.0), "sec second seconds"),
     (Unit("ms", "s", 1e-3), "msec millisecond milliseconds"),
     (Unit("us", "s", 1e-6), "μs usec microseconds"),
+    (Unit("0.1ms", "s", 1e-4), "100us"),
     (Unit("ns", "s", 1e-9), "nsec nanoseconds"),
     (Unit("min", "s", 60.0), "minutes"),
     (Unit("m", "m", 1.0), "metre metres meter meters"),
@@ -327,6 +328,9 @@ _INDEXED = re.compile(r"\S\[\d+\]$")
 # _ms is milliseconds on a time and metres a second on a speed, so the name must say which.
 _TIME_IN_MS = re.compile(r"(^|.*_)(t|time|utc|epoch|timestamp|stamp|dt|delay|duration|latency|period)_ms$")
 
+_TICKS = {"sampletimefine": "0.1ms"}
+"""Clocks in ticks that no name states: of Xsens, whose ticks are those of 10 kHz (MT Low-Level Communication)."""
+
 
 def symbol_of(stated: str | None) -> str | None:
     """Return a unit as this module writes it, one that it does not know as stated, None where nothing is."""
@@ -358,4 +362,4 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
     for suffix in _SUFFIX_ORDER:
         if lowered.endswith("_" + suffix):
             return text, _SUFFIX_UNITS[suffix].symbol
-    return text, "ms" if _TIME_IN_MS.match(lowered) else None
+    return text, "ms" if _TIME_IN_MS.match(lowered) else _TICKS.get(lowered)

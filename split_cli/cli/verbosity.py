@@ -135,6 +135,7 @@ class StepBar:
         self._watched = is_watched()
         self._in_place = self._watched and not isinstance(sys.stderr, Loud)
         self._drawn, self._counted_from = (0, True), (0.0, 0.0)
+        self._reached = (0.0, 0.0)  # the last share that differed from the one before, and when [s]
         self._over = threading.Event()
         self._drawing = threading.Lock()
         self._clock: threading.Thread | None = None
@@ -175,13 +176,15 @@ class StepBar:
         """Return what is shown now."""
         text, elapsed, (done, begun) = self.text, self._now() - self._begin, self._drawn
         total = max(self._total, done + begun)
-        share = self._share if self._shares else done / total if total else 0.0
+        share, reached = self._reached
         spent, gone = self._counted_from
         if not total or not (self._total or self._shares):
             return f"{elapsed:5.0f} s  {text}"
         filled = round(_WIDTH * share)
-        pace = (elapsed - spent) / (share - gone) if share > gone else 0.0
-        left = f", about {_span(pace * (1.0 - share))} left" if pace and share < 1.0 else ""
+        # As foreseen when the last step ended: one that takes longer than that foresees nothing.
+        whole = (reached - spent) / (share - gone) if share > gone else 0.0
+        foreseen = whole * (1.0 - share) - (elapsed - reached)
+        left = f", about {_span(foreseen)} left" if foreseen > 0.0 and share < 1.0 else ""
         count = "" if self._shares else f" {done + begun}/{total}"
         return f"{'█' * filled}{'░' * (_WIDTH - filled)}{count}  {_span(elapsed)}{left}  {text}"
 
@@ -200,6 +203,10 @@ class StepBar:
     def _draw(self, begun: bool = True) -> None:
         with self._drawing:
             self._drawn = (self._done, begun)
+            total = max(self._total, self._done + begun)
+            share = self._share if self._shares else self._done / total if total else 0.0
+            if share != self._reached[0]:
+                self._reached = (share, self._now() - self._begin)
             if self._watched:
                 self._show()
         if self._clock is None and not self._over.is_set():

@@ -369,4 +369,8 @@ def test_json_is_json(here):
     ):
         code, out, err = tool(*command, "--json")
         assert code == 0 and err == ""
-        assert json.loads(out)
+        assert json.loads(out, parse_constant=pytest.fail)  # no NaN, no Infinity
+    options = {"info": (), "verify": (), "ingest": ("-o", "o.parquet"), "export": ("--target", "npz", "-o", "o")}
+    for command, more in options.items():
+        code, out, err = tool(command, "nothing", *more, "--json")
+        assert code in (1, 2) and out == "" and "nothing" in err

@@ -179,6 +179,10 @@ class TestVerbosity:
         shares = {"reading": 0.0, "fitting": 0.25, "writing": 0.9}
         shown = drawn([(0.0, ("reading",)), (10.0, ("fitting",))], shares=shares)
         assert shown == "█████" + "░" * 15 + "  10 s, about 30 s left  fitting"
+        # A long step had made what is left grow with every line: 20 s, 2 min left; 600 s, 57 min left.
+        for now, left in ((25.0, ", about 15 s left"), (600.0, "")):
+            shown = drawn([(0.0, ("reading",)), (10.0, ("fitting",)), (now, ("fitting",))], shares=shares)
+            assert shown.endswith(f"{left}  fitting") and ("left" in shown) == bool(left)
 
     def test_the_time_goes_on_between_steps_and_notes_stand_above(self, monkeypatch, capsys):
         monkeypatch.setattr("split_cli.cli.verbosity.is_watched", lambda: True)

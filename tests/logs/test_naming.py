@@ -3,6 +3,7 @@
 import pytest
 
 from split_cli.logs.drafting.naming import meanings, named_without_source
+from split_cli.logs.drafting.wheel_torques import note_on_part
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.signals import split_name_and_unit
 
@@ -29,11 +30,13 @@ NAMES = {
         "AVy_L1",
         "Vhcl_FL_rotv",
     ),
-    "wheel_speed_rr": ("Wheel Angular Velocity Rear Right",),
+    "wheel_torque": ("/act/wheel_torque_nm.fl", "wheelTorque.front_left"),
+    "wheel_speed_rr": ("/wheels/speed_mps.rr", "Wheel Angular Velocity Rear Right"),
     "yaw": ("rotation_yaw", "pf_theta", "Yaw", "northHeading"),
     # Desired values are not measured, a wheel spins about its lateral axis alone, and a motor's speed is no car's,
     # nor is an opponent's.
     "": (
+        "tire_temp.fl",
         "vx_opp",
         "speed_opponent",
         "DesYaw",
@@ -65,3 +68,9 @@ def test_a_last_word_is_no_source_where_it_says_another_car_or_another_time():
     infos = [RawChannelInfo(f"{stem}_{word}", "column", None) for word in words for stem in stems]
     found = {info: bare.name for info, bare in named_without_source(infos).items()}
     assert found == {f"{stem}_{word}": stem for word in ("opti", "imu") for stem in stems}
+
+
+def test_one_element_of_a_list_is_not_the_torque_of_the_car():
+    """A message's list may hold the four wheels, and its type names only the first element."""
+    assert note_on_part(("/act/torques[0]",)).startswith("the first of a list")
+    assert note_on_part(("/act/torque",)) == ""

@@ -13,6 +13,7 @@ from scipy.io import savemat
 
 from split_cli.errors import LogError, SplitError
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.drafting.draft import lines_on_runs
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.readers.opening import open_recording
@@ -314,29 +315,72 @@ def test_an_arrow_file_that_was_written_as_it_came_is_read(planted, tmp_path):
         open_recording(tmp_path / "cut.arrows")
 
 
-def test_runs_in_an_array_of_structures_are_known_by_their_fields(planted, tmp_path):
-    t = np.arange(0.0, 40.0, 0.01)
-    runs = np.zeros(2, dtype=[(name, object) for name in ("t", "vx", "yawrate", "delta_f", "M_wheels")])
-    for k, half in enumerate((t[:2000], t[2000:])):
-        runs[k] = (half - half[0], *(planted.at(c, half) for c in ("vx", "r", "delta", "T")))
-    savemat(tmp_path / "runs.mat", {"runs": runs})
-    draft = draft_map(open_recording(tmp_path / "runs.mat"))
+@pytest.mark.parametrize("kind", ["5", "7.3"])
+def test_runs_in_an_array_of_structures_are_known_by_their_fields(planted, kind, tmp_path):
+    """HDF5 keeps a field of all elements as references, which nothing followed; the other runs went unmentioned."""
+    t, fields = np.arange(0.0, 40.0, 0.01), {"vx": "vx", "yawrate": "r", "delta_f": "delta", "M_wheels": "T"}
+    runs = [{"t": h - h[0], **{f: planted.at(c, h) for f, c in fields.items()}} for h in (t[:2000], t[2000:])]
+    if kind == "5":
+        array = np.zeros(2, dtype=[(name, object) for name in runs[0]])
+        for k, run in enumerate(runs):
+            array[k] = tuple(run.values())
+        savemat(tmp_path / "runs.mat", {"runs": array})
+    else:
+        with h5py.File(tmp_path / "runs.mat", "w", userblock_size=512) as file:
+            for name in runs[0]:
+                field = file.create_dataset(f"runs/{name}", (2, 1), dtype=h5py.ref_dtype)
+                for k, run in enumerate(runs):
+                    field[k, 0] = file.create_dataset(f"#refs#/{name}{k}", data=run[name][None, :]).ref
+        with open(tmp_path / "runs.mat", "r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file".ljust(512, b" "))
+    recording = open_recording(tmp_path / "runs.mat")
+    read = recording.read(["runs[1].vx"])["runs[1].vx"]
+    np.testing.assert_allclose(read.values, runs[1]["vx"])
+    np.testing.assert_allclose(read.time, runs[1]["t"], atol=1e-9)
+    draft = draft_map(recording)
     assert [draft.of(c).sources for c in ("delta", "T")] == [("runs[0].delta_f",), ("runs[0].M_wheels",)]
+    assert lines_on_runs(draft)[0].startswith("The map takes runs[0]; runs[1] has the same fields.")
 
 
-@pytest.mark.parametrize(("channel", "kept"), [("r", True), ("vy", True), ("ay", True), ("r", False)])
-def test_a_channel_that_stands_still_while_the_car_moves_is_told(planted, channel, kept):
-    """A bus repeats its last message; a simulated car that goes straight has exactly no yaw rate."""
-    t = np.arange(0.0, 40.0, 0.01)
-    columns = {c: planted.at(c, t) for c in ("vx", "vy", "r", "ay", "T", "delta")}
-    columns[channel] = np.where((t >= 10.0) & (t < 12.0), columns[channel][1000] if kept else 0.0, columns[channel])
+NOISE = {"vx": 0.02, "vy": 0.01, "r": 0.002, "ay": 0.05, "T": 5.0, "delta": 2e-4, "yaw": 1e-3}
+
+
+def standing(planted: PlantedDrive, **altered) -> list[str]:
+    """Return what ingest says of standstills; noise, then a function of values and time for some channels."""
+    t, rng = np.arange(0.0, 40.0, 0.01), np.random.default_rng(3)
+    columns = {c: planted.at(c, t) + sigma * rng.standard_normal(len(t)) for c, sigma in NOISE.items()}
+    columns |= {c: change(planted.at(c, t), columns[c], t) for c, change in altered.items()}
     signals = {c: RawSignal(c, None, v, UNITS.get(c, "s")) for c, v in {"t": t, **columns}.items()}
     named = {"time": {"source": "t"}, "channels": {c: {"source": c} for c in columns}}
     made = assemble_drive(TableRecording("a.csv", Path("a.csv"), signals), map_from_mapping(named), planted.vehicle)
-    told = [f.text for f in made.quality.consistency.findings if f.check == "stopped"]
-    assert len(told) == kept
-    if kept:
-        assert f"{channel} stands still 1 time" in told[0] and "from t = 10.0 to 12.0 s" in told[0]
+    return [f.text for f in made.quality.consistency.findings if f.check == "stopped"]
+
+
+@pytest.mark.parametrize("channel", list(NOISE))
+def test_a_channel_that_stands_still_while_the_car_moves_is_told(planted, channel):
+    """A bus repeats its last message, or a source failed for good: the channels were said to fit together."""
+
+    def from_to(start: float, end: float):
+        return lambda _, noisy, t: np.where((t >= start) & (t < end), noisy[int(100 * start)], noisy)
+
+    assert not standing(planted)
+    for start, end in ((10.0, 12.0), (25.0, 50.0)):
+        told = standing(planted, **{channel: from_to(start, end)})
+        assert len(told) == 1 and f"{channel} stands still 1 time" in told[0]
+        assert f"from t = {start:.1f} to {min(end, 40.0):.1f} s" in told[0]
+
+
+def test_a_channel_that_may_be_constant_does_not_stand_still(planted):
+    """Straight ahead without noise or within the resolution, at the limit of an actuator, in a steady turn."""
+
+    def steady(true, noisy, t):
+        return np.where((t > 10.0) & (t < 12.0), true[1000], true)
+
+    assert not standing(planted, r=lambda true, noisy, t: np.where((t > 10.0) & (t < 12.0), 0.0, true))
+    assert not standing(planted, **{c: lambda true, *_: np.round(true, 4) for c in ("r", "vy", "ay")})
+    assert not standing(planted, T=lambda true, noisy, t: np.minimum(noisy, 300.0))
+    assert not standing(planted, delta=steady, vx=steady)
+    assert len(standing(planted, r=steady)) == 1
 
 
 class OnTwoClocks(TableRecording):
@@ -370,3 +414,25 @@ def test_a_sensor_whose_stamps_are_of_another_clock_is_told_and_the_log_has_one_
     mapped = map_from_mapping({**entries, "time": {"clock": "log"}}, where="map")
     assert {"ax", "ay"} <= set(assemble_drive(recording, mapped, planted.vehicle).drive.columns)
     assert draft_map(OnTwoClocks(planted, late=0.02)).time == "# time: that of the messages"
+
+
+def test_the_channel_that_cuts_the_drive_short_is_named_and_so_is_the_origin_of_cuts(planted):
+    """Speed came 8 s late and the steer angle ended at 30 s: 55 % became rows, and nothing said why."""
+    rng, spans = np.random.default_rng(5), {"vx": (8.0, 40.0), "delta": (0.0, 30.0)}
+    signals = {}
+    for channel, sigma in NOISE.items():
+        t = np.arange(*spans.get(channel, (0.0, 40.0)), 0.01)
+        values = planted.at(channel, t) + sigma * rng.standard_normal(len(t))
+        if channel == "r":
+            values[2000:2500] = values[2000]
+        signals[channel] = RawSignal(channel, t, values, UNITS[channel])
+    recording = TableRecording("a.mf4", Path("a.mf4"), signals)
+    named = map_from_mapping({"channels": {c: {"source": c} for c in NOISE}})
+    quality = assemble_drive(recording, named, planted.vehicle).quality
+    assert "vx begins 8.0 s after the other channels that a drive needs" in quality.warnings
+    assert "delta ends 10.0 s before the other channels that a drive needs" in quality.warnings
+    told = next(f.text for f in quality.consistency.findings if f.check == "stopped")
+    assert "from t = 12.0 to 17.0 s" in told
+    assert any("t = 0 is 8.00 s after the recording's first sample" in text for text in quality.warnings)
+    cut = assemble_drive(recording, named, planted.vehicle, IngestSettings(cuts=((19.9, 25.1),)))
+    assert not [f for f in cut.quality.consistency.findings if f.check == "stopped"]

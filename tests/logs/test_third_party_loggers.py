@@ -226,6 +226,14 @@ def test_ticks_of_ten_microseconds_are_told_as_the_clock_and_not_as_four_scales(
     assert "CHECK" not in straight.time
 
 
+def test_a_clock_of_xsens_counts_tenths_of_milliseconds(planted, tmp_path):
+    t, c = planted
+    names = ("X", "Y", "yaw", "vx", "r", "ax", "ay")
+    draft = table(tmp_path / "a.csv", {"SampleTimeFine": 51_234_567 + np.round(t * 1e4), **{n: c[n] for n in names}})
+    assert draft.time == "time: {source: SampleTimeFine, unit: 0.1ms}"
+    assert {draft.of(n).status for n in ("vx", "r", "ay")} <= {"judged", "unsided"}
+
+
 def test_files_of_other_programs_are_named_with_the_way_out(tmp_path):
     for name, head, told in (
         ("a.zip", b"PK\x03\x04", "zip"),

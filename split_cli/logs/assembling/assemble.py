@@ -17,6 +17,7 @@ from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.moving_to_cg import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport
 from split_cli.logs.assembling.resample import SampleClock
+from split_cli.logs.assembling.standstills import standstills, stopped
 from split_cli.logs.assembling.synchronize import (
     Channels,
     bring_to_clock,
@@ -29,7 +30,7 @@ from split_cli.logs.assembling.synchronize import (
     without_absent,
     without_missing,
 )
-from split_cli.logs.assembling.trim import trim
+from split_cli.logs.assembling.trim import first_sample, trim
 from split_cli.logs.checking.channel_delays import DelayEstimate, estimate_delays
 from split_cli.logs.checking.checks import NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
@@ -46,6 +47,8 @@ MOST_CHECKED = 2**20
 """Rows in the middle of a drive whose channels are checked against each other: hours show any wrong unit."""
 _MOST_BESIDE_A_CLOCK = 3
 """Findings that are told beside a clock in another unit [1]: an error is a line."""
+_SAME_START = 0.01
+"""Within which a drive begins with its recording: as exactly as times are told [s]."""
 _DELAY_PASSES = 6
 """At most so many; identities of three channels are right only once all three are in time."""
 
@@ -149,6 +152,7 @@ def _assemble(
     paused = _pauses(delayed, series) if joined else 0.0
     del delayed
     resumed = resumptions(series, gap)
+    zero = first_sample(series)
     series, trimmed = trim(series, settings.start, settings.end, settings.cuts, gap)
     gathered = replace(gathered, series={})  # each stage lets go of what the one before held
     widened = settings.gap is None
@@ -160,6 +164,14 @@ def _assemble(
     if settings.estimate_delays:
         channels, estimates = _apply_delays(channels, settings, vehicle, recording.name)
     grid, too_short = lay_grid(channels, settings.rate, recording.name)
+    cut_short = channels.cut_short()
+    standing = [
+        one
+        for channel, parts in channels.clean.items()
+        for part, mode in zip(parts, channels.modes[channel], strict=True)
+        if mode != "held"
+        for one in standstills(part)
+    ]
     columns, noise, qualities = bring_to_clock(channels, grid)
     grid, columns, dropped = without_missing(grid, columns, needed)
     unusable += without_absent(channels, columns, grid, recording.clocks)
@@ -171,6 +183,9 @@ def _assemble(
         warnings.append(f"{too_short + dropped} rows of stretches too short to use were left out")
     drive = _drive(recording, grid, columns)
     consistency = _checked(drive, vehicle, kinds, signal_map, settings, warnings)
+    failed = stopped(standing, drive, float(grid.time[0]))
+    consistency = replace(consistency, findings=(*consistency.findings, *failed))
+    warnings += _beginning(consistency, float(grid.time[0]) - zero)
     quality = QualityReport(
         channels=tuple(qualities),
         segments=len(slices_of(grid.segment)),
@@ -186,6 +201,7 @@ def _assemble(
         warnings=(
             *warnings,
             *channels.bridged(),
+            *cut_short,
             *unusable,
             *(f"{n.where}: {f'{n.count} x ' * (n.count > 1)}{n.what}" for n in recording.notes),
         ),
@@ -241,6 +257,13 @@ def _checked(
     late, unseen = late_channels(checked, vehicle, measured, consistency)
     findings, unjudged = (*consistency.findings, *late), (*consistency.unjudged, *unseen)
     return replace(consistency, findings=findings, unjudged=unjudged)
+
+
+def _beginning(found: Consistency, offset: float) -> list[str]:
+    """Say from where ``--cut`` counts, `offset` [s] before the drive, where a finding advises it."""
+    if abs(offset) < _SAME_START or not any("--cut" in finding.text for finding in found.findings):
+        return []
+    return [f"t = 0 is {offset:.2f} s after the recording's first sample, from which --start, --end and --cut count"]
 
 
 def _sources(recording: RawRecording) -> tuple[Source, ...]:
@@ -317,6 +340,8 @@ def _way_to(channel: str, signal_map: SignalMap, reached: Collection[str]) -> st
     ways = [name for name, entry in DERIVATIONS.items() if channel in entry.makes and channel not in entry.needs]
     ways = [name for name in ways if name.replace("-", "_") in signal_map.derivations] or ways
     possible = [name for name in ways if can_derive(name, channel, reached)]
+    if channel == "delta" and "steering_wheel_angle" in reached:
+        return "delta: map the steering wheel's angle once more, with `scale: 1/RATIO`."
     if possible or not ways:
         derived = f", or derive it with --derive {' or '.join(possible)}" if possible else ""
         return f"{channel}: map a recorded signal{derived}."

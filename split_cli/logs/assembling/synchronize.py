@@ -31,6 +31,9 @@ receivers and of many loggers, with a quarter for jitter. What is slower misses 
 BRIDGED_SAMPLES = 2.5
 """Over which such a channel is bridged [1]: one lost sample, with a quarter of a step for jitter."""
 
+_COSTLY = 0.05
+"""Share of what is recorded that one channel cuts off, from which on it is told [1]: judgement."""
+
 
 @dataclass(frozen=True)
 class Channels:
@@ -68,6 +71,17 @@ class Channels:
                     note = f"at {1.0 / part.period:.3g} Hz: steps up to {gap:.2g} s are bridged (--gap)"
                     slow.setdefault(note, {})[channel] = None
         return [f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()]
+
+    def cut_short(self) -> list[str]:
+        """Return in words which needed channel begins or ends the drive, where it costs much of the others."""
+        parts = [part for channel in self.needed for part in self.clean[channel] if not part.on_change]
+        spans = {part.channel: (part.time[0], part.time[-1]) for part in parts}
+        latest, soonest = max(spans, key=lambda c: spans[c][0]), min(spans, key=lambda c: spans[c][1])
+        late = spans[latest][0] - min(begin for begin, _ in spans.values())
+        early = max(end for _, end in spans.values()) - spans[soonest][1]
+        whole = max(end for _, end in spans.values()) - min(begin for begin, _ in spans.values())
+        losses = [(late, f"{latest} begins {late:.1f} s after"), (early, f"{soonest} ends {early:.1f} s before")]
+        return [f"{text} the other channels that a drive needs" for cost, text in losses if cost > _COSTLY * whole]
 
 
 def clean_channels(

@@ -12,6 +12,12 @@ from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.scratch import set_aside
 
 
+def first_sample(series: Mapping[str, Sequence[RawSeries]]) -> float:
+    """Return the time of a recording's first sample [s]."""
+    every = [part.time for parts in series.values() for part in parts]
+    return min(float(np.nanmin(time)) for time in every if np.isfinite(time).any())
+
+
 def trim(
     series: Mapping[str, Sequence[RawSeries]],
     start: float | None,
@@ -54,8 +60,7 @@ def trim(
         if not last - first > gap:
             advice = "Widen the cut, or give a smaller --gap."
             raise MapError(f"the cut {first:g}:{last:g} is not longer than the gap of {gap:g} s", advice=advice)
-    every = [part for parts in series.values() for part in parts]
-    zero = min(float(np.nanmin(part.time)) for part in every if np.isfinite(part.time).any())
+    zero = first_sample(series)
     made: dict[str, tuple[RawSeries, ...]] = {}
     for channel, parts in series.items():
         kept = []

@@ -9,7 +9,7 @@ from split_cli.logs.checking.changed_clock import changed_clock
 from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudged
 from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
-from split_cli.logs.checking.jumps import jumps, stopped
+from split_cli.logs.checking.jumps import jumps
 from split_cli.logs.checking.measuring_point import place_of_lateral_velocity
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
@@ -137,7 +137,7 @@ def _fine(
         judged = not {"vy", "time"} & set(wrong)  # what accelerating takes hangs on them
         sides = torque_sides(finer, wrong, any(f.channel == "T" for f in findings)) if judged else []
         # Where they differ, no one factor puts T right.
-        findings = [f for f in findings if not sides or f.channel != "T"] + [*jumps(finer), *stopped(finer), *sides]
+        findings = [f for f in findings if not sides or f.channel != "T"] + [*jumps(finer), *sides]
     if not {"vx", "r"} & set(wrong):
         across_is_right = not {"ay", "vy"} & set(wrong)
         placed = place_of_lateral_velocity(finer, across_is_right)

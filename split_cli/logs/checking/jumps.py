@@ -1,4 +1,4 @@
-"""Jumps and standstills of a channel that no car makes: it was moved, or its sensor failed there."""
+"""Jumps of a channel that no car makes: it was moved, or its sensor failed there."""
 
 import numpy as np
 
@@ -13,11 +13,6 @@ _SECONDS = 0.2
 _BEYOND_GRIP = 2.0
 """Of what the vehicle file's tyres carry [1]: slopes, downforce and a file of too little grip stay within it."""
 _SHOWN = 3
-_REPEATED = 0.05
-"""Share of rows that repeat the one before, below which a channel changes with every row [1]: one whose noise is
-far above its resolution, or a simulated one. Judgement."""
-_SAME = 1e-9
-"""Of a channel's standard deviation, within which two rows are equal [1]: what filters and units round."""
 
 
 def in_jumps(drive: Drive, vehicle: Vehicle) -> np.ndarray:
@@ -65,32 +60,6 @@ def jumps(checks: Checks) -> list[ConsistencyFinding]:
     return found
 
 
-def stopped(checks: Checks) -> list[ConsistencyFinding]:
-    """Count where r, v_y or a_y keeps one value while the car's motion changes: a bus that repeats its last message.
-
-    Only a channel that elsewhere changes with every row tells it. At 0 a car may go straight, as simulated ones do.
-    """
-    found, k = [], checks.k
-    rows = max(1, round(_SECONDS / k.period))
-    moving = [c for c in ("vx", "vy", "r", "ay") if checks.usable(c)]
-    same = {c: np.abs(np.diff(k.columns[c])) <= _SAME * np.std(k.columns[c]) for c in moving}
-    for channel in (c for c in moving if c != "vx"):
-        edges = np.flatnonzero(np.diff(same[channel], prepend=False, append=False)).reshape(-1, 2)
-        # A late channel keeps its first value, or its last: nothing of it is recorded there.
-        kept = [slice(a, b) for a, b in edges if b - a >= rows and a > 0 and b < len(same[channel])]
-        elsewhere = np.ones(len(same[channel]), dtype=bool)
-        for run in kept:
-            elsewhere[run] = False
-        if np.mean(same[channel][elsewhere]) > _REPEATED:
-            continue
-        values, others = k.columns[channel], [c for c in moving if c != channel]
-        kept = [run for run in kept if values[run.start] and min(same[c][run].mean() for c in others) < _REPEATED]
-        shown = [f"{values[r.start]:.3g} from t = {k.times()[r.start]:.1f} to {k.times()[r.stop]:.1f} s" for r in kept]
-        what = "it keeps one value while the other channels change"
-        found += _finding(channel, f"{channel} stands still", what, shown, "stopped")
-    return found
-
-
 def _change(values: np.ndarray, rows: int) -> np.ndarray:
     return values[rows:] - values[: len(values) - rows]
 
@@ -107,13 +76,12 @@ def _places(checks: Checks, change: np.ndarray, limit: float, rows: int) -> list
     return places
 
 
-def _finding(channel: str, who: str, what: str, places: list[str], check: str = "jump") -> list[ConsistencyFinding]:
+def _finding(channel: str, who: str, what: str, places: list[str]) -> list[ConsistencyFinding]:
     if not places:
         return []
     shown = "; ".join([*places[:_SHOWN], *([f"and {len(places) - _SHOWN} more"] if len(places) > _SHOWN else [])])
-    cause = "The car was put elsewhere, or its source" if check == "jump" else "Its sensor or bus"
     text = (
-        f"{who} {len(places)} time{'s' * (len(places) > 1)}: {what} ({shown}). {cause} failed. Leave these stretches "
-        "out with `--cut A:B`, or map another source."
+        f"{who} {len(places)} time{'s' * (len(places) > 1)}: {what} ({shown}). The car was put elsewhere, or its "
+        "source failed. Leave these stretches out with `--cut A:B`, or map another source."
     )
-    return [ConsistencyFinding(check, channel, text, float(len(places)), None)]
+    return [ConsistencyFinding("jump", channel, text, float(len(places)), None)]

@@ -29,7 +29,8 @@ class ConsistencyFinding:
     """Something that does not fit together."""
 
     # ``scale``, ``sign``, ``hand``, ``bias on straights``, ``place``, ``direction``, ``swapped``, ``world``,
-    # ``constant``, ``copied``, ``range``, ``contradiction``, ``course``, ``clock``, ``uneven``, ``factor``.
+    # ``constant``, ``copied``, ``range``, ``contradiction``, ``course``, ``clock``, ``uneven``, ``factor``,
+    # ``stopped``.
     check: str
     channel: str  # the one to look at
     text: str  # what was measured, what it probably is, and what to do

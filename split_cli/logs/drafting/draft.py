@@ -115,6 +115,7 @@ def render_draft(draft: Draft, name: str) -> str:
     if missing:
         lines.append(f"# Required and not found: {', '.join(missing)}.")
     lines += [f"# {text}" for text in _ways(missing, mapped, {s.channel for s in draft.suggestions} - mapped)]
+    lines += [f"# {text}" for text in lines_on_runs(draft)]
     if draft.undefined:
         shown = ", ".join(draft.undefined[:12])
         lines.append(f"# Types that the recording does not define: {shown}. Give their .msg files: --msg-path.")
@@ -144,6 +145,24 @@ def lines_on_presets(presets: Sequence[str]) -> tuple[str, ...]:
         return ()
     fit = f"preset {presets[0]} fits" if len(presets) == 1 else f"presets {', '.join(presets)} fit"
     return (f"The {fit} this log: --map {presets[0]} can replace this draft. --list-maps says what it is for.",)
+
+
+def lines_on_runs(draft: Draft) -> tuple[str, ...]:
+    """Return in a sentence that an array of structures holds further runs; nothing where it does not."""
+    mapped = [name for s in draft.suggestions if s.status != "open" for name in s.sources]
+    taken, unused = (
+        [match for name in names if (match := re.fullmatch(r"(.+)\[(\d+)\]\.(.+)", name))]
+        for names in (mapped, draft.unused)
+    )
+    fields = {(one[1], one[3]) for one in taken}
+    others = in_ranges([*dict.fromkeys(f"{one[1]}[{one[2]}]" for one in unused if (one[1], one[3]) in fields)])
+    if not others:
+        return ()
+    chosen = ", ".join(sorted({f"{one[1]}[{one[2]}]" for one in taken}))
+    return (
+        f"The map takes {chosen}; {', '.join(others)} {'has' if len(others) == 1 else 'have'} the same fields. "
+        "Each that is another run needs a copy of the map with its number.",
+    )
 
 
 _NOTES = {

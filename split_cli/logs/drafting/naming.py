@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from split_cli.logs.drafting.vocabulary import concepts_of, read_concepts, tokens_of, unfolded
+from split_cli.logs.drafting.vocabulary import CORNERS, concepts_of, read_concepts, tokens_of, unfolded
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.signals import TWO_WORDS, find_unit
 
@@ -141,7 +141,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
             f"wheel_speed_{c}",
             3,
             r"(wheel_?(speed_?|spd_?|vel\w*_?)?|w_?|ws_?|wspd_?|whl_?spd_?|v_?wheel_?|omega_?)?"
-            rf"{p}(_?(whl\w*|wheel\w*|ws))?(_?(spd|speed))?",
+            rf"{p}(_?(whl[a-z]*|wheel[a-z]*|ws))?(_?(spd|speed))?",
         )
         for c, p in _CORNER.items()
     ),
@@ -226,14 +226,14 @@ def words_of(name: str) -> list[str]:
 
     Of a message's field its last part counts, or the topic where the field is only ``data``; of a field of a
     structure or a file (``imu.yawRate``) the last part, with the one before where the last only says a direction
-    (``velocity.longitudinal``).
+    (``velocity.longitudinal``), or a wheel (``wheel_torque_nm.fl``), which then stands in front.
     """
     tail = name = _signal_of(unfolded(name))
     if name.startswith("/"):
         topic, tail = name.rsplit("/", 1)
         if tail.lower() in ("data", "value"):
             tail = topic.rsplit("/", 1)[-1]
-    parts = re.split(r"(?<=[\w\]])\.(?=[A-Za-z])", tail)
+    parts = re.split(r"(?<=[\w\]])\.(?=[A-Za-z])", _wheel_in_front(tail))
     # Of orientation.w the w alone says nothing.
     tail = "_".join(parts[-2:]) if len(parts[-1]) == 1 or _directs(parts) else parts[-1]
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", tail)
@@ -248,6 +248,14 @@ def _signal_of(name: str) -> str:
     bare = re.sub(r"^[0-9A-F]{2} - ", "", name.split("\\")[0] or name)
     bare = bare.rpartition("::")[2] or bare
     return bare if bare.startswith("/") else re.sub(r"(?<=\w)\.([Dd]ata|[Vv]alues?)$", "", bare)
+
+
+def _wheel_in_front(address: str) -> str:
+    """Return an address whose last part only names a wheel or axle, with that in front."""
+    parts = address.split(".")
+    if len(parts) > 1 and concepts_of(tokens_of(parts[-1]))[0] in [{place} for place in (*CORNERS, "front", "rear")]:
+        parts[-2:] = [f"{parts[-1]}_{parts[-2]}"]
+    return ".".join(parts)
 
 
 def _directs(parts: list[str]) -> bool:
@@ -323,9 +331,9 @@ def stated_unit(info: RawChannelInfo) -> str | None:
 def _own_part(info: RawChannelInfo) -> str:
     """Return the part of an address that names the quantity: the field of a message, else the whole name."""
     if not info.name.startswith("/"):
-        return _signal_of(info.name)
+        return _wheel_in_front(_signal_of(info.name))
     topic, field = info.name.rsplit("/", 1)
-    return topic.rsplit("/", 1)[-1] if field.lower() in ("data", "value") else field
+    return _wheel_in_front(topic.rsplit("/", 1)[-1] if field.lower() in ("data", "value") else field)
 
 
 def spelled_without_unit(info: RawChannelInfo) -> str:

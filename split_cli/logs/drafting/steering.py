@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.logs.checking.kinematics import fit_linear, fit_slope, robust_spread
-from split_cli.logs.drafting.draft import Suggestion
+from split_cli.logs.drafting.draft import Suggestion, quoted
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
@@ -129,7 +129,7 @@ def read_steering(
             found = chosen["steering_wheel_angle"]
             if reach is not None and found.unit != wheel.unit and wheel.unit == "deg":
                 reach *= np.pi / 180.0
-            by_ratio = Suggestion("delta", wheel.sources, status="open", reason=_ratio(reach, wheel.unit, vehicle))
+            by_ratio = Suggestion("delta", wheel.sources, status="open", reason=_ratio(reach, wheel, vehicle))
     if "delta" in chosen:
         drafted.append(_road_wheel(chosen["delta"], columns, vehicle))
     if by_ratio is not None and not any(s.channel == "delta" and s.status != "open" for s in drafted):
@@ -139,7 +139,7 @@ def read_steering(
 
 def _share(s: Suggestion, columns: Mapping[str, np.ndarray]) -> str:
     """Say of steering in per cent how it becomes an angle."""
-    text = "a share of the steering's lock, no angle: {source: ..., unit: rad, scale: ANGLE/100} with the"
+    text = f"a share of the steering's lock, no angle: write {_line(s, 'rad', 'ANGLE/100')} with the"
     text += " road wheels' angle at 100 %"
     reach = apparent_wheelbase(columns[s.channel], columns) if s.channel in columns else None
     if reach is None:
@@ -201,8 +201,8 @@ def _read_size(size: float) -> tuple[str, bool]:
     return "", False
 
 
-def _ratio(reach: float | None, unit: str | None, vehicle: Vehicle | None) -> str:
-    text = f"the steering wheel's angle: {{source: ..., unit: {unit or 'rad'}, scale: 1/RATIO}} with its ratio"
+def _ratio(reach: float | None, wheel: Suggestion, vehicle: Vehicle | None) -> str:
+    text = f"the steering wheel's angle: write {_line(wheel, wheel.unit or 'rad', '1/RATIO')} with its ratio"
     if reach is None:
         return text
     turned = " and a minus sign" if reach < 0 else ""
@@ -234,16 +234,21 @@ def _road_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], vehicle: Vehic
         reason = f"{size:.3g} m of angle over curvature is a wheelbase{hand}"
         return replace(s, status="judged", reason=reason, **turned)
     if size >= _SHORTEST_STEERING_WHEEL:
-        return s.left_open(_ratio(reach, s.unit, vehicle))
-    return s.left_open(_between(reach, s.unit))
+        return s.left_open(_ratio(reach, s, vehicle))
+    return s.left_open(_between(reach, s))
 
 
-def _between(reach: float, unit: str) -> str:
+def _line(s: Suggestion, unit: str, scale: str) -> str:
+    """Return the line of a map that makes a recorded angle or share that of the road wheels."""
+    return f"`delta: {{source: {quoted(s.sources[0])}, unit: {unit}, scale: {scale}}}`"
+
+
+def _between(reach: float, s: Suggestion) -> str:
     """Say of a size that a small car's steering wheel has, or a lorry's road wheels, what to write for each."""
     sign = "-" if reach < 0 else ""
     return (
         f"{abs(reach):.3g} m of angle over curvature: more than a wheelbase, little for a steering wheel. "
-        f"If it is the steering wheel's, {{source: ..., unit: {unit}, scale: {sign}1/RATIO}}, its ratio being "
+        f"If it is the steering wheel's, write {_line(s, s.unit or 'rad', f'{sign}1/RATIO')}, its ratio being "
         "that over the wheelbase; if the road wheels', leave the scale out"
     )
 
@@ -288,7 +293,7 @@ def _without_unit(
             return s.left_open(why)
         if unit:
             reach = (-size if turned else size) * find_unit(unit).factor
-            return replace(s, unit=unit, status="open", reason=_ratio(reach, unit, None))
+            return replace(s, unit=unit, status="open", reason=_ratio(reach, replace(s, unit=unit), None))
     if not is_full_size(columns) and re.search("ang|tire|tyre", named) and 0.05 < size < 1.8:
         reason = f"unit not stated, rad assumed: {size:.3g} m over curvature may be a small car's wheelbase{hand}"
         return replace(s, unit="rad", status="assumed", reason=reason, **turned)

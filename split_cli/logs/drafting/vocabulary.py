@@ -95,7 +95,7 @@ _WORDS: dict[str, str] = {
     ),
 }
 _CONCEPT = {word: concept for concept, words in _WORDS.items() for word in words.split()}
-_CORNERS = ("fl", "fr", "rl", "rr")
+CORNERS = ("fl", "fr", "rl", "rr")
 _FOLD = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ψ": "psi", "β": "beta", "δ": "delta"})
 _PARTS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 _SIDES = ("left", "right")
@@ -149,7 +149,7 @@ def _segmented(word: str) -> tuple[str, ...]:
         for start in range(end):
             head, part = best[start], word[start:end]
             is_axis = part in _AXES and end == len(word) and start > 2
-            fits = part in _CONCEPT and (len(part) > 2 or part in (*_CORNERS, "rt", "tq") or is_axis)
+            fits = part in _CONCEPT and (len(part) > 2 or part in (*CORNERS, "rt", "tq") or is_axis)
             # German joins words with an s.
             if part == "s" and start > 0 and end < len(word):
                 fits = True
@@ -187,9 +187,9 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
             if {end, hand} <= concepts:
                 concepts -= {end, hand}
                 concepts.add(end[0] + hand[0])
-    if "rpm" in words and concepts & {*_CORNERS}:
+    if "rpm" in words and concepts & {*CORNERS}:
         concepts, known_words = concepts | {"wheel"}, known_words + 1  # what turns at a corner is a wheel
-    if {"steer", "wheel"} <= concepts and not concepts & {"road", "front", *_CORNERS}:
+    if {"steer", "wheel"} <= concepts and not concepts & {"road", "front", *CORNERS}:
         concepts = (concepts - {"steer", "wheel"}) | {"handwheel"}
     if "rotation" in concepts:
         # Of an axis it is a rate; the rotation called yaw is an angle beside pitch and roll (CARLA).
@@ -202,8 +202,8 @@ def concepts_of(words: list[str]) -> tuple[set[str], int]:
 def place_and_rest(name: str) -> tuple[str, tuple[str, ...]]:
     """Return the wheel or axle that a name is of, empty where it says none, and its other words."""
     words = tokens_of(name)
-    place = next(iter(sorted(concepts_of(words)[0] & {*_CORNERS, "front", "rear"})), "")
-    rest = tuple(w for w in words if _CONCEPT.get(w) not in (*_CORNERS, "front", "rear", *_SIDES))
+    place = next(iter(sorted(concepts_of(words)[0] & {*CORNERS, "front", "rear"})), "")
+    rest = tuple(w for w in words if _CONCEPT.get(w) not in (*CORNERS, "front", "rear", *_SIDES))
     return place, rest
 
 
@@ -249,7 +249,7 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
 
 def _motion(c: set[str]) -> tuple[str, int] | None:
     """Return velocity, acceleration, yaw, yaw rate, position or wheel speed; see `read_concepts`."""
-    corner = next((name for name in _CORNERS if name in c), None)
+    corner = next((name for name in CORNERS if name in c), None)
     if c & {"steer", "handwheel", "torque", "throttle", "brake", "pressure", "current", "engine"}:
         return None
     if corner is not None:
@@ -308,7 +308,7 @@ def _velocity(c: set[str]) -> tuple[str, int] | None:
 
 def _input(c: set[str]) -> tuple[str, int] | None:
     """Return steering, torque, pedal or pressure; see `read_concepts`."""
-    corner = next((name for name in _CORNERS if name in c), None)
+    corner = next((name for name in CORNERS if name in c), None)
     if "pressure" in c:
         return ("brake_pressure", 3) if "brake" in c else None
     if "torque" in c:

@@ -35,7 +35,7 @@ def sums_of_torques(found: Sequence[TrialCandidate]) -> list[TrialCandidate]:
 
 
 def note_on_part(sources: Sequence[str]) -> str:
-    """Return what to say of a torque that is that of one axle, empty where it is the whole car's.
+    """Return what to say of a torque that is that of one axle or of a list, empty where it is the whole car's.
 
     Parameters
     ----------
@@ -46,6 +46,8 @@ def note_on_part(sources: Sequence[str]) -> str:
     known = {place for place in places if place}
     if len(sources) == 2 and {_AXLE_OF[place] for place in known} != {"front", "rear"}:
         return "sum of two wheels: those of the other axle may drive or brake too"
+    if len(sources) == 1 and sources[0].endswith("[0]"):
+        return "the first of a list: the others may be those of other wheels or axles, `sum:` adds them"
     if len(sources) == 1 and known:
         which = _AXLE_OF[known.pop()]
         return f"of the {which} axle alone: the other may drive or brake too"

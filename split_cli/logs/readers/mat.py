@@ -256,15 +256,29 @@ class _Hdf5:
                 self.objects.append(name)
             elif isinstance(item, h5py.Group):
                 self.collect(item, name + ".", depth + 1)
+            elif isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype:
+                self._follow(item, prefix, key, depth)
             elif isinstance(item, h5py.Dataset):
                 self._read(item, name, unit)
 
-    def _read(self, item: Any, name: str, unit: str) -> None:
-        if item.attrs.get("MATLAB_class", b"") in (b"cell", "cell") and 1 < item.size <= _MOST_COLUMNS:
-            texts = [_text_hdf5(item.file[ref]) for ref in np.ravel(item[()]) if ref]
-            if len(texts) == item.size and all(texts):
-                self.leaves.append((name, np.array(texts)))
+    def _follow(self, item: Any, prefix: str, key: str, depth: int) -> None:
+        """Collect what references lead to: cells, or one field of all elements of an array of structures."""
+        import h5py
+
+        is_cell = item.attrs.get("MATLAB_class", b"") in (b"cell", "cell")
+        found = [item.file[ref] for ref in np.ravel(item[()])[:_MOST_COLUMNS] if ref]
+        texts = [_text_hdf5(one) for one in found]
+        if is_cell and len(found) > 1 and all(texts):
+            self.leaves.append((f"{prefix}{key}", np.array(texts)))
             return
+        for index, one in enumerate(found):
+            name = f"{prefix}{key}[{index}]" if is_cell or not prefix else f"{prefix[:-1]}[{index}].{key}"
+            if isinstance(one, h5py.Group) and h5py.h5o.get_info(one.id).addr not in self._seen:
+                self.collect(one, name + ".", depth + 1)
+            elif isinstance(one, h5py.Dataset) and one.dtype != h5py.ref_dtype:
+                self._read(one, name, "")
+
+    def _read(self, item: Any, name: str, unit: str) -> None:
         if item.dtype.kind not in "biuf" or item.attrs.get("MATLAB_empty", 0) or item.ndim > 2:
             return
         if item.attrs.get("MATLAB_class", b"") in (b"char", "char"):

@@ -245,7 +245,8 @@ def _problem_of(
     blocks = len(np.unique(block))
     if len(slip_angle) < _MINIMUM_SAMPLES or blocks < _MINIMUM_BLOCKS:
         what = f"{len(slip_angle)} usable samples in {blocks} blocks of time are too few for the {axle} tyres"
-        advice = f"At least {_MINIMUM_SAMPLES} samples in {_MINIMUM_BLOCKS} blocks are needed."
+        advice = f"At least {_MINIMUM_SAMPLES} samples in {_MINIMUM_BLOCKS} blocks are needed: give several drives, "
+        advice += "or train with the tyres of the vehicle file."
         raise VehicleError(what, advice=advice)
     largest = max(largest_force, 0.9 * float(np.quantile(np.abs(force), 0.995)), 1e-9)
     lower = np.array([np.log(0.02 * static_load), np.log(largest), _C_BOUNDS[0], -0.1])

@@ -9,7 +9,7 @@ from typing import Any
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
 from split_cli.logs.assembling.derivations import DERIVATIONS, derivations_for
-from split_cli.logs.drafting.draft import in_ranges, lines_on_presets
+from split_cli.logs.drafting.draft import in_ranges, lines_on_presets, lines_on_runs
 from split_cli.logs.drafting.nameless import has_no_name
 from split_cli.logs.drafting.several_logs import agreed_draft
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
@@ -103,7 +103,7 @@ class InitResult:
                 "which it drives."
             )
         yield f"Fill in the empty values of {self.vehicle_path}."
-        yield from lines_on_presets(self.draft.presets)
+        yield from (*lines_on_presets(self.draft.presets), *lines_on_runs(self.draft))
         if check := [s.channel for s in self.draft.suggestions if s.status == "assumed"]:
             yield f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}."
         if self.draft.time.startswith("# time: {period"):
