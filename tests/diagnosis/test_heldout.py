@@ -8,7 +8,7 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, fitted_alone, hold_out
+from split_cli.diagnosis.verdict.heldout import HeldOut, explained_by, explained_shares, fitted_alone, hold_out
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
 
@@ -56,14 +56,30 @@ def test_shares_of_a_pair_are_those_of_each_effect_alone(paired):
     assert 0.05 < alone[0] / alone.sum() < 0.95
     # What is left after both is noise; the floor takes it off, known to some percent of what effects do.
     np.testing.assert_allclose(shares, alone / alone.sum(), atol=0.04)
-    assert explained_together(split, fit, (True, True)) == pytest.approx(1.0, abs=0.04)
-    assert explained_together(split, fit, (True, False)) == pytest.approx(shares[0])
-    assert explained_together(split, fit, (False, False)) is None
+    assert explained_by(split, fit, fit.terms) == pytest.approx(1.0, abs=0.04)
+    assert explained_by(split, fit, fit.terms[:1]) == pytest.approx(shares[0], abs=0.04)
+    assert explained_by(split, fit, ()) is None
+
+
+def test_names_explain_what_they_take_by_themselves_though_a_nameless_part_could_take_it(paired):
+    """Rolling resistance can stand for most of the drag: removed last, the drag seems to explain little of it."""
+    split = split_of(paired)
+    fit = fitted(split.training, "aero_drag", "rolling_resistance", "yaw_inertia")
+    drag_last, _, inertia_last = explained_shares(split, fit)
+    named = fitted_alone(split.training, fit, (True, False, True), (drag_of(0.5, 0.2, 0.8), inertia_of(1.12)))
+    terms = tuple(part.term for part in named)
+    assert explained_by(split, fit, terms) == pytest.approx(1.0, abs=0.04)
+    assert drag_last + inertia_last < 0.9
 
 
 def drag_of(value: float, low: float, high: float) -> Finding:
     told = {"drag": ParameterEstimate(value, 0.1, "N/(m/s)^2", (low, high))}
     return Finding("aero_drag", "", told, 0.5, (), "Said.", 1.0)
+
+
+def inertia_of(value: float) -> Finding:
+    told = {"scale": ParameterEstimate(value, 0.01, "1", (value - 0.05, value + 0.05))}
+    return Finding("yaw_inertia", "", told, 0.5, (), "Said.", 1.0)
 
 
 def test_a_name_alone_takes_what_it_explains_most_with_within_its_interval(paired):

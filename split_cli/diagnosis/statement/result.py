@@ -196,8 +196,8 @@ class RemainderTest:
     formula : str
         The best sparse formula as a lead; empty when the remainder is noise.
     explained : float or None
-        Share of the held-out squared error above the noise floor that returns when all findings are removed [1];
-        None where it was not measured.
+        Share of the held-out squared error above the noise floor that all findings take by themselves [1]; None
+        where it was not measured.
     """
 
     p_value: float

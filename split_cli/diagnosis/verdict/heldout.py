@@ -12,6 +12,7 @@ from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.statement.result import Finding
+from split_cli.vehicle.effects import Term
 
 
 @dataclass(frozen=True)
@@ -127,16 +128,35 @@ def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
     return tuple(_share(split, fit, fit.parts[:k] + fit.parts[k + 1 :]) for k in range(len(fit.parts)))
 
 
-def explained_together(split: HeldOut, fit: Fit, named: Sequence[bool]) -> float | None:
-    """Return the same share [1] for all named parts at once, where enough was kept out."""
-    if split.testing is None or not any(named):
+def explained_by(split: HeldOut, fit: Fit, terms: Sequence[Term]) -> float | None:
+    """Return which share [1] of the held-out squared error above the noise floor named terms take by themselves.
+
+    Parameters
+    ----------
+    fit : Fit
+        On the training rows, of all parts: what it leaves beyond noise is above the floor, too.
+    terms : sequence of Term
+        The named ones as they explain most without the others, see `fitted_alone`.
+
+    Returns
+    -------
+    float or None
+        Between 0 and 1; None where nothing has a name or too little was kept out.
+    """
+    if split.testing is None or not terms:
         return None
-    return _share(split, fit, tuple(part for part, one in zip(fit.parts, named, strict=True) if not one))
+    above, bare = _above_noise(split, fit)
+    return float(np.clip((bare - split.testing.cost(tuple(terms))) / above, 0.0, 1.0))
 
 
 def _share(split: HeldOut, fit: Fit, others: Sequence[Part]) -> float:
     """Return what of the held-out squared error above the noise floor returns where only `others` are fitted."""
-    full, bare = split.testing.cost(fit.terms), split.testing.cost(())
-    above = max(bare - min(full, float(len(split.testing.weight))), 1e-9)
+    above, bare = _above_noise(split, fit)
     without = split.testing.cost(fit_parts(split.training, tuple(others)).terms) if others else bare
-    return float(np.clip((without - full) / above, 0.0, 1.0))
+    return float(np.clip((without - split.testing.cost(fit.terms)) / above, 0.0, 1.0))
+
+
+def _above_noise(split: HeldOut, fit: Fit) -> tuple[float, float]:
+    """Return the held-out squared error above the noise floor, and with it, without any part."""
+    full, bare = split.testing.cost(fit.terms), split.testing.cost(())
+    return max(bare - min(full, float(len(split.testing.weight))), 1e-9), bare

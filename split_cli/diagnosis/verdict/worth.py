@@ -15,7 +15,7 @@ from split_cli.diagnosis.statement.improvement import CorrectedVehicle, Improvem
 from split_cli.diagnosis.statement.result import Finding, RemainderTest
 from split_cli.diagnosis.verdict.corrected import judge_corrected
 from split_cli.diagnosis.verdict.findings import with_shares
-from split_cli.diagnosis.verdict.heldout import HeldOut, explained_shares, explained_together, fitted_alone, hold_out
+from split_cli.diagnosis.verdict.heldout import HeldOut, explained_by, explained_shares, fitted_alone, hold_out
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import EffectSpec
@@ -99,7 +99,7 @@ def judge_names(fit: HeldOutFit, named: Sequence[bool], findings: Sequence[Findi
         corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
     return Worth(
         with_shares(findings, fit.whole, fit.shares),
-        replace(remainder, explained=explained_together(fit.split, fit.trained, named)),
+        replace(remainder, explained=explained_by(fit.split, fit.trained, terms)),
         fit.improvement(terms),
         corrected,
     )
