@@ -42,7 +42,7 @@ def test_the_pair_is_diagnosed_as_the_page_says(followed):
     # "14.8 % too weak", its interval on the page, and the vehicle file's excerpt.
     brakes = finding["parameters"]["brake_gain"]
     assert brakes["value"] == pytest.approx(0.852, abs=0.002)
-    stated = re.search(r"14\.8 %\s+too weak \(95 %\s+interval:\s+([\d.]+) to ([\d.]+) %\)", PAGE).groups()
+    stated = re.search(r"14\.8 % too weak \(95 %\s+interval:\s+([\d.]+) to ([\d.]+) %\)", PAGE).groups()
     ends = [100.0 * (1.0 - end) for end in reversed(brakes["interval_95"])]
     assert ends == pytest.approx([float(x) for x in stated], abs=0.2)
     (effect,) = yaml.safe_load((folder / "diagnosis" / "vehicle_corrected.yaml").read_text())["effects"]

@@ -134,7 +134,7 @@ class StepBar:
         self._shares, self._share, self.text = shares or {}, 0.0, ""
         self._watched = is_watched()
         self._in_place = self._watched and not isinstance(sys.stderr, Loud)
-        self._drawn, self._counted_from = (0, True), (0.0, 0.0)
+        self._drawn, self._counted_from = (0, 0), (0.0, 0.0)  # the step and the steps that are shown
         self._reached = (0.0, 0.0)  # the last share that differed from the one before, and when [s]
         self._over = threading.Event()
         self._drawing = threading.Lock()
@@ -174,8 +174,7 @@ class StepBar:
 
     def _line(self) -> str:
         """Return what is shown now."""
-        text, elapsed, (done, begun) = self.text, self._now() - self._begin, self._drawn
-        total = max(self._total, done + begun)
+        text, elapsed, (step, total) = self.text, self._now() - self._begin, self._drawn
         share, reached = self._reached
         spent, gone = self._counted_from
         if not total or not (self._total or self._shares):
@@ -185,7 +184,7 @@ class StepBar:
         whole = (reached - spent) / (share - gone) if share > gone else 0.0
         foreseen = whole * (1.0 - share) - (elapsed - reached)
         left = f", about {_span(foreseen)} left" if foreseen > 0.0 and share < 1.0 else ""
-        count = "" if self._shares else f" {done + begun}/{total}"
+        count = "" if self._shares else f" {step}/{total}"
         return f"{'█' * filled}{'░' * (_WIDTH - filled)}{count}  {_span(elapsed)}{left}  {text}"
 
     def close(self) -> None:
@@ -202,8 +201,9 @@ class StepBar:
 
     def _draw(self, begun: bool = True) -> None:
         with self._drawing:
-            self._drawn = (self._done, begun)
-            total = max(self._total, self._done + begun)
+            step = self._done + begun
+            total = max(self._total, step)
+            self._drawn = (step, total)
             share = self._share if self._shares else self._done / total if total else 0.0
             if share != self._reached[0]:
                 self._reached = (share, self._now() - self._begin)

@@ -102,10 +102,10 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
             sensors = {one.term for one in findings if not one.exported}
             kept &= sensors | _stays_beside(objective, selection, findings, scales)
         vague |= doubted
-    by_names = _left_by_names(structure, selection, variance_inflation)
-    if findings and not unexplained and by_names.p_value < objective.policy.selection.level:
-        unexplained = by_names.effect_to_noise > _large(outcome)
-        remainder = by_names if unexplained else remainder
+    if findings and not (unexplained or all(selection.named)):
+        by_names = _left_by_names(structure, selection, variance_inflation)
+        if by_names.p_value < objective.policy.selection.level and by_names.effect_to_noise > _large(outcome):
+            unexplained, remainder = True, by_names
     return Description(selection, findings, remainder, unexplained, is_apart)
 
 
@@ -327,8 +327,6 @@ def _left_by_names(structure: Structure, selection: Selection, variance_inflatio
     These may stand for an effect that the search did not find: what they took up is explained by nothing.
     """
     named = [part for part, is_named in zip(selection.chosen.parts, selection.named, strict=True) if is_named]
-    if len(named) in (0, len(selection.named)):
-        return RemainderTest(1.0, 0.0, 0.0, ())
     alone = replace(selection, chosen=fit_parts(structure.objective, named))
     left = residuals_beside_form_error(structure.objective, alone.chosen)
     return _remainder(structure, alone, variance_inflation, left)

@@ -145,18 +145,18 @@ def explained_by(split: HeldOut, fit: Fit, terms: Sequence[Term]) -> float | Non
     """
     if split.testing is None or not terms:
         return None
-    above, bare = _above_noise(split, fit)
+    _, bare, above = _held_out_costs(split, fit)
     return float(np.clip((bare - split.testing.cost(tuple(terms))) / above, 0.0, 1.0))
 
 
 def _share(split: HeldOut, fit: Fit, others: Sequence[Part]) -> float:
     """Return what of the held-out squared error above the noise floor returns where only `others` are fitted."""
-    above, bare = _above_noise(split, fit)
+    full, bare, above = _held_out_costs(split, fit)
     without = split.testing.cost(fit_parts(split.training, tuple(others)).terms) if others else bare
-    return float(np.clip((without - split.testing.cost(fit.terms)) / above, 0.0, 1.0))
+    return float(np.clip((without - full) / above, 0.0, 1.0))
 
 
-def _above_noise(split: HeldOut, fit: Fit) -> tuple[float, float]:
-    """Return the held-out squared error above the noise floor, and with it, without any part."""
+def _held_out_costs(split: HeldOut, fit: Fit) -> tuple[float, float, float]:
+    """Return the held-out squared error with a fit, without any part, and what of the latter is above noise."""
     full, bare = split.testing.cost(fit.terms), split.testing.cost(())
-    return max(bare - min(full, float(len(split.testing.weight))), 1e-9), bare
+    return full, bare, max(bare - min(full, float(len(split.testing.weight))), 1e-9)

@@ -7,6 +7,7 @@ import numpy as np
 
 from split_cli.logs.assembling.clean import CleanSeries
 from split_cli.logs.assembling.noise import estimate_noise
+from split_cli.logs.checking.jumps import source_failed
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
 from split_cli.signals import CHANNELS
@@ -20,7 +21,6 @@ they last [s], below which what is interpolated is hardly wrong: judgement."""
 _OF_THE_BODY = ("vy", "r", "ay")
 """Never constant while the car turns. Others may be, without noise: a speed that is held, a steady steer angle."""
 _INPUTS = ("T", "delta")
-_SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -86,14 +86,14 @@ def stopped(found: Sequence[Standstill], drive: Drive, origin: float) -> list[Co
         if inside.any() and np.median(speed[inside]) > fast:
             shown = f"{one.value:.3g} from t = {start:.1f} to {end:.1f} s"
             places_of.setdefault((one.channel, one.source), []).append(shown)
-    return [_finding(channel, source, places) for (channel, source), places in places_of.items()]
-
-
-def _finding(channel: str, source: str, places: Sequence[str]) -> ConsistencyFinding:
-    more = f"; and {len(places) - _SHOWN} more" if len(places) > _SHOWN else ""
-    text = (
-        f"{channel} stands still {len(places)} time{'s' * (len(places) > 1)}: {source} keeps one value while the car "
-        f"drives ({'; '.join(places[:_SHOWN])}{more}). Its sensor or bus failed. Leave these stretches out with "
-        "`--cut A:B`, or map another source."
-    )
-    return ConsistencyFinding("stopped", channel, text, float(len(places)))
+    return [
+        source_failed(
+            "stopped",
+            channel,
+            f"{channel} stands still",
+            f"{source} keeps one value while the car drives",
+            places,
+            "Its sensor or bus",
+        )
+        for (channel, source), places in places_of.items()
+    ]

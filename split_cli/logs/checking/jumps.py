@@ -1,5 +1,7 @@
 """Jumps of a channel that no car makes: it was moved, or its sensor failed there."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from split_cli.logs.checking.checks import Checks
@@ -50,13 +52,13 @@ def jumps(checks: Checks) -> list[ConsistencyFinding]:
         places = _places(checks, np.abs(_change(vx, rows)), limit, rows)
         shown = [f"{vx[at]:.3g} to {vx[at + rows]:.3g} m/s at t = {k.times()[at]:.1f} s" for at in places]
         what = f"by more than {limit:.3g} m/s^2 over {rows * k.period:.2g} s, {against}"
-        found += _finding("vx", "v_x jumps", what, shown)
+        found += _jump("vx", "v_x jumps", what, shown)
     if checks.usable("X", "Y"):
         limit = NO_CAR_EXCEEDS["vx"][0]
         way = np.hypot(*(_change(k.columns[c], rows) for c in "XY"))
         places = _places(checks, way, limit, rows)
         shown = [f"{way[at]:.3g} m at t = {k.times()[at]:.1f} s" for at in places]
-        found += _finding("X", "X, Y jump", f"faster than {limit:g} m/s over {rows * k.period:.2g} s", shown)
+        found += _jump("X", "X, Y jump", f"faster than {limit:g} m/s over {rows * k.period:.2g} s", shown)
     return found
 
 
@@ -76,12 +78,28 @@ def _places(checks: Checks, change: np.ndarray, limit: float, rows: int) -> list
     return places
 
 
-def _finding(channel: str, who: str, what: str, places: list[str]) -> list[ConsistencyFinding]:
-    if not places:
-        return []
+def _jump(channel: str, who: str, what: str, places: Sequence[str]) -> list[ConsistencyFinding]:
+    cause = "The car was put elsewhere, or its source"
+    return [source_failed("jump", channel, who, what, places, cause)] if places else []
+
+
+def source_failed(
+    check: str, channel: str, who: str, what: str, places: Sequence[str], cause: str
+) -> ConsistencyFinding:
+    """Return that a source failed in some places, with the first of them and the remedy.
+
+    Parameters
+    ----------
+    who, what : str
+        Which channel does what it cannot, and by which sign that is seen.
+    places : sequence of str
+        In words, at least one.
+    cause : str
+        What failed, as the beginning of a sentence.
+    """
     shown = "; ".join([*places[:_SHOWN], *([f"and {len(places) - _SHOWN} more"] if len(places) > _SHOWN else [])])
     text = (
-        f"{who} {len(places)} time{'s' * (len(places) > 1)}: {what} ({shown}). The car was put elsewhere, or its "
-        "source failed. Leave these stretches out with `--cut A:B`, or map another source."
+        f"{who} {len(places)} time{'s' * (len(places) > 1)}: {what} ({shown}). {cause} failed. Leave these stretches "
+        "out with `--cut A:B`, or map another source."
     )
-    return [ConsistencyFinding("jump", channel, text, float(len(places)), None)]
+    return ConsistencyFinding(check, channel, text, float(len(places)))
