@@ -76,4 +76,5 @@ EXAMPLES: dict[tuple[str, str], dict[str, float]] = {
     ("channel_delay", "velocity"): {"vx": 0.04, "vy": 0.05},
     ("channel_delay", "ax"): {"ax": 0.04},
     ("channel_delay", "ay"): {"ay": 0.04},
+    ("channel_delay", "imu"): {"r": 0.04},
 }

@@ -44,6 +44,7 @@ PLANTED = [
     ("channel_delay", "r", {"r": 0.06}),
     ("channel_delay", "velocity", {"vx": 0.08, "vy": 0.08}),
     ("channel_delay", "ay", {"ay": 0.09}),
+    ("channel_delay", "imu", {"r": 0.06}),
     ("sensor_lever_arm", "unit", {"dx": 0.8}),
     ("velocity_bias", "offset", {"offset": 0.2}),
 ]
@@ -160,7 +161,7 @@ def test_what_was_derived_from_position_is_late_against_nothing():
         candidates = identifiable(build_candidates(car, one), [one], car)
         return {candidate.variant for candidate in candidates if candidate.term == "channel_delay"}
 
-    assert late() == {"r", "vx", "vy", "velocity", "ax", "ay"}
+    assert late() == {"r", "vx", "vy", "velocity", "ax", "ay", "imu"}
     # Without position the accelerometers witness; without either nothing does.
     assert late(X="derived: from vx") == late()
     assert late(X="derived: from vx", ay="derived: from vy") == {"ax"}
@@ -175,7 +176,7 @@ def test_a_lateral_velocity_integrated_from_a_y_tells_no_sensor_of_it_and_no_ban
     told = identifiable(every, [one], road_car())
     gone = {candidate.term for candidate in every} - {candidate.term for candidate in told}
     assert gone == {"sensor_lever_arm", "sensor_misalignment", "velocity_bias", "road_bank"}
-    assert not {"ay", "vy", "velocity"} & {candidate.variant for candidate in told if candidate.needs}
+    assert not {"ay", "vy", "velocity", "imu"} & {candidate.variant for candidate in told if candidate.needs}
     assert {witness.kind for witness in build_witnesses(one)} >= {"turn", "a_x"}
     assert "a_y" not in {witness.kind for witness in build_witnesses(one)}
 

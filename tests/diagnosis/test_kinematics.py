@@ -129,3 +129,16 @@ def test_a_fault_of_the_sensor_is_no_noise_and_does_not_hide_in_its_own_spread(n
     ours, theirs = (build_kinematics(prepared(one)) for one in (sound, replace(sound, columns=columns)))
     assert theirs.scale < 1.5 * ours.scale
     assert np.mean(theirs.rows(()) ** 2) > 3.0 * np.mean(ours.rows(()) ** 2)
+
+
+def test_a_late_channel_is_put_right_with_the_fast_signal_that_smoothing_takes_for_noise(nominal_drive):
+    """A shake of 12 Hz within the noise: four samples later and corrected, it is the drive that was recorded."""
+    drive = noisy(nominal_drive, 3)
+    shaken = {**drive.columns, "r": drive["r"] + 0.004 * np.sin(24.0 * np.pi * drive["t"])}
+    sound = prepared(replace(drive, columns=shaken))
+    delay = CATALOGUE["channel_delay"]({"r": 4.0 * drive.period}, "r")
+    late = np.concatenate([shaken["r"][:4], shaken["r"][:-4]])
+    measured, _ = prepared(replace(drive, columns={**shaken, "r": late})).corrected([delay])
+    inner = np.concatenate([np.arange(len(drive))[run][30:-30] for run in drive.segments()])
+    assert np.std((sound.measured - sound.smooth)[inner, 2]) > 0.0025
+    np.testing.assert_allclose(measured[inner], sound.measured[inner], atol=2e-4)

@@ -140,9 +140,11 @@ def test_many_sentences_stand_below_the_numbers_of_the_first_screen():
 
 @pytest.mark.parametrize("variant", CATALOGUE["channel_delay"].variants)
 def test_the_headline_names_the_sensor_that_is_late(variant):
-    late = {variant.replace("velocity", "vx"): ParameterEstimate(0.0452, 7e-4, "s", (0.0438, 0.0466))}
+    late = {
+        {"velocity": "vx", "imu": "r"}.get(variant, variant): ParameterEstimate(0.0452, 7e-4, "s", (0.0438, 0.0466))
+    }
     said = finding_headline(Finding("channel_delay", variant, late, 0.5, (), "Late.", 9.0))
-    words = {"r": "Yaw rate", "velocity": "Velocities"}
+    words = {"r": "Yaw rate", "velocity": "Velocities", "imu": "Inertial unit"}
     assert said.endswith(" late: 45.2 ms") and said.startswith(words.get(variant, ("Longitudinal", "Lateral")))
 
 

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from split_cli.errors import VehicleError
 from split_cli.vehicle.effects import CATALOGUE, Recording
-from split_cli.vehicle.effects.recording import first_order_response, play_response, shifted
+from split_cli.vehicle.effects.recording import first_order_response, phase_shifted, play_response, shifted
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import recorded_inputs
@@ -33,6 +33,21 @@ def test_a_delay_of_whole_and_half_samples():
     np.testing.assert_allclose(shifted(x, 0.02, clock), [0, 0, 0, 1, 2, 3, 100, 100, 100, 101])
     np.testing.assert_allclose(shifted(x, 0.015, clock), [0, 0, 0.5, 1.5, 2.5, 3.5, 100, 100, 100.5, 101.5])
     np.testing.assert_allclose(shifted(x, -0.01, clock), [1, 2, 3, 4, 5, 5, 101, 102, 103, 103])
+
+
+def test_noise_that_is_moved_by_its_phase_keeps_its_strength_and_its_place():
+    """Whole samples are moved as they are, and half of one damps nothing: straight lines leave half the variance."""
+    x, clock = np.random.default_rng(4).normal(size=1001), Recording(0.01, ((0, 601), (601, 1001)))
+    moved = phase_shifted(x, 0.02, clock)
+    np.testing.assert_allclose(moved[2:601], x[:599], atol=1e-12)
+    np.testing.assert_allclose(moved[603:], x[601:-2], atol=1e-12)
+    half = phase_shifted(x, 0.005, clock)
+    assert np.var(half) == pytest.approx(np.var(x), rel=0.01) and np.var(shifted(x, 0.005, clock)) < 0.6 * np.var(x)
+    np.testing.assert_allclose(phase_shifted(half, -0.005, clock), x, atol=0.1)
+    # A wave of 10 Hz is where it was 3.7 ms before.
+    t = 0.01 * np.arange(600)
+    wave = phase_shifted(np.sin(20.0 * np.pi * t), 0.0037, Recording(0.01, ((0, 600),)))
+    np.testing.assert_allclose(wave, np.sin(20.0 * np.pi * (t - 0.0037)), atol=1e-9)
 
 
 def test_first_order_response_is_exact_for_ramps():

@@ -128,7 +128,8 @@ class Series:
         for term in terms:
             good = self._put_right(term, smooth)
             if term.moves_samples:
-                measured = {name: good[name] + (measured[name] - smooth[name]) for name in good}
+                noise = term.correct_noise({name: measured[name] - smooth[name] for name in good}, self.recording)
+                measured = {name: good[name] + noise[name] for name in good}
             else:
                 measured = self._put_right(term, measured)
             smooth = good

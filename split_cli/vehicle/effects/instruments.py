@@ -3,12 +3,12 @@
 They are told by what the recording knows twice: position and yaw, accelerations, velocities.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 import numpy as np
 
-from split_cli.vehicle.effects.recording import Recording, shifted
+from split_cli.vehicle.effects.recording import Recording, phase_shifted, shifted
 from split_cli.vehicle.effects.search import DELAYS, Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, late, number, scaled
@@ -31,6 +31,7 @@ _WORDS = {
     "vx": "the longitudinal velocity",
     "vy": "the lateral velocity",
     "velocity": "the velocity",
+    "imu": "the inertial unit (yaw rate and accelerations)",
     "ax": "the longitudinal acceleration",
     "ay": "the lateral acceleration",
 }
@@ -260,34 +261,36 @@ class YawRateScale(_Scale):
 class ChannelDelay(_Instrument):
     """One channel is late relative to the others by the parameter that has its name; the variant selects it.
 
-    In the variant ``velocity`` v_x and v_y are late, as from a satellite receiver. Only the signal is delayed;
-    the noise stays where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities,
-    and accelerations for both. For every car a_x = v_x' - v_y r and a_y = v_y' + v_x r hold. Velocities that
-    were derived from position cannot be late relative to it. A delay of all channels together is
-    `sensor_delay`.
+    In the variant ``velocity`` v_x and v_y are late, as from a satellite receiver. In the variant ``imu`` the yaw
+    rate and both accelerations are late alike, by `r`: one inertial unit has one clock. Source: a transport delay.
+    Witnesses: yaw for r, position for the velocities, and accelerations for both. For every car a_x = v_x' - v_y r
+    and a_y = v_y' + v_x r hold. Velocities that were derived from position cannot be late relative to it. A delay
+    of all channels together is `sensor_delay`.
     """
 
     id = "channel_delay"
-    variants: ClassVar = ("r", "vx", "vy", "velocity", "ax", "ay")
+    variants: ClassVar = ("r", "vx", "vy", "velocity", "ax", "ay", "imu")
     units: ClassVar = {"r": "s"}
     variant_units: ClassVar = {
         **{name: {name: "s"} for name in ("r", "vx", "vy", "ax", "ay")},
         "velocity": {"vx": "s", "vy": "s"},
+        "imu": {"r": "s"},
     }
     neutral: ClassVar = {"r": 0.0, "vx": 0.0, "vy": 0.0, "ax": 0.0, "ay": 0.0}
     variant_needs: ClassVar = {
         **{name: frozenset({"witness", "measured velocities"}) for name in ("r", "vx")},
         **{name: frozenset({"witness", "measured velocities", "lateral velocity"}) for name in ("vy", "velocity")},
         **{name: frozenset({name}) for name in ("ax", "ay")},
+        "imu": frozenset({"witness", "measured velocities", "lateral velocity", "ax", "ay"}),
     }
     moves_samples = True
     mimics: ClassVar = (
-        Mimic("yaw_inertia", "gentle transients, without yaw", "yaw against yaw rate", variants=("r",)),
+        Mimic("yaw_inertia", "gentle transients, without yaw", "yaw against yaw rate", variants=("r", "imu")),
         *(
             Mimic(term, f"without position: {what} that answers late", _POSITION, variants=variants, without=_PLACE)
             for what, terms, variants in (
                 ("speed", ("drive_lag", "drive_delay"), ("vx", "velocity")),
-                ("a turn", ("steer_lag", "steer_delay"), ("r", "vy", "velocity")),
+                ("a turn", ("steer_lag", "steer_delay"), ("r", "vy", "velocity", "imu")),
             )
             for term in terms
         ),
@@ -307,12 +310,24 @@ class ChannelDelay(_Instrument):
         if variant == "velocity":
             each = f"the longitudinal velocity is {late(p['vx'])} and the lateral velocity {late(p['vy'])}"
             return f"{each} against the other channels"
-        return f"{_WORDS[variant]} is {late(p[variant])} against the other channels"
+        return f"{_WORDS[variant]} is {late(p['r' if variant == 'imu' else variant])} against the other channels"
 
     def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
+        return self._moved(columns, recording, sign, shifted)
+
+    def correct_noise(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
+        """Return what smoothing left, moved along: fast signal belongs to it, and white noise may lie anywhere."""
+        return self._moved(columns, recording, -1.0, phase_shifted)
+
+    def _moved(
+        self,
+        columns: Mapping[str, np.ndarray],
+        recording: Recording,
+        sign: float,
+        move: Callable[[np.ndarray, float, Recording], np.ndarray],
+    ) -> dict[str, np.ndarray]:
+        delays = dict.fromkeys(("r", "ax", "ay"), self.parameters["r"]) if self.variant == "imu" else self.parameters
         moved = {
-            name: shifted(columns[name], sign * delay, recording)
-            for name, delay in self.parameters.items()
-            if name in columns
+            name: move(columns[name], sign * delay, recording) for name, delay in delays.items() if name in columns
         }
         return {**columns, **moved}

@@ -51,6 +51,7 @@ _PARTS = {
     "channel_delay/vx": "Longitudinal velocity late",
     "channel_delay/vy": "Lateral velocity late",
     "channel_delay/velocity": "Velocities late",
+    "channel_delay/imu": "Inertial unit late",
     "channel_delay/ax": "Longitudinal acceleration late",
     "channel_delay/ay": "Lateral acceleration late",
     "sensor_lever_arm": "Velocity sensor off its place",
