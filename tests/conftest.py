@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests import slowness
 from tests.browsers import headless
 
 # As the command line does: BLAS threads stall on small matrices when other programs are busy.
@@ -42,20 +43,18 @@ def sample_logs() -> Path:
     return ROOT / "sample_logs"
 
 
-_LONGEST = (
-    "workflows/test_cluster.py",
-    "test_diagnosis_tutorial.py",
-    "diagnosis/test_engine.py",
-    "proof/test_multibody_faults.py",
-    "trust/test_killed_runs.py",
-    "trust/test_bombs.py",
-    "test_types.py",
-)
+_LONGEST = ("test_types.py", "test_tutorial.py", "workflows/test_cluster.py", "diagnosis/test_engine.py")
 """Files of few tests that take long: xdist would leave them for the end, where one worker waits for the other."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the longest files; the others keep their order."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let slow tests be asked for."""
+    slowness.add_option(parser)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out slow tests and begin with the longest files; the others keep their order."""
+    slowness.deselect(config, items)
     items.sort(key=lambda item: not item.path.as_posix().endswith(_LONGEST))
 
 

@@ -11,7 +11,6 @@ from tests.studies.fuzz import Tally, fuzz, judge, mutate
 from tests.studies.fuzz_seeds import SLOW
 
 
-@pytest.mark.slow
 def test_mutated_files_are_read_counted_or_refused():
     tallies = fuzz(76 * 4, seed=20_26)
     assert not [line for tally in tallies.values() for line in tally.broken]

@@ -98,7 +98,6 @@ def pages(evaluated) -> dict[str, Callable[[str], str]]:
     }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("command", ["ingest", "evaluate", "diagnose", "race", "compare"])
 def test_no_name_acts_or_breaks_the_page(command, pages, browser, tmp_path):
     file = tmp_path / "page.html"

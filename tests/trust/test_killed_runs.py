@@ -34,7 +34,6 @@ def in_this_process(folder: Path, arguments: Sequence[str]) -> int:
     return int(ended.value.code or 0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", [EXPORT, APPEND], ids=lambda case: case.name)
 def test_a_kill_before_any_step_leaves_the_old_or_the_new_output(case, ready, tmp_path):
     outcome = try_steps(case, ready, tmp_path, in_this_process)
@@ -42,7 +41,6 @@ def test_a_kill_before_any_step_leaves_the_old_or_the_new_output(case, ready, tm
     assert outcome.old >= 2 and outcome.new >= 1 and outcome.old + outcome.new == outcome.kills
 
 
-@pytest.mark.slow
 def test_a_copy_before_a_step_is_what_a_real_kill_leaves(ready, tmp_path):
     shutil.copytree(ready, tmp_path / "copied")
     copies = leftovers_of_kills(tmp_path / "copied", EXPORT.arguments, tmp_path / "copies")

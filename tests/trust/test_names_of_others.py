@@ -24,7 +24,6 @@ def test_a_stream_shows_text_and_keeps_the_line_of_progress():
     assert stream.getvalue() == f"\r\x1b[K{SHOWN}\n\ta\\x0d\\x1b[K"
 
 
-@pytest.mark.slow
 def test_the_name_of_a_vehicle_does_nothing_to_a_terminal(tmp_path):
     write_vehicle(replace(road_car(), name=HOSTILE), tmp_path / "car.yaml")
     process, terminal = pty.fork()

@@ -55,7 +55,6 @@ def run(*words: object) -> str:
     return told.stdout
 
 
-@pytest.mark.slow
 def test_workers_that_are_ended_are_told_in_one_line():
     once = dask.config.set({"distributed.scheduler.allowed-failures": 0})
     with once, open_engine("dask") as engine, pytest.raises(SplitError, match="ended from outside"):
@@ -66,7 +65,6 @@ def ways(address: str) -> dict[str, tuple[object, ...]]:
     return {"one": ("--jobs", 1), "cluster": ("--engine", "dask", "--scheduler", address)}
 
 
-@pytest.mark.slow
 def test_a_set_is_the_same(folder, tmp_path, address):
     for name, way in ways(address).items():
         run("train", folder / "in", "--vehicle", folder / "car.yaml", "-o", tmp_path / f"{name}.split", *way)
@@ -74,7 +72,6 @@ def test_a_set_is_the_same(folder, tmp_path, address):
     assert len(sets) == 1
 
 
-@pytest.mark.slow
 def test_labels_are_the_same(folder, tmp_path, address):
     for name, way in ways(address).items():
         run("label", folder / "in", "--vehicle", folder / "car.yaml", "-o", tmp_path / name, *way)
@@ -82,7 +79,6 @@ def test_labels_are_the_same(folder, tmp_path, address):
     assert written[0] == written[1] and len(written[0]) == 3
 
 
-@pytest.mark.slow
 def test_an_evaluation_is_the_same(folder, address, monkeypatch):
     # A drive that stays in its file travels by its name.
     monkeypatch.setattr("split_cli.logs.drive.LONG_ROWS", 100)
@@ -99,7 +95,6 @@ def test_an_evaluation_is_the_same(folder, address, monkeypatch):
     assert reports[1] == reports[0]
 
 
-@pytest.mark.slow
 def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
     """Of a stretch of the samples, long enough for the halves of the simulation to be tested."""
     samples = Path(__file__).parents[2] / "sample_logs"
@@ -136,7 +131,6 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
     assert told["one"]["verdict"] != "undecided" and told["one"]["detectable"]
 
 
-@pytest.mark.slow
 def test_a_faulty_log_ends_a_run_in_one_line(folder, tmp_path):
     """Workers told in Dask's own words which tasks they dropped."""
     shutil.copytree(folder / "in", tmp_path / "logs")

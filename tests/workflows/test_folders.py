@@ -339,7 +339,6 @@ def bucket(logs, monkeypatch) -> Iterator[Any]:
         fsspec.config.conf.pop("s3", None)
 
 
-@pytest.mark.slow
 def test_a_bucket_of_an_s3_server(bucket, logs, tmp_path):
     run = ingest_logs(["s3://laps"], tmp_path / "drives")
     assert len(run.results) == 3
@@ -349,7 +348,6 @@ def test_a_bucket_of_an_s3_server(bucket, logs, tmp_path):
     assert [r.log for r in again.results] == ["a.csv"] and len(again.unchanged) == 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("place", ["folder", "bucket"])
 def test_drives_and_sets_are_the_same_bit_for_bit_on_every_engine(logs, tmp_path, place, request):
     """A folder with two processes; a bucket with two workers of Dask, who read it, beside the folder."""

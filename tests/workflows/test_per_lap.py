@@ -2,15 +2,12 @@
 
 from pathlib import Path
 
-import pytest
-
 from split_cli.workflows.simulate import SimulateSettings, simulate_log
 from split_cli.workflows.training.train import TrainSettings, train_set
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.slow
 def test_laps_add_up_to_the_set(tmp_path):
     simulate_log(SimulateSettings(track="small", duration=100.0, seed=4), tmp_path / "laps.parquet")
     result = train_set(

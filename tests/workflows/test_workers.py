@@ -37,7 +37,6 @@ def _write_for_a_minute(path: Path | None) -> None:
         path.unlink(missing_ok=True)
 
 
-@pytest.mark.slow
 def test_an_interrupt_waits_for_no_worker_and_leaves_no_unfinished_file(tmp_path):
     """The first item is done at once, two are under way, and two more wait beside them: none of them goes on."""
     begun = time.monotonic()
@@ -63,7 +62,6 @@ def _runs(process: int) -> bool:
         return False
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc, as Linux has it")
 def test_a_worker_that_starts_when_its_run_has_ended_says_nothing(tmp_path):
     """It printed the traceback of its own end, where a run failed while its workers were starting."""
@@ -108,7 +106,6 @@ def test_no_worker_outlives_a_killed_parent(tmp_path):
     assert not any(map(_runs, workers))
 
 
-@pytest.mark.slow
 def test_unasked_a_folder_uses_every_core_up_to_four_and_a_killed_process_is_told(monkeypatch):
     monkeypatch.setattr("split_cli.workflows.engine.cores", lambda: 2)
     with open_engine(jobs=None) as engine:
