@@ -158,6 +158,12 @@ class MarginalLikelihood:
         """
         return replace(self, basis=np.zeros((len(self.weight), 0)), root=np.zeros(0), fixed_baseline=True)
 
+    def with_residue_moved(self, terms: Sequence[Term]) -> MarginalLikelihood:
+        """Return the objective of recordings whose late channels have their fast signal moved, too."""
+        moved = [replace(one, series=one.series.with_residue_moved(terms)) for one in self.evidence]
+        again = tuple(replace(one, nominal_rows=one.rows(())) for one in moved)
+        return replace(self, evidence=again, memo={})
+
     def residual(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what terms and the simulation's shared discrepancy leave, shape (R,)."""
         rows = self.stack([one.rows(terms, self.carried(one, terms)) for one in self.evidence]) - self.offset

@@ -1,7 +1,9 @@
 """A drive prepared for the diagnosis: smoothed states for evaluating physics, raw ones for judging it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -110,6 +112,18 @@ class Series:
         # One explanation is asked for by the model and by every witness in turn, and while others are fitted.
         return self._corrected_before(values_of(correcting), lambda: self._corrected(correcting))
 
+    def with_residue_moved(self, terms: Sequence[Term]) -> Series:
+        """Return the series with what smoothing left moved in time as late channels among `terms` say.
+
+        Fast signal belongs to it, which is as late as the rest. A correction alone moves the smooth part, since noise
+        that moved along would make each try of a fit another draw of it.
+        """
+        measured, smooth = self._channels
+        left = {name: measured[name] - smooth[name] for name in smooth}
+        for term in terms:
+            left = term.correct_noise(left, self.recording)
+        return replace(self, measured=np.stack([smooth[name] + left[name] for name in smooth], axis=1))
+
     def is_moved_by(self, term: Term) -> bool:
         """Return whether a term changes the model or the velocities: an accelerometer's bias leaves both alone."""
         return not term.corrects or self._changes(term, ("vx", "vy", "r"))
@@ -128,8 +142,7 @@ class Series:
         for term in terms:
             good = self._put_right(term, smooth)
             if term.moves_samples:
-                noise = term.correct_noise({name: measured[name] - smooth[name] for name in good}, self.recording)
-                measured = {name: good[name] + noise[name] for name in good}
+                measured = {name: good[name] + (measured[name] - smooth[name]) for name in good}
             else:
                 measured = self._put_right(term, measured)
             smooth = good

@@ -60,7 +60,8 @@ def search(
 ) -> SearchOutcome:
     """Search with a marginalised baseline; and with a fixed one where model-form error is large.
 
-    What the first names in doubt stays only if a fixed baseline confirms it, or gives way to a surer fault.
+    What the first names in doubt stays only if a fixed baseline confirms it, or gives way to a surer fault. Where a
+    channel is late, all is searched again with its fast signal moved along: at its place it looks like a lag.
 
     Parameters
     ----------
@@ -73,14 +74,35 @@ def search(
     objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy)
     known = _known(case, candidates, reach, policy)
     progress("naming")
+    found = _search_twice(case, candidates, objective, known, reach, progress)
+    late = [
+        part.term
+        for part, named in zip(found.selection.chosen.parts, found.selection.named, strict=True)
+        if named and part.term.corrects and part.term.moves_samples
+    ]
+    if not late:
+        return found
+    progress("naming with the late channel put right")
+    return _search_twice(case, candidates, objective.with_residue_moved(late), known, reach, progress)
+
+
+def _search_twice(
+    case: DiagnosisCase,
+    candidates: Sequence[Candidate],
+    objective: MarginalLikelihood,
+    known: SelfTest,
+    reach: float,
+    progress: Callable[[str], None],
+) -> SearchOutcome:
+    """Search with a marginalised baseline, and with a fixed one where model-form error is large."""
     first = _search(objective, candidates, known)
-    if known.ratio <= policy.selection.much_over_noise:
+    if known.ratio <= objective.policy.selection.much_over_noise:
         asked = first.structure.objective, first.selection, candidates, first.variance_inflation
         return replace(first, selection=with_offset_of_straights(*asked))
     progress("naming with a fixed baseline")
     again = search_again(case, candidates, objective, reach=reach)
     again = named_as_first(first, again, candidates)
-    found = settled(first, again, policy.selection)
+    found = settled(first, again, objective.policy.selection)
     asked = found if any(found.selection.named) else again
     late = with_late_channel(asked.structure.objective, asked.selection, candidates, asked.variance_inflation)
     return found if late is None else replace(asked, selection=late, objectives=found.objectives)

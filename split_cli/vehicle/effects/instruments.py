@@ -262,10 +262,10 @@ class ChannelDelay(_Instrument):
     """One channel is late relative to the others by the parameter that has its name; the variant selects it.
 
     In the variant ``velocity`` v_x and v_y are late, as from a satellite receiver. In the variant ``imu`` the yaw
-    rate and both accelerations are late alike, by `r`: one inertial unit has one clock. Source: a transport delay.
-    Witnesses: yaw for r, position for the velocities, and accelerations for both. For every car a_x = v_x' - v_y r
-    and a_y = v_y' + v_x r hold. Velocities that were derived from position cannot be late relative to it. A delay
-    of all channels together is `sensor_delay`.
+    rate and both accelerations are late alike, by `r`: one inertial unit has one clock. Only the signal is delayed;
+    the noise stays where it is. Source: a transport delay. Witnesses: yaw for r, position for the velocities, and
+    accelerations for both. For every car a_x = v_x' - v_y r and a_y = v_y' + v_x r hold. Velocities that were
+    derived from position cannot be late relative to it. A delay of all channels together is `sensor_delay`.
     """
 
     id = "channel_delay"
@@ -316,7 +316,7 @@ class ChannelDelay(_Instrument):
         return self._moved(columns, recording, sign, shifted)
 
     def correct_noise(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Return what smoothing left, moved along: fast signal belongs to it, and white noise may lie anywhere."""
+        """Return what smoothing left, moved along: fast signal is a part of it."""
         return self._moved(columns, recording, -1.0, phase_shifted)
 
     def _moved(

@@ -110,7 +110,7 @@ class Term:
     variant_needs : mapping of str to frozenset of str
         What a variant needs beside that.
     moves_samples : bool
-        Whether a correction moves a channel in time, see `correct_noise`.
+        Whether a correction moves a channel in time: then the signal is moved and its noise stays.
     shows_late : bool
         Whether it acts in transients alone, though it has neither states nor delays.
     on_command_clock : bool
@@ -283,7 +283,7 @@ class Term:
         return dict(columns)
 
     def correct_noise(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Return what smoothing left of channels, with their samples moved as `correct` moves the signal."""
+        """Return what smoothing left of channels, moved in time as `correct` moves the signal."""
         return dict(columns)
 
     def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
