@@ -14,6 +14,7 @@ _BEGINS = {
     "comparing": 0.05,
     "naming": 0.15,
     "naming with a fixed baseline": 0.45,
+    "naming with the late channel put right": 0.6,
     "sizing": 0.75,
     "judging": 0.85,
     "writing": 0.95,
