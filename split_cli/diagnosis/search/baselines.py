@@ -74,7 +74,7 @@ def search(
     objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy)
     known = _known(case, candidates, reach, policy)
     progress("naming")
-    found = _search_twice(case, candidates, objective, known, reach, progress)
+    found = _search_by_baselines(case, candidates, objective, known, reach, progress)
     late = [
         part.term
         for part, named in zip(found.selection.chosen.parts, found.selection.named, strict=True)
@@ -83,10 +83,10 @@ def search(
     if not late:
         return found
     progress("naming with the late channel put right")
-    return _search_twice(case, candidates, objective.with_residue_moved(late), known, reach, progress)
+    return _search_by_baselines(case, candidates, objective.with_residue_moved(late), known, reach, progress)
 
 
-def _search_twice(
+def _search_by_baselines(
     case: DiagnosisCase,
     candidates: Sequence[Candidate],
     objective: MarginalLikelihood,
