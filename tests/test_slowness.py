@@ -38,7 +38,7 @@ def test_the_longest_test_of_a_function_and_shared_fixtures_decide():
     assert slow_ones(rows) == {"a.py::one": 1.6, "b.py": 21.0}
 
 
-def test_what_is_listed_exists_and_some_of_each_area_stays():
+def test_what_is_listed_exists():
     for name in [*listed(LIST.read_text()), *ALWAYS]:
         file, _, function = name.partition("::")
         text = (ROOT / file).read_text()

@@ -16,6 +16,7 @@ a road that leans all along. Then witnesses are asked for a late channel, alone 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -73,34 +74,33 @@ def search(
     progress("comparing")
     objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics, policy=policy)
     known = _known(case, candidates, reach, policy)
+    known_fixed = cache(partial(_known, case, candidates, reach, policy, fixed_baseline=True))
     progress("naming")
-    found = _search_by_baselines(case, candidates, objective, known, reach, progress)
-    late = [
-        part.term
-        for part, named in zip(found.selection.chosen.parts, found.selection.named, strict=True)
-        if named and part.term.corrects and part.term.moves_samples
-    ]
+    found = _search_by_baselines(candidates, objective, known, known_fixed, progress)
+    late = [term for term in found.selection.terms if term.moves_samples]
     if not late:
         return found
     progress("naming with the late channel put right")
-    return _search_by_baselines(case, candidates, objective.with_residue_moved(late), known, reach, progress)
+    return _search_by_baselines(candidates, objective.with_residue_moved(late), known, known_fixed, progress)
 
 
 def _search_by_baselines(
-    case: DiagnosisCase,
     candidates: Sequence[Candidate],
     objective: MarginalLikelihood,
     known: SelfTest,
-    reach: float,
+    known_fixed: Callable[[], SelfTest],
     progress: Callable[[str], None],
 ) -> SearchOutcome:
-    """Search with a marginalised baseline, and with a fixed one where model-form error is large."""
+    """Search with a marginalised baseline, and with a fixed one where model-form error is large.
+
+    `known` and `known_fixed` are what the simulation shows against itself, under either baseline.
+    """
     first = _search(objective, candidates, known)
     if known.ratio <= objective.policy.selection.much_over_noise:
         asked = first.structure.objective, first.selection, candidates, first.variance_inflation
         return replace(first, selection=with_offset_of_straights(*asked))
     progress("naming with a fixed baseline")
-    again = search_again(case, candidates, objective, reach=reach)
+    again = search_again(candidates, objective, known_fixed())
     again = named_as_first(first, again, candidates)
     found = settled(first, again, objective.policy.selection)
     asked = found if any(found.selection.named) else again
@@ -108,12 +108,9 @@ def _search_by_baselines(
     return found if late is None else replace(asked, selection=late, objectives=found.objectives)
 
 
-def search_again(
-    case: DiagnosisCase, candidates: Sequence[Candidate], objective: MarginalLikelihood, *, reach: float
-) -> SearchOutcome:
+def search_again(candidates: Sequence[Candidate], objective: MarginalLikelihood, known: SelfTest) -> SearchOutcome:
     """Search with a fixed baseline on the rows and with the policy of a marginalised objective."""
     policy = objective.policy
-    known = _known(case, candidates, reach, policy, fixed_baseline=True)
     # The shared discrepancy follows at every step, and costs have more than one valley.
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
     # What is small beside a name is model-form error here, and would share a delay's savings with its like.
