@@ -50,7 +50,10 @@ class FeatureSet:
         DriveError
             If a feature is neither computed nor a channel of the drive, or of a term that the vehicle lacks.
         """
-        flow = flow_along(model, drive, recording)
+        return self.of_flow(model, drive, flow_along(model, drive, recording))
+
+    def of_flow(self, model: SingleTrack, drive: Drive, flow: Flow) -> np.ndarray:
+        """Return the features of every sample of a drive whose flow is known, see `compute`."""
         drive = _on_the_sensors_clock(model, drive, flow)
         computed = {
             "alpha_f": flow.front.slip_angle,

@@ -17,6 +17,7 @@ from split_cli.learning.set_limits import LARGEST_LABEL
 from split_cli.logs.drive import Drive
 from split_cli.logs.scratch import PIECE, GrowingColumn, in_pieces, let_go, room
 from split_cli.vehicle.effects.recording import Recording
+from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -222,8 +223,9 @@ def compute_labels(
     for rows, piece in pieces(model, drive, starts, window):
         local = starts[rows] - piece.first
         t[rows], segment[rows] = piece.drive["t"][local], piece.drive.segment[local]
-        z[rows] = features.compute(model, piece.drive, piece.recording)[local]
-        reason[rows] = _reject(piece, model, region, local, window, z[rows])
+        flow = flow_along(model, piece.drive, piece.recording)
+        z[rows] = features.of_flow(model, piece.drive, flow)[local]
+        reason[rows] = _reject(piece, model, region, local, window, z[rows], flow)
         usable = ~np.isin(reason[rows], (Reason.GAP, Reason.NON_FINITE, Reason.SPEED))
         y[rows][usable] = nominal_errors(
             model, piece.drive, local[usable], window, plain=plain, recording=piece.recording
@@ -275,12 +277,12 @@ def nominal_errors(
     plain : bool
         Without the inverse of Phi.
     compiled : bool
-        Whether the compiled path may serve; it covers the nominal model without terms and agrees with the plain
-        one to rounding.
+        Whether the compiled path may serve. It covers the nominal model without terms that move the car, and agrees
+        with the plain one to rounding, or to 1e-8 where a term only remembers: its Jacobian is exact.
     recording : Recording, optional
         As of `flow_along`.
     """
-    if compiled and not model.terms:
+    if compiled and not model.in_motion.terms:
         from split_cli.learning._windows_numba import window_errors
 
         # Copies: columns of a file are read-only, a type of its own to the compiler.
@@ -363,7 +365,7 @@ def _window_starts(drive: Drive, window: int, stride: int) -> np.ndarray:
 
 
 def _reject(
-    piece: DrivePiece, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray
+    piece: DrivePiece, model: SingleTrack, region: Region, starts: np.ndarray, window: int, z: np.ndarray, flow: Flow
 ) -> np.ndarray:
     """Return the reason of every start, int8 shape (N,)."""
     drive = piece.drive
@@ -377,7 +379,6 @@ def _reject(
     before = np.concatenate([[0], np.cumsum(broken)])
     non_finite = before[np.minimum(starts + window + 1, len(drive))] > before[starts]
     non_finite |= ~np.isfinite(z).all(axis=1)
-    flow = flow_along(model, drive, piece.recording)
     alpha_f, alpha_r = flow.front.slip_angle[starts], flow.rear.slip_angle[starts]
     tests = (
         (Reason.GAP, gap),

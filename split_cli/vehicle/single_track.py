@@ -6,6 +6,7 @@ forces, tire (B, C, D of an axle), lateral forces, lateral (what becomes of them
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from operator import attrgetter
 from typing import Any
 
@@ -80,6 +81,12 @@ class SingleTrack:
         self.state_names: tuple[str, ...] = tuple(
             name for term in self.terms for name in getattr(term, "state_names", ())
         )
+
+    @cached_property
+    def in_motion(self) -> "SingleTrack":
+        """The model without terms that change no motion, see `Term.moves_car`."""
+        moving = [term for term in self.terms if getattr(term, "moves_car", True)]
+        return self if len(moving) == len(self.terms) else SingleTrack(self.vehicle, moving)
 
     def flow(
         self,

@@ -13,6 +13,7 @@ from split_cli.learning.labels import Reason, compute_labels, nominal_errors
 from split_cli.learning.region import Region
 from split_cli.logs.columns_of_file import ColumnsOfFile
 from split_cli.logs.drive import Drive, open_drive, read_drive, write_drive
+from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
@@ -129,6 +130,21 @@ def test_the_compiled_path_equals_the_plain_one():
             # Rates of up to some 100 are differences of velocities near 30 over 0.1 s: 1e-16 * 30/0.1, times the
             # operations of some ten substeps.
             np.testing.assert_allclose(fast, reference, rtol=1e-9, atol=1e-10)
+
+
+def test_a_term_that_only_remembers_leaves_the_compiled_path():
+    """Features behind a lag change no motion: errors are those of the plain model, to the bit."""
+    drive = make_drive(3, segments=20, seconds=2.0, vehicle=CAR, terms=[MissingForce({"front_grip_loss": 0.2})])
+    starts = np.concatenate([np.arange(run.start, run.stop - 5) for run in drive.segments()])
+    remembering = SingleTrack(CAR, [CATALOGUE["feature_lag"]({"tau": 0.08})])
+    fast = nominal_errors(remembering, drive, starts, 5)
+    np.testing.assert_array_equal(fast, nominal_errors(SingleTrack(CAR), drive, starts, 5))
+    # Its Jacobian is closed; that of a model with terms is made of differences, exact to 1e-9.
+    reference = nominal_errors(remembering, drive, starts, 5, compiled=False)
+    np.testing.assert_allclose(fast, reference, rtol=1e-6, atol=1e-6)
+    lagging = SingleTrack(CAR, [CATALOGUE["feature_lag"]({"tau": 0.08}), CATALOGUE["steer_lag"]({"tau": 0.1})])
+    assert [term.id for term in lagging.in_motion.terms] == ["steer_lag"]
+    assert np.abs(nominal_errors(lagging, drive, starts, 5) - fast).max() > 0.1
 
 
 def replace_speed(drive: Drive, factor: float) -> Drive:

@@ -20,6 +20,7 @@ class FeatureLag(Lagging):
 
     id = "feature_lag"
     order = 9
+    moves_car = False
     states = ("alpha_f", "alpha_r", "torque")
     state_units: ClassVar = {"alpha_f": "rad", "alpha_r": "rad", "torque": "N m"}
 

@@ -113,6 +113,8 @@ class Term:
         Whether a correction moves a channel in time: then the signal is moved and its noise stays.
     shows_late : bool
         Whether it acts in transients alone, though it has neither states nor delays.
+    moves_car : bool
+        Whether it changes the motion; a term that only remembers serves as features.
     on_command_clock : bool
         Whether a fault of the measurement is taken into account by taking commands later, not by `correct`.
     discrepancy : tuple of (str, str, float)
@@ -144,6 +146,7 @@ class Term:
     variant_needs: ClassVar[Mapping[str, frozenset[str]]] = {}
     moves_samples: ClassVar[bool] = False
     shows_late: ClassVar[bool] = False
+    moves_car: ClassVar[bool] = True
     on_command_clock: ClassVar[bool] = False
     discrepancy: ClassVar[tuple[tuple[str, str, float], ...]] = ()
 

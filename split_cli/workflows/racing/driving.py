@@ -412,15 +412,15 @@ class Race:
         """Plan the interval after the next one while the car drives the next, then learn what came of it."""
         world, h = self.world, self.mpcc.step
         now = np.concatenate([world.measured, self.memory])
+        ahead = self.model.linearize(now[None], self.rates[None]).following[0]
         if self.settings.delay:
-            ahead = self.model.linearize(now[None], self.rates[None]).following[0]
             following, info = self.controller.step(ahead)
             applied = self.rates
         else:
             following, info = self.controller.step(now)
             applied = following
-        if self.model.memory:
-            self.memory = self.model.linearize(now[None], applied[None]).following[0][8:]
+            ahead = self.model.linearize(now[None], applied[None]).following[0]
+        self.memory = ahead[8:]
         first = len(world.rows) - 1
         world.drive(applied, h)
         self.rates = following
