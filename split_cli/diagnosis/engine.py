@@ -345,6 +345,7 @@ def _p_of_a_part(selection: Selection) -> float:
 
 def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: bool) -> Diagnosis:
     """Say where the difference is, what it is, and whether naming it helps."""
+    case = case.judged_with_residue()
     described = found.description or describe(found.outcome, found.scales)
     selection, findings, remainder = described.selection, described.findings, described.remainder
     structured, unexplained = described.unexplained, described.unexplained or found.line is not None

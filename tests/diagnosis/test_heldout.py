@@ -1,16 +1,21 @@
 """What findings explain of the time kept out: shares known from each effect alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.innovations.case import gather_case
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.verdict.heldout import HeldOut, explained_by, explained_shares, fitted_alone, hold_out
+from split_cli.diagnosis.verdict.worth import fit_without_held_out
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import bare_objective, candidates_of, driven, light_evidence, noisy, prepared
+from tests.factories import road_car
 
 PAIR = CATALOGUE["aero_drag"]({"drag": 0.5}), CATALOGUE["yaw_inertia"]({"scale": 1.15})
 
@@ -152,3 +157,25 @@ def test_nothing_is_said_where_too_little_is_kept_out(paired):
     assert split.testing is None
     assert explained_shares(split, fitted(split.training, "aero_drag")) is None
     assert explained_shares(split_of(paired), nothing(split.training)) is None
+
+
+def test_what_is_held_out_is_judged_with_the_fast_signal_of_a_late_channel():
+    """Four samples late: what smoothing takes for noise of the yaw rate is as late as the rest."""
+    reality = noisy(driven(71, runs=8, seconds=8.0), 71)
+    late = np.concatenate([np.r_[[reality["r"][run][0]] * 4, reality["r"][run][:-4]] for run in reality.segments()])
+    case = gather_case(road_car(), [prepared(replace(reality, columns={**reality.columns, "r": late}))])
+    objective = build_objective(case.real, case.posterior, case.discrepancy, case.keep, case.kinematics)
+    one = next(one for one in candidates_of(objective, "channel_delay") if one.variant == "r")
+    whole = fit_parts(objective, [Part(one, {"r": 0.04})])
+    parted, moved = (
+        fit_without_held_out(each, objective, whole, STANDARD) for each in (case, case.judged_with_residue())
+    )
+    assert moved.trained.parts[0].values["r"] == pytest.approx(0.04, abs=0.003)
+    assert moved.trained.parts[0].values == parted.trained.parts[0].values  # no try of a fit moves noise
+    costs = [one.split.testing.cost(one.trained.terms) for one in (parted, moved)]
+    assert costs[1] < 0.9 * costs[0]
+    assert moved.split.testing.cost(()) == parted.split.testing.cost(())
+    errors = [one.improvement(one.trained.terms) for one in (parted, moved)]
+    assert errors[0].before == errors[1].before
+    beyond = [one.physics[2] ** 2 - one.noise_floor[2] ** 2 for one in errors]
+    assert 0.0 < beyond[1] < 0.6 * beyond[0]

@@ -145,6 +145,8 @@ def test_a_late_channel_is_put_right_with_the_fast_signal_that_smoothing_takes_f
 
     moved = late.with_residue_moved([delay])
     assert wrong(moved) < 1e-4 and wrong(late) > 0.003
+    # Where no delay is tried, a correction moves both.
+    assert wrong(replace(late, residue_moves=True)) < 1e-4 and wrong(replace(moved, residue_moves=True)) > 0.003
     # What a fit moves is the smooth part: the noise is the same at every delay it tries.
     np.testing.assert_allclose(moved.measured - moved.smooth, moved.corrected([delay])[0] - moved.corrected([delay])[1])
     objective = bare_objective(light_evidence(late))

@@ -61,6 +61,14 @@ class DiagnosisCase:
         keep = (comparable(one, self.simulated, self.discrepancy, reach, policy) for one in real)
         return replace(self, real=tuple(real), keep=tuple(keep))
 
+    def judged_with_residue(self) -> DiagnosisCase:
+        """Return the case whose late channels have their fast signal moved with the rest, for what fits no delay."""
+        real, holdout = (
+            tuple(replace(one, series=replace(one.series, residue_moves=True)) for one in several)
+            for several in (self.real, self.holdout)
+        )
+        return replace(self, real=real, holdout=holdout)
+
     def discrepancy_rates(self, evidence: Evidence, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what the simulation knows beyond the nominal model with terms along a recording, shape (N, 3)."""
         if self.posterior is None:

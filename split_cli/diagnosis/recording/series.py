@@ -54,6 +54,8 @@ class Series:
     noise: np.ndarray  # (3,): standard deviation of a sample of v_x, v_y, r
     lap_length: float | None = None
     place_reference: str = "dead_reckoned"
+    # Whether what smoothing left moves with a late channel, see `with_residue_moved`.
+    residue_moves: bool = False
     # Made anew for a copy with other arrays.
     _nominal_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
     _changed_by: dict[tuple[str, str], frozenset[str]] = field(
@@ -116,13 +118,15 @@ class Series:
         """Return the series with what smoothing left moved in time as late channels among `terms` say.
 
         Fast signal belongs to it, which is as late as the rest. A correction alone moves the smooth part, since noise
-        that moved along would make each try of a fit another draw of it.
+        that moved along would make each try of a fit another draw of it. Where nothing is fitted any more, a
+        correction moves both (`residue_moves`).
         """
         measured, smooth = self._channels
         left = {name: measured[name] - smooth[name] for name in smooth}
         for term in terms:
             left = term.correct_noise(left, self.recording)
-        return replace(self, measured=np.stack([smooth[name] + left[name] for name in smooth], axis=1))
+        moved = np.stack([smooth[name] + left[name] for name in smooth], axis=1)
+        return replace(self, measured=moved, residue_moves=False)
 
     def is_moved_by(self, term: Term) -> bool:
         """Return whether a term changes the model or the velocities: an accelerometer's bias leaves both alone."""
@@ -142,7 +146,9 @@ class Series:
         for term in terms:
             good = self._put_right(term, smooth)
             if term.moves_samples:
-                measured = {name: good[name] + (measured[name] - smooth[name]) for name in good}
+                left = {name: measured[name] - smooth[name] for name in good}
+                left = term.correct_noise(left, self.recording) if self.residue_moves else left
+                measured = {name: good[name] + left[name] for name in good}
             else:
                 measured = self._put_right(term, measured)
             smooth = good

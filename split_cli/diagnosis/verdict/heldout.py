@@ -44,7 +44,7 @@ def hold_out(
         Others are kept out as a whole.
     keep, keep_others : sequence of ndarray of bool, shape (G,)
         Rows that are compared.
-    knowledge, common, kinematics
+    posterior, discrepancy, kinematics
         As for `build_objective`.
     fixed_baseline : bool
         Whether the simulation is a fixed baseline.

@@ -68,7 +68,13 @@ def fit_without_held_out(case: DiagnosisCase, objective: MarginalLikelihood, who
         Of all rows.
     whole : Fit
         To it.
+
+    Notes
+    -----
+    The fit of the training rows has the fast signal of a late channel moved once, by the delay of the whole fit, as
+    the search had it. What judges moves it by the delay that it judges, see `DiagnosisCase.judged_with_residue`.
     """
+    late = [term for term in whole.terms if term.moves_samples]
     split = hold_out(
         case.real,
         case.keep,
@@ -80,6 +86,8 @@ def fit_without_held_out(case: DiagnosisCase, objective: MarginalLikelihood, who
         policy,
         fixed_baseline=objective.fixed_baseline,
     )
+    if late:
+        split = replace(split, training=split.training.with_residue_moved(late))
     trained = fit_parts(split.training, whole.parts) if whole.parts else whole
     return HeldOutFit(case, objective, whole, split, trained)
 
