@@ -157,6 +157,32 @@ def test_a_stretch_of_road_acts_where_it_lies():
     assert flat[0] - velocity[200, 0] == pytest.approx(9.80665 * 0.05 * 0.5, rel=0.1)
 
 
+def test_the_right_term_leaves_the_steps_of_the_car_without_the_fault():
+    """Steering four samples late at saturated tyres: slip angles of the late command have another stiffness."""
+    sound = noisy(driven(23, runs=8, steer=lambda angles, step: 1.8 * angles), 23)
+    late = np.concatenate([np.r_[sound["delta"][run][4:], [sound["delta"][run][-1]] * 4] for run in sound.segments()])
+    faulty = replace(sound, columns={**sound.columns, "delta": late})  # logged early, so that it acts late
+    everything = np.ones(len(sound), dtype=bool)
+    term = CATALOGUE["steer_delay"]({"delay": 4.0 * sound.period})
+    ours, theirs = (
+        label_errors(light_evidence(prepared(one)), terms, None, None, everything)
+        for one, terms in ((faulty, (term,)), (sound, ()))
+    )
+    starts = np.array([run.start for run in sound.segments()])
+    inner = (ours.labels.row[:, None] - starts)[:, :, None].min(axis=2)
+    inner = np.where(inner >= 0, inner, 10**6).min(axis=1) > 4
+    np.testing.assert_array_equal(ours.labels.row, theirs.labels.row)
+    told, known = ours.steps("physics", ours.physics)[inner], theirs.steps("before", theirs.before)[inner]
+    np.testing.assert_allclose(told, known, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(ours.physics[inner], theirs.before[inner], rtol=0.0, atol=1e-6)
+    # Late commands find other slip angles, and Phi there is another one.
+    assert np.abs(ours.phi_before - ours.phi_physics)[inner].max() > 0.05
+    # Velocities held have no model, and a step's error is what they miss over its length.
+    v, rows = theirs.persistence, theirs.labels.row
+    series = prepared(sound)
+    np.testing.assert_array_equal(v, (series.measured[rows + theirs.labels.window] - series.measured[rows]) / 0.05)
+
+
 def test_labels_know_where_effects_of_the_vehicle_file_act():
     """A climb in the vehicle file: labels of a drive that brings no s against those of one that does."""
     climb = EffectSpec("road_grade", {"angle": 0.05, "s_start": 50.0, "s_end": 150.0}, "stretch")

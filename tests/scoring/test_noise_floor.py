@@ -143,6 +143,6 @@ def test_the_floor_of_a_diagnosis_is_this_one_for_white_noise_of_the_velocities_
     evidence = recorded(4)
     drive = replace(evidence.series.drive, metadata=DriveMetadata(kinds={"T": "command", "delta": "command"}))
     told = label_errors(evidence, (), None, None, np.ones(len(drive), dtype=bool))
-    floor = noise_floor(SingleTrack(CAR), drive, told.labels)
+    floor = noise_floor(SingleTrack(CAR), drive, replace(told.labels, plain=True))
     # 400 of the windows stand for all, and over 50 ms the second order of the flow adds some permille.
     np.testing.assert_allclose(np.sqrt(told.floor.mean(axis=0)), floor.rms, rtol=0.01)

@@ -139,7 +139,7 @@ class HorizonErrors:
 
 @dataclass(frozen=True)
 class Improvement:
-    """Held-out one-step errors in label units, of v_x, v_y [m/s^2] and r [rad/s^2]."""
+    """Held-out errors of one step over its length, of v_x, v_y [m/s^2] and r [rad/s^2], see `LabelErrors`."""
 
     # before, physics, after, split_only, persistence: three: simulation as learned; plus terms; plus terms and
     # SPLIT; plus SPLIT alone; last velocities held.

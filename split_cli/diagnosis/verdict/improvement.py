@@ -1,4 +1,4 @@
-"""Does the named physics help: held-out errors of one label and of rollouts, before and after."""
+"""Does the named physics help: held-out errors of one step and of rollouts, before and after."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -114,12 +114,12 @@ def measure_improvement(
 def _held_out_errors(
     parts: Sequence[LabelErrors], split_only: LearnedCorrection | None, both: LearnedCorrection | None
 ) -> dict[str, np.ndarray]:
-    """Return the label errors of each stage in held-out time, all recordings one after the other, (L, 3) each."""
+    """Return the errors of each stage's steps in held-out time, all recordings one after the other, (L, 3) each."""
     by_stage = {
-        "before": [part.before for part in parts],
-        "physics": [part.physics for part in parts],
-        "split_only": [without_correction(part, part.before, split_only) for part in parts],
-        "after": [without_correction(part, part.physics, both) for part in parts],
+        "before": [part.steps("before", part.before) for part in parts],
+        "physics": [part.steps("physics", part.physics) for part in parts],
+        "split_only": [part.steps("before", without_correction(part, part.before, split_only)) for part in parts],
+        "after": [part.steps("physics", without_correction(part, part.physics, both)) for part in parts],
         "persistence": [part.persistence for part in parts],
     }
     return {

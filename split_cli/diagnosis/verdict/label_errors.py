@@ -10,7 +10,7 @@ from split_cli.diagnosis.innovations.rollouts import SharedRates
 from split_cli.diagnosis.recording.series import extended_model
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import Labels, compute_labels
-from split_cli.scoring.noise import covariance_in_labels, covariance_of_ends, white_noise
+from split_cli.scoring.noise import covariance_of_ends, white_noise
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.windows import recorded_inputs
@@ -22,15 +22,29 @@ _SHORTEST_BLOCK = 0.5
 
 @dataclass(frozen=True)
 class LabelErrors:
-    """Errors of labels on one recording, in label units, and which windows are held out."""
+    """Errors of labels and of single steps on one recording, and which windows are held out.
+
+    A label is the rate that a model lacks, and a step's error is what that makes of the velocities: Phi times the
+    label. Stages are compared by steps. Phi is that of each model at its own slip angles, and where a tyre reacts
+    within the step its inverse is large: labels of a model at wrong slip angles would be small for that reason.
+    """
 
     labels: Labels  # of the simulation as learned: nominal less the shared discrepancy
-    # before, physics, persistence: (L, 3)
+    # before, physics: (L, 3): [m/s^2], [m/s^2], [rad/s^2]
     before: np.ndarray
     physics: np.ndarray
+    # phi_before, phi_physics: (L, 3, 3): mean over the step of exp(A s), A the model's Jacobian
+    phi_before: np.ndarray
+    phi_physics: np.ndarray
+    # persistence, floor: (L, 3): of steps, over their length; the floor is the variance that sensor noise alone makes
     persistence: np.ndarray
     held: np.ndarray  # bool (L,)
-    floor: np.ndarray  # (L, 3): variance that sensor noise alone makes
+    floor: np.ndarray
+
+    def steps(self, stage: str, errors: np.ndarray) -> np.ndarray:
+        """Return label errors (L, 3) of a stage, ``before`` or ``physics``, as errors of steps over their length."""
+        out: np.ndarray = np.einsum("nij,nj->ni", getattr(self, f"phi_{stage}"), errors)
+        return out
 
 
 def label_errors(
@@ -56,35 +70,35 @@ def label_errors(
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     window, rows = labels.window, labels.row
     span = rows[:, None] + np.arange(window + 1)
-    A = evidence.jacobian[rows]
-    phi = phi_matrix(A, labels.horizon)
-    change = np.zeros_like(labels.y)
-    if terms:
-        measured, smooth = series.corrected(terms)
-        plain = _predict(evidence, (), series.measured, series.smooth, rows, window)
-        named = _predict(evidence, terms, measured, smooth, rows, window)
-        error = (measured[rows + window] - named) - (series.measured[rows + window] - plain)
-        change = np.linalg.solve(phi, error[:, :, None])[:, :, 0] / labels.horizon
-    moved = series.measured[rows + window] - series.measured[rows]
-    persistence = np.linalg.solve(phi, moved[:, :, None])[:, :, 0] / labels.horizon
+    before, phi, jacobian = _labels_with(evidence, (), labels)
+    physics, phi_named = (before, phi) if not terms else _labels_with(evidence, terms, labels)[:2]
+    moved = (series.measured[rows + window] - series.measured[rows]) / labels.horizon
     held = held_rows[rows] & held_rows[rows + window]
-    before, physics = labels.y, labels.y + change
     if shared is not None:
         before = before - shared.base[span[:, :-1]].mean(axis=1)
     # Which part of the simulation is believed is chosen for each stage apart.
     if shared_named is not None:
         physics = physics - shared_named.base[span[:, :-1]].mean(axis=1)
-    ends = covariance_of_ends(np.eye(3) + labels.horizon * A @ phi, white_noise(series.noise), window)
-    floor = np.diagonal(covariance_in_labels(ends, phi, labels.horizon), axis1=1, axis2=2)
-    return LabelErrors(labels, before, physics, persistence, held, floor)
+    carried = np.eye(3) + labels.horizon * jacobian @ phi
+    ends = covariance_of_ends(carried, white_noise(series.noise), window) / labels.horizon**2
+    floor = np.diagonal(ends, axis1=1, axis2=2)
+    return LabelErrors(labels, before, physics, phi, phi_named, moved, held, floor)
 
 
-def _predict(evidence: Evidence, terms, measured, smooth, rows, window) -> np.ndarray:
-    series = evidence.series
+def _labels_with(
+    evidence: Evidence, terms: Sequence[Term], labels: Labels
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return labels (L, 3) of the nominal model with terms, Phi and the Jacobian A of each, (L, 3, 3)."""
+    series, rows, window = evidence.series, labels.row, labels.window
+    measured, smooth = series.corrected(terms)
     model = extended_model(evidence.vehicle, terms)
     drive, situation = series.drive, Situation(series.t, series.s, series.yaw)
     recorded = recorded_inputs(model, smooth, drive["T"], drive["delta"], series.recording, situation, held=drive.held)
-    return recorded.windows(rows, window).predict(model, measured[rows], evidence.jacobian[rows])
+    windows = recorded.windows(rows, window)
+    jacobian = windows.jacobian(model, measured[rows])
+    phi = phi_matrix(jacobian, labels.horizon)
+    missed = (measured[rows + window] - windows.predict(model, measured[rows], jacobian)) / labels.horizon
+    return np.linalg.solve(phi, missed[:, :, None])[:, :, 0], phi, jacobian
 
 
 def blocks_of_time(times: Sequence[np.ndarray], longest: float = BLOCK_SECONDS) -> np.ndarray:
