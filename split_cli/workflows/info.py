@@ -210,33 +210,20 @@ def _short(value: object) -> str:
     return text if len(text) <= 160 else text[:157] + "..."
 
 
+_MOST_LINES = 200
+
+
 def _recording(path: Path) -> FileDescription:
+    from split_cli.logs.listing import listed_channels
     from split_cli.logs.readers import open_recording
 
     recording = open_recording(path)
-    channels = recording.channels()
-    facts = [("clocks", ", ".join(recording.clocks) or "a column"), ("channels", str(len(channels)))]
-    shown = _collapse_arrays(channels)
-    for name, info in shown[:200]:
-        count = "" if info.count is None else f"{info.count} x "
-        unit = f" [{info.unit}]" if info.unit else ""
-        facts.append((name, f"{count}{info.type_name}{unit}"))
-    if len(shown) > 200:
-        facts.append(("...", f"{len(shown) - 200} more"))
+    lines = listed_channels(recording)
+    facts = [("clocks", ", ".join(recording.clocks) or "a column"), ("channels", str(len(recording.channels())))]
+    for line in lines[:_MOST_LINES]:
+        count = "" if line.info.count is None else f"{line.info.count} x "
+        unit = f" [{line.info.unit}]" if line.info.unit else ""
+        facts.append((line.name, f"{count}{line.info.type_name}{unit}"))
+    if len(lines) > _MOST_LINES:
+        facts.append(("...", f"{len(lines) - _MOST_LINES} more; `split ingest {path} --list` shows all"))
     return FileDescription(str(path), "recording", tuple(facts))
-
-
-def _collapse_arrays(channels: list) -> list[tuple]:
-    """Return (name, channel) with runs of elements such as c[0] to c[35] named once, as c[0..35]."""
-    runs: list[list] = []
-    for info in channels:
-        stem = info.name.rpartition("[")[0] if info.name.endswith("]") else None
-        if runs and stem and runs[-1][0] == stem:
-            runs[-1][2] = info.name
-        else:
-            runs.append([stem, info, info.name])
-    shown = []
-    for stem, info, last in runs:
-        name = info.name if last == info.name else f"{info.name[:-1]}..{last[len(stem) + 1 :]}"
-        shown.append((name, info))
-    return shown
