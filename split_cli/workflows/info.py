@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import SplitError, reason_of
 from split_cli.files import parse_json, refuse_no_regular_file
+from split_cli.workflows.page_facts import describe_folder, describe_page
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,8 @@ class FileDescription:
     """What a file is."""
 
     path: str
-    kind: str  # drive, labels, trained set, vehicle, signal map, export, diagnosis, or recording
+    # drive, labels, trained set, vehicle, signal map, export, diagnosis, evaluation, comparison, race, or recording
+    kind: str
     facts: tuple[tuple[str, str], ...]  # what is known of it, in reading order
 
 
@@ -35,6 +37,10 @@ def describe_file(path: str | Path) -> FileDescription:
     suffix = path.suffix.lower()
     if path.is_dir() and (path / "manifest.json").is_file():
         return _export(path)
+    if path.is_dir() and (path / "report.html").is_file():
+        return FileDescription(str(path), *describe_folder(path))
+    if suffix == ".html":
+        return FileDescription(str(path), *describe_page(path))
     if suffix in (".yaml", ".yml"):
         return _yaml(path)
     if suffix == ".split":
@@ -166,7 +172,7 @@ def _yaml(path: Path) -> FileDescription:
 _LABELS = ("v_x [m/s^2]", "v_y [m/s^2]", "r [rad/s^2]")
 _ONE_DRIVE = "hold for other stretches of the same driving only, since the set was trained on one drive or two"
 _NEAR_POINTS = "within a length scale of the points; beyond they only carry the size of the residual in training"
-_READS = "Name a drive, a trained set, labels, a vehicle file, a map, a diagnosis or an export."
+_READS = "Name a drive, a trained set, labels, a vehicle file, a map, an export, or a folder with a report."
 
 
 def _named(names: Sequence[str], values: Iterable[float]) -> str:
