@@ -14,7 +14,7 @@ from split_cli.logs.drive import write_drive
 from split_cli.scoring.comparison import RunErrors, rank, worse_than
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
-from split_cli.workflows.report.comparison import headline
+from split_cli.workflows.report.comparison import comparison_page, headline
 from tests.factories import make_drive, road_car
 
 CAR = road_car()
@@ -99,6 +99,15 @@ class TestModels:
         assert (twice.starts, twice.scores, twice.drives) == (once.starts, once.scores, once.drives)
         assert twice.notes[0] == "lap.parquet was given twice: it counts once"
         assert twice.notes[1] == "copy.parquet is a copy of lap.parquet: it counts once"
+
+    def test_a_model_that_learned_the_drive_is_not_simply_best(self, drive):
+        known = replace(drive, sha256="known")
+        compared = compare_models([ComparedModel("wrong", WRONG), ComparedModel("right", CAR)], [known], (0.5,))
+        assert "trained on" not in headline(compared)
+        learned = replace(compared, in_sample=("right",))
+        assert headline(learned).endswith(", but was trained on what it is compared on.")
+        page = comparison_page(replace(learned, notes=("IN SAMPLE: right was trained on lap.parquet",)))
+        assert page.index("IN SAMPLE") < page.index('id="scores"')
 
     def test_two_of_one_name_and_a_horizon_too_long_are_refused(self, drive):
         with pytest.raises(SplitError, match="two models are called 'a'"):
