@@ -1,5 +1,6 @@
 """`split ingest`: its options, and how its result is printed."""
 
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -250,8 +251,9 @@ def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
         rows = [[line.name, line.info.type_name, line.info.count, line.info.unit] for line in lines]
         shared.print_table(["channel", "type", "count", "unit"], rows)
         if examples := [line.example for line in lines if line.example]:
-            # A covariance is the array that nobody maps.
-            example = next((name for name in examples if "covariance" not in name), examples[0])
+            # Nobody maps a covariance, nor what holds nothing.
+            useful = [one.example for one in lines if one.example and not re.search(r"covariance|\[\.\.\]", one.name)]
+            example = next(iter(useful), examples[0])
             click.echo(f"note: an array stands in one line; a map names one element, such as {example}", err=True)
         for note in recording.notes:
             click.echo(f"note: {note.where}: {f'{note.count} x ' * (note.count > 1)}{note.what}", err=True)

@@ -90,7 +90,7 @@ def test_a_circle_at_one_steering_and_rising_speed_is_no_fault(car):
 
 def test_motion_without_noise_is_noted(car):
     notes = " ".join(made(car).quality.warnings)
-    assert "without any sensor noise: v_x and v_y and r" in notes
+    assert "without any sensor noise: v_x, v_y and r" in notes
     assert "without any sensor noise" not in " ".join(made(car, noise=NOISE).quality.warnings)
 
 

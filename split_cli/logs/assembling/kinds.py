@@ -99,7 +99,8 @@ def unlike_a_sensor(
     moved = [channel for channel in _BODY if not is_derived(kinds[channel]) and np.ptp(drive[channel]) > 0.0]
     known = [c for c in moved if noise[c].sigma is not None and not _has_noise(c, drive.columns, noise[c])]
     if known and known == moved:
-        names = " and ".join(_BODY[channel][0] for channel in known)
+        *most, last = (_BODY[channel][0] for channel in known)
+        names = f"{', '.join(most)} and {last}" if most else last
         said.append(
             f"without any sensor noise: {names}, as a simulator writes them. `split diagnose` then takes the smallest "
             "misfit of a model for an effect (docs/diagnosis.md, Recordings without noise)"
