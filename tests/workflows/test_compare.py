@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from split_cli.cli.main import group
 from split_cli.errors import SplitError
 from split_cli.logs.drive import write_drive
+from split_cli.plots.charts import track_chart
 from split_cli.scoring.comparison import RunErrors, rank, worse_than
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
@@ -130,6 +131,11 @@ def compare(folder, *words: str):
     return CliRunner().invoke(group, arguments)
 
 
+def test_a_path_is_drawn_without_a_heading(drive):
+    placed = replace(drive, columns={**drive.columns, "X": drive["t"], "Y": 2.0 * drive["t"]})
+    assert "yaw" not in placed.columns and track_chart([("measured", "measured", placed)]) is not None
+
+
 class TestTheCommand:
     def test_writes_a_page_and_a_table_that_say_the_same(self, folder):
         old, new = f"old={folder / 'wrong.yaml'}", f"new={folder / 'right.yaml'}"
@@ -142,6 +148,9 @@ class TestTheCommand:
         assert float(rows[0]["rmse"]) == pytest.approx(first["rmse"]) and rows[0]["model"] == "old"
         page = (folder / "out" / "report.html").read_text(encoding="utf-8")
         assert "new is best after 1 s, significantly in" in page
+        # The pictures of every report: motion, tyres, handling, accelerations, whiteness.
+        for chart in ("strip-vy", "tire-front", "force-x", "understeer", "gg", "white-r"):
+            assert f'"name":"{chart}"' in page, chart
 
     def test_a_name_is_no_formula_and_no_script(self, folder):
         named = [f"@SUM(A1)<script>={folder / 'wrong.yaml'}", str(folder / "right.yaml")]

@@ -214,7 +214,7 @@ const Charts = (() => {
         const half = (text.length * TEXT) / 2;
         frame.append(shape("line", { x1: at, x2: at, y1: this.top, y2: this.top + this.tall, stroke: "var(--grid)" }));
         const middle = Math.min(at, width - half - 1); // a number at the right edge is written whole
-        if (middle - half < end + 4) continue;
+        if (middle - half < end + 8) continue;
         end = middle + half;
         frame.append(shape("text", { x: middle, y: this.top + this.tall + 15, "text-anchor": "middle" }, text));
       }
