@@ -126,12 +126,13 @@ def command(drives, vehicle_path, set_path, output, as_json, select, engine, sch
         if select:
             _select(paths, vehicle_path, set_path, output, as_json, tried, settings)
         else:
-            _evaluate(paths, vehicle_path, set_path, output, as_json, (engine, scheduler, jobs), settings)
+            learned = _evaluate(paths, vehicle_path, set_path, output, as_json, (engine, scheduler, jobs), settings)
     if not as_json and not select:
-        _tell_what_follows(drives, vehicle_path, set_path)
+        _tell_what_follows(drives, vehicle_path, set_path, learned)
 
 
-def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> None:
+def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> bool:
+    """Evaluate and print; return whether the set was trained on every drive."""
     from split_cli.scoring.report import EvaluationSettings
     from split_cli.workflows.engine import open_engine
     from split_cli.workflows.evaluate import evaluate_files
@@ -155,10 +156,15 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
         shared.print_json(run.report)
     else:
         _print_report(run.report)
+    return set_path is not None and all(drive.in_sample for drive in run.report.drives)
 
 
-def _tell_what_follows(drives, vehicle_path, set_path) -> None:
-    if set_path is not None:
+def _tell_what_follows(drives, vehicle_path, set_path, learned: bool) -> None:
+    if learned:
+        vehicle = [] if vehicle_path is None else ["--vehicle", vehicle_path]
+        unseen = ["split", "evaluate", "ANOTHER_DRIVE", "--set", set_path, *vehicle]
+        shared.tell_next(unseen, before="these drives were learned, so take another one, ")
+    elif set_path is not None:
         exported = ["split", "export", set_path, "--target", "c", "-o", shared.named_after(set_path, "controller/")]
         shared.tell_next(exported, before="where the correction helps, ")
     else:

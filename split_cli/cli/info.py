@@ -11,9 +11,12 @@ from split_cli.cli.options import existing_file, json_option, print_json
 def command(files, as_json) -> None:
     """Describe a drive, labels, a trained set, a vehicle file, a signal map, an export, or a recording.
 
+    Of a folder or page that evaluate, diagnose, compare or race wrote, it prints the verdict and the main figures.
+
     \b
     Example:
       split info car.split lap.parquet car.yaml
+      split info figures/
       split info lap.mcap            # the channels a signal map can name
     """
     from split_cli.workflows.info import describe_file

@@ -224,7 +224,7 @@ def _list_maps(as_json: bool) -> int:
 
 
 def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
-    from split_cli.workflows.ingesting.ingest import list_channels, suggest_map_for
+    from split_cli.workflows.ingesting.ingest import open_listed, suggest_map_for
     from split_cli.workflows.sources import find_sources
 
     described = []
@@ -238,17 +238,25 @@ def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
             if not as_json:
                 click.echo(draft)
             continue
-        channels, clocks = list_channels(log, message_paths=message_paths)
+        recording, lines = open_listed(log, message_paths=message_paths)
+        channels, clocks = recording.channels(), recording.clocks
         if as_json:
             log = "+".join(log) if isinstance(log, tuple) else log
-            described.append({"log": str(log), "clocks": list(clocks), "channels": list(channels)})
+            listed = {"log": str(log), "clocks": list(clocks), "channels": list(channels)}
+            arrays = {line.name: line.example for line in lines if line.example}
+            described.append({**listed, "arrays": arrays, "notes": list(recording.notes)})
             continue
         log = " + ".join(map(str, log)) if isinstance(log, tuple) else log
         click.echo(f"{log}: {len(channels)} channels; clocks: {', '.join(clocks) or 'none, time is a column'}")
-        # Elements of a covariance share a row: a bag of odometry has 72 of them.
-        shown = {re.sub(r"(covariance)\[\d+\]$", r"\1[..]", c.name): c for c in channels}
-        rows = [[name, c.type_name, c.count, c.unit] for name, c in shown.items()]
+        rows = [[line.name, line.info.type_name, line.info.count, line.info.unit] for line in lines]
         shared.print_table(["channel", "type", "count", "unit"], rows)
+        if examples := [line.example for line in lines if line.example]:
+            # Nobody maps a covariance, nor what holds nothing.
+            useful = [one.example for one in lines if one.example and not re.search(r"covariance|\[\.\.\]", one.name)]
+            example = next(iter(useful), examples[0])
+            click.echo(f"note: an array stands in one line; a map names one element, such as {example}", err=True)
+        for note in recording.notes:
+            click.echo(f"note: {note.where}: {f'{note.count} x ' * (note.count > 1)}{note.what}", err=True)
     if as_json:
         shared.print_json(described if len(described) > 1 else described[0])
     return 0

@@ -112,12 +112,15 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
     _print_rows(result)
     if result.laps:
         _print_laps(result.laps)
-    # Where the drives are there, without --set: on held-out blocks, since an unseen drive may not exist.
-    named = all(path.is_file() and ".labels" not in path.name for path in drives)
-    scored = drives if named else ["UNSEEN_DRIVE", "--set", output]
-    shared.tell_next(
-        ["split", "evaluate", *scored, "--vehicle", vehicle_path, "-o", shared.named_after(output, "figures/")]
-    )
+    figures = shared.named_after(output, "figures/")
+    unseen = ["split", "evaluate", "ANOTHER_DRIVE", "--set", output, "--vehicle", vehicle_path, "-o", figures]
+    shared.tell_next(unseen, before="on a drive that was not learned, ")
+    if all(path.is_file() and ".labels" not in path.name for path in drives):
+        held_out = ["split", "evaluate", *drives, "--vehicle", vehicle_path, "-o", figures]
+        shared.tell_next(
+            held_out,
+            before=f"or, if there is none, on held-out parts of {'these' if len(drives) > 1 else 'this one'}, ",
+        )
     if result.trust.array.any():
         exported = ["split", "export", output, "--target", "c", "-o", shared.named_after(output, "controller/")]
         shared.tell_next(exported, before="where the correction helps, ")

@@ -139,14 +139,26 @@ class TableRecording:
     origin: float = 0.0
     clocks: tuple[Clock, ...] = ()
     notes: list[ReadNote] = field(default_factory=list)
+    unlisted: dict[str, Callable[[], RawSignal]] = field(default_factory=dict)  # far columns of matrices, by name only
 
     def channels(self) -> list[RawChannelInfo]:
         """Return the columns with their units."""
         return [RawChannelInfo(s.name, self.type_name, len(s.values), s.unit) for s in self.signals.values()]
 
+    def element_counts(self) -> dict[str, int]:
+        """Return how many columns the matrices have of which not all are listed."""
+        counts: dict[str, int] = {}
+        for name in self.unlisted:
+            matrix, _, index = name.removesuffix("]").rpartition("[")
+            counts[matrix] = int(index) + 1
+        return counts
+
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
         """Return the named columns; see `RawRecording.read`."""
-        return {name: nearest_column(self.signals, name, self.name) for name in names}
+        return {
+            name: self.unlisted[name]() if name in self.unlisted else nearest_column(self.signals, name, self.name)
+            for name in names
+        }
 
 
 @dataclass

@@ -47,6 +47,7 @@ class ModelComparison:
     by_drive: tuple[tuple[str, tuple[ModelScore, ...]], ...]  # drive by drive, where there are several
     worse: tuple[str, ...]  # where the first model is worse than another one beyond chance
     notes: tuple[str, ...]
+    in_sample: tuple[str, ...] = ()  # models that were trained on a drive they are compared on
 
 
 def read_model(text: str) -> ComparedModel:
@@ -152,6 +153,7 @@ def compare_models(
         by_drive,
         worse_than(scores, pooled, names[0]),
         (*repeated, *_notes(models, drives, parts)),
+        tuple(model.name for model in models if _learned(model, drives)),
     )
 
 
@@ -220,13 +222,18 @@ def _pooled(parts: Sequence[RunErrors]) -> RunErrors:
     return RunErrors(parts[0].horizon, errors, joined("held"), joined("measured"), joined("block"))
 
 
+def _learned(model: ComparedModel, drives: Sequence[Drive]) -> list[Drive]:
+    """Return the drives that a model was trained on."""
+    known = {source.sha256 for source in model.trained.sources} if model.trained is not None else set()
+    return [drive for drive in drives if drive.sha256 and drive.sha256 in known]
+
+
 def _notes(models: Sequence[ComparedModel], drives: Sequence[Drive], parts: Sequence) -> tuple[str, ...]:
     notes = list(unstated_inputs(list(drives)))
     for model in models:
         if model.trained is None:
             continue
-        known = {source.sha256 for source in model.trained.sources}
-        notes += [in_sample(model.name, drive.name) for drive in drives if drive.sha256 and drive.sha256 in known]
+        notes += [in_sample(model.name, drive.name) for drive in _learned(model, drives)]
         for drive in drives:
             z = features_along(SingleTrack(model.vehicle), drive, model.trained.features)
             notes += not_unseen(model.name, model.trained, drive, z)

@@ -5,11 +5,22 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from split_cli.errors import spreadsheet_text
 from split_cli.files import atomic_directory, write_digests
+from split_cli.learning.features import Z2
+from split_cli.learning.labels import Labels, compute_labels
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart
-from split_cli.plots.charts import Subject, drive_charts, handling_charts
+from split_cli.plots.charts import (
+    Subject,
+    drive_charts,
+    handling_charts,
+    tire_charts_of_files,
+    track_chart,
+    whiteness_chart,
+)
 from split_cli.plots.palette import ROLES
 from split_cli.prediction import make_predictor
 from split_cli.scoring.rollouts import Correction
@@ -71,7 +82,27 @@ def _drive_charts(models: Sequence[ComparedModel], drive: Drive) -> tuple[Chart,
         own = RecordingCorrection(model.vehicle)(drive)
         subjects.append(Subject(model.name, role, own, model.vehicle, _correction(model, own)))
     vehicle = models[0].vehicle
-    return gathered([lambda: drive_charts(subjects, vehicle), lambda: handling_charts(subjects, vehicle)])
+    cars = [(one.name, one.role, one.vehicle) for one in subjects[1:]]
+    return gathered(
+        [
+            lambda: drive_charts(subjects, vehicle),
+            lambda: tire_charts_of_files(drive, cars),
+            lambda: handling_charts(subjects, vehicle),
+            lambda: [track_chart([("measured", "measured", drive)])],
+            lambda: whiteness_chart([_left(*pair) for pair in zip(models, subjects[1:], strict=False)]),
+        ]
+    )
+
+
+def _left(model: ComparedModel, shown: Subject) -> tuple[str, str, Labels, np.ndarray]:
+    """Return name, role, and what a model leaves of the motion over one step, with its labels."""
+    features = Z2 if model.trained is None else model.trained.features
+    labels = compute_labels(shown.drive, model.vehicle, features)
+    labels = labels.take(np.isfinite(labels.y).all(axis=1))
+    if model.trained is None:
+        return shown.name, shown.role, labels, labels.y
+    learned = make_predictor(model.predictor, model.trained).predict(labels.z)
+    return shown.name, shown.role, labels, labels.y - learned.mean
 
 
 def _correction(model: ComparedModel, drive: Drive) -> Correction | None:

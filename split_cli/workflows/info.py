@@ -9,6 +9,7 @@ import numpy as np
 
 from split_cli.errors import SplitError, reason_of
 from split_cli.files import parse_json, refuse_no_regular_file
+from split_cli.workflows.page_facts import describe_folder, describe_page
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,8 @@ class FileDescription:
     """What a file is."""
 
     path: str
-    kind: str  # drive, labels, trained set, vehicle, signal map, export, diagnosis, or recording
+    # drive, labels, trained set, vehicle, signal map, export, diagnosis, evaluation, comparison, race, or recording
+    kind: str
     facts: tuple[tuple[str, str], ...]  # what is known of it, in reading order
 
 
@@ -35,6 +37,10 @@ def describe_file(path: str | Path) -> FileDescription:
     suffix = path.suffix.lower()
     if path.is_dir() and (path / "manifest.json").is_file():
         return _export(path)
+    if path.is_dir() and (path / "report.html").is_file():
+        return FileDescription(str(path), *describe_folder(path))
+    if suffix == ".html":
+        return FileDescription(str(path), *describe_page(path))
     if suffix in (".yaml", ".yml"):
         return _yaml(path)
     if suffix == ".split":
@@ -166,7 +172,7 @@ def _yaml(path: Path) -> FileDescription:
 _LABELS = ("v_x [m/s^2]", "v_y [m/s^2]", "r [rad/s^2]")
 _ONE_DRIVE = "hold for other stretches of the same driving only, since the set was trained on one drive or two"
 _NEAR_POINTS = "within a length scale of the points; beyond they only carry the size of the residual in training"
-_READS = "Name a drive, a trained set, labels, a vehicle file, a map, a diagnosis or an export."
+_READS = "Name a drive, a trained set, labels, a vehicle file, a map, an export, or a folder with a report."
 
 
 def _named(names: Sequence[str], values: Iterable[float]) -> str:
@@ -210,33 +216,20 @@ def _short(value: object) -> str:
     return text if len(text) <= 160 else text[:157] + "..."
 
 
+_MOST_LINES = 200
+
+
 def _recording(path: Path) -> FileDescription:
+    from split_cli.logs.listing import listed_channels
     from split_cli.logs.readers import open_recording
 
     recording = open_recording(path)
-    channels = recording.channels()
-    facts = [("clocks", ", ".join(recording.clocks) or "a column"), ("channels", str(len(channels)))]
-    shown = _collapse_arrays(channels)
-    for name, info in shown[:200]:
-        count = "" if info.count is None else f"{info.count} x "
-        unit = f" [{info.unit}]" if info.unit else ""
-        facts.append((name, f"{count}{info.type_name}{unit}"))
-    if len(shown) > 200:
-        facts.append(("...", f"{len(shown) - 200} more"))
+    lines = listed_channels(recording)
+    facts = [("clocks", ", ".join(recording.clocks) or "a column"), ("channels", str(len(recording.channels())))]
+    for line in lines[:_MOST_LINES]:
+        count = "" if line.info.count is None else f"{line.info.count} x "
+        unit = f" [{line.info.unit}]" if line.info.unit else ""
+        facts.append((line.name, f"{count}{line.info.type_name}{unit}"))
+    if len(lines) > _MOST_LINES:
+        facts.append(("...", f"{len(lines) - _MOST_LINES} more; `split ingest {path} --list` shows all"))
     return FileDescription(str(path), "recording", tuple(facts))
-
-
-def _collapse_arrays(channels: list) -> list[tuple]:
-    """Return (name, channel) with runs of elements such as c[0] to c[35] named once, as c[0..35]."""
-    runs: list[list] = []
-    for info in channels:
-        stem = info.name.rpartition("[")[0] if info.name.endswith("]") else None
-        if runs and stem and runs[-1][0] == stem:
-            runs[-1][2] = info.name
-        else:
-            runs.append([stem, info, info.name])
-    shown = []
-    for stem, info, last in runs:
-        name = info.name if last == info.name else f"{info.name[:-1]}..{last[len(stem) + 1 :]}"
-        shown.append((name, info))
-    return shown

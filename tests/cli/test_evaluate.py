@@ -148,6 +148,13 @@ def test_without_a_set_the_drives_go_on_to_the_diagnosis(garage):
     assert outcome.stderr.splitlines()[-1] == expected
 
 
+def test_what_was_learned_leads_to_another_drive_and_not_to_an_export(garage):
+    outcome = run("evaluate", garage / "d0.parquet", "--set", garage / "a.split", "--rollout", "", "--predictor", "bcm")
+    following = f"split evaluate ANOTHER_DRIVE --set {garage / 'a.split'}"
+    assert outcome.stderr.splitlines()[-1] == f"next: these drives were learned, so take another one, {following}"
+    assert "split export" not in outcome.stderr
+
+
 def test_the_papers_protocol_is_marked_in_sample_and_takes_100_samples(garage):
     arguments = ("evaluate", garage / "d1.parquet", "--vehicle", garage / "car.yaml", "--protocol", "paper")
     outcome = run(*arguments, "--features", "z1,z2", "--json")

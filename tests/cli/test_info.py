@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from split_cli.cli.main import group
 from split_cli.errors import SplitError
 from split_cli.learning.training_set import write_set
 from split_cli.logs.drive import Drive, write_drive
@@ -47,9 +49,31 @@ def test_a_vehicle_tells_where_its_values_come_from(sample_logs):
     assert "front_tire.B" in dict(described.facts)["calibrated"]
 
 
+def test_a_folder_with_a_page_tells_its_verdict_and_main_figures(tmp_path, sample_logs):
+    vehicles = [str(sample_logs / name) for name in ("road_car.yaml", "road_car_start.yaml")]
+    drive = str(sample_logs / "road_pair_sim.parquet")
+    ran = CliRunner().invoke(group, ["compare", *vehicles, "--on", drive, "-o", str(tmp_path / "compared")])
+    assert ran.exit_code == 0, ran.output
+    described = describe_file(tmp_path / "compared")
+    shown = dict(described.facts)
+    assert described.kind == "comparison" and shown["verdict"].startswith("road_car.yaml is best")
+    assert shown["of"] == "road_pair_sim.parquet" and shown["Models"].startswith("2")
+    assert shown["beside it"] == "compare.csv" and shown["to check it"] == f"split verify {tmp_path / 'compared'}"
+    assert (
+        describe_file(tmp_path / "compared" / "report.html").facts == described.facts[: -len(("page", "csv", "check"))]
+    )
+
+
+def test_a_page_of_another_program_is_named_as_such(tmp_path):
+    (tmp_path / "report.html").write_text("<header><b>other</b></header><main><h1 id='verdict'>x</h1></main>")
+    with pytest.raises(SplitError, match="did not write"):
+        describe_file(tmp_path)
+
+
 @pytest.mark.parametrize(
     "name, content",
     [
+        ("a.html", b"\xff\xfe<"),
         ("a.split", b"ARROW1"),
         ("a.parquet", b"PAR1"),
         ("a.json", b"[1"),

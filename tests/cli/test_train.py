@@ -117,9 +117,14 @@ def test_the_table_has_a_row_a_drive_and_a_total(garage, tmp_path):
         assert column in lines[0]
     assert [line.split()[0] for line in lines[2:6]] == ["d0.parquet", "d1.parquet", "d2.parquet", "total"]
     # Not a terminal: no progress; said once what these drives do not tell, and what comes next.
-    assert [line.split(":")[0] for line in outcome.stderr.splitlines()] == ["note", "next", "next"]
+    assert [line.split(":")[0] for line in outcome.stderr.splitlines()] == ["note", "next", "next", "next"]
+    # What was learned is no test of what was learned: first another drive, else held-out parts.
+    unseen, held_out = (line for line in outcome.stderr.splitlines() if "split evaluate" in line)
+    options = f"--vehicle {garage / 'car.yaml'} -o a_figures/"
+    taken = f"split evaluate ANOTHER_DRIVE --set {tmp_path / 'a.split'} {options}"
+    assert unseen == f"next: on a drive that was not learned, {taken}"
     drives = " ".join(str(path) for path in drives_of(garage))
-    assert f"next: split evaluate {drives} --vehicle {garage / 'car.yaml'} -o a_figures/" in outcome.stderr
+    assert held_out == f"next: or, if there is none, on held-out parts of these, split evaluate {drives} {options}"
     exported = f"next: where the correction helps, split export {tmp_path / 'a.split'} --target c -o a_controller/"
     assert exported in outcome.stderr and "--held T,delta" in outcome.stderr
 

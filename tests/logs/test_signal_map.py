@@ -186,6 +186,7 @@ def test_a_satellite_fix_becomes_local_metres():
     made = gather(recording, read_map("fix"))
     assert values(made, "Y")[10] == pytest.approx(11.09, abs=0.02)  # 1e-4 deg of a meridian of 6,356 km radius
     np.testing.assert_allclose(values(made, "X"), 0.0, atol=1e-6)
+    assert [made.series[name][0].source for name in "XY"] == ["/gps/longitude", "/gps/latitude"]
 
 
 def test_a_clock_that_is_not_there_is_refused():

@@ -90,3 +90,11 @@ def test_a_ratio_near_one_is_told_from_one():
     told = {(0.8512,): "0.85", (1.0031, 1.0042): "1.003 to 1.004", (0.99996,): "0.99996", (1.0,): "1.00"}
     told[0.36, 0.99996] = "0.36 to 1.00"
     assert {ratios: _span(ratios) for ratios in told} == told
+
+
+def test_a_change_that_no_printed_digit_shows_is_none():
+    """With a trust of 0.1 an error grew by 0.003 %, beyond chance: "hardly worse (1.00003 times)"."""
+    one, *_ = compare("bcm", "z2", [errors((1.0, 1.0, 1.0), 3)])
+    for ratio, words in ((1.00003, "as the nominal"), (0.99997, "as the nominal"), (0.998, "better (0.998 times")):
+        said = verdict([replace(one, to_nominal=(ratio, ratio - 1e-6, ratio + 1e-6))])
+        assert f"v_x {words}" in said, said

@@ -11,10 +11,11 @@ from click.testing import CliRunner
 from split_cli.cli.main import group
 from split_cli.errors import SplitError
 from split_cli.logs.drive import write_drive
+from split_cli.plots.charts import track_chart
 from split_cli.scoring.comparison import RunErrors, rank, worse_than
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
-from split_cli.workflows.report.comparison import headline
+from split_cli.workflows.report.comparison import comparison_page, headline
 from tests.factories import make_drive, road_car
 
 CAR = road_car()
@@ -100,6 +101,15 @@ class TestModels:
         assert twice.notes[0] == "lap.parquet was given twice: it counts once"
         assert twice.notes[1] == "copy.parquet is a copy of lap.parquet: it counts once"
 
+    def test_a_model_that_learned_the_drive_is_not_simply_best(self, drive):
+        known = replace(drive, sha256="known")
+        compared = compare_models([ComparedModel("wrong", WRONG), ComparedModel("right", CAR)], [known], (0.5,))
+        assert "trained on" not in headline(compared)
+        learned = replace(compared, in_sample=("right",))
+        assert headline(learned).endswith(", but was trained on what it is compared on.")
+        page = comparison_page(replace(learned, notes=("IN SAMPLE: right was trained on lap.parquet",)))
+        assert page.index("IN SAMPLE") < page.index('id="scores"')
+
     def test_two_of_one_name_and_a_horizon_too_long_are_refused(self, drive):
         with pytest.raises(SplitError, match="two models are called 'a'"):
             compare_models([ComparedModel("a", CAR), ComparedModel("a", WRONG)], [drive])
@@ -121,6 +131,11 @@ def compare(folder, *words: str):
     return CliRunner().invoke(group, arguments)
 
 
+def test_a_path_is_drawn_without_a_heading(drive):
+    placed = replace(drive, columns={**drive.columns, "X": drive["t"], "Y": 2.0 * drive["t"]})
+    assert "yaw" not in placed.columns and track_chart([("measured", "measured", placed)]) is not None
+
+
 class TestTheCommand:
     def test_writes_a_page_and_a_table_that_say_the_same(self, folder):
         old, new = f"old={folder / 'wrong.yaml'}", f"new={folder / 'right.yaml'}"
@@ -133,6 +148,9 @@ class TestTheCommand:
         assert float(rows[0]["rmse"]) == pytest.approx(first["rmse"]) and rows[0]["model"] == "old"
         page = (folder / "out" / "report.html").read_text(encoding="utf-8")
         assert "new is best after 1 s, significantly in" in page
+        # The pictures of every report: motion, tyres, handling, accelerations, whiteness.
+        for chart in ("strip-vy", "tire-front", "force-x", "understeer", "gg", "white-r"):
+            assert f'"name":"{chart}"' in page, chart
 
     def test_a_name_is_no_formula_and_no_script(self, folder):
         named = [f"@SUM(A1)<script>={folder / 'wrong.yaml'}", str(folder / "right.yaml")]

@@ -229,6 +229,24 @@ def test_on_paper_every_chart_fills_its_column_and_what_is_folded_leaves_no_head
     browser.execute_script("window.dispatchEvent(new Event('afterprint'))")
 
 
+def test_names_of_rows_that_begin_alike_are_told_apart(browser, tmp_path):
+    """A comparison of several sets of one car: cut at the end, all would read the same."""
+    names = [f"handling_course_aggressive_{kind}.split (projected)" for kind in ("dry", "wet", "worn_front_tyres")]
+    row = ChartLine("rms error", np.ones(3), np.arange(3), "learned", "bars", np.full(3, 0.9), np.full(3, 1.1))
+    chart = Chart("ranked", "Error", "rms [m/s]", "", (row,), rows=tuple(names))
+    body = f'<h1 id="verdict">x</h1>{charts_block((chart,), thirds=True)}'
+    file = tmp_path / "page.html"
+    file.write_text(page("compare", "a", "b", body, (chart,)), encoding="utf-8")
+    for width in (1280, 800, 420):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.get(file.as_uri())
+        shown = [t.text for t in browser.find_elements("css selector", "#chart-ranked svg text[text-anchor=end]")]
+        assert all(any(kind in text for text in shown) for kind in ("dry", "wet", "worn")), shown
+        left = "return Math.min(...[...document.querySelectorAll('#chart-ranked svg text')].map(t => t.getBBox().x))"
+        assert browser.execute_script(left) >= 0.0
+
+
 def test_the_best_is_named_and_rows_keep_their_names(opened):
     browser = opened()
     texts = [t.text for t in browser.find_elements("css selector", "#chart-ranked svg text")]

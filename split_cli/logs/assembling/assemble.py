@@ -14,6 +14,7 @@ from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.derivation import DerivationInputs, Derived
 from split_cli.logs.assembling.derivations import DERIVATIONS, can_derive, derivation_named, reachable
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
+from split_cli.logs.assembling.kinds import between_of, kinds_of, unlike_a_sensor
 from split_cli.logs.assembling.moving_to_cg import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport
 from split_cli.logs.assembling.resample import SampleClock
@@ -178,13 +179,16 @@ def _assemble(
     conversions = [*gathered.conversions, *joined, *trimmed]
     made, grid = _place_and_derive(derivations, columns, grid, vehicle, signal_map, gathered, noise, conversions)
     before = metadata_of_drive(recording.path)
-    kinds, warnings = _kinds(gathered, made, columns, before)
+    kinds, warnings = kinds_of(gathered, made, columns, before, noise)
     if too_short or dropped:
         warnings.append(f"{too_short + dropped} rows of stretches too short to use were left out")
     drive = _drive(recording, grid, columns)
     consistency = _checked(drive, vehicle, kinds, signal_map, settings, warnings)
     failed = stopped(standing, drive, float(grid.time[0]))
-    consistency = replace(consistency, findings=(*consistency.findings, *failed))
+    named = {finding.channel for finding in failed}
+    others = (f for f in consistency.findings if f.check != "stopped" or f.channel not in named)
+    consistency = replace(consistency, findings=(*others, *failed))
+    warnings += unlike_a_sensor(drive, kinds, noise, qualities)
     warnings += _beginning(consistency, float(grid.time[0]) - zero)
     quality = QualityReport(
         channels=tuple(qualities),
@@ -215,7 +219,7 @@ def _assemble(
         conversions=tuple(dict.fromkeys([*(before.conversions if before is not None else ()), *conversions])),
         noise=tuple(noise[channel] for channel in columns if channel in noise),
         quality=quality.to_mapping(),
-        between=_between(channels, made, columns),
+        between=between_of(channels, made, columns),
     )
     return Assembled(replace(drive, metadata=metadata), quality)
 
@@ -417,47 +421,6 @@ def _place_and_derive(
     for name in rest:
         derive(name)
     return made, grid
-
-
-def _kinds(
-    gathered: Gathered,
-    made: Sequence[tuple[str, Derived]],
-    columns: Mapping[str, np.ndarray],
-    before: DriveMetadata | None,
-) -> tuple[dict[str, str], list[str]]:
-    """Return what each channel is; of a drive that is ingested again what it was, unless the map says more."""
-    kinds: dict[str, str] = {}
-    known = before.kinds if before is not None else {}
-    warnings: list[str] = []
-    for channel in columns:
-        if channel in CHANNELS:
-            entry = gathered.maps.get(channel)
-            same = entry is not None and [s.names for s in entry.sources] == [(channel,)]
-            old = known.get(channel) if same else None
-            kinds[channel] = (entry.kind if entry else None) or old or "measured"
-            if channel in ("T", "delta") and entry is not None and entry.kind is None and old is None:
-                warnings.append(f"{channel} was taken as measured (the map says neither command nor measured)")
-    for _, derived in made:
-        for channel in derived.columns:
-            kinds[channel] = f"derived: {derived.how}" if channel in CHANNELS else "derived"
-        if derived.warning:
-            warnings.append(derived.warning)
-    return kinds, warnings
-
-
-def _between(
-    channels: Channels, made: Sequence[tuple[str, Derived]], columns: Mapping[str, np.ndarray]
-) -> dict[str, str]:
-    """Return what each known channel does between samples: held as it was brought to the clock, or continuous.
-
-    A sum is held where all its sources are; what was derived is continuous.
-    """
-    derived = {channel for _, one in made for channel in one.columns}
-    return {
-        name: "held" if name not in derived and set(channels.modes.get(name, ())) == {"held"} else "continuous"
-        for name in columns
-        if name in CHANNELS and name != "t"
-    }
 
 
 def _drive(recording: RawRecording, grid: SampleClock, columns: Mapping[str, np.ndarray]) -> Drive:

@@ -79,7 +79,8 @@ class Converter:
             what = f"{name} has {len(values)} samples and {len(time)} time stamps"
             advice = "Leave it out of the map, or save the log again with its own clock."
             raise LogError(what, where=self.where, advice=advice)
-        recorded = signals[0].name
+        # Of a fix the east is mostly the longitude.
+        recorded = signals[-1 if source.convert == "local_x" else 0].name
         if source.convert == "yaw_from_quaternion":
             recorded = recorded.rsplit(".", 1)[0]
         entry = self.map.channel(channel)

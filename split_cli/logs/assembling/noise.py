@@ -7,6 +7,8 @@ import numpy as np
 from split_cli.logs.drive import NoiseEstimate
 from split_cli.logs.scratch import PIECE
 
+HELD = "held between updates"
+"""Why there is no estimate of a channel that keeps its value until the next sample."""
 _ORDERS = (3, 4, 5, 6)
 
 
@@ -71,11 +73,9 @@ def estimate_noise(
         return NoiseEstimate(
             channel, None, None, reason=f"{100.0 * unchanged:.0f} % of the samples repeat the one before"
         )
-    resolution = _resolution(values)
-    if resolution is not None and sigma < 0.5 * resolution:
-        return NoiseEstimate(
-            channel, None, None, reason=f"recorded in steps of {resolution:.3g}, coarser than its noise"
-        )
+    step = resolution(values)
+    if step is not None and sigma < 0.5 * step:
+        return NoiseEstimate(channel, None, None, reason=f"recorded in steps of {step:.3g}, coarser than its noise")
     # White noise reads the same in differences of every order; motion fades by the squared ratio of its
     # frequency to the sample rate with each order. The highest order has seen the least of it.
     if sigmas[-1] < 0.6 * sigma:
@@ -113,7 +113,7 @@ def sum_of_noise(channel: str, parts: list[NoiseEstimate]) -> NoiseEstimate:
     return NoiseEstimate(channel, float(np.sqrt(variance)), float(np.sqrt(raw)), tuple(mixed.tolist()))
 
 
-def _resolution(values: np.ndarray) -> float | None:
+def resolution(values: np.ndarray) -> float | None:
     """Return the step a signal is recorded in, None when its steps have no common unit.
 
     At most one in ten of the distinct steps of an unquantised signal is shared; of a quantised one nearly all.

@@ -8,6 +8,7 @@ import numpy as np
 
 from split_cli.files import json_ready
 from split_cli.logs.assembling.clean import CleanSeries, Drop
+from split_cli.logs.assembling.noise import resolution
 from split_cli.logs.checking.channel_delays import DelayEstimate
 from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.map_entries import EXTRA_UNITS
@@ -37,6 +38,7 @@ class ChannelQuality:
     high: float
     resampling: str  # ``held``, ``interpolated`` or ``low-passed``
     drops: tuple[Drop, ...] = ()
+    step: float | None = None  # in which it is recorded, in SI; None where its steps have no common unit
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ def source_quality(clean: CleanSeries, gap: float, resampling: str) -> ChannelQu
         high=float(np.max(clean.values)),
         resampling=resampling,
         drops=clean.drops,
+        step=resolution(clean.values) if clean.channel in CHANNELS else None,
     )
 
 

@@ -18,6 +18,8 @@ above its resolution, or it is simulated. Judgement."""
 _FEWEST, _SECONDS = 4, 0.2
 """Repeats in a row that make a standstill [1], which chance makes in six of a million at `_REPEATED`; and how long
 they last [s], below which what is interpolated is hardly wrong: judgement."""
+_FEW_STEPS = 2.5
+"""Of its resolution, in which a channel that goes straight comes to a value and leaves it [1]; judgement."""
 _OF_THE_BODY = ("vy", "r", "ay")
 """Never constant while the car turns. Others may be, without noise: a speed that is held, a steady steer angle."""
 _INPUTS = ("T", "delta")
@@ -56,14 +58,17 @@ def standstills(part: CleanSeries) -> list[Standstill]:
     noise = estimate_noise(part.channel, np.concatenate(pieces), list(zip(at, at[1:], strict=False))).sigma
     if not noise and part.channel not in _OF_THE_BODY:
         return []
-    smallest = np.quantile(steps[others], 2.0 * _REPEATED)  # no repeat, by the share of these
+    # What a channel comes and goes in where it turns round by itself: few steps of its resolution, and without noise
+    # its smallest changes; no repeat, by the share of these.
+    gentle = _FEW_STEPS * float(steps[steps > 0.0].min())
+    gentle = gentle if noise else max(gentle, float(np.quantile(steps[others], 2.0 * _REPEATED)))
     limits = (part.values.min(), part.values.max()) if part.channel in _INPUTS else ()
     return [
         Standstill(part.channel, part.source, float(part.time[a]), float(part.time[b]), float(part.values[a]))
         for a, b in runs
         if part.values[a] != 0.0
         and part.values[a] not in limits
-        and (noise or (a > 0 and b < len(steps) and max(steps[a - 1], steps[b]) > smallest))
+        and (max(steps[a - 1], steps[b]) > gentle if a > 0 and b < len(steps) else noise)
     ]
 
 

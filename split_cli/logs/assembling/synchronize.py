@@ -8,7 +8,7 @@ import numpy as np
 from split_cli.errors import ClockError, LogError
 from split_cli.logs.assembling.clean import CleanSeries, clean_series, may_hold
 from split_cli.logs.assembling.conversion import RawSeries
-from split_cli.logs.assembling.noise import estimate_noise, sum_of_noise
+from split_cli.logs.assembling.noise import HELD, estimate_noise, sum_of_noise
 from split_cli.logs.assembling.quality import ChannelQuality, source_quality
 from split_cli.logs.assembling.resample import (
     HIGHEST_RATE,
@@ -311,7 +311,7 @@ def judge_sources(
             if channel not in CHANNELS:
                 continue
             if mode == "held":
-                estimates.append(NoiseEstimate(channel, None, None, reason="held between updates"))
+                estimates.append(NoiseEstimate(channel, None, None, reason=HELD))
                 continue
             runs = runs_of(part.time, gap)
             filtered = {"gain": result.gain, "autocorrelation": result.autocorrelation}

@@ -13,6 +13,7 @@ from split_cli.logs.checking.kinematics import (
     fit_slope,
     median_of,
     scaled_parts,
+    still_runs,
 )
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS, reach_of
 from split_cli.logs.checking.relations import OVER_TIME, ConsistencyFinding, Plausible, Relation
@@ -88,6 +89,9 @@ class Checks:
         #: What was compared, by the relation's name: both signals (N,), tolerance, whether both are 0 together.
         self.pairs: dict[str, tuple[np.ndarray, np.ndarray, float, bool]] = {}
         self.powers: dict[str, dict[str, int]] = {}
+        #: What was compared where a channel stands still for a while: both signals (N,), channels, whether 0 together.
+        self.beside: dict[str, tuple[np.ndarray, np.ndarray, tuple[str, ...], bool]] = {}
+        self._still: dict[str, list[slice]] = {}
         self.unjudged: list[Unjudged] = []
         self._sideslip: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -99,6 +103,14 @@ class Checks:
         """Whether all channels were recorded, or derived from a pose that fits: others may be judged by them."""
         unknown = self.absent if self.pose_fits else self.derived
         return all(channel in self.k and channel not in unknown for channel in channels)
+
+    def still(self, channel: str) -> list[slice]:
+        """Return the stretches over which a channel keeps one value."""
+        if channel not in self._still:
+            known = channel in self.k
+            runs = still_runs(self.k.columns[channel], self.k.segments, self.k.period) if known else []
+            self._still[channel] = runs
+        return self._still[channel]
 
     def constant_channels(self) -> list[ConsistencyFinding]:
         found = []
@@ -161,6 +173,8 @@ class Checks:
         powers = {channel: power for channel, power in powers.items() if channel not in self.derived}
         if name in OVER_TIME:
             self.pairs[name], self.powers[name] = (set_aside(y), set_aside(x), base, zeroed), powers
+        if standing := tuple(channel for channel in powers if self.still(channel)):
+            self.beside[name] = set_aside(y), set_aside(x), standing, zeroed
         slope = fit_slope(y, x, self.k.moving, zeroed=zeroed)
         if slope is None:
             self.unjudged.append(Unjudged(name, "too few samples in motion, or nothing changes"))

@@ -9,6 +9,7 @@ from split_cli.logs.checking.changed_clock import changed_clock
 from split_cli.logs.checking.checks import ACROSS, NOT_RECORDED, Checks, Unjudged
 from split_cli.logs.checking.directions import along_the_world, exchanged_accelerations, look_swapped, swap_finding
 from split_cli.logs.checking.explanations import explain
+from split_cli.logs.checking.frozen import frozen_channels
 from split_cli.logs.checking.jumps import jumps
 from split_cli.logs.checking.measuring_point import place_of_lateral_velocity
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
@@ -132,7 +133,7 @@ def _fine(
         Those so far.
     """
     exchanged = exchanged_accelerations(finer)
-    findings = [*findings, *exchanged]
+    findings = [*findings, *exchanged, *frozen_channels(finer)]
     if "vx" not in wrong:
         judged = not {"vy", "time"} & set(wrong)  # what accelerating takes hangs on them
         sides = torque_sides(finer, wrong, any(f.channel == "T" for f in findings)) if judged else []

@@ -12,6 +12,9 @@ _MOST_SAMPLES = 50_000
 _WIDER = 2.5
 """Times the usual smoothing, that is tried against the noise of a position [1]; judgement."""
 
+SETTLING = 1.0
+"""After the last change of an input, in which the car still follows it [s]; judgement: a road car takes half of it."""
+
 
 @dataclass(frozen=True)
 class Slope:
@@ -286,6 +289,16 @@ def scaled_parts(
         return float(np.copysign(np.sqrt(covariance[0, 0] / variance), covariance[0, 1:] @ weights))
 
     return ratio
+
+
+def still_runs(values: np.ndarray, segments: Sequence[slice], period: float) -> list[slice]:
+    """Return the stretches of at least twice the settling time over which values (N,) are exactly one."""
+    same = np.zeros(len(values), dtype=bool)
+    for run in segments:
+        # A filter of a constant leaves rounding.
+        same[run][1:] = np.abs(np.diff(values[run])) <= 1e-12 * np.abs(values[run][1:])
+    edges = np.flatnonzero(np.diff(same, prepend=False, append=False)).reshape(-1, 2)
+    return [slice(a - 1, b) for a, b in edges.tolist() if (b - a) * period >= 2.0 * SETTLING]
 
 
 def median_of(values: np.ndarray) -> tuple[float, float]:

@@ -80,6 +80,15 @@ class SerializedDecoder:
         """Tell whether `path` addresses a numeric field; see `PayloadDecoder.has`."""
         return path in self._listed or _exists(self._layout.fields, path)
 
+    def lengths(self, payload: bytes) -> dict[str, int]:
+        """Return how many elements the arrays of one message have; see `PayloadDecoder.lengths`."""
+        try:
+            walk = _Walk(payload, self._cdr, _Wanted.of(()), stop_early=False)
+            walk.struct(self._layout.fields, "")
+        except _UnreadableError:
+            return {}
+        return walk.lengths
+
     def decode(self, payloads: Sequence[bytes], paths: Sequence[str]) -> Columns:
         """Decode many payloads; see `PayloadDecoder.decode`."""
         wanted = list(paths)
@@ -197,6 +206,7 @@ class _Walk:
         self.stop_early = stop_early
         self.guards: list[tuple[int, bytes]] = []
         self.places: dict[str, tuple[int, str]] = {}
+        self.lengths: dict[str, int] = {}
         self.done = False
         self.offset = 0
         self.little = True
@@ -221,6 +231,7 @@ class _Walk:
             return self._value(field, path)
         if count == SEQUENCE:
             count = self._length()
+        self.lengths[path] = count
         if field.kind in _SIZES:
             return self._numbers(field.kind, path, count)
         # Nearly every struct and string takes a byte, so a corrupt length cannot start an endless loop.

@@ -76,6 +76,10 @@ class GuardedRecording:
         self._real = {shown: info.name for info in found if (shown := printable(info.name)) != info.name}
         return [_printable(info) for info in found]
 
+    def element_counts(self) -> dict[str, int]:
+        """Return how many elements arrays have, by address, where not all are listed."""
+        return guarded(self.path, getattr(self._inner, "element_counts", dict))
+
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
         """Return the named signals; see `Recording.read`."""
         real = [self._real.get(name, name) for name in names]

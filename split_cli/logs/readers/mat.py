@@ -3,6 +3,7 @@
 import math
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,17 @@ import numpy as np
 
 from split_cli.errors import LogError, damaged
 from split_cli.logs import scratch
-from split_cli.logs.budget import Unfolded, refuse_unpacked_size
+from split_cli.logs.budget import MOST_FIELDS, Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
 from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.readers.named_arrays import VALUE_FIELDS, recording_of_vectors
 from split_cli.logs.scratch import set_aside
 
 _DEEPEST = 8
-_MOST_COLUMNS = 64
+_DEEP = f"variables within more than {_DEEPEST} others, left out"
+_MANY = f"elements of cells and arrays of structures beyond the first {MOST_FIELDS:,}, left out"
+_ODD = "variables that are neither real numbers nor text, left out"
+_ELSEWHERE = "links to other files, or to what was read already, left out"
 _UNIT_FIELDS = ("unit", "units")
 
 
@@ -40,6 +44,7 @@ def open_mat(path: Path) -> RawRecording:
     check_mat5(path)
     leaves: list[tuple[str, np.ndarray]] = []
     objects: list[str] = []
+    left: Counter[str] = Counter()
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -48,14 +53,15 @@ def open_mat(path: Path) -> RawRecording:
                     # SciPy calls each of them None; the first of its texts is the name.
                     objects.append(bytes(np.ravel(value)[0]["s0"]).decode("ascii", "replace"))
                 else:
-                    leaves += [(name, _aside(values)) for name, values in _leaves(key, value, 0)]
+                    leaves += [(name, _aside(values)) for name, values in _leaves(key, value, 0, left)]
     except Exception as error:  # SciPy's reader raises a dozen kinds on damaged files
         raise damaged(path, error, "Save it again.") from error
     # SciPy only warns where it takes numbers for others, cannot read a variable or meets one a second time.
     lost = [str(warning.message) for warning in said if not issubclass(warning.category, DeprecationWarning)]
     if any("byte ordering" in text for text in lost):
         raise damaged(path, ValueError("numbers in an order of bytes that no PC writes"), "Save it again.")
-    return _recording(path, _trajectories(dict(leaves)) or leaves, objects, len(lost))
+    left["variables that cannot be read or stand twice, left out"] += len(lost)
+    return _recording(path, _trajectories(dict(leaves)) or leaves, objects, left)
 
 
 def _trajectories(arrays: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
@@ -133,22 +139,24 @@ def open_mat_hdf5(path: Path) -> RawRecording:
         raise
     except Exception as error:  # h5py passes on whatever the HDF5 library finds
         raise damaged(path, error, "Save it again.") from error
-    return _recording(path, leaves, objects, elsewhere=found.elsewhere)
+    return _recording(path, leaves, objects, found.left)
 
 
-def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the numeric arrays of a variable, with their addresses."""
+def _leaves(name: str, value: Any, depth: int, left: Counter[str]) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the numeric arrays of a variable, with their addresses; `left` counts what is none, by its reason."""
     if depth > _DEEPEST:
+        left[_DEEP] += 1
         return
     if {"X", "Y"} <= set(getattr(value, "_fieldnames", ())) and all(_named(value.Y)) and _are_axes(value.X):
         yield from _capture(name, value)
     elif hasattr(value, "_fieldnames"):
         unit = next((_text(getattr(value, key)) for key in value._fieldnames if key.lower() in _UNIT_FIELDS), "")
         for key in value._fieldnames:
-            yield from _leaves(_with_unit(f"{name}.{key}", unit), getattr(value, key), depth + 1)
+            yield from _leaves(_with_unit(f"{name}.{key}", unit), getattr(value, key), depth + 1, left)
     elif isinstance(value, np.ndarray) and value.dtype == object:
         # Structs and cells come as arrays of objects, a single struct as an array of one.
-        items = value.ravel()[:_MOST_COLUMNS]
+        items = value.ravel()[:MOST_FIELDS]
+        left[_MANY] += value.size - len(items)
         if value.size > 1 and all(map(_text, items)):
             yield name, np.array([_text(item) for item in items])
             return
@@ -157,11 +165,13 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, np.ndarray
         for index, item in enumerate(items):
             if labelled:
                 # Beside the structure's time, so that it is their clock.
-                yield from _leaves(f"{name.removesuffix('.signals')}.{labels[index]}", item.values, depth + 1)
+                yield from _leaves(f"{name.removesuffix('.signals')}.{labels[index]}", item.values, depth + 1, left)
             else:
-                yield from _leaves(name if value.size == 1 else f"{name}[{index}]", item, depth + 1)
+                yield from _leaves(name if value.size == 1 else f"{name}[{index}]", item, depth + 1, left)
     elif isinstance(value, np.ndarray) and (value.dtype.kind in "biuf" or (value.dtype.kind == "U" and value.size > 1)):
         yield name, value
+    elif not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
+        left[_ODD] += 1
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -226,15 +236,16 @@ class _Hdf5:
     leaves : list of (str, ndarray)
     objects : list of str
         Names of MATLAB's objects, which cannot be read.
-    elsewhere : int
-        Names that were left out.
+    left : Counter of str
+        What was left out, by its reason.
     """
 
     def __init__(
         self, where: str, unfolded: Unfolded, leaves: list[tuple[str, np.ndarray]], objects: list[str]
     ) -> None:
         self.leaves, self.objects = leaves, objects
-        self.elsewhere = 0
+        self.left: Counter[str] = Counter()
+        self._followed = 0
         self._where, self._unfolded = where, unfolded
         self._seen: set[Any] = set()
 
@@ -246,12 +257,15 @@ class _Hdf5:
         units = (_inside(group, key) for key in group if key.lower() in _UNIT_FIELDS)
         unit = next((_text_hdf5(item) for item in units if item is not None), "")
         for key in group:
-            if key.startswith("#") or depth > _DEEPEST or (unit and key.lower() in _UNIT_FIELDS):
+            if key.startswith("#") or (unit and key.lower() in _UNIT_FIELDS):
+                continue
+            if depth > _DEEPEST:
+                self.left[_DEEP] += 1
                 continue
             name = f"{prefix}{key}"
             item = _inside(group, key)
             if item is None or h5py.h5o.get_info(item.id).addr in self._seen:
-                self.elsewhere += 1
+                self.left[_ELSEWHERE] += 1
             elif "MATLAB_object_decode" in item.attrs:
                 self.objects.append(name)
             elif isinstance(item, h5py.Group):
@@ -266,7 +280,11 @@ class _Hdf5:
         import h5py
 
         is_cell = item.attrs.get("MATLAB_class", b"") in (b"cell", "cell")
-        found = [item.file[ref] for ref in np.ravel(item[()])[:_MOST_COLUMNS] if ref]
+        references = np.ravel(item[()])
+        taken = references[: max(MOST_FIELDS - self._followed, 0)]
+        self._followed += len(taken)
+        self.left[_MANY] += len(references) - len(taken)
+        found = [item.file[ref] for ref in taken if ref]
         texts = [_text_hdf5(one) for one in found]
         if is_cell and len(found) > 1 and all(texts):
             self.leaves.append((f"{prefix}{key}", np.array(texts)))
@@ -279,12 +297,14 @@ class _Hdf5:
                 self._read(one, name, "")
 
     def _read(self, item: Any, name: str, unit: str) -> None:
-        if item.dtype.kind not in "biuf" or item.attrs.get("MATLAB_empty", 0) or item.ndim > 2:
+        if item.attrs.get("MATLAB_empty", 0) or item.attrs.get("MATLAB_class", b"") in (b"char", "char"):
             return
-        if item.attrs.get("MATLAB_class", b"") in (b"char", "char"):
+        if item.dtype.kind not in "biuf" or item.ndim > 2:
+            # HDF5 of other programs keeps text in kinds of its own.
+            self.left[_ODD] += item.dtype.kind not in "OSU"
             return
         if item.external or item.is_virtual:
-            self.elsewhere += 1
+            self.left[_ELSEWHERE] += 1
             return
         # A fill value stands for any number of values that are stored nowhere.
         stored = item.id.get_storage_size()
@@ -328,13 +348,9 @@ def _text_hdf5(item: Any) -> str:
 
 
 def _recording(
-    path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequence[str], lost: int = 0, elsewhere: int = 0
+    path: Path, leaves: list[tuple[str, np.ndarray]], objects: Sequence[str], left: Counter[str]
 ) -> RawRecording:
-    notes: list[ReadNote] = []
-    if lost:
-        notes.append(ReadNote("variables that cannot be read or stand twice, left out", path.name, lost))
-    if elsewhere:
-        notes.append(ReadNote("links to other files, or to what was read already, left out", path.name, elsewhere))
+    notes = [ReadNote(what, path.name, count) for what, count in left.items() if count]
     if objects:
         shown = ", ".join(objects[:6]) + (" ..." if len(objects) > 6 else "")
         what = f"objects of MATLAB (timeseries, timetable, Dataset), which cannot be read outside it: {shown}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -147,6 +148,18 @@ class MessageRecording:
                 name = f"{topic}/{path}"
                 signals[name] = RawSignal(name, time, values)
         return {name: signals[name] for name in names}
+
+    def element_counts(self) -> dict[str, int]:
+        """Return how many elements the arrays of the first message of each topic have, by address."""
+        found: dict[str, int] = {}
+        for topic, streams in self._topics.items():
+            for stream in streams:
+                with suppress(LogError):
+                    decoder = self._decoder(stream)
+                    if stream.count != 0 and any("[" in path for path in decoder.paths()):
+                        lengths = decoder.lengths(self._first_payload(stream.key))
+                        found |= {f"{topic}/{path}": count for path, count in lengths.items()}
+        return found
 
     def _split(self, name: str) -> tuple[str, str]:
         """Return topic and field of a name that exists, or raise."""

@@ -1,7 +1,9 @@
 """Named arrays as a recording: what MATLAB files and NumPy archives have in common."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from split_cli.logs.scratch import set_aside
 from split_cli.signals import STANDARD_GRAVITY, find_unit, split_name_and_unit
 
 _MOST_COLUMNS = 64
-"""Of a matrix, that become channels [1]; judgement: a state of a car has fewer."""
+"""Of a matrix, that are listed [1]; judgement: a state of a car has fewer, and the others are read by their name."""
 _TIME_NAMES = ("time", "Time", "t", "tout")
 _TIME_FIELD = re.compile(r"(?:t|time|timestamps?|stamp|tout)(?:_?(s|sec|ms|us|ns))?", re.IGNORECASE)
 _TITLED_FIELDS = (".Value", ".Values", ".value", ".values")
@@ -65,6 +67,8 @@ def recording_of_vectors(
     titles = _of_one_value(arrays, clocks)
     rows = max((v.size for n, v in arrays.items() if _is_clock(n, v)), default=0)
     signals: dict[str, RawSignal] = {}
+    unlisted: dict[str, Callable[[], RawSignal]] = {}
+    wide: list[str] = []
     unwritten = 0
     for name, values in arrays.items():
         if len(values) == 2 and values.ndim == 2 and name not in clocks and _rises_evenly(values[0]):
@@ -76,17 +80,14 @@ def recording_of_vectors(
             continue
         if (blank := _rows_not_written(values)) is not None:
             unwritten = max(unwritten, int(np.count_nonzero(blank)))
-        for column_name, column in _columns(titles.get(name) or name, values):
-            bare, unit = split_name_and_unit(column_name)
-            if blank is not None:
-                column[blank] = np.nan
-            time = clocks.get(name)
-            if len(column) == (rows if time is None else len(time)) - 1:
-                # A simulation has one state more than inputs: each of these lasts until the next state.
-                column = np.append(column, column[-1])
-            if time is not None and len(time) != len(column):
-                time = None
-            signals[bare] = RawSignal(bare, time, column, unit)
+        columns = _columns(titles.get(name) or name, values)
+        for column_name, take in islice(columns, _MOST_COLUMNS):
+            signal = _signal(column_name, take, clocks.get(name), blank, rows)
+            signals[signal.name] = signal
+        further = {split_name_and_unit(full)[0]: (full, take) for full, take in columns}
+        wide += [f"{next(iter(further))} to {next(reversed(further))}"] if further else []
+        for bare, (full, take) in further.items():
+            unlisted[bare] = partial(_signal, full, take, clocks.get(name), blank, rows)
     if unwritten:
         what = "rows at the end of a matrix that hold 0 alone, which was not filled: left out"
         note_once(notes, what, path.name, unwritten)
@@ -96,12 +97,29 @@ def recording_of_vectors(
     deep = sum(values.size > 1 and values.ndim > 2 for _, values in leaves)
     if deep:
         note_once(notes, "arrays of three dimensions or more, left out", path.name, deep)
-    wide = sum(max(min(values.shape) - _MOST_COLUMNS, 0) for values in arrays.values() if values.ndim == 2)
     if wide:
-        note_once(notes, f"columns beyond {_MOST_COLUMNS} of a matrix, left out", path.name, wide)
+        shown = ", ".join(wide[:3]) + (", ..." if len(wide) > 3 else "")
+        what = f"columns of a matrix that are not listed, but that a map may name: {shown}"
+        note_once(notes, what, path.name, len(unlisted))
     if not signals:
         raise LogError("holds no vector of numbers", where=path.name, advice=empty)
-    return TableRecording(path.name, path, signals, type_name=kind, notes=notes)
+    return TableRecording(path.name, path, signals, type_name=kind, notes=notes, unlisted=unlisted)
+
+
+def _signal(
+    name: str, take: Callable[[], np.ndarray], time: np.ndarray | None, blank: np.ndarray | None, rows: int
+) -> RawSignal:
+    """Return a column with its time [s] and unit; `blank` are rows that nobody wrote, `rows` those of the only time."""
+    bare, unit = split_name_and_unit(name)
+    column = take()
+    if blank is not None:
+        column = set_aside(np.where(blank, np.nan, column))
+    if len(column) == (rows if time is None else len(time)) - 1:
+        # A simulation has one state more than inputs: each of these lasts until the next state.
+        column = np.append(column, column[-1])
+    if time is not None and len(time) != len(column):
+        time = None
+    return RawSignal(bare, time, column, unit)
 
 
 def _with_titles(leaves: Sequence[tuple[str, np.ndarray]]) -> list[tuple[str, np.ndarray]]:
@@ -232,18 +250,22 @@ def _in_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
     return time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit or unit_of_time(time), 1.0)
 
 
-def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield a vector as itself and a matrix as the vectors along its longer side."""
+def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, Callable[[], np.ndarray]]]:
+    """Yield a vector as itself and a matrix as the vectors along its longer side, each taken when it is called."""
     with np.errstate(over="ignore"):
         # Of a damaged long double; what is infinite is dropped and counted later.
         values = np.asarray(values, dtype=np.float64)
     if min(values.shape) == 1 or values.ndim == 1:
-        yield name, values.ravel()
+        yield name, values.ravel
         return
     along = values if values.shape[0] >= values.shape[1] else values.T
     titles = _layout(name, along)
-    for index in range(min(along.shape[1], _MOST_COLUMNS)):
-        yield name + (titles[index] if titles else f"[{index}]"), set_aside(along[:, index].copy())
+    for index in range(along.shape[1]):
+        yield name + (titles[index] if titles else f"[{index}]"), partial(_column, along, index)
+
+
+def _column(values: np.ndarray, index: int) -> np.ndarray:
+    return set_aside(values[:, index].copy())
 
 
 def _layout(name: str, values: np.ndarray) -> list[str]:

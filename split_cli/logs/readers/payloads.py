@@ -31,6 +31,10 @@ class PayloadDecoder(Protocol):
         """Tell whether `path` addresses a numeric field; any index into a list of variable length does."""
         ...
 
+    def lengths(self, payload: bytes) -> dict[str, int]:
+        """Return how many elements the arrays of one message have, by address; of others, only of the first."""
+        ...
+
     def decode(self, payloads: Sequence[bytes], paths: Sequence[str]) -> Columns:
         """Decode `paths`, and the stamp, from every payload."""
         ...

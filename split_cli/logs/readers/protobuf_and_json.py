@@ -50,6 +50,22 @@ def _collect(
     return Columns(values, stamps, readable)
 
 
+def _lengths(message: Any, paths: Sequence[str], inside: Callable[[Any, str], Any]) -> dict[str, int]:
+    """Return how many elements the arrays of addresses have in one message; `inside` returns a field by its name."""
+    found: dict[str, int] = {}
+    for path in paths:
+        value, address = message, ""
+        for step in _steps(path):
+            if isinstance(step, str):
+                value = inside(value, step)
+                address += f".{step}" if address else step
+                continue
+            found[address] = len(value) if isinstance(value, Sequence) and not isinstance(value, str) else 0
+            value = value[step] if step < found[address] else None
+            address += f"[{step}]"
+    return found
+
+
 def _time_fields(name: str, is_known: Callable[[str], bool]) -> tuple[str, str] | None:
     """Return the fields of a time stamp that hold seconds and nanoseconds; None where it has no such two."""
     pairs = ((f"{name}.{s}", f"{name}.{n}") for s in _SECOND_NAMES for n in _NANOSECOND_NAMES)
@@ -94,6 +110,14 @@ class ProtobufDecoder:
     def has(self, path: str) -> bool:
         """Tell whether `path` addresses a numeric field; see `PayloadDecoder.has`."""
         return self._resolve(path) is not None
+
+    def lengths(self, payload: bytes) -> dict[str, int]:
+        """Return how many elements the arrays of one message have; see `PayloadDecoder.lengths`."""
+        try:
+            message = self._parse(payload)
+        except self._failures:
+            return {}
+        return _lengths(message, self._paths, lambda value, name: getattr(value, name, None))
 
     def decode(self, payloads: Sequence[bytes], paths: Sequence[str]) -> Columns:
         """Decode many payloads; see `PayloadDecoder.decode`."""
@@ -215,6 +239,7 @@ class JsonDecoder:
         paths = _listed(itertools.chain(_schema_paths(described, "", 0), _value_paths(example, "", 0)))
         self._paths = list(dict.fromkeys(paths))
         self._known = {_without_indices(path) for path in self._paths}
+        self._lengths = _lengths(example, self._paths, lambda value, name: _member(value, name))
         self._origin = origin
         self._unit = 0
         self.assumption: str | None = None
@@ -227,6 +252,10 @@ class JsonDecoder:
     def has(self, path: str) -> bool:
         """Tell whether `path` addresses a numeric field; see `PayloadDecoder.has`."""
         return bool(path) and _without_indices(path) in self._known
+
+    def lengths(self, payload: bytes) -> dict[str, int]:
+        """Return how many elements the arrays of the first message have; see `PayloadDecoder.lengths`."""
+        return self._lengths
 
     def decode(self, payloads: Sequence[bytes], paths: Sequence[str]) -> Columns:
         """Decode many payloads; see `PayloadDecoder.decode`."""
@@ -284,6 +313,10 @@ def _json_number(path: str) -> Callable[[Any], Any]:
         return value if isinstance(value, _NUMBERS) else None
 
     return get
+
+
+def _member(value: Any, name: str) -> Any:
+    return value.get(name) if isinstance(value, dict) else None
 
 
 def _json_getter(path: str) -> Callable[[Any], float]:

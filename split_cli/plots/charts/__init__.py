@@ -7,7 +7,7 @@ from split_cli.plots.charts.drive import Subject, drive_charts, track_chart
 from split_cli.plots.charts.handling import handling_charts
 from split_cli.plots.charts.learned import growth_chart, label_charts
 from split_cli.plots.charts.residual import coverage_charts, whiteness_chart
-from split_cli.plots.charts.tires import tire_charts
+from split_cli.plots.charts.tires import tire_charts, tire_charts_of_files
 
 __all__ = [
     "Subject",
@@ -17,6 +17,7 @@ __all__ = [
     "handling_charts",
     "label_charts",
     "tire_charts",
+    "tire_charts_of_files",
     "track_chart",
     "whiteness_chart",
 ]

@@ -121,7 +121,7 @@ def track_chart(drives: Sequence[tuple[str, str, Drive]]) -> Chart | None:
     """Return the paths of drives (name, role, drive), None where none has a position."""
     series = []
     for name, role, drive in drives:
-        if not drive.has_position:
+        if not {"X", "Y"} <= set(drive.columns):
             continue
         part = thinned(len(drive))
         at = np.flatnonzero(np.diff(drive.segment[part])) + 1

@@ -1,5 +1,6 @@
 """Axle force against slip angle, and longitudinal force against torque: measured, nominal, corrected, learned."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from split_cli.vehicle.tire import lateral_force
 
 _MOST_DOTS = 1500
 _BINS = 28
+_FEWEST = 20
 _TWO_SIDED_95 = 1.959964
 
 
@@ -47,18 +49,13 @@ def tire_charts(
     that are no tyre's (mass, wind) show as the axle force they look like.
     """
     forces = axle_forces(drive, vehicle)
-    if len(forces.slip) < 20:
+    if len(forces.slip) < _FEWEST:
         return ()
     with_found = None if corrected is None else forces.measured - _left(forces, *corrected, vehicle)
-    places = (
-        ("tire-front", "Front axle", "front slip angle [rad]", "lateral force [N]", forces.slip[:, 0], 1),
-        ("tire-rear", "Rear axle", "rear slip angle [rad]", "lateral force [N]", forces.slip[:, 1], 2),
-        ("force-x", "Drive and brakes", "torque at the wheels [N m]", "longitudinal force [N]", forces.torque, 0),
-    )
     charts = []
-    for name, title, x_title, y_title, x, column in places:
+    for name, title, x_title, y_title, x, column in _places(forces):
         width = max(float(np.ptp(np.quantile(x, [0.002, 0.998]))) / _BINS, 1e-9)
-        series = [_cloud(x, forces.measured[:, column]), _nominal(vehicle, column, x, forces)]
+        series = [_cloud(x, forces.measured[:, column]), _nominal(vehicle, column, x)]
         if with_found is not None:
             centre, mean, _ = binned(x, with_found[:, column], width)
             series.append(ChartLine("with the identified effects", centre, mean, "corrected"))
@@ -69,12 +66,52 @@ def tire_charts(
     return tuple(charts)
 
 
+def tire_charts_of_files(drive: Drive, cars: Sequence[tuple[str, str, Vehicle]]) -> tuple[Chart, ...]:
+    """Return the same charts with the curves of several vehicle files (name, role, vehicle), at the first one's slip.
+
+    Two models on one file, as a trained set and its nominal model, have one curve.
+    """
+    forces = axle_forces(drive, cars[0][2])
+    if len(forces.slip) < _FEWEST:
+        return ()
+    one_each = {_curves(car): (name, role, car) for name, role, car in reversed(cars)}
+    note = (
+        f"Measured forces and slip angles are by the mass and geometry of {cars[0][0]}; curves are the files' own, "
+        "without what a set has learned."
+    )
+    return tuple(
+        Chart(
+            name,
+            title,
+            x_title,
+            y_title,
+            (
+                _cloud(x, forces.measured[:, column]),
+                *(_nominal(car, column, x, own, role) for own, role, car in reversed(one_each.values())),
+            ),
+            note if column == 1 else "",
+        )
+        for name, title, x_title, y_title, x, column in _places(forces)
+    )
+
+
+def _places(forces: AxleForces) -> tuple[tuple[str, str, str, str, np.ndarray, int], ...]:
+    """Return name, titles and x of the three charts, with the column of their forces."""
+    return (
+        ("tire-front", "Front axle", "front slip angle [rad]", "lateral force [N]", forces.slip[:, 0], 1),
+        ("tire-rear", "Rear axle", "rear slip angle [rad]", "lateral force [N]", forces.slip[:, 1], 2),
+        ("force-x", "Drive and brakes", "torque at the wheels [N m]", "longitudinal force [N]", forces.torque, 0),
+    )
+
+
 def _cloud(x: np.ndarray, force: np.ndarray) -> ChartLine:
     part = thinned(len(x), _MOST_DOTS)
     return ChartLine("measured", x[part], force[part], "measured", "points")
 
 
-def _nominal(vehicle: Vehicle, column: int, x: np.ndarray, forces: AxleForces) -> ChartLine:
+def _nominal(
+    vehicle: Vehicle, column: int, x: np.ndarray, name: str = "nominal model", role: str = "simulated"
+) -> ChartLine:
     low, high = (float(v) for v in np.quantile(x, [0.001, 0.999]))
     across = np.linspace(low, high, 121)
     if column == 0:
@@ -83,7 +120,12 @@ def _nominal(vehicle: Vehicle, column: int, x: np.ndarray, forces: AxleForces) -
     else:
         tire = vehicle.front_tire if column == 1 else vehicle.rear_tire
         y = lateral_force(tire.B, tire.C, tire.D, across)
-    return ChartLine("nominal model", across, y, "simulated")
+    return ChartLine(name, across, y, role)
+
+
+def _curves(car: Vehicle) -> tuple[object, ...]:
+    """Return what `_nominal` draws a car's lines from."""
+    return car.front_tire, car.rear_tire, car.rolling_resistance_front, car.rolling_resistance_rear, car.wheel_radius
 
 
 def _left(forces: AxleForces, drive: Drive, corrected: Vehicle, nominal: Vehicle) -> np.ndarray:

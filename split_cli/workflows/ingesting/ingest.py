@@ -13,8 +13,9 @@ from split_cli.logs.assembling.gather import fitting_presets, topic_of
 from split_cli.logs.assembling.quality import QualityReport, render_quality
 from split_cli.logs.drafting.meeting_clocks import let_clocks_meet
 from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
+from split_cli.logs.listing import ListedChannel, listed_channels
 from split_cli.logs.map_entries import SignalMap
-from split_cli.logs.raw import RawChannelInfo, RawRecording
+from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.joint import JointRecording
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import read_map
@@ -29,7 +30,7 @@ __all__ = [
     "IngestRun",
     "IngestSettings",
     "ingest_logs",
-    "list_channels",
+    "open_listed",
     "suggest_map_for",
 ]
 
@@ -333,12 +334,12 @@ def open_logs(log: str | Path | Sequence[str | Path], message_paths: Sequence[st
     return joined
 
 
-def list_channels(
+def open_listed(
     log: str | Path | Sequence[str | Path], *, message_paths: Sequence[str | Path] = ()
-) -> tuple[tuple[RawChannelInfo, ...], tuple[str, ...]]:
-    """Return every channel of a recording (or of several files together), and the clocks it has."""
+) -> tuple[RawRecording, list[ListedChannel]]:
+    """Open a recording (or several files together), and return it with the lines of a listing of its channels."""
     recording = open_logs(log, message_paths)
-    return tuple(recording.channels()), tuple(recording.clocks)
+    return recording, listed_channels(recording)
 
 
 def suggest_map_for(

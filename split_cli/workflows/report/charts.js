@@ -30,10 +30,32 @@ const Charts = (() => {
   function ticks(low, high, count) {
     if (!(high > low)) return [];
     let step = tickStep(low, high, count);
-    for (let more = count + 1; Math.floor(high / step) - Math.ceil(low / step) < 1 && more < count + 6; more++) step = tickStep(low, high, more);
+    for (let more = count + 1; Math.floor(high / step) - Math.ceil(low / step) < 2 && more < count + 6; more++) step = tickStep(low, high, more);
     const out = [];
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) out.push(k * step);
     return out.map((value) => ({ value, text: fixed(value, step) }));
+  }
+
+  /* Names of which one is too long, without what all of them begin with, and then without what all end with. */
+  function apart(names, room) {
+    const shared = (list) => {
+      let k = 0;
+      while (list.length > 1 && list.every((name) => k < name.length && name[k] === list[0][k])) k++;
+      return k > 3 ? k : 0;
+    };
+    const fit = (list) => list.every((name) => name.length <= room);
+    const back = (name) => [...name].reverse().join("");
+    const without = (list) => { const k = shared(list); return k ? list.map((name) => `\u2026${name.slice(k)}`) : list; };
+    const begun = fit(names) ? names : without(names);
+    return fit(begun) ? begun : without(begun.map(back)).map(back);
+  }
+
+  /* A name in one line or, where there is room, in two; what is longer loses its middle. */
+  function inLines(text, room, two) {
+    const cut = (part) => (part.length > room ? `${part.slice(0, Math.ceil(room / 2) - 1)}\u2026${part.slice(-Math.floor(room / 2))}` : part);
+    if (text.length <= room || !two) return [cut(text)];
+    const at = 1 + text.slice(0, room).search(/[ _./-][^ _./-]*$/) || room;
+    return [text.slice(0, at), cut(text.slice(at))].map((line) => line.trim());
   }
 
   /* A value to the decimals that a step needs. */
@@ -174,10 +196,12 @@ const Charts = (() => {
       this.tall = height - this.top - 40;
       const count = Math.max(2, Math.round(this.tall / 46));
       const longest = (list) => Math.max(2, ...list.map((tick) => tick.text.length));
-      // A long name is cut; hovering tells it whole.
       const room = Math.max(6, Math.floor(((paper ? 0.46 : 0.36) * width) / TEXT));
-      const cut = (text) => (text.length > room ? `${text.slice(0, room - 1)}\u2026` : text);
-      const names = options.rows && options.rows.map((text, k) => ({ value: options.rows.length - 1 - k, text: cut(text) }));
+      const two = options.rows && this.tall / options.rows.length >= 24;
+      const names = options.rows && apart(options.rows, two ? 2 * room - 4 : room).map((text, k) => {
+        const lines = inLines(text, room, two);
+        return { value: options.rows.length - 1 - k, lines, text: lines.reduce((a, b) => (b.length > a.length ? b : a)) };
+      });
       this.left = Math.max(options.digits || 0, names ? longest(names) : longest(ticks(...this.y, count))) * TEXT + (options.y ? 30 : 10);
       this.inner = width - this.left - 12;
       if (options.equal) this.equalise();
@@ -190,14 +214,15 @@ const Charts = (() => {
         const half = (text.length * TEXT) / 2;
         frame.append(shape("line", { x1: at, x2: at, y1: this.top, y2: this.top + this.tall, stroke: "var(--grid)" }));
         const middle = Math.min(at, width - half - 1); // a number at the right edge is written whole
-        if (middle - half < end + 4) continue;
+        if (middle - half < end + 8) continue;
         end = middle + half;
         frame.append(shape("text", { x: middle, y: this.top + this.tall + 15, "text-anchor": "middle" }, text));
       }
-      for (const { value, text } of yTicks) {
+      for (const { value, text, lines = [text] } of yTicks) {
         const at = this.sy(value);
         frame.append(shape("line", { x1: this.left, x2: this.left + this.inner, y1: at, y2: at, stroke: "var(--grid)" }));
-        frame.append(shape("text", { x: this.left - 6, y: at + 4, "text-anchor": "end" }, text));
+        lines.forEach((line, k) => frame.append(
+          shape("text", { x: this.left - 6, y: at + 4 + 12 * (k - (lines.length - 1) / 2), "text-anchor": "end" }, line)));
       }
       frame.append(shape("text", { class: "axis-title", x: this.left + this.inner / 2, y: height - 6, "text-anchor": "middle" }, options.x()));
       if (options.y) {

@@ -51,9 +51,9 @@ def comparison_page(compared: ModelComparison, drive_charts: Sequence[Chart] = (
         verdict(kind, said, facts_list([*facts, *_first_judged(compared)]))
         + section("errors", title, charts_block(charts[:3], thirds=True))
         + (section("gate", f"Where {escape(compared.models[0])}, named first, is worse", alarms) if alarms else "")
+        + notes_section(compared.notes, "What to know")
         + _tables(compared)
         + "".join(chart_sections(drive_charts))
-        + notes_section(compared.notes, "What to know")
     )
     return page(
         "compare", ", ".join(compared.drives), f"{said} {', '.join(compared.models)}", body, charts, shows(table)
@@ -88,9 +88,10 @@ def headline(compared: ModelComparison) -> str:
         for k, one in enumerate(best.states)
         if one.is_best and not any(other.states[k].as_good for other in others)
     ]
+    learned = ", but was trained on what it is compared on" if best.name in compared.in_sample else ""
     if not sure:
-        return f"{best.name} has the smallest error after {horizon:g} s; the difference is not significant."
-    return f"{best.name} is best after {horizon:g} s, significantly in {_listed(sure)}."
+        return f"{best.name} has the smallest error after {horizon:g} s; the difference is not significant{learned}."
+    return f"{best.name} is best after {horizon:g} s, significantly in {_listed(sure)}{learned}."
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -114,11 +114,11 @@ def _headline(comparisons: Sequence[Comparison]) -> tuple[str, str]:
     if worse:
         states = " and ".join(_STATES[state][0].lower() for state in worse)
         return "mismatch", f"The learned correction makes {states} worse."
-    better = {c.state: c for c in judged if c.to_nominal[2] < 1.0}
+    better = {c.state: c for c in judged if c.is_better}
     if not judged:
         return "undecided", "Too little held-out time to tell whether the correction helps."
     if not better:
-        changed = "hardly anything" if any(c.to_nominal[1] > 1.0 for c in judged) else "nothing significantly"
+        changed = "hardly anything" if any(c.is_worse for c in judged) else "nothing significantly"
         return "undecided", f"The learned correction changes {changed}."
     longest = [min((c for c in judged if c.state == s), key=lambda c: c.to_nominal[0]) for s in better]
     best = min(longest, key=lambda c: c.to_nominal[0])

@@ -4,7 +4,7 @@ from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEs
 from split_cli.diagnosis.statement.sentences import gap_left, scatter
 from split_cli.workflows.report.headline import finding_headline
 from split_cli.workflows.report.markup import bar, bar_row, items, section, table
-from split_cli.workflows.report.words import chance, escape, number, parameter, percent, term_title
+from split_cli.workflows.report.words import chance, escape, number, parameter, percent, prose, term_title, typeset
 
 _RIVALS = (
     "χ² is the increase of the cost with the term in place of the chosen one. Std errors is that increase over "
@@ -16,6 +16,8 @@ _RIVALS = (
 def what_section(diagnosis: Diagnosis) -> str:
     """Return the section: one card a finding, one for the remainder, and the steps of the selection."""
     cards = "".join(_finding(k, finding) for k, finding in enumerate(diagnosis.findings, 1))
+    if any(finding.runners_up for finding in diagnosis.findings):
+        cards = f"<p>Each card lists other terms in the place of the chosen one. {_RIVALS}</p>{cards}"
     if not diagnosis.findings:
         cards = '<p class="lead">No effect of the catalogue was identified.</p>'
     if diagnosis.leads:
@@ -48,7 +50,7 @@ def _finding(order: int, finding: Finding) -> str:
     return (
         f'<article class="card" id="finding-{order}" aria-labelledby="finding-{order}-title">'
         f'<h3 id="finding-{order}-title">{escape(finding_headline(finding))} <code>{escape(name)}</code></h3>'
-        f"<p>{escape(finding.sentence)}</p>"
+        f"<p>{prose(typeset(finding.sentence))}</p>"
         f'<div class="columns"><div>{table(("Parameter", "Value", "95 % interval", "Unit"), rows)}</div>'
         f'<div><div class="bars">{explained}</div>'
         f"<p>{number(finding.effect_to_noise, 2)} times sensor noise in a prediction over 0.05 s. "
@@ -70,7 +72,7 @@ def _alternatives(finding: Finding) -> str:
     names = "".join(f'<span class="chip same">{escape(term_title(name))}</span>' for name in finding.alternatives)
     hints = items(finding.separated_by)
     apart = f"<p>What would distinguish them:</p><ul>{hints}</ul>" if hints else ""
-    return f'<div class="note"><p>Explains these data as well: {names}</p>{apart}</div>'
+    return f'<div class="note"><p>These data do not distinguish it from: {names}</p>{apart}</div>'
 
 
 def _rivals(finding: Finding) -> str:
@@ -84,14 +86,15 @@ def _rivals(finding: Finding) -> str:
     most = max(max(rival.excess, 0.0) for rival in best.values())
     rows += [_rival(finding, rival, most) for rival in best.values()]
     heads = ("Term", "Cost above the chosen term", "χ²", "Std errors", "")
-    return f"<h4>Other terms in its place</h4><p><small>{_RIVALS}</small></p>{table(heads, rows, 'rivals')}"
+    return f"<h4>Other terms in its place</h4>{table(heads, rows, 'rivals')}"
 
 
 def _rival(finding: Finding, rival: RivalSummary, most: float) -> str:
     placebo = finding.placebo
     same = finding.is_as_good(rival)
     is_placebo = placebo is not None and (rival.term, rival.variant) == (placebo.term, placebo.variant)
-    mark = "as good" if same else "placebo: best excluded term" if is_placebo else "worse"
+    worse = "worse in this form" if rival.term in finding.alternatives else "worse"
+    mark = "as good" if same else "placebo: best excluded term" if is_placebo else worse
     shown = bar(max(rival.excess, 0.0) / max(most, 1e-9), kind="same" if same else "")
     return (
         f"<tr><th scope=row>{escape(term_title(rival.term, rival.variant))}</th><td>{shown}</td>"
@@ -118,7 +121,11 @@ def _remainder(remainder: RemainderTest, diagnosis: Diagnosis, level: float) -> 
     groups = ""
     if bars and unexplained:  # of noise the shares say nothing
         groups = f'<h4>What a flexible fit of the residual depends on</h4><div class="bars">{bars}</div>'
-    lead = f"<h4>A candidate formula</h4><p><code>{escape(remainder.formula)}</code></p>" if remainder.formula else ""
+    lead = (
+        f"<h4>A candidate formula</h4><p><code>{escape(typeset(remainder.formula))}</code></p>"
+        if remainder.formula
+        else ""
+    )
     return (
         f'<article class="card{" open" if unexplained else ""}" id="remainder"><h3>{title}</h3><p>{words}</p>'
         f"{groups}{lead}</article>"

@@ -1,0 +1,48 @@
+"""The channels of a recording as a listing shows them: each array once, with how many elements it has."""
+
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from split_cli.logs.raw import RawChannelInfo, RawRecording
+
+_INDEX = re.compile(r"\[(\d+)\]")
+
+
+@dataclass(frozen=True)
+class ListedChannel:
+    """One line of a listing."""
+
+    name: str  # with the range of indices where it stands for several, ``/wheels/speed[0..3]``
+    info: RawChannelInfo  # of the first that it stands for
+    example: str = ""  # the last that a map may name; empty for one that is no array
+
+
+def listed_channels(recording: RawRecording) -> list[ListedChannel]:
+    """Return the lines of a listing, in the order of the channels.
+
+    How many elements an array has is what the file defines, or what the first message of its topic has.
+    """
+    counts = getattr(recording, "element_counts", dict)
+    lengths = counts()
+    found: dict[tuple, list[RawChannelInfo]] = {}
+    for info in recording.channels():
+        found.setdefault((_INDEX.sub("[]", info.name), info.type_name, info.count, info.unit), []).append(info)
+    return [line for group in found.values() for line in _lines(group, lengths)]
+
+
+def _lines(group: Sequence[RawChannelInfo], lengths: dict[str, int]) -> list[ListedChannel]:
+    """Return one line for channels that differ in their indices alone; a line each where these leave gaps."""
+    indices = [tuple(map(int, _INDEX.findall(info.name))) for info in group]
+    last = [max(places) for places in zip(*indices, strict=True)]
+    if set(indices) != set(itertools.product(*(range(end + 1) for end in last))):
+        return [ListedChannel(info.name, info) for info in group]
+    pieces = _INDEX.split(group[0].name)[::2]
+    shown = first = example = pieces[0]
+    for end, piece in zip(last, pieces[1:], strict=True):
+        many = lengths.get(first, end + 1)
+        shown += ("[0]" if many == 1 else f"[0..{many - 1}]" if many else "[..]") + piece
+        example += f"[{max(many - 1, 0)}]{piece}"
+        first += f"[0]{piece}"
+    return [ListedChannel(shown, group[0], example if shown != first else "")]
