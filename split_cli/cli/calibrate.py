@@ -102,6 +102,7 @@ def command(
     if start is None:
         raise click.UsageError("Missing option '--vehicle': mass, geometry and inertia must be known.")
     from split_cli.vehicle.calibration.calibrate import CalibrationSettings
+    from split_cli.workflows.sources import local_drives
 
     if figure is not None:
         from split_cli.plots.calibration import check_figure_path, plot_calibration
@@ -115,9 +116,9 @@ def command(
         smoothing=smooth,
         offsets=offsets,
     )
-    calibration, used = calibrate_files(
-        files, start, output, settings, training_blocks=training_blocks, measured_lateral_acceleration=measured_ay
-    )
+    given = {"training_blocks": training_blocks, "measured_lateral_acceleration": measured_ay}
+    with local_drives(files) as paths:
+        calibration, used = calibrate_files(paths, start, output, settings, **given)
     if figure is not None:
         plot_calibration(calibration, figure)
     _show_calibration(calibration, files, used, output, as_json)

@@ -34,7 +34,7 @@ def _limits(context: click.Context, parameter: click.Parameter, values: tuple[st
     multiple=True,
     required=True,
     metavar="DRIVE",
-    help="Drive to run on; repeatable.",
+    help="Drive to run on, or a folder or address of drives; repeatable.",
 )
 @click.option(
     "--horizon",
@@ -70,9 +70,10 @@ def command(models, drives, horizons, exit_code, limits, output, held, as_json) 
     """
     from split_cli.workflows.compare import compare_files
     from split_cli.workflows.comparison_report import write_comparison
+    from split_cli.workflows.sources import local_drives
 
-    with StepBar(len(drives)) as progress:
-        compared, read, recordings = compare_files(models, drives, horizons, held, progress=progress)
+    with local_drives(drives) as paths, StepBar(len(paths)) as progress:
+        compared, read, recordings = compare_files(models, paths, horizons, held, progress=progress)
     if output is not None:
         write_comparison(compared, read, recordings, output)
         click.echo(f"split: report in {Path(output) / 'report.html'}", err=True)

@@ -33,8 +33,17 @@ _STAGES = {
 
 
 @click.command("diagnose")
-@click.option("--real", "real", type=shared.existing_file, required=True, multiple=True, help="Real drive; repeatable.")
-@click.option("--sim", "simulated", type=shared.existing_file, multiple=True, help="Simulated drive; repeatable.")
+@click.option(
+    "--real",
+    "real",
+    type=shared.existing_file,
+    required=True,
+    multiple=True,
+    help="Real drive, or a folder or address of drives; repeatable.",
+)
+@click.option(
+    "--sim", "simulated", type=shared.existing_file, multiple=True, help="Simulated drive, or drives; repeatable."
+)
 @click.option(
     "--holdout",
     type=shared.existing_file,
@@ -63,12 +72,19 @@ def command(real, simulated, holdout, vehicle_path, output, exit_code, held, eng
     from split_cli.diagnosis.statement.document import VEHICLES, diagnosis_to_text, vehicle_name
     from split_cli.workflows.diagnose import diagnose_files
     from split_cli.workflows.engine import open_engine
+    from split_cli.workflows.sources import local_drives
 
     use_threads(jobs or 0)
-    files = {"simulated": simulated, "holdout": holdout, "held": held}
-    with open_engine(engine, jobs=jobs, scheduler=scheduler) as where, StepBar(shares=_BEGINS) as progress:
-        files |= {"engine": where, "progress": progress, "note": progress.note}
-        result = diagnose_files(real, vehicle_path, output, **files)
+    with (
+        local_drives(real) as recorded,
+        local_drives(simulated) as simulations,
+        local_drives(holdout) as held_out,
+        open_engine(engine, jobs=jobs, scheduler=scheduler) as where,
+        StepBar(shares=_BEGINS) as progress,
+    ):
+        files = {"simulated": simulations, "holdout": held_out, "held": held, "engine": where}
+        files |= {"progress": progress, "note": progress.note}
+        result = diagnose_files(recorded, vehicle_path, output, **files)
     if as_json:
         click.echo(diagnosis_to_text(result), nl=False)
     else:

@@ -66,6 +66,10 @@ class RawChannelInfo:
     group: str = ""  # what a row above the titles of a table calls several columns together
 
 
+NO_CHECKSUMS = "a damaged number is seen only where it contradicts other channels"
+"""What follows where neither the format nor the writer of a recording kept checksums."""
+
+
 @dataclass(frozen=True)
 class ReadNote:
     """Something a reader dropped, repaired or assumed: `count` of `what`, in `where`."""

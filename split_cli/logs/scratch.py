@@ -91,6 +91,21 @@ def selected(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return column.finished().reshape(-1, values.shape[1])
 
 
+def equal(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two columns hold the same numbers; as `np.array_equal`, piece by piece."""
+    if one is other:
+        return True
+    return len(one) == len(other) and all(np.array_equal(one[piece], other[piece]) for piece in in_pieces(len(one)))
+
+
+def are_finite(values: np.ndarray) -> np.ndarray:
+    """Return where a column is finite, shape (N,), and let go of it: of a long recording each column counts."""
+    finite = np.isfinite(values)
+    if len(values) >= LONG:
+        let_go()
+    return finite
+
+
 def let_go() -> None:
     """Release the memory of every mapped file and column that was set aside; it comes back when it is read."""
     for mapped in list(_maps):

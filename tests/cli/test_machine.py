@@ -7,10 +7,13 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from split_cli.learning.training_set import read_set
+from split_cli.logs.drive import read_drive, write_drive
 from tests.cli.hostile import state, tool
 
 
@@ -130,6 +133,20 @@ main.main([])
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert run.returncode == 130 and run.stderr.count("\n") == 1
+
+
+def test_two_drives_that_are_appended_at_once_are_both_learned(here):
+    """Each read the set and wrote its own: one drive was lost, four times of four."""
+    drive = read_drive("d1.parquet")
+    half = len(drive) // 2
+    write_drive(replace(drive.stretch(0, half), name="e1.parquet"), "e1.parquet")
+    write_drive(replace(drive.stretch(half, len(drive)), name="e2.parquet"), "e2.parquet")
+    runs = [
+        spawn("train", name, "--vehicle", "car.yaml", "-o", "a.split", "--append")
+        for name in ("e1.parquet", "e2.parquet")
+    ]
+    assert [run.communicate(timeout=120)[1] for run in runs] and [run.returncode for run in runs] == [0, 0]
+    assert {source.name for source in read_set("a.split").sources} == {"d0.parquet", "e1.parquet", "e2.parquet"}
 
 
 def handles(process: int, number: int) -> bool:

@@ -2,7 +2,8 @@
 
 They are committed once a format version and never written again: every later version must read them. A new format
 version adds files beside the old ones. ``set-1.split`` was written by the last version that knew no trust, the
-parent of commit 865ddc5, from the points of ``set-2.split``.
+parent of commit 865ddc5, from the points of ``set-2.split``. That one was written by version 0.1.0, which kept no sums
+over labels, as was ``export-1``. ``set-3.split`` has them, and ``export-2`` predicts with them.
 """
 
 import shutil
@@ -66,6 +67,7 @@ def write(folder: Path) -> None:
     write_labels(labels, folder / "labels-1.parquet")
     trained = make_training_set(seed=4, points=80, vehicle=car)
     write_set(trained, folder / "set-2.split")
+    write_of_all_labels(folder)
     (folder / "hyperparameters-1.yaml").write_text(kernel_to_yaml(trained.kernel, trained.features))
     export_set(folder / "set-2.split", folder / "export-1", ["npz", "json"], queries=100, insist=True)
     assert read_set(folder / "set-2.split").size == trained.size
@@ -76,6 +78,13 @@ def write(folder: Path) -> None:
     copy = shutil.copy(folder / "drive-1.parquet", manifest.path.parent)
     manifest.add("lap.csv", "0" * 64, "0" * 64, "drive-1.parquet", Path(copy))
     manifest.write()
+
+
+def write_of_all_labels(folder: Path) -> None:
+    """Write a set that keeps what all labels tell, and an export of the predictor that uses it."""
+    trained = make_training_set(seed=5, points=80, vehicle=road_car(), capacity=3)
+    write_set(trained, folder / "set-3.split")
+    export_set(folder / "set-3.split", folder / "export-2", ["json"], queries=100, insist=True, predictor="projected")
 
 
 def evaluated(folder: Path) -> str:

@@ -33,6 +33,11 @@ DIGESTS = {
     "drives-1/ingest-manifest.json": "f2ebc40d3f09ea4d",
     "evaluation-1.json": "5110cc82b9ac63db",
     "set-1.split": "019d28a0b943926e",
+    "export-2/manifest.json": "9d71073a4901f17c",
+    "export-2/set_3.json": "48add03d4c10aff0",
+    "export-2/set_3_check.json": "904f13d01498d866",
+    "export-2/split-export.schema.json": "211042a68b4a5d15",
+    "set-3.split": "cb61e54941e72ddf",
     "diagnosis-1/diagnosis.json": "3b98fce866f88d7a",
     "diagnosis-1/vehicle_corrected.yaml": "41994c61d4d9a739",
     "drive-1.parquet": "77a8e5e93f5a093e",
@@ -93,6 +98,18 @@ def test_a_set_predicts_what_it_predicted(tmp_path):
     np.testing.assert_allclose(found.variance, stored["variance"], atol=1e-10)
     write_set(trained, tmp_path / "again.split")
     assert verify(tmp_path / "again.split").passed
+
+
+def test_a_set_of_all_labels_predicts_what_it_predicted():
+    trained = read_set(FILES / "set-3.split")
+    assert (trained.size, trained.cell_count) == (80, 79)
+    assert trained.y.sum() == 2.085005710135012
+    stored = json.loads((FILES / "export-2" / "set_3_check.json").read_text())
+    queries = np.array(stored["z"])
+    found = make_predictor("projected", trained).predict(queries)
+    np.testing.assert_allclose(found.mean, stored["mean"], atol=1e-10)
+    np.testing.assert_allclose(found.variance, stored["variance"], atol=1e-10)
+    assert np.abs(make_predictor("bcm", trained).predict(queries).mean - stored["mean"]).max() > 0.01
 
 
 def test_a_set_of_the_first_format_is_trusted_as_a_whole():

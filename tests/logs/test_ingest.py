@@ -89,6 +89,19 @@ def test_a_fast_log_is_brought_to_a_hundred_hertz_and_a_slow_one_is_not_upsample
     assert ingest(folder, frame(drive), rate=20.0).period == pytest.approx(0.05)
 
 
+def test_ten_samples_a_second_are_taken_unasked_and_five_say_what_takes_them(folder, drive):
+    assert ingest(folder, frame(drive, 10.0)).period == pytest.approx(0.1)
+    with pytest.raises(LogError, match="vx comes every 0.2 s, longer than the gap of 0.1 s. Set --gap 0.5"):
+        ingest(folder, frame(drive, 5.0))
+
+
+def test_a_channel_that_is_infinite_is_refused_for_what_it_holds(folder, drive):
+    table = frame(drive)
+    table["vy"] = np.inf
+    with pytest.raises(LogError, match="0 usable samples of vy remain. Dropped: 3000 infinite"):
+        ingest(folder, table)
+
+
 def test_a_gap_makes_a_segment_and_a_longer_gap_setting_bridges_it(folder, drive):
     table = frame(drive)
     holed = table[(table.t < 10.0) | (table.t > 10.4)]

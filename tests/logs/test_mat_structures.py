@@ -64,6 +64,24 @@ def test_structures_with_clocks_of_their_own_are_one_drive(tmp_path, kind):
         np.testing.assert_allclose(made.drive[channel][50:-50], planted.at(channel, t[50:-50]), atol=most)
 
 
+@pytest.mark.parametrize("shorter", ["vx", "vy", "ax"])
+def test_channels_of_several_lengths_are_refused_before_anything_is_derived(tmp_path, shorter):
+    """Arrays of a file of version 7.3 need not be as long as its clock: a torque computed from them was an error."""
+    planted = PlantedDrive(seconds=20.0)
+    path = tmp_path / "log.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name in ("t", "vx", "vy", "r", "delta", "ax"):
+            time = np.linspace(0.0, 19.0, 400 if name == shorter else 1000)
+            file.create_dataset(name, data=(time if name == "t" else planted.at(name, time))[None, :])
+    with open(path, "r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file".ljust(512, b" "))
+    channels = {name: {"source": name} for name in ("vx", "vy", "r", "delta", "ax")}
+    signal_map = map_from_mapping({"time": {"source": "t", "unit": "s"}, "channels": channels})
+    derived = IngestSettings(derive=("torque-from-acceleration",))
+    with pytest.raises(LogError, match=f"{shorter} has 400 samples and 1000 time stamps"):
+        assemble_drive(open_recording(path), signal_map, planted.vehicle, derived)
+
+
 def test_signals_of_simulink_are_named_by_their_labels_and_have_its_time(tmp_path):
     """A structure with time, as the blocks Scope and To Workspace save it."""
     planted = PlantedDrive(seconds=30.0)

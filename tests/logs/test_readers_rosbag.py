@@ -25,7 +25,8 @@ def test_rosbag2_folder(tmp_path, storage):
     planted = support.plant()
     recording = open_recording(support.write_rosbag2(tmp_path / "bag", planted, storage))
     check_planted(recording, planted, ("header", "log"))
-    assert recording.notes == []
+    # The program that writes these bags leaves the checksums of MCAP out.
+    assert ["without a checksum" in note.what for note in recording.notes] == [True] * (storage == "MCAP")
     # Its metadata file stands for the folder.
     check_planted(open_recording(tmp_path / "bag" / "metadata.yaml"), planted, ("header", "log"))
 

@@ -99,6 +99,15 @@ def test_suffix_units_and_preamble_of_mixed_width(tmp_path):
         recording.read(["note"])
 
 
+@pytest.mark.parametrize("cells", [("inf", "-inf"), ("Infinity", "1e999"), ("inf", "nan")])
+def test_a_column_of_infinite_values_holds_numbers(tmp_path, cells):
+    """It was said to hold text."""
+    (tmp_path / "a.csv").write_text("t,vx\n" + "".join(f"{n}.5,{cells[n % 2]}\n" for n in range(50)))
+    recording = open_recording(tmp_path / "a.csv")
+    assert {info.name: info.type_name for info in recording.channels()} == {"t": "column", "vx": "column"}
+    assert not np.isfinite(recording.read(["vx"])["vx"].values).any()
+
+
 def test_two_columns_with_decimal_commas(tmp_path):
     # Splitting at the commas gives two numbers a row as well.
     (tmp_path / "a.csv").write_text("a;b\n" + "".join(f"{n},5;{n},25\n" for n in range(20)))

@@ -397,4 +397,4 @@ def test_with_keep_going_the_command_lists_bad_logs_at_the_end_and_in_its_exit_c
     assert len(contents(tmp_path / "drives")) == 3
     *_, count, first, second = capsys.readouterr().err.splitlines()
     assert "2 of 5 logs gave no drive" in count
-    assert "bad.mcap" in first and "empty.csv" in second
+    assert first.startswith("split: bad.mcap: ") and second.startswith("split: monday/empty.csv: ")

@@ -18,7 +18,7 @@ from split_cli.logs.assembling.kinds import between_of, kinds_of, unlike_a_senso
 from split_cli.logs.assembling.moving_to_cg import move_to_cg
 from split_cli.logs.assembling.quality import QualityReport
 from split_cli.logs.assembling.resample import SampleClock
-from split_cli.logs.assembling.standstills import standstills, stopped
+from split_cli.logs.assembling.standstills import standstills_of, stopped
 from split_cli.logs.assembling.synchronize import (
     Channels,
     bring_to_clock,
@@ -39,7 +39,7 @@ from split_cli.logs.checking.copies import copied_channels
 from split_cli.logs.checking.late_channels import late_channels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
 from split_cli.logs.map_entries import SignalMap, TimeBase
-from split_cli.logs.raw import Clock, RawRecording
+from split_cli.logs.raw import NO_CHECKSUMS, Clock, RawRecording
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
 from split_cli.vehicle.parameters import Vehicle
@@ -166,13 +166,7 @@ def _assemble(
         channels, estimates = _apply_delays(channels, settings, vehicle, recording.name)
     grid, too_short = lay_grid(channels, settings.rate, recording.name)
     cut_short = channels.cut_short()
-    standing = [
-        one
-        for channel, parts in channels.clean.items()
-        for part, mode in zip(parts, channels.modes[channel], strict=True)
-        if mode != "held"
-        for one in standstills(part)
-    ]
+    standing = standstills_of(channels)
     columns, noise, qualities = bring_to_clock(channels, grid)
     grid, columns, dropped = without_missing(grid, columns, needed)
     unusable += without_absent(channels, columns, grid, recording.clocks)
@@ -285,14 +279,21 @@ def _certain(signal_map: SignalMap) -> frozenset[str]:
     return frozenset({"hand"}) if fixed else frozenset()
 
 
-_WITH_CHECKSUMS = (".mcap", ".zstd")
+_WITH_CHECKSUMS = (".mcap", ".mcap.zstd", ".npz")
+"""Ends of names of formats with checksums that are compared; the reader of MCAP notes messages that have none."""
+_PARTS_WITHOUT = (".db3", ".db3.zstd", ".npy")
+"""Ends of names of files, of which folders are one recording, without any."""
 
 
 def _unverified(path: Path, before: DriveMetadata | None) -> str:
-    """Return what to say of a source without checksums; MCAP and drives of ours have them."""
-    if before is not None or not path.exists() or path.suffix.lower() in _WITH_CHECKSUMS or path.is_dir():
+    """Return what to say of a source without checksums; drives of ours have them."""
+    if before is not None or not path.exists():
         return ""
-    return "the file has no checksums: a damaged number is seen only where it contradicts other channels"
+    if path.is_dir():
+        unchecked = any(file.name.lower().endswith(_PARTS_WITHOUT) for file in path.iterdir())
+    else:
+        unchecked = not path.name.lower().endswith(_WITH_CHECKSUMS)
+    return f"the file has no checksums: {NO_CHECKSUMS}" if unchecked else ""
 
 
 def _assumed_before(before: DriveMetadata | None) -> tuple[str, ...]:

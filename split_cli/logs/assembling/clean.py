@@ -10,7 +10,7 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.checking.plausible import is_damaged
-from split_cli.logs.scratch import PIECE, let_go, room, set_aside
+from split_cli.logs.scratch import LONG, PIECE, let_go, room, set_aside
 from split_cli.signals import CHANNELS
 
 _RESET_WINDOW = 10
@@ -155,10 +155,10 @@ def resumptions(series: Mapping[str, Sequence[RawSeries]], gap: float) -> tuple[
     the fastest of the other signals has none of five samples, for longer than `gap`, and no signal has any.
     """
     parts = [(channel, part) for channel, sources in series.items() for part in sources]
-    on_change = [_is_written_on_change(part) if may_hold(channel) else False for channel, part in parts]
+    on_change = [may_hold(channel) and _is_written_on_change(part) for channel, part in parts]
     if all(on_change) or not any(on_change):
         return ()
-    times = [np.sort(part.time[np.isfinite(part.time) & np.isfinite(part.values)]) for _, part in parts]
+    times = [set_aside(np.sort(part.time[np.isfinite(part.time) & np.isfinite(part.values)])) for _, part in parts]
     regular = [time for time, irregular in zip(times, on_change, strict=True) if not irregular and len(time) > 1]
     fastest = max(regular, key=len, default=np.empty(0))
     step = np.diff(fastest)
@@ -173,7 +173,10 @@ def resumptions(series: Mapping[str, Sequence[RawSeries]], gap: float) -> tuple[
 
 def _is_written_on_change(part: RawSeries) -> bool:
     known = np.isfinite(part.time) & np.isfinite(part.values)
-    return written_on_change(part.time[known], part.values[known], part.command)
+    time, values = part.time[known], part.values[known]
+    if len(known) >= LONG:
+        let_go()  # copies stay
+    return written_on_change(time, values, part.command)
 
 
 def pause_between_runs(sources: Iterable[tuple[np.ndarray, np.ndarray]], gap: float) -> float:

@@ -7,9 +7,11 @@ import numpy as np
 
 from split_cli.logs.assembling.clean import CleanSeries
 from split_cli.logs.assembling.noise import estimate_noise
+from split_cli.logs.assembling.synchronize import Channels
 from split_cli.logs.checking.jumps import source_failed
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.drive import Drive
+from split_cli.logs.scratch import let_go
 from split_cli.signals import CHANNELS
 
 _REPEATED = 0.05
@@ -34,6 +36,17 @@ class Standstill:
     start: float  # on the recording's clock [s]
     end: float  # [s]
     value: float  # SI
+
+
+def standstills_of(channels: Channels) -> list[Standstill]:
+    """Return where sources that are interpolated keep one value that cannot be measured."""
+    found: list[Standstill] = []
+    for channel, parts in channels.clean.items():
+        for part, mode in zip(parts, channels.modes[channel], strict=True):
+            if mode != "held":
+                found += standstills(part)
+                let_go()  # of a long recording each column counts
+    return found
 
 
 def standstills(part: CleanSeries) -> list[Standstill]:

@@ -22,7 +22,7 @@ from split_cli.logs.assembling.resample import (
 )
 from split_cli.logs.drive import NoiseEstimate
 from split_cli.logs.map_entries import ChannelMap
-from split_cli.logs.scratch import PIECE, let_go, room, set_aside
+from split_cli.logs.scratch import PIECE, are_finite, equal, let_go, room, set_aside
 from split_cli.signals import CHANNELS
 
 SLOWEST_PERIOD = 0.125
@@ -252,9 +252,7 @@ def resample_channels(channels: Channels, grid: SampleClock) -> dict[tuple[str, 
                 held = resample_held(part.time, part.values, grid, longest=gap, resumed=resumed)
                 results[channel, index] = Resampled(held, 1.0, (1.0,), False)
                 continue
-            alike = (
-                m for p, g, m in together if g == gap and (p.time is part.time or np.array_equal(p.time, part.time))
-            )
+            alike = (m for p, g, m in together if g == gap and equal(p.time, part.time))
             members = next(alike, None)
             if members is None:
                 together.append((part, gap, [(channel, index)]))
@@ -304,6 +302,7 @@ def judge_sources(
     for channel, parts in channels.clean.items():
         estimates = []
         for index, (part, mode) in enumerate(zip(parts, channels.modes[channel], strict=True)):
+            let_go()  # of the source before
             gap = channels.gap_of(channel, index)
             result = resampled[channel, index]
             words = "held" if mode == "held" else "low-passed" if result.low_passed else "interpolated"
@@ -316,9 +315,9 @@ def judge_sources(
             runs = runs_of(part.time, gap)
             filtered = {"gain": result.gain, "autocorrelation": result.autocorrelation}
             estimates.append(estimate_noise(channel, part.values, runs, **filtered))
-            let_go()
         if estimates:
             noise[channel] = sum_of_noise(channel, estimates)
+    let_go()
     return noise, qualities
 
 
@@ -326,8 +325,7 @@ def without_missing(
     grid: SampleClock, columns: dict[str, np.ndarray], needed: Sequence[str]
 ) -> tuple[SampleClock, dict[str, np.ndarray], int]:
     """Leave out rows where a required channel is missing, of `columns` itself too, and number segments anew."""
-    present = np.all([np.isfinite(columns[channel]) for channel in needed], axis=0)
-    let_go()
+    present = np.all([are_finite(columns[channel]) for channel in needed], axis=0)
     if present.all():
         return grid, columns, 0
     starts = np.flatnonzero(np.diff(present.astype(int), prepend=0) == 1)
@@ -351,7 +349,7 @@ def without_absent(
     channels: Channels, columns: dict[str, np.ndarray], grid: SampleClock, clocks: Sequence[str]
 ) -> list[str]:
     """Take out of `columns` what holds no value in any row, and say so: its clock is mostly another one."""
-    absent = [name for name, values in columns.items() if not np.isfinite(values).any()]
+    absent = [name for name, values in columns.items() if not are_finite(values).any()]
     other = f"; with `--clock {clocks[-1]}` they may share one" if len(clocks) > 1 else ""
     reports = []
     for name in absent:

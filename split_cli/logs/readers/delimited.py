@@ -139,7 +139,8 @@ def _messages_of_fields(sniffed: Sniffed) -> dict[str, dict[int, str]]:
 def _is_text(sniffed: Sniffed, index: int) -> bool:
     cells = [row[index].strip() for row in sniffed.rows if index < len(row)]
     cells = [cell for cell in cells if cell not in EMPTY_CELLS]
-    numeric = sum(np.isfinite(number_of(cell, sniffed.dialect.decimal)) for cell in cells)
+    # An infinite value is a number that cleaning counts and drops; what is no number at all is NaN here.
+    numeric = sum(not np.isnan(number_of(cell, sniffed.dialect.decimal)) for cell in cells)
     return bool(cells) and 2 * numeric < len(cells)
 
 

@@ -192,8 +192,8 @@ def _split(line: str, separator: str) -> list[str]:
         line = _COMMENT_MARK.sub("", line)
         try:
             return next(csv.reader([line.rstrip("\r\n")], delimiter=separator), [])
-        except csv.Error:  # a cell of over 128 kB: another separator parts it, or none does
-            return [line]
+        except csv.Error:  # a cell of over 128 kB, of which quotes are not looked for
+            return line.rstrip("\r\n").split(separator)
     cells = line.split()
     # NumPy and gnuplot mark the line of titles.
     return cells[1:] if cells and cells[0] in ("#", "%") else cells

@@ -22,7 +22,7 @@ from mcap.opcode import Opcode
 
 from split_cli.errors import LogError
 from split_cli.logs.budget import Unfolded
-from split_cli.logs.raw import ReadNote, note_once
+from split_cli.logs.raw import NO_CHECKSUMS, ReadNote, note_once
 from split_cli.logs.readers.messages import MessageBatch, Stream, in_batches
 from split_cli.logs.scratch import let_go, mapped_file
 
@@ -95,6 +95,7 @@ class McapContainer:
                 raise LogError("does not begin like an MCAP file", where=path.name, advice="Copy it again.")
             self._file = mapped_file(stream)
         self._unfolded = Unfolded(len(self._file))
+        self._data_has_checksum = False
         contents = self._indexed_contents() or self._scanned_contents()
         self._segments = contents.segments
         if not contents.counts or contents.first_time is None:
@@ -122,6 +123,8 @@ class McapContainer:
         for segment in self._segments:
             if segment.channels is None or not keys.isdisjoint(segment.channels):
                 content = self._content(segment)
+                if not self._has_checksum(segment):
+                    note_once(self.notes, f"messages without a checksum: {NO_CHECKSUMS}", self.path.name)
                 yield from in_batches(
                     (key, log_time, publish_time, bytes(content[start:stop]))
                     for key, log_time, publish_time, start, stop in self._messages(content, segment)
@@ -230,7 +233,7 @@ class McapContainer:
 
     def _check_data_section(self, begin: int, end: int) -> None:
         expected = struct.unpack("<I", self._file[begin : begin + 4])[0] if end - begin >= 4 else 0
-        found = 0
+        found, self._data_has_checksum = 0, bool(expected)
         for start in range(0, begin - _RECORD.size if expected else 0, _PIECE):
             found = zlib.crc32(self._file[start : min(start + _PIECE, begin - _RECORD.size)], found)
             let_go()
@@ -252,6 +255,11 @@ class McapContainer:
         return replace(segment, channels=frozenset(present))
 
     # --- segments ---
+
+    def _has_checksum(self, segment: _Segment) -> bool:
+        if not segment.chunk:
+            return self._data_has_checksum
+        return segment.stop - segment.start < _CHUNK.size or _CHUNK.unpack_from(self._file, segment.start)[3] != 0
 
     def _content(self, segment: _Segment) -> bytes | memoryview:
         """Return a segment's records, decompressed; only what is left of them where it is damaged."""

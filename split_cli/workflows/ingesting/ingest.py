@@ -279,7 +279,15 @@ def _make_drive(job: _Job) -> IngestResult | IngestFailure:
             write_drive(made.drive, job.target)
             return replace(_result(path, Path(job.shown), made), fingerprint=fingerprint)
     except SplitError as error:
-        return IngestFailure(job.source.place, error)
+        return IngestFailure(job.source.place, _in_its_folder(error, job.source))
+
+
+def _in_its_folder(error: SplitError, source: SourceFile) -> SplitError:
+    """Return an error with the place of its log below the folder that was asked for: a thousand logs share names."""
+    where = error.where or ""
+    if not where.startswith(source.name) or source.place == source.name:
+        return error
+    return type(error)(error.what, where=source.place + where.removeprefix(source.name), advice=error.advice)
 
 
 @contextlib.contextmanager
