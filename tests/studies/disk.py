@@ -1,7 +1,7 @@
 """Run every command that writes onto a disk that is full, and into a place that is read-only.
 
 Example: ``python -m tests.studies.disk --only export`` (as root on Linux: it mounts small file systems of memory).
-The disk holds an old output of the command and has room for half of the new one. Allowed is one line of error, and
+The disk holds an old output of the command and has room for half of the largest new file. Allowed is one line of error, and
 each output as it was or, of several that were named one by one, new and whole; nothing lies beside them. Prints a
 row for each command; exits with 1 if anything else happened.
 """
@@ -71,9 +71,10 @@ def attempt(case: Case, folder: Path) -> list[str]:
             return ["the command fails when it is left alone"]
         after = [path for path in (alone / "disk").rglob("*") if path.is_file()]
         written = [path for path in after if not _is_kept(path, disk / path.relative_to(alone / "disk"))]
-        new = sum(map(_blocks, written))
-    # Room for half of what is written, in whole pages: none for a file of one page.
-    room = new // 2 // _PAGE * _PAGE
+        sizes = [_blocks(path) for path in written]
+        new = sum(sizes)
+    # Files that are named one by one are exchanged one by one. Whole pages: no room for a file of one page.
+    room = max(sizes) // 2 // _PAGE * _PAGE
     for what, size, read_only in (("full", old + room + _PAGE, False), ("read-only", old + 2 * new, True)):
         with small_disk(disk, size, read_only):
             if not read_only:
