@@ -68,8 +68,8 @@ def _rivals_and_roads() -> list[Experiment]:
     found = []
     for seed in _SEEDS:
         found += [_race("limit", learner, seed, "limit", laps=3, **_SMALL) for learner in ("none", "split")]
-    for learner, laps in (("none", 2), ("split", 3)):
-        found += [_race("wet", learner, seed, laps=laps, **_WET) for seed in _SEEDS]
+    for learner in ("none", "split"):
+        found += [_race("wet", learner, seed, laps=10, **_WET) for seed in _SEEDS]
     for seed in _SEEDS:
         for learner, laps in (("none", 1), ("split", 2)):
             car = {"car": "formula_car", "model": "nominal" if learner == "none" else learner}
