@@ -1,5 +1,6 @@
 """`split ingest`: its options, and how its result is printed."""
 
+import contextlib
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -225,29 +226,32 @@ def _list_maps(as_json: bool) -> int:
 
 def _look_at(logs, message_paths, options, vehicle_path, as_json: bool) -> int:
     from split_cli.workflows.ingesting.ingest import open_listed, suggest_map_for
-    from split_cli.workflows.sources import find_sources
+    from split_cli.workflows.sources import enter_all, find_sources
 
     described = []
-    found = [source.address for source in find_sources(logs)]
-    for log in [tuple(found)] if options["together"] else found:
-        if options["suggest_map"]:
-            draft = suggest_map_for(
-                log, message_paths=message_paths, row_rate=options["row_rate"], vehicle_path=vehicle_path
-            )
-            described.append({"log": str(log), "map": draft})
-            if not as_json:
-                click.echo(draft)
-            continue
-        recording, lines = open_listed(log, message_paths=message_paths)
-        channels, clocks = recording.channels(), recording.clocks
+    found, together = find_sources(logs), options["together"]
+    for sources in [found] if together else [[source] for source in found]:
+        names = [source.address for source in sources]
+        with contextlib.ExitStack() as stack:
+            paths = enter_all(sources, stack)
+            log = paths if together else paths[0]
+            if options["suggest_map"]:
+                draft = suggest_map_for(
+                    log, message_paths=message_paths, row_rate=options["row_rate"], vehicle_path=vehicle_path
+                )
+                described.append({"log": "+".join(names), "map": draft})
+                if not as_json:
+                    click.echo(draft)
+                continue
+            recording, lines = open_listed(log, message_paths=message_paths)
+            channels, clocks = recording.channels(), recording.clocks
         if as_json:
-            log = "+".join(log) if isinstance(log, tuple) else log
-            listed = {"log": str(log), "clocks": list(clocks), "channels": list(channels)}
+            listed = {"log": "+".join(names), "clocks": list(clocks), "channels": list(channels)}
             arrays = {line.name: line.example for line in lines if line.example}
             described.append({**listed, "arrays": arrays, "notes": list(recording.notes)})
             continue
-        log = " + ".join(map(str, log)) if isinstance(log, tuple) else log
-        click.echo(f"{log}: {len(channels)} channels; clocks: {', '.join(clocks) or 'none, time is a column'}")
+        shown, known = " + ".join(names), ", ".join(clocks) or "none, time is a column"
+        click.echo(f"{shown}: {len(channels)} channels; clocks: {known}")
         rows = [[line.name, line.info.type_name, line.info.count, line.info.unit] for line in lines]
         shared.print_table(["channel", "type", "count", "unit"], rows)
         if examples := [line.example for line in lines if line.example]:

@@ -36,14 +36,17 @@ def command(
     """
     from split_cli.workflows.engine import open_engine
     from split_cli.workflows.label import label_drive, label_drives
+    from split_cli.workflows.sources import find_sources
 
     settings = {"features": features, "horizon": horizon, "stride": stride, "plain": plain, "held": held}
-    several = len(drives) > 1 or drives[0].is_dir()
+    found = find_sources(drives, (".parquet",), what="drive")
+    several = [source.name for source in found] != [drives[0].name]  # a folder of one drive stands for several
     if several:
         with open_engine(engine, jobs=jobs, scheduler=scheduler) as where, StepBar() as bar:
             results = label_drives(drives, vehicle_path, output, engine=where, progress=bar, **settings)
     else:
-        results = (label_drive(drives[0], vehicle_path, output, **settings),)
+        with found[0].local() as path:
+            results = (label_drive(path, vehicle_path, output, **settings),)
     print_notes(dict.fromkeys(note for result in results for note in result.notes))
     if as_json:
         shared.print_json(list(results) if several else results[0])

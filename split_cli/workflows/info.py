@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from split_cli.errors import SplitError, reason_of
 from split_cli.files import parse_json, refuse_no_regular_file
 from split_cli.workflows.page_facts import describe_folder, describe_page
+from split_cli.workflows.sources import LOG_SUFFIXES, SourceFile, find_sources, typed_address
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,44 @@ class FileDescription:
     # drive, labels, trained set, vehicle, signal map, export, diagnosis, evaluation, comparison, race, or recording
     kind: str
     facts: tuple[tuple[str, str], ...]  # what is known of it, in reading order
+
+
+#: What is described of a folder; JSON and pages are parts of a result, which its own folder names.
+_KINDS = (*LOG_SUFFIXES, ".split", ".yaml", ".yml")
+
+
+def describe_files(addresses: Sequence[str | Path]) -> tuple[list[FileDescription], list[SplitError]]:
+    """Return what files are, and the errors of those among several that cannot be read.
+
+    Parameters
+    ----------
+    addresses : sequence of path-like
+        Files and results as `describe_file` takes them; other folders, globs and addresses as `find_sources` does.
+
+    Raises
+    ------
+    SplitError
+        If there is one file only, and it cannot be read, or an address stands for nothing.
+    """
+    sources: list[SourceFile] = []
+    for address in addresses:
+        folder = Path(typed_address(address))
+        if (folder / "manifest.json").is_file() or (folder / "report.html").is_file():
+            sources.append(SourceFile(str(folder), folder.name))
+        else:
+            sources += find_sources([address], _KINDS, what="file that can be described")
+    described, failures = [], []
+    for source in sources:
+        try:
+            with source.local() as path:
+                one = describe_file(path)
+            facts = tuple((label, text.replace(str(path), source.address)) for label, text in one.facts)
+            described.append(replace(one, path=source.address, facts=facts))
+        except SplitError as error:
+            if len(sources) == 1:
+                raise
+            failures.append(source.in_its_folder(error))
+    return described, failures
 
 
 def describe_file(path: str | Path) -> FileDescription:

@@ -19,7 +19,7 @@ from split_cli.logs.drive_metadata import ingest_found
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.engine import Engine
 from split_cli.workflows.recordings import RecordingCorrection
-from split_cli.workflows.sources import find_sources
+from split_cli.workflows.sources import SourceFile, find_sources
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def label_drives(
         raise SplitError("two drives have this name", where=str(twice[0]), advice=advice)
     for target in targets:
         target.parent.mkdir(parents=True, exist_ok=True)
-    jobs = [(s.address, vehicle_path, target, settings) for s, target in zip(sources, targets, strict=True)]
+    jobs = [(source, vehicle_path, target, settings) for source, target in zip(sources, targets, strict=True)]
     apply = engine.map if engine is not None else map
     made = []
     for number, result in enumerate(apply(_label_one, jobs), 1):
@@ -132,9 +132,10 @@ def label_drives(
     return tuple(made)
 
 
-def _label_one(job: tuple[str, str | Path, Path, Mapping[str, Any]]) -> LabelResult:
-    address, vehicle_path, target, settings = job
-    return label_drive(address, vehicle_path, target, **settings)
+def _label_one(job: tuple[SourceFile, str | Path, Path, Mapping[str, Any]]) -> LabelResult:
+    source, vehicle_path, target, settings = job
+    with source.local() as path:
+        return label_drive(path, vehicle_path, target, **settings)
 
 
 def drive_notes(drive: Drive) -> tuple[str, ...]:

@@ -58,6 +58,13 @@ class SourceFile:
         """File or folder name."""
         return PurePosixPath(self.place).name
 
+    def in_its_folder(self, error: SplitError) -> SplitError:
+        """Return an error with the file's place below the folder that was asked for: a thousand logs share names."""
+        where = error.where or ""
+        if not where.startswith(self.name) or self.place == self.name:
+            return error
+        return type(error)(error.what, where=self.place + where.removeprefix(self.name), advice=error.advice)
+
     def fingerprint(self) -> str:
         """Return what changes when the content does.
 
@@ -88,7 +95,12 @@ class SourceFile:
             target = folder / self.name
             with _in_one_line(self.address), system.open(path, "rb") as remote, target.open("wb") as copy:
                 shutil.copyfileobj(remote, copy, _COPY_BYTES)
-            yield target
+            try:
+                yield target
+            except SplitError as error:  # the copy is gone when its error is read
+                texts = (error.what, error.where or "", error.advice or "")
+                what, where, advice = (text.replace(str(target), self.address) for text in texts)
+                raise type(error)(what, where=where or None, advice=advice or None) from error
 
 
 _IDENTITY = {
@@ -106,12 +118,16 @@ _IDENTITY = {
 
 def is_remote(address: str | Path) -> bool:
     """Tell whether an address names another file system; ``file://`` does not count."""
-    return bool(re.match(r"^(?!file:)[a-z][a-z0-9+.-]+:/", _text(address)))
+    return bool(re.match(r"^[a-z][a-z0-9+.-]+:/", typed_address(address)))
 
 
-def _text(address: str | Path) -> str:
-    # A Path has made one slash of two: s3:/bucket/lap.mcap.
-    return re.sub(r"^([a-z][a-z0-9+.-]+):/(?=[^/])", r"\1://", str(address))
+def typed_address(address: str | Path) -> str:
+    """Return an address as it was typed, or the path that a file:// one names.
+
+    A Path has made one slash of two: s3:/bucket/lap.mcap.
+    """
+    path = re.sub(r"^file:/+", "/", str(address))
+    return re.sub(r"^([a-z][a-z0-9+.-]+):/(?=[^/])", r"\1://", path)
 
 
 def _system(address: str) -> tuple[Any, str]:
@@ -121,7 +137,7 @@ def _system(address: str) -> tuple[Any, str]:
         advice = "Install it with `pip install 'split-cli[cluster]'`."
         raise SplitError("needs the package fsspec", where=address, advice=advice) from error
     with _in_one_line(address):
-        return fsspec.core.url_to_fs(_text(address))
+        return fsspec.core.url_to_fs(typed_address(address))
 
 
 @contextlib.contextmanager
@@ -132,10 +148,10 @@ def _in_one_line(address: str) -> Iterator[None]:
     except SplitError:
         raise
     except FileNotFoundError as error:
-        raise SplitError("does not exist", where=_text(address)) from error
+        raise SplitError("does not exist", where=typed_address(address)) from error
     except Exception as error:  # each file system has errors of its own: credentials, network, permission
         reason = reason_of(error)
-        raise SplitError(f"cannot be read ({reason})", where=_text(address)) from error
+        raise SplitError(f"cannot be read ({reason})", where=typed_address(address)) from error
 
 
 def find_sources(
@@ -166,7 +182,7 @@ def find_sources(
     """
     found: dict[str, SourceFile] = {}
     for address in addresses:
-        text = _text(address)
+        text = typed_address(address)
         sources = _remote(text, suffixes) if is_remote(text) else _local(text, suffixes)
         if not sources:
             kinds = ", ".join(suffixes)
@@ -190,8 +206,12 @@ def local_drives(addresses: Sequence[str | Path]) -> Iterator[list[Path]]:
         If an address stands for no drive.
     """
     with contextlib.ExitStack() as stack:
-        sources = find_sources(addresses, DRIVE_SUFFIXES, what="drive")
-        yield [stack.enter_context(source.local()) for source in sources]
+        yield enter_all(find_sources(addresses, DRIVE_SUFFIXES, what="drive"), stack)
+
+
+def enter_all(sources: Sequence[SourceFile], stack: contextlib.ExitStack) -> list[Path]:
+    """Return local paths to sources, which stay for as long as the stack is open."""
+    return [stack.enter_context(source.local()) for source in sources]
 
 
 def _entry(address: str) -> str:
@@ -202,7 +222,7 @@ def _entry(address: str) -> str:
 
 def _is_below(address: str, folder: str | Path) -> bool:
     """Tell whether an address is a local file or folder below another folder, or that folder."""
-    path = Path(os.path.realpath(address.removeprefix("file://")))
+    path = Path(os.path.realpath(address))
     return not is_remote(address) and path.is_relative_to(os.path.realpath(folder))
 
 
@@ -213,7 +233,7 @@ def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = Non
     """
     counts: Counter[str] = Counter()
     for address in addresses:
-        text = _text(address)
+        text = typed_address(address)
         if is_remote(text):
             system, path = _system(text)
             with _in_one_line(text):
@@ -221,7 +241,7 @@ def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = Non
             others = [name for name in below if not name.lower().endswith(LOG_SUFFIXES)]
             places = [PurePosixPath(name.removeprefix(path).lstrip("/")) for name in others]
         else:
-            folder = Path(text.removeprefix("file://"))
+            folder = Path(text)
             below = [p for p in _files_below(folder) if outside is None or not _is_below(str(p), outside)]
             places = [p.relative_to(folder) for p in below if not _is_one_of(p, LOG_SUFFIXES)]
         counts.update(place.suffix.lower() or "no ending" for place in places if not _hidden(place))
@@ -238,7 +258,7 @@ def _files_below(folder: Path) -> Iterator[Path]:
 
 
 def _local(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
-    path = Path(text.removeprefix("file://"))
+    path = Path(text)
     if path.is_dir() and not _is_bag(path):
         return _in_folder(path, path, suffixes)
     if not path.exists() and glob.has_magic(str(path)):

@@ -18,6 +18,7 @@ from split_cli.diagnosis.parallel import distributing_by
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.errors import SplitError
 from split_cli.logs.drive import read_drive, write_drive
+from split_cli.proof.store import write_seal
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.engine import open_engine
 from tests.factories import MissingForce, make_drive, road_car
@@ -129,6 +130,29 @@ def test_a_diagnosis_is_the_same(tmp_path, address, monkeypatch):
     for name in ("self_test", "detection_limits", "_fitted", "refitted"):
         assert any(function.startswith(name) for function in travelled), name
     assert told["one"]["verdict"] != "undecided" and told["one"]["detectable"]
+
+
+def test_blind_identification_writes_the_same_files(tmp_path, address):
+    """Of two short cases, one with a simulation: the answers stand sealed, as no worker reads them."""
+    samples = Path(__file__).parents[2] / "sample_logs"
+    for name, shown in (("0001", ("real",)), ("0002", ("real", "sim"))):
+        case = tmp_path / "one" / "cases" / name
+        case.mkdir(parents=True)
+        for kind in shown:
+            write_drive(read_drive(samples / f"road_pair_{kind}.parquet").stretch(0, 1000), case / f"{kind}.parquet")
+        shutil.copy(samples / "road_car.yaml", case / "vehicle.yaml")
+        (tmp_path / "one" / "sealed").mkdir(exist_ok=True)
+        (tmp_path / "one" / "sealed" / f"{name}.json").write_text("{}")
+    write_seal(tmp_path / "one", seed=1)
+    shutil.copytree(tmp_path / "one", tmp_path / "cluster")
+    written = []
+    for name, way in ways(address).items():
+        run("prove", "identify", tmp_path / name, *way)
+        results = tmp_path / name / "results"
+        notes = [json.loads((results / f"{case}.json").read_text()) for case in ("0001", "0002")]
+        assert [note["error"] for note in notes] == ["", ""]
+        written.append({p.relative_to(results): p.read_bytes() for p in results.glob("*/*")})
+    assert written[0] == written[1] and len(written[0]) == 2
 
 
 def test_a_faulty_log_ends_a_run_in_one_line(folder, tmp_path):

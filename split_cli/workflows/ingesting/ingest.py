@@ -22,7 +22,7 @@ from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.ingesting.ingest_manifest import IngestManifest, settings_digest
-from split_cli.workflows.sources import SourceFile, find_sources, is_remote
+from split_cli.workflows.sources import SourceFile, enter_all, find_sources, is_remote
 
 __all__ = [
     "IngestFailure",
@@ -155,7 +155,8 @@ def ingest_logs(
     signal_map = read_map(maps) if maps else None
     prepared = _Job(signal_map, vehicle, settings, tuple((topics or {}).items()), tuple(map(str, message_paths)))
     if together:
-        return IngestRun((_ingest_together([Path(one.address) for one in sources], output, prepared),), (), ())
+        with contextlib.ExitStack() as stack:
+            return IngestRun((_ingest_together(enter_all(sources, stack), output, prepared),), (), ())
     single = len(sources) == 1 and not output.is_dir() and output.suffix.lower() in (".parquet", ".pq")
     if not single:
         _check_folder(output, sources)
@@ -279,15 +280,7 @@ def _make_drive(job: _Job) -> IngestResult | IngestFailure:
             write_drive(made.drive, job.target)
             return replace(_result(path, Path(job.shown), made), fingerprint=fingerprint)
     except SplitError as error:
-        return IngestFailure(job.source.place, _in_its_folder(error, job.source))
-
-
-def _in_its_folder(error: SplitError, source: SourceFile) -> SplitError:
-    """Return an error with the place of its log below the folder that was asked for: a thousand logs share names."""
-    where = error.where or ""
-    if not where.startswith(source.name) or source.place == source.name:
-        return error
-    return type(error)(error.what, where=source.place + where.removeprefix(source.name), advice=error.advice)
+        return IngestFailure(job.source.place, job.source.in_its_folder(error))
 
 
 @contextlib.contextmanager

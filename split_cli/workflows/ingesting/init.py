@@ -1,5 +1,6 @@
 """The first two files of a newcomer: a drafted map and a vehicle file to fill in."""
 
+import contextlib
 import shlex
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from split_cli.logs.drafting.several_logs import agreed_draft
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
+from split_cli.workflows.sources import enter_all, find_sources, typed_address
 
 VEHICLE_TEMPLATE = """# The nominal vehicle. Fill in what stands empty; every command names all that is missing.
 # A value may also be written {value: 1573, source: published}; source is published, assumed or calibrated.
@@ -180,7 +182,8 @@ def init_project(
     Parameters
     ----------
     logs : sequence of path-like
-        One recording, several of one car, or with `together` the files of one drive.
+        One recording, several of one car, or with `together` the files of one drive; folders, globs and addresses
+        as `find_sources` takes them.
     folder : path-like
         Made when it does not exist.
     together : bool
@@ -202,11 +205,19 @@ def init_project(
         if target.exists():
             advice = "Name another folder with -o, or ingest the logs of one car with the map and vehicle file it has."
             raise SplitError("exists already", where=str(target), advice=advice)
-    recordings = [open_logs(list(logs) if together else log, message_paths) for log in (logs[:1] if together else logs)]
-    drafts = {str(log): draft_map(one, row_rate=row_rate) for log, one in zip(logs, recordings, strict=False)}
-    recorded = {str(log): [info.name for info in one.channels()] for log, one in zip(logs, recordings, strict=False)}
+    sources = find_sources(logs)
+    drafts: dict[str, Draft] = {}
+    recorded: dict[str, list[str]] = {}
+    names = []
+    for parts in [sources] if together else [[source] for source in sources]:
+        with contextlib.ExitStack() as stack:
+            paths = enter_all(parts, stack)
+            recording = open_logs(paths if together else paths[0], message_paths)
+            drafts[parts[0].address] = draft_map(recording, row_rate=row_rate)
+            recorded[parts[0].address] = [info.name for info in recording.channels()]
+            names.append(recording.name)
     draft, differences = agreed_draft(drafts, recorded)
-    name = ", ".join(one.name for one in recordings)
+    name = ", ".join(names)
     if draft.hints and all(s.status == "open" for s in draft.suggestions):
         # Files would stand in the way of the next attempt, with the log in another form.
         raise SplitError("no channel was recognised", where=name, advice=" ".join(draft.hints))
@@ -215,10 +226,10 @@ def init_project(
     with atomic_directory(folder) as temporary:
         (temporary / "map.yaml").write_text(render_draft(draft, name) + "\n", encoding="utf-8")
         (temporary / "vehicle.yaml").write_text(VEHICLE_TEMPLATE, encoding="utf-8")
-    shown = " ".join(shlex.quote(str(log)) for log in logs) + (" --together" if together else "")
+    shown = " ".join(shlex.quote(typed_address(log)) for log in logs) + (" --together" if together else "")
     databases = [f" --dbc {shlex.quote(str(p))}" for p in message_paths if Path(p).is_file()]
     rate = f" --row-rate {row_rate:g}" if row_rate is not None else ""
-    first = Path(logs[0])
+    first = Path(sources[0].name)
     made = f"{first.stem}{'_drive' * (first.suffix == '.parquet')}.parquet"
-    made = shlex.quote(f"{first.stem}_drives" if len(recordings) > 1 else made)
+    made = shlex.quote(f"{first.stem}_drives" if len(names) > 1 else made)
     return InitResult(*targets, draft, shown + "".join(databases) + rate, made, differences)
