@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from split_cli.errors import SplitError
 from split_cli.learning.region import Region
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -28,6 +29,11 @@ class SpeedLimits:
 def limits_over_speed(vehicle: Vehicle, region: Region) -> SpeedLimits:
     """Return the limits from the minimum speed to where torque no longer beats the resistances, at most 100 m/s.
 
+    Raises
+    ------
+    SplitError
+        If the region begins where the table ends.
+
     Notes
     -----
     Steady turning loads the front axle with m a_y l_r/L and the rear with m a_y l_f/L; the lateral limit is
@@ -35,6 +41,11 @@ def limits_over_speed(vehicle: Vehicle, region: Region) -> SpeedLimits:
     (aero downforce, friction). The longitudinal limit is the sum of both axles' largest forces, grip being taken
     as the same along and across, over the mass. The residual is left out: it says nothing at the limit.
     """
+    if region.minimum_speed > _FASTEST - _STEP:
+        what = (
+            f"the valid region begins at {region.minimum_speed:g} m/s, and a table of limits ends at {_FASTEST:g} m/s"
+        )
+        raise SplitError(what, where=vehicle.name, advice="Lower minimum_speed in the vehicle file and train again.")
     model = SingleTrack(vehicle)
     speed = np.arange(region.minimum_speed, _FASTEST + _STEP, _STEP)
     angle = np.linspace(-region.alpha_max, region.alpha_max, _ANGLES)

@@ -11,6 +11,7 @@ from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels, Reason
 from split_cli.learning.region import Grid, Region
+from split_cli.learning.set_limits import LARGEST_CELL
 from split_cli.learning.training_set import SetSource, TrainingSet
 from split_cli.logs.scratch import PIECE, let_go
 from split_cli.vehicle.parameters import Vehicle
@@ -46,8 +47,8 @@ def empty_set(
         If a setting is out of its range, or grid and kernel are not of the features' dimension.
     """
     dimension = len(features.names)
-    if not 1 <= capacity <= 200:
-        raise SetError(f"the capacity of a cell is {capacity}, 1 to 200 was expected")
+    if not 1 <= capacity <= LARGEST_CELL:
+        raise SetError(f"the capacity of a cell is {capacity}, 1 to {LARGEST_CELL} was expected")
     if not 1e-9 <= threshold < 1.0:
         # Below, the threshold would be in the rounding of the gain, and K singular to working precision.
         raise SetError(f"the gain threshold is {threshold:g}, a value from 1e-9 to below 1 was expected")

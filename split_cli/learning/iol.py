@@ -11,6 +11,7 @@ from split_cli.errors import SetError
 from split_cli.learning.cells import recompute_gains
 from split_cli.learning.kernel import Kernel, correlation
 from split_cli.learning.labels import Labels, Reason
+from split_cli.learning.set_limits import LARGEST_DICTIONARY
 from split_cli.learning.training_set import SetSource, TrainingSet
 
 LEARNER = "iol"
@@ -188,8 +189,8 @@ def empty_dictionary(empty: TrainingSet, capacity: int = DEFAULT_DICTIONARY) -> 
     empty : TrainingSet
         As `cells.empty_set` makes it; features, region, grid and kernel are kept.
     """
-    if not 1 <= capacity <= 20_000:
-        raise SetError(f"a dictionary of {capacity} points, 1 to 20000 was expected")
+    if not 1 <= capacity <= LARGEST_DICTIONARY:
+        raise SetError(f"a dictionary of {capacity} points, 1 to {LARGEST_DICTIONARY} was expected")
     return replace(empty, capacity=capacity, learner=LEARNER)
 
 

@@ -8,8 +8,10 @@ import numpy as np
 from split_cli.learning.features import Z2
 from split_cli.signals import CHANNELS
 
-LARGEST_CAPACITY = 1000
-"""Points a cell may keep [1]; theory: an update costs M^2; at 1,000 it outlasts a control interval."""
+LARGEST_CELL = 200
+"""Points a cell may keep [1]; theory: each cell has sums of 8 M^2 bytes, at 200 a gigabyte in 3,000 cells."""
+LARGEST_DICTIONARY = 20_000
+"""Points of the one dictionary of IOL [1]; theory: its inverse has 8 M^2 bytes, 3.2 GB."""
 MOST_CELLS_OF_A_GRID = 2_000_000
 """Cells between a grid's bounds [1]; measured: enumerated, they take 122 bytes each; by default 8,100."""
 LONGEST_HORIZON = 10.0
@@ -41,7 +43,8 @@ def check_header(described: Mapping[str, Any], features: Sequence[str], vehicle_
         Names the first field that no set can have.
     """
     _within("horizon [s]", described["horizon"], 0.0, LONGEST_HORIZON)
-    _whole("capacity", described["capacity"], 1, LARGEST_CAPACITY)
+    one_dictionary = described.get("learner") == "iol"
+    _whole("capacity", described["capacity"], 1, LARGEST_DICTIONARY if one_dictionary else LARGEST_CELL)
     threshold = _number("threshold", described["threshold"])
     if not 0.0 <= threshold <= 1.0:
         raise ValueError(f"threshold is {threshold:g}, a marginal gain lies between 0 and 1")

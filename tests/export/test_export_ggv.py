@@ -1,8 +1,11 @@
 """Limits over speed against closed forms, and as files a planner reads."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from split_cli.errors import SplitError
 from split_cli.export.ggv import limits_over_speed, write_ggv
 from split_cli.learning.region import Region
 from split_cli.vehicle.parameters import EffectSpec
@@ -47,3 +50,9 @@ def test_the_files_read_back(tmp_path):
     table = np.loadtxt(tmp_path / "car_ggv.csv", delimiter=",")
     assert table == pytest.approx(np.column_stack([limits.speed, limits.longitudinal, limits.lateral]), abs=1e-4)
     assert (tmp_path / "car_ggv.csv").read_text().startswith("# v_mps,ax_max_mps2,ay_max_mps2\n")
+
+
+def test_a_region_beyond_the_table_is_refused():
+    region = replace(Region.of(road_car()), minimum_speed=999.0)
+    with pytest.raises(SplitError, match="begins at 999 m/s, and a table of limits ends at 100 m/s"):
+        limits_over_speed(road_car(), region)

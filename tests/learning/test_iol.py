@@ -105,3 +105,13 @@ def test_the_command_trains_appends_and_refuses(tmp_path):
         "train", tmp_path / "d1.parquet", "--vehicle", car_path, "--append", "--learner", "split", "-o", set_path
     )
     assert told.exit_code != 0
+
+
+def test_a_large_dictionary_is_read_again_and_cells_as_large_are_refused(tmp_path):
+    """What training allows, reading allows: a cell keeps 200 points at most, the one dictionary 20,000."""
+    for capacity, made in ((200, replace(rival(), learner="split", capacity=200)), (2000, rival(2000))):
+        write_set(made, tmp_path / "a.split")
+        assert read_set(tmp_path / "a.split").capacity == capacity
+    write_set(replace(rival(), learner="split", capacity=201), tmp_path / "b.split")
+    with pytest.raises(SetError, match="capacity is 201"):
+        read_set(tmp_path / "b.split")
