@@ -42,10 +42,8 @@ def limits_over_speed(vehicle: Vehicle, region: Region) -> SpeedLimits:
     as the same along and across, over the mass. The residual is left out: it says nothing at the limit.
     """
     if region.minimum_speed > _FASTEST - _STEP:
-        what = (
-            f"the valid region begins at {region.minimum_speed:g} m/s, and a table of limits ends at {_FASTEST:g} m/s"
-        )
-        raise SplitError(what, where=vehicle.name, advice="Lower minimum_speed in the vehicle file and train again.")
+        what = f"the valid region begins at {region.minimum_speed:g} m/s, and a table of limits ends at {_FASTEST:g}"
+        raise SplitError(what, where=vehicle.name, advice="See with `split verify` where the set was changed.")
     model = SingleTrack(vehicle)
     speed = np.arange(region.minimum_speed, _FASTEST + _STEP, _STEP)
     angle = np.linspace(-region.alpha_max, region.alpha_max, _ANGLES)

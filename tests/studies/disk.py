@@ -1,9 +1,9 @@
 """Run every command that writes onto a disk that is full, and into a place that is read-only.
 
 Example: ``python -m tests.studies.disk --only export`` (as root on Linux: it mounts small file systems of memory).
-The disk holds an old output of the command and has room for half of the largest new file. Allowed is one line of error, and
-each output as it was or, of several that were named one by one, new and whole; nothing lies beside them. Prints a
-row for each command; exits with 1 if anything else happened.
+The disk holds an old output of the command and has room for half of the largest new file. Allowed is one line of
+error, and each output as it was or, of several that were named one by one, new and whole; nothing lies beside them.
+Prints a row for each command; exits with 1 if anything else happened.
 """
 
 import argparse
