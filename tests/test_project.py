@@ -36,6 +36,13 @@ def imported() -> set[str]:
     return {name.split(".")[0] for name in names}
 
 
+@pytest.mark.parametrize("arguments", [("check",), ("format", "--check")])
+def test_the_code_is_linted_and_laid_out(arguments):
+    command = [sys.executable, "-m", "ruff", *arguments, "."]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.mark.parametrize("requirement", PROJECT["dependencies"])
 def test_what_is_installed_is_used(requirement):
     name = re.split(r"[<>=\[ ]", requirement)[0].lower()
