@@ -93,9 +93,9 @@ class StageQP:
     Notes
     -----
     An answer is accepted by what it is, not by what the solver says of itself: it must satisfy the equations to
-    1e-5 of the scaled variables. HPIPM's mode ``speed`` comes first. It takes two thirds of the time of mode
-    ``robust`` and its answers differ by 1e-4 of the scaled inputs, on programmes of races. Where its answer is not
-    accepted, mode ``robust`` solves the same programme.
+    1e-5 of the scaled variables. HPIPM's mode ``speed_abs`` comes first, which steps to the next iterate by its
+    absolute value; `ATTEMPTS` tells what that saves and costs. Where its answer is not accepted, mode ``robust``
+    solves the same programme.
     """
 
     def __init__(

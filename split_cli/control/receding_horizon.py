@@ -14,7 +14,6 @@ from split_cli.control.policy import (
     ELLIPSE_SLACK,
     FAR,
     FIRST_STEPS,
-    FREE,
     MAX_STEER,
     PATIENCE,
     PROXIMAL,
@@ -295,12 +294,12 @@ class RecedingController(ABC):
         C, lower, upper, bend = self._rows(found, s, point)
         x_lower, x_upper, u_lower, u_upper = self.bounds(found)
         xs, us, n = self.x_scale, self.u_scale, self.n_model
-        # The multiplier of a softened row is the slope of its price, 2 w |s|; both sides of an axle bend alike.
-        pressed = 2.0 * weights.ellipse * np.abs(self.slack[:, 1:5]).reshape(-1, 2, 2).sum(axis=2)
+        # The multiplier of a softened row is the slope of its price, 2 w |s|.
+        pressed = 2.0 * weights.ellipse * np.abs(self.slack[:, 1:3])
         Q[:-1, :n, :n] += (pressed[:, :, None, None] * bend).sum(axis=1)
         Q = Q * xs[:, None] * xs
         Q[:, np.arange(self.n), np.arange(self.n)] += 2.0 * weights.proximal
-        slack = np.array([weights.track, *(4 * [weights.ellipse]), weights.slip_difference])
+        slack = np.array([weights.track, weights.ellipse, weights.ellipse, weights.slip_difference])
         return QPData(
             A=A * xs / xs[:, None],
             B=B * us / xs[:, None],
@@ -350,7 +349,7 @@ class RecedingController(ABC):
         lower[:, 0] = -(at.left - inside)[:-1] - contour[:-1]
         upper[:, 0] = (at.right - inside)[:-1] - contour[:-1]
         C[:, 1:, : self.n_model], lower[:, 1:], upper[:, 1:], bend = slip_rows(
-            self.limits, found.stages(slice(1, None)), FREE, self.grip, self._shift_of_load
+            self.limits, found.stages(slice(1, None)), self.grip, self._shift_of_load
         )
         return C, lower, upper, bend
 

@@ -81,7 +81,11 @@ def margins():
     race = Race(RaceSettings(), read_vehicle(CAR), None, lambda text: None)
     header = race.header = blank_header(race.vehicle, race.features, race.mpcc)
     race.world = SimpleNamespace(recording=lambda *span, name: drive)
-    race.spans, race.controller = {1: (0, 2001)}, SimpleNamespace()
+    race.spans = {1: (0, 2001)}
+    # No lap lets the next one use more of the peak, unless a test says so.
+    race.controller = SimpleNamespace(
+        limits=race.mpcc.limits, deviation=race.deviation, room=lambda point: np.full(2, 1.4)
+    )
     race.learner = SimpleNamespace(residual=None)
     labels = compute_labels(drive, race.vehicle, header.features, header.region, horizon=header.horizon)
     noise = noise_floor(SingleTrack(race.vehicle), drive, labels).rms
@@ -90,7 +94,7 @@ def margins():
         kept = []
         for share, needed in laps:
             error = np.hypot(noise[1], share * FIRST_ERROR * max_lateral * STANDARD_GRAVITY)
-            given = {"error_after": (0.0, error, noise[2]), "accepted": 10**12}
+            given = {"error_after": (0.0, error, noise[2]), "accepted": 10**12, "clean": True}
             race.laps = [SimpleNamespace(number=1, max_lateral=max_lateral, **given)]
             race._follow_lap(SimpleNamespace(needed=needed, labels=labels))
             kept.append(race.controller.deviation)
@@ -112,6 +116,17 @@ def test_a_lap_that_happens_to_need_little_takes_no_margin_that_others_needed(ma
     _, after = margins
     kept = after([(0.1, 0.6), (0.1, 0.1), (0.05, 0.1), (0.1, 0.7)])
     assert kept == pytest.approx([0.6, 0.48, 0.192, 0.7], rel=1e-3)
+
+
+def test_while_the_share_of_the_peak_rises_the_margin_does_not_fall(margins):
+    """An error at one share says little of a larger one; a margin that a lap needed rises all the same."""
+    race, after = margins
+    race.controller.limits = replace(race.mpcc.limits, p_ellipse=0.75)
+    # To 0.85, to 0.95, and no further.
+    assert after([(0.1, 0.0)]) == pytest.approx([FIRST_DEVIATION])
+    assert after([(0.1, 1.2)]) == pytest.approx([1.2], rel=1e-3)
+    assert race.controller.limits.p_ellipse == pytest.approx(0.95)
+    assert after([(0.1, 0.0)]) == pytest.approx([0.96], rel=1e-3)
 
 
 def test_without_a_learned_model_the_margin_falls_by_a_fifth_alone(margins):

@@ -272,14 +272,19 @@ def test_rows_bound_the_slip_angles_of_the_linearised_model():
     x, u = situations()
     found = ControlModel(CAR, NoResidual(), 0.05).linearize(x, u)
     limits = Limits()
-    C, lower, upper, bend = slip_rows(limits, found, 1e4)
-    bound, _, curvature = slip_limit(limits, found)
-    # A step that brings the front slip angle to its bound at the same torque fills the row exactly.
-    step = np.linalg.pinv(C[:, 0][:, None, [4, 5]])[:, :, 0] * (bound[:, 0] - found.slip[:, 0])[:, None]
-    filled = np.einsum("ki,ki->k", C[:, 0][:, [4, 5]], step)
-    assert filled == pytest.approx(upper[:, 0], abs=1e-9)
-    assert (lower[:, 0] == -1e4).all()
-    assert upper[:, 4] - lower[:, 4] == pytest.approx(2 * limits.dalpha_max)
+    C, lower, upper, bend = slip_rows(limits, found)
+    bound, slope, curvature = slip_limit(limits, found)
+    # A step that brings the slip angle to its bound at the same torque fills the row exactly, at either end.
+    for axle in range(2):
+        sideways = C[:, axle][:, [4, 5]]
+        for end, row in ((bound, upper), (-bound, lower)):
+            step = np.linalg.pinv(sideways[:, None])[:, :, 0] * (end - found.slip)[:, axle, None]
+            assert np.einsum("ki,ki->k", sideways, step) == pytest.approx(row[:, axle], abs=1e-9)
+    # The bound moves with the torque at the end to which the axle slips: one to the left, one to the right.
+    assert (found.slip < 0).any() and (found.slip > 0).any()
+    moved = np.where(found.slip < 0, -1.0, 1.0) * slope[:, :, 6]
+    assert C[:, :2, 6] == pytest.approx(found.slip_slope[:, :, 6] - moved) and np.abs(moved).max() > 0
+    assert upper[:, 2] - lower[:, 2] == pytest.approx(2 * limits.dalpha_max)
     assert bend[:, :, 6, 6] == pytest.approx(-curvature * found.force_slope[:, :, 6] ** 2)
     assert (np.linalg.eigvalsh(bend) > -1e-12).all()
 

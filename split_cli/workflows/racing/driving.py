@@ -331,18 +331,22 @@ class Race:
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
             self._learn_grip(trained.z, trained.y)
-        self._raise_share()
         self._keep(trained)
 
     def _follow_lap(self, tally: Tally) -> None:
-        """Choose by how much more than the least margin the next lap's plan keeps to the border.
+        """Choose by how much more than the least margin the next lap's plan keeps to the border, and its share.
 
         The car came nearer to the border than planned by what was `tally.needed` [m], and errors of position go with
-        those of the model. The next lap may err elsewhere: of what an error has needed, `DEVIATION_KEPT` stays.
+        those of the model. The next lap may err elsewhere: of what an error has needed, `DEVIATION_KEPT` stays. An
+        error at one share of the peak says little of a larger one: while the share rises, the margin does not fall.
         """
+        controller, kept, share = self.controller, self.controller.deviation, self.controller.limits.p_ellipse
         error = self._error(tally)
         self.per_error = max(tally.needed / error, DEVIATION_KEPT * self.per_error)
-        self.controller.deviation = self.per_error * error
+        controller.deviation = self.per_error * error
+        self._raise_share()
+        if controller.limits.p_ellipse > share:
+            controller.deviation = max(controller.deviation, kept)
 
     def _error(self, tally: Tally) -> float:
         """Return the learned model's error in the last lap, over the largest lateral acceleration [1].
