@@ -358,3 +358,55 @@ def test_next_steps_name_what_must_be_recorded(planted, tmp_path):
     alone = init_project([log], tmp_path / "one").next_steps
     assert alone[0].startswith("Nothing in this log gives vx, and")
     assert "--derive lateral-velocity-from-sideslip" in alone[-1] and alone[-1].startswith("With vx")
+
+
+def test_a_heading_of_a_car_that_stands_is_a_bearing_to_be_confirmed(planted, tmp_path):
+    """Beside a satellite fix, 110 to 111 degrees: neither its range nor its turning shows how it is counted."""
+    style = Style(
+        "standing",
+        (
+            ("time [s]", "t", "s"),
+            ("latitude [deg]", "X", "m"),
+            ("longitude [deg]", "Y", "m"),
+            ("true_heading [deg]", "yaw", "deg"),
+            ("speed [km/h]", "vx", "km/h"),
+        ),
+    )
+    standing = Altered(planted, {"X": (57.1, 1e-7), "Y": (12.3, 1e-7), "yaw": (1.93, 0.01), "vx": (0.0, 0.01)})
+    yaw = drafted(standing, style, tmp_path)[0].of("yaw")
+    assert (yaw.status, yaw.world) == ("assumed", "ned") and "by custom" in yaw.reason
+
+
+def test_a_speed_that_the_failing_relation_blames_is_not_called_judged(planted, tmp_path):
+    """A wheel's encoder reads 15 % more than the car drives: a_y against v_x r alone tolerates it."""
+    style = Style(
+        "encoder",
+        (
+            ("time", "t", "s"),
+            ("vicon x [m]", "X", "m"),
+            ("vicon y [m]", "Y", "m"),
+            ("vicon yaw [rad]", "yaw", "rad"),
+            ("vel encoder [m/s]", "vx", "m/s"),
+            ("W [rad/s]", "r", "rad/s"),
+            ("acc y [m/s^2]", "ay", "m/s^2"),
+        ),
+    )
+    right = drafted(planted, style, tmp_path)[0].of("vx")
+    assert right.status == "judged"
+    fast = Altered(planted, {}, vx=1.15)
+    doubted = drafted(fast, style, tmp_path)[0].of("vx")
+    assert doubted.status == "assumed" and "v_x against the speed of X, Y 1.15" in doubted.reason
+
+
+class Altered:
+    """A planted drive whose channels stand near a value (value, deviation), or are a factor too large."""
+
+    def __init__(self, planted: PlantedDrive, standing: dict[str, tuple[float, float]], **factors: float) -> None:
+        self._planted, self._standing, self._factors = planted, standing, factors
+        self.vehicle = planted.vehicle
+
+    def at(self, channel: str, time: np.ndarray) -> np.ndarray:
+        if channel in self._standing:
+            value, deviation = self._standing[channel]
+            return value + deviation * np.random.default_rng(len(channel)).standard_normal(len(time))
+        return self._planted.at(channel, time) * self._factors.get(channel, 1.0)

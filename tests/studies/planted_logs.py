@@ -76,7 +76,7 @@ PLANTED: dict[str, Planted] = {
     ),
     "v_x in km/h": Planted(_times("vx", 3.6), ("vx",), "is in km/h"),
     "v_x in mph": Planted(_times("vx", 1 / MPH), ("vx",), "is in mph"),
-    "v_x 6 % too large": Planted(_times("vx", 1.06), ("X", "vx"), "times the true speed"),
+    "v_x 6 % too large": Planted(_times("vx", 1.06), ("X", "vx"), "times the"),
     "v_y in mm/s": Planted(_times("vy", 1e3), ("vy",), "mm/s"),
     "v_y in km/h": Planted(_times("vy", 3.6), ("vy",), "is in km/h"),
     "v_y right-positive": Planted(_times("vy", -1.0), ("vy",), "right-positive"),
