@@ -222,6 +222,19 @@ def test_the_command_writes_a_drive_and_reports_as_text_and_json(folder, drive):
     np.testing.assert_allclose(made["vx"], drive.at("vx", made["t"]), atol=1e-6)
 
 
+def test_a_drive_too_slow_to_learn_from_is_not_sent_to_training(folder, drive):
+    """`split train` refuses it, and the hint led there."""
+    common = (folder / "log.csv", "--map", folder / "map.yaml", "--vehicle", folder / "car.yaml", "-o")
+    frame(drive).to_csv(folder / "log.csv", index=False)
+    assert "next: split train" in run(*common, folder / "d.parquet").stderr
+    slower = {"t": 5.0, "vx": 0.2, "vy": 0.2, "r": 0.2, "T": 0.04, "delta": 1.0}
+    (frame(drive)[[*slower]] * pd.Series(slower)).to_csv(folder / "log.csv", index=False)
+    content = {**MAP, "channels": {name: {"source": name} for name in ("vx", "vy", "r", "T", "delta")}}
+    (folder / "map.yaml").write_text(yaml.safe_dump(content))
+    said = run(*common, folder / "slow.parquet").stderr
+    assert "take a faster drive: none here reaches the 5 m/s" in said and "split train" not in said
+
+
 def test_list_and_drafts_need_no_output(folder, drive):
     frame(drive).to_csv(folder / "log.csv", index=False)
     assert "delta" in run(folder / "log.csv", "--list").output
