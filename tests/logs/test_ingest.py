@@ -95,6 +95,16 @@ def test_ten_samples_a_second_are_taken_unasked_and_five_say_what_takes_them(fol
         ingest(folder, frame(drive, 5.0))
 
 
+def test_a_pose_ten_times_as_fast_as_the_gyro_is_named_as_the_way_to_a_faster_drive(folder, drive):
+    """Columns of 10 Hz held on the rows of a motion capture at 100 Hz: the drive came at 10 Hz without a word."""
+    table, slow = frame(drive), frame(drive, 10.0)
+    for channel in ("r", "ax", "ay"):
+        table[channel] = np.repeat(slow[channel].to_numpy(), 10)
+    told = [str(note) for note in ingest(folder, table).quality.warnings]
+    assert any("without r" in note and "`--derive velocity-from-pose`" in note for note in told), told
+    assert not any("velocity-from-pose" in str(note) for note in ingest(folder, slow).quality.warnings)
+
+
 def test_a_channel_that_is_infinite_is_refused_for_what_it_holds(folder, drive):
     table = frame(drive)
     table["vy"] = np.inf
