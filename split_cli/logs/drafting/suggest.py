@@ -41,7 +41,13 @@ from split_cli.logs.drafting.single_channel import (
 from split_cli.logs.drafting.speed_units import copies_of_others, with_units_of_multiples
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
-from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity, unit_by_gravity
+from split_cli.logs.drafting.vector_axes import (
+    along_the_car,
+    doubt_of_height,
+    names_of_triples,
+    side_by_gravity,
+    unit_by_gravity,
+)
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheel_torques import PARTS, note_on_engine, torques_alike
 from split_cli.logs.listing import with_all_elements
@@ -184,7 +190,7 @@ def _judged(
     suggestions = [unit_by_gravity(s, triples, trial.signals) for s in suggestions]
     suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
     suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
-    suggestions = _in_pairs(without_the_tilted(suggestions))
+    suggestions = _in_pairs(doubt_of_height(without_the_tilted(suggestions), triples, trial.signals, trial.time))
     suggestions = [read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions]
     steered = [s.left_open(hand) if hand and s.status != "open" else s for s in steering]
     return [*suggestions, *steered]
