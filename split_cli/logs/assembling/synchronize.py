@@ -74,8 +74,8 @@ class Channels:
                     note = f"at {1.0 / part.period:.3g} Hz: steps up to {gap:.2g} s are bridged (--gap)"
                     slow.setdefault(note, {})[channel] = None
                     periods[channel] = part.period
-        told = [f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()]
-        return [*told, *self._faster_by_the_pose(periods)]
+        notes = [f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()]
+        return [*notes, *self._faster_by_the_pose(periods)]
 
     def _faster_by_the_pose(self, slow: Mapping[str, float]) -> list[str]:
         """Return in words that the pose alone gives a faster drive, where only what it can give comes slowly."""
