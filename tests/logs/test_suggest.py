@@ -378,7 +378,7 @@ def test_a_heading_of_a_car_that_stands_is_a_bearing_to_be_confirmed(planted, tm
 
 
 def test_a_speed_that_the_failing_relation_blames_is_not_called_judged(planted, tmp_path):
-    """A wheel's encoder reads 15 % more than the car drives: a_y against v_x r alone tolerates it."""
+    """A wheel's encoder reads 10 % more than the car drives: a_y against v_x r alone tolerates it."""
     style = Style(
         "encoder",
         (
@@ -393,9 +393,10 @@ def test_a_speed_that_the_failing_relation_blames_is_not_called_judged(planted, 
     )
     right = drafted(planted, style, tmp_path)[0].of("vx")
     assert right.status == "judged"
-    fast = Altered(planted, {}, vx=1.15)
-    doubted = drafted(fast, style, tmp_path)[0].of("vx")
-    assert doubted.status == "assumed" and "v_x against the speed of X, Y 1.15" in doubted.reason
+    doubted = drafted(Altered(planted, {}, vx=1.1), style, tmp_path)[0].of("vx")
+    assert doubted.status == "assumed" and "v_x against the speed of X, Y 1.1" in doubted.reason
+    # From some size on the checks name it themselves.
+    assert drafted(Altered(planted, {}, vx=1.15), style, tmp_path)[0].of("vx").status == "open"
 
 
 class Altered:
