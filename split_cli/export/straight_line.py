@@ -14,29 +14,11 @@ _UNARY = {
     casadi.OP_SIGN: "(real)(({0} > @ZERO@) - ({0} < @ZERO@))",
 }
 _FUNCTIONS = {
-    casadi.OP_SIN: "sin",
-    casadi.OP_COS: "cos",
-    casadi.OP_TAN: "tan",
-    casadi.OP_ASIN: "asin",
-    casadi.OP_ACOS: "acos",
-    casadi.OP_ATAN: "atan",
-    casadi.OP_ATAN2: "atan2",
-    casadi.OP_TANH: "tanh",
-    casadi.OP_SINH: "sinh",
-    casadi.OP_COSH: "cosh",
-    casadi.OP_EXP: "exp",
-    casadi.OP_LOG: "log",
-    casadi.OP_SQRT: "sqrt",
-    casadi.OP_FABS: "fabs",
-    casadi.OP_FMIN: "fmin",
-    casadi.OP_FMAX: "fmax",
-    casadi.OP_POW: "pow",
-    casadi.OP_CONSTPOW: "pow",
-    casadi.OP_FLOOR: "floor",
-    casadi.OP_CEIL: "ceil",
-    casadi.OP_FMOD: "fmod",
-    casadi.OP_HYPOT: "hypot",
-}
+    getattr(casadi, f"OP_{name.upper()}"): name
+    for name in """
+        sin cos tan asin acos atan atan2 tanh sinh cosh exp log sqrt fabs fmin fmax pow floor ceil fmod hypot
+    """.split()
+} | {casadi.OP_CONSTPOW: "pow"}
 _BINARY = {
     casadi.OP_ADD: "{0} + {1}",
     casadi.OP_SUB: "{0} - {1}",
