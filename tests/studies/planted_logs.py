@@ -21,20 +21,10 @@ from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.signal_map import map_from_mapping
+from split_cli.signals import CHANNELS
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 
-_UNITS = {
-    "X": "m",
-    "Y": "m",
-    "yaw": "rad",
-    "vx": "m/s",
-    "vy": "m/s",
-    "r": "rad/s",
-    "T": "N m",
-    "delta": "rad",
-    "ax": "m/s^2",
-    "ay": "m/s^2",
-}
+_UNITS = {name: channel.unit for name, channel in CHANNELS.items() if name != "t"}
 _CORNERS = {"fl": (1, -1), "fr": (1, 1), "rl": (-1, -1), "rr": (-1, 1)}
 _TRACK = 0.58
 """Of a car's wheelbase, for the wheel speeds that are made for it [1]."""
