@@ -34,7 +34,7 @@ _BINARY = {
 }
 
 
-def number(value: float, real: str) -> str:
+def c_literal(value: float, real: str) -> str:
     """Return a C literal that reads back to exactly `value` rounded to `real`."""
     if real == "float":
         import numpy as np
@@ -85,7 +85,7 @@ def straight_line(function: casadi.Function, name: str, real: str, comment: str)
         lines.append(f"    const real a{k} = {expression};")
     body = "\n".join(lines)
     for token, value in (("@ZERO@", 0.0), ("@ONE@", 1.0), ("@TWO@", 2.0)):
-        body = body.replace(token, number(value, real))
+        body = body.replace(token, c_literal(value, real))
     unused = "" if inputs else "    (void)in;\n"
     return f"/* {comment} */\nstatic void {name}(const real *const *in, real *const *out)\n{{\n{unused}{body}\n}}\n"
 
@@ -93,7 +93,7 @@ def straight_line(function: casadi.Function, name: str, real: str, comment: str)
 def _constant(value: float, real: str) -> str:
     if value != value or value in (float("inf"), float("-inf")):
         raise ExportError(f"the nominal model holds the constant {value}", advice="Check the vehicle file.")
-    text = number(value, real)
+    text = c_literal(value, real)
     return f"({text})" if text.startswith("-") else text
 
 
