@@ -67,24 +67,11 @@ class Outcome:
 
 
 # A model car's lap needs a fourth of the steps of a road car's.
-RACE = (
-    "race",
-    "--vehicle",
-    "f1tenth_car.yaml",
-    "--car",
-    "f1tenth_car",
-    "--track",
-    "f1tenth",
-    "--max-speed",
-    "4",
-    "--laps",
-    "1",
-    "--report",
-    "race.html",
-    "--set",
-    "race.split",
-    "-o",
-    "race.parquet",
+RACE = tuple(
+    """
+    race --vehicle f1tenth_car.yaml --car f1tenth_car --track f1tenth --max-speed 4 --laps 1 --report race.html --set
+    race.split -o race.parquet
+    """.split()
 )
 MANEUVER = ("maneuver", "brake-avoid", "--vehicle", "road_car.yaml", "--set", "turn.split", "-o", "turn.parquet")
 EXPORT = ("export", "--target", "json", "--queries", "200", "-o", "export")
