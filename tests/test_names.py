@@ -17,9 +17,10 @@ def nodes() -> list[tuple[Path, ast.AST]]:
 
 
 def test_no_two_classes_share_a_name(nodes):
-    """One name, one meaning: a reader who meets a class knows which one it is."""
+    """One name, one meaning: a reader who meets a class knows which one it is, in tests and studies, too."""
     where: dict[str, list[str]] = {}
-    for path, node in nodes:
+    tests = [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in (ROOT.parent / "tests").rglob("*.py")]
+    for path, node in [*nodes, *((path, node) for path, tree in tests for node in ast.walk(tree))]:
         if isinstance(node, ast.ClassDef):
             where.setdefault(node.name, []).append(str(path))
     assert {name: places for name, places in where.items() if len(places) > 1} == {}

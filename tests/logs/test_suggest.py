@@ -31,7 +31,7 @@ FACTORS = {
 
 
 @dataclass(frozen=True)
-class Style:
+class HeaderStyle:
     """A header style: the column's title, the channel and the unit its numbers are in; a sign where it is turned."""
 
     name: str
@@ -39,7 +39,7 @@ class Style:
     separator: str = ","
 
 
-def _style(name: str, columns: str) -> Style:
+def _style(name: str, columns: str) -> HeaderStyle:
     """Return a style of `title = channel unit` (and ` x factor`), parted by bars; with a semicolon, as in Germany."""
     read = []
     for column in columns.split("|"):
@@ -47,7 +47,7 @@ def _style(name: str, columns: str) -> Style:
         channel, unit = meaning.split(maxsplit=1)
         unit, *factor = unit.split(" x ")
         read.append((title, channel, unit, *map(float, factor)))
-    return Style(name, tuple(read), ";" if ";" in columns else ",")
+    return HeaderStyle(name, tuple(read), ";" if ";" in columns else ",")
 
 
 STYLES = tuple(
@@ -108,7 +108,7 @@ def values_of(planted: PlantedDrive, time: np.ndarray, channel: str, unit: str, 
     return planted.at(channel, time) * factor
 
 
-def drafted(planted: PlantedDrive, style: Style, tmp_path) -> tuple[Draft, dict]:
+def drafted(planted: PlantedDrive, style: HeaderStyle, tmp_path) -> tuple[Draft, dict]:
     time = np.arange(0.0, 60.0, 0.02)
     truth, columns, titles = {}, [], []
     for title, channel, unit, *sign in style.columns:
