@@ -163,11 +163,18 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
         shared.tell_next(before=f"correct the map as `does not fit together` says of {names}, and ingest again")
     elif drives:
         vehicle = vehicle_path or Path("VEHICLE.yaml")
+        car = read_vehicle(vehicle_path) if vehicle_path else None
+        if car is not None and not any(result.reaches(car.minimum_speed) for result in run.results):
+            shared.tell_next(
+                before=f"take a faster drive: none here reaches the {car.minimum_speed:.3g} m/s from which on slip "
+                f"angles tell of the tyres of {vehicle.name}, so nothing can be learned from it"
+            )
+            return
         doubtful = any(result.quality.consistency.findings for result in run.results)
         before = "see to what does not fit together, then: " if doubtful else ""
         before += "" if vehicle_path else "describe the car in VEHICLE.yaml (`split init` drafts one), then: "
         taken = drives if len(drives) < 4 else [output]
-        if vehicle_path and read_vehicle(vehicle_path).has_assumed_tires:
+        if car is not None and car.has_assumed_tires:
             before += f"the tyres of {vehicle.name} are assumed, fit them first: "
             known = ["--fit", "tires"] if any(one.metadata.torque_follows_motion for one in run.results) else []
             made = shared.named_after(drives[0], "calibrated.yaml")

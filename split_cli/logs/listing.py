@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from split_cli.logs.raw import RawChannelInfo, RawRecording
@@ -30,6 +30,24 @@ def listed_channels(recording: RawRecording) -> list[ListedChannel]:
     for info in recording.channels():
         found.setdefault((_INDEX.sub("[]", info.name), info.type_name, info.count, info.unit), []).append(info)
     return [line for group in found.values() for line in _lines(group, lengths)]
+
+
+def with_all_elements(recording: RawRecording, names: Iterable[str]) -> list[str]:
+    """Return names of channels; one that stands for an array whose length a message tells has the range of it."""
+    counts = getattr(recording, "element_counts", dict)
+    lengths = counts()
+
+    def whole(name: str) -> str:
+        pieces = name.split("[0]")
+        shown = pieces[0]
+        for end in range(1, len(pieces)):
+            many = lengths.get("[0]".join(pieces[:end]), 1)
+            shown += (f"[0..{many - 1}]" if many > 1 else "[0]") + pieces[end]
+        return shown
+
+    listed = set(names := list(names))
+    # Of an array of a fixed length each element is listed by itself.
+    return [name if name.replace("[0]", "[1]") in listed - {name} else whole(name) for name in names]
 
 
 def _lines(group: Sequence[RawChannelInfo], lengths: dict[str, int]) -> list[ListedChannel]:

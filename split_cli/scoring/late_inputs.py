@@ -47,8 +47,7 @@ def late_inputs(drive: Drive, labels: Labels, vehicle: Vehicle, found: Sequence[
             notes.append(
                 f"{drive.name}: labels of {label} follow {rate} (correlation {-correlation:.2f}): the {what} "
                 f"seems to arrive {delay:.3f} s late (+- {error:.1g}). Features of one moment show no delay. "
-                f"Run `split diagnose --real {drive.name} --vehicle VEHICLE --out DIR`; its name for the delay is "
-                f"{term}"
+                f"`split diagnose --real` of this drive measures it, as {term}"
             )
     return tuple(notes)
 

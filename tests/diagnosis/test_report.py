@@ -332,6 +332,8 @@ def ticks_across(browser, chart: str) -> list[float]:
 
 class TestInABrowser:
     def test_verdict_channel_and_names(self, browser, tmp_path):
+        from selenium.webdriver.support.select import Select
+
         opened(browser, report_page(mismatch(HOSTILE)), tmp_path)
         assert one(browser, "#verdict").text == "Steering 4.9 % less than commanded; 20 % of the gap unexplained."
         assert one(browser, ".verdict .kicker").text == "Simulation and reality differ."
@@ -345,6 +347,10 @@ class TestInABrowser:
         assert one(browser, "#plot-strip svg").get_attribute("innerHTML") != before
         one(browser, "input[name=stage][value='compared']").find_element("xpath", "..").click()
         assert "samples compared" in label_of(browser, "map")
+        # What is said of torque stands beside a map over torque alone.
+        assert one(browser, "#plot-map .hint").is_displayed()
+        Select(one(browser, "#controls select")).select_by_visible_text("front \u00d7 rear slip angle")
+        assert not one(browser, "#plot-map .hint").is_displayed()
         assert browser.get_log("browser") == []
 
     def test_zoom_hover_and_reset(self, browser, tmp_path):

@@ -95,6 +95,16 @@ def test_ten_samples_a_second_are_taken_unasked_and_five_say_what_takes_them(fol
         ingest(folder, frame(drive, 5.0))
 
 
+def test_a_pose_ten_times_as_fast_as_the_gyro_is_named_as_the_way_to_a_faster_drive(folder, drive):
+    """Columns of 10 Hz held on the rows of a motion capture at 100 Hz: the drive came at 10 Hz without a word."""
+    table, slow = frame(drive), frame(drive, 10.0)
+    for channel in ("r", "ax", "ay"):
+        table[channel] = np.repeat(slow[channel].to_numpy(), 10)
+    told = [str(note) for note in ingest(folder, table).quality.warnings]
+    assert any("without r" in note and "`--derive velocity-from-pose`" in note for note in told), told
+    assert not any("velocity-from-pose" in str(note) for note in ingest(folder, slow).quality.warnings)
+
+
 def test_a_channel_that_is_infinite_is_refused_for_what_it_holds(folder, drive):
     table = frame(drive)
     table["vy"] = np.inf
@@ -220,6 +230,19 @@ def test_the_command_writes_a_drive_and_reports_as_text_and_json(folder, drive):
     assert {n["channel"] for n in report["noise"]} >= {"vx", "vy", "r"}
     made = read_drive(folder / "d.parquet")
     np.testing.assert_allclose(made["vx"], drive.at("vx", made["t"]), atol=1e-6)
+
+
+def test_a_drive_too_slow_to_learn_from_is_not_sent_to_training(folder, drive):
+    """`split train` refuses it, and the hint led there."""
+    common = (folder / "log.csv", "--map", folder / "map.yaml", "--vehicle", folder / "car.yaml", "-o")
+    frame(drive).to_csv(folder / "log.csv", index=False)
+    assert "next: split train" in run(*common, folder / "d.parquet").stderr
+    slower = {"t": 5.0, "vx": 0.2, "vy": 0.2, "r": 0.2, "T": 0.04, "delta": 1.0}
+    (frame(drive)[[*slower]] * pd.Series(slower)).to_csv(folder / "log.csv", index=False)
+    content = {**MAP, "channels": {name: {"source": name} for name in ("vx", "vy", "r", "T", "delta")}}
+    (folder / "map.yaml").write_text(yaml.safe_dump(content))
+    said = run(*common, folder / "slow.parquet").stderr
+    assert "take a faster drive: none here reaches the 5 m/s" in said and "split train" not in said
 
 
 def test_list_and_drafts_need_no_output(folder, drive):

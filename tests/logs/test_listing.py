@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 import tests.logs.readers_support as support
 from split_cli.cli.main import group
-from split_cli.logs.listing import listed_channels
+from split_cli.logs.listing import listed_channels, with_all_elements
 from split_cli.logs.readers.opening import open_recording
 
 TIME = np.arange(0.0, 20.0, 0.05)
@@ -151,3 +151,13 @@ def test_indices_with_gaps_stand_in_lines_of_their_own(tmp_path):
     rows = "\n".join(f"{0.01 * k:.2f},1,2,3" for k in range(50))
     path.write_text(f"t,c[0],c[2],c[5]\n{rows}\n")
     assert list(lines_of(path)) == ["t", "c[0]", "c[2]", "c[5]"]
+
+
+def test_an_array_that_stands_by_its_first_element_is_named_with_its_range():
+    class Counted:
+        def element_counts(self):
+            return {"/sensors/data": 10, "/sensors/dim": 1, "/objects": 3}
+
+    names = ["/sensors/data[0]", "/sensors/dim[0].size", "/objects[0].x", "/fixed[0]", "/fixed[1]"]
+    shown = ["/sensors/data[0..9]", "/sensors/dim[0].size", "/objects[0..2].x", "/fixed[0]", "/fixed[1]"]
+    assert with_all_elements(Counted(), names) == shown

@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from split_cli.errors import LogError
 from split_cli.logs.assembling.assemble import assemble_drive
+from split_cli.logs.checking.measuring_point import or_its_place
+from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import UNITS, PlantedDrive
@@ -215,3 +218,39 @@ def test_a_delay_of_the_steer_angle_that_does_not_show_is_among_what_could_not_b
         planted, without=("X", "Y", "yaw"), vy=lambda t, v: np.sin(3.0 * t), delta=lambda t, v: v + noise[: len(t)]
     )
     assert found.findings == () and "delay of delta" in {unjudged.check for unjudged in found.unjudged}
+
+
+def test_wheel_speeds_in_rad_per_s_of_another_radius_are_told_with_both(planted):
+    """The wheel is 20 % larger than the file says: neither a unit nor a radius alone explains the factor."""
+    corners = ("fl", "fr", "rl", "rr")
+    turning = {f"wheel_speed_{c}": lambda t, v: v / (1.2 * planted.vehicle.wheel_radius) for c in corners}
+    found = ingested(planted, wheels=dict(zip(corners, corners, strict=True)), **turning)
+    text = next(f.text for f in found.findings if f.channel == "wheel_speed_fl")
+    assert "is in rad/s, and the wheel rolls on another radius" in text and "set `unit: rad/s`" in text
+
+
+def test_a_torque_that_a_doubtful_speed_cannot_judge_is_listed(planted):
+    """v_x 6 % too large against the path: T without the brakes is not silently passed."""
+    corners = ("fl", "fr", "rl", "rr")
+    true_wheels = {f"wheel_speed_{c}": lambda t, v: planted.at("vx", t) for c in corners}
+    wheels = dict(zip(corners, corners, strict=True))
+    without_brakes = {"vx": lambda t, v: 1.06 * v, "T": lambda t, v: np.maximum(v, 0.0)}
+    found = ingested(planted, wheels=wheels, **true_wheels, **without_brakes)
+    assert any("T where the car is driven" in entry.check for entry in found.unjudged)
+
+
+def test_a_place_of_v_y_that_a_noisy_heading_only_suggests_is_listed(planted):
+    """2.2 m behind the CG, beside a heading that sways by 0.7 deg, as of two antennas."""
+    sway = {"yaw": lambda t, v: v + 0.012 * np.sin(2.5 * t)}
+    found = ingested(planted, vy=lambda t, v: v - 2.2 * planted.at("r", t), without=("ay",), **sway)
+    (reason,) = (u.reason for u in found.unjudged if "may be measured" in u.reason)
+    assert "2.2" in reason.split(" m behind the CG")[0] and "position: {x: -2.2" in reason
+    assert not any("may be measured" in u.reason for u in ingested(planted, without=("ay",), **sway).unjudged)
+
+
+def test_a_sign_of_v_y_is_not_blamed_alone_where_a_place_fits_better(planted):
+    """In a slow slalom v_y of a place behind the rear axle goes with the path, turned."""
+    blamed = ConsistencyFinding("sign", "vy", "vy is right-positive.")
+    beside = or_its_place(blamed, SimpleNamespace(possible_arm=1.4, vehicle=planted.vehicle))
+    assert "Or it is measured 1.40 m behind the CG" in beside.text and "`position: rear_axle`" in beside.text
+    assert or_its_place(blamed, SimpleNamespace(possible_arm=0.0, vehicle=planted.vehicle)) == blamed

@@ -37,7 +37,7 @@ def test_a_late_input_is_told_with_its_delay_and_the_command_that_settles_it(dri
     delay = float(re.search(r"arrive ([0-9.]+) s late", line)[1])
     # Inputs are lines between knots 0.2 s apart, so that the rate of before and after a kink mix: a quarter.
     assert delay == pytest.approx(2 * drive.period, rel=0.25)
-    assert "split diagnose --real made.parquet" in line and line.endswith(term)
+    assert line.startswith("made.parquet: ") and "split diagnose --real" in line and line.endswith(term)
     # A set that models this lag leaves nothing to settle.
     late = replace(drive, columns={**drive.columns, channel: early})
     labels = compute_labels(late, road_car(), Z2)

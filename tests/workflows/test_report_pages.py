@@ -179,7 +179,7 @@ def test_in_a_browser_no_name_runs_or_hides(run, drive, car, browser, tmp_path):
 
 def test_an_understeer_gradient_of_the_model_alone_is_not_drawn(monkeypatch, car):
     """A short test stretch gave a line of the model and none of the car, beside which it says nothing."""
-    lateral = np.linspace(-3.0, 3.0, 9)
+    lateral = np.linspace(-1.0, 3.0, 9)
     gradient = Understeer(
         gradient=0.002,
         interval=(0.001, 0.003),
@@ -198,3 +198,11 @@ def test_an_understeer_gradient_of_the_model_alone_is_not_drawn(monkeypatch, car
     monkeypatch.setattr(handling, "understeer_of", lambda motion, _: motion == "real" and gradient)
     (chart,) = handling_charts([real, SimpleNamespace(**vars(model) | {"name": "nominal model"})], car)
     assert chart.note.endswith(" Too little gentle cornering: nominal model.")
+    # Its line ends where the moments do.
+    assert chart.series[-1].x.min() >= lateral.min() and chart.series[-1].x.max() <= lateral.max()
+    monkeypatch.setattr(handling, "understeer_of", lambda motion, _: None)
+    response = SimpleNamespace(frequency=[0.5], gain=[4.0], gain_low=[3.0], gain_high=[5.0], phase=[-9.0], windows=12)
+    monkeypatch.setattr(handling, "steering_response", lambda motion, _: response)
+    steered = SimpleNamespace(**vars(real) | {"lateral_motion": "real"})
+    gain, _ = handling_charts([steered], car)
+    assert gain.note.endswith("Too little gentle, steady cornering was measured for an understeer gradient.")

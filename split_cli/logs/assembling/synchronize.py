@@ -31,6 +31,8 @@ receivers and of many loggers, with a quarter for jitter. What is slower misses 
 BRIDGED_SAMPLES = 2.5
 """Over which such a channel is bridged [1]: one lost sample, with a quarter of a step for jitter."""
 
+_OF_THE_POSE = {"vx", "vy", "r", "ax", "ay"}
+"""Channels that X, Y and yaw give by differentiation, or that a drive can do without."""
 _COSTLY = 0.05
 """Share of what is recorded that one channel cuts off, from which on it is told [1]: judgement."""
 
@@ -64,13 +66,25 @@ class Channels:
     def bridged(self) -> list[str]:
         """Return in words which needed channels come so slowly that more than the gap is bridged."""
         slow: dict[str, dict[str, None]] = {}
+        periods: dict[str, float] = {}
         for channel in self.needed:
             for index, part in enumerate(self.clean[channel]):
                 gap = self.gap_of(channel, index)
                 if self.modes[channel][index] != "held" and gap > self.gap:
                     note = f"at {1.0 / part.period:.3g} Hz: steps up to {gap:.2g} s are bridged (--gap)"
                     slow.setdefault(note, {})[channel] = None
-        return [f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()]
+                    periods[channel] = part.period
+        notes = [f"{', '.join(names)} {'comes' if len(names) == 1 else 'come'} {how}" for how, names in slow.items()]
+        return [*notes, *self._faster_by_the_pose(periods)]
+
+    def _faster_by_the_pose(self, slow: Mapping[str, float]) -> list[str]:
+        """Return in words that the pose alone gives a faster drive, where only what it can give comes slowly."""
+        pose = [part.period for channel in ("X", "Y", "yaw") for part in self.clean.get(channel, ())]
+        if not slow or len(pose) < 3 or not slow.keys() <= _OF_THE_POSE or max(pose) > 0.5 * min(slow.values()):
+            return []
+        rate, names = f"{1.0 / max(pose):.3g} Hz", ", ".join(slow)
+        advice = f"without {names} in the map, `--derive velocity-from-pose` makes a drive at that rate"
+        return [f"X, Y and yaw come at {rate}: {advice}"]
 
     def cut_short(self) -> list[str]:
         """Return in words which needed channel begins or ends the drive, where it costs much of the others."""

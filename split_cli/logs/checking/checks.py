@@ -83,7 +83,7 @@ class Checks:
         self.derived = derived - ({"vy"} if self.of_sideslip else set())
         self.absent = {channel for channel in self.derived if kinds[channel] == NOT_RECORDED}
         self.pose_fits = True
-        self.arm = 0.0
+        self.arm = self.possible_arm = 0.0
         self.beside_accelerometer = False  # whether v_y is of the place where a_y is measured
         self.relations: list[Relation] = []
         #: What was compared, by the relation's name: both signals (N,), tolerance, whether both are 0 together.
@@ -458,9 +458,12 @@ class Checks:
         arm = float((across - vy) @ r / (r @ r))
         factor = float(vy @ across / (across @ across))
         by_place, by_factor = float(np.var(vy + arm * r - across)), float(np.var(vy - factor * across))
-        likely = by_place < _FAR_BETTER * min(by_factor, float(np.var(vy - across)))
+        other = min(by_factor, float(np.var(vy - across)))
         reach = self.vehicle.wheelbase
-        return arm if likely and _LEAST_ARM * reach < abs(arm) < reach else 0.0
+        if by_place >= other or not _LEAST_ARM * reach < abs(arm) < reach:
+            return 0.0
+        self.possible_arm = arm
+        return arm if by_place < _FAR_BETTER * other else 0.0
 
     def wheel_sides(self) -> list[ConsistencyFinding]:
         """Compare right less left wheel speed with r: in a left turn the right wheels are faster."""

@@ -11,7 +11,7 @@ from split_cli.logs.checking.directions import along_the_world, exchanged_accele
 from split_cli.logs.checking.explanations import explain
 from split_cli.logs.checking.frozen import frozen_channels
 from split_cli.logs.checking.jumps import jumps
-from split_cli.logs.checking.measuring_point import place_of_lateral_velocity
+from split_cli.logs.checking.measuring_point import or_its_place, place_of_lateral_velocity
 from split_cli.logs.checking.path import direction_of_travel, velocity_across, velocity_along, yaw_is_course
 from split_cli.logs.checking.relations import ConsistencyFinding, Relation
 from split_cli.logs.checking.torque_sides import torque_sides
@@ -70,7 +70,8 @@ def check_consistency(
         # Of exchanged channels, velocities along the world and a clock that is off nothing else can be told.
         return Consistency((*constant, *spoilt), (), tuple(checks.unjudged))
     explanation = explain(checks.relations, vehicle, checks.magnitudes())
-    found, factors, finer = list(explanation.findings), dict(explanation.factors), checks
+    found = [or_its_place(finding, checks) for finding in explanation.findings]
+    factors, finer = dict(explanation.factors), checks
     vy_judged = _is_across_judged(checks)
 
     def of(columns: Mapping[str, np.ndarray]) -> Checks:
@@ -139,6 +140,8 @@ def _fine(
         sides = torque_sides(finer, wrong, any(f.channel == "T" for f in findings)) if judged else []
         # Where they differ, no one factor puts T right.
         findings = [f for f in findings if not sides or f.channel != "T"] + [*jumps(finer), *sides]
+    elif finer.torque_parts() is not None:
+        finer.unjudged.append(Unjudged("T where the car is driven and braked", "v_x is off by what nothing tells"))
     if not {"vx", "r"} & set(wrong):
         across_is_right = not {"ay", "vy"} & set(wrong)
         placed = place_of_lateral_velocity(finer, across_is_right)

@@ -1,10 +1,13 @@
 """Whether v_y, and X, Y from which it may be derived, are of the place where a_y is measured."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from split_cli.logs.checking.checks import ACROSS, Checks, Unjudged
 from split_cli.logs.checking.kinematics import fit_linear, has_dependent_columns
 from split_cli.logs.checking.relations import ConsistencyFinding
+from split_cli.vehicle.parameters import Vehicle
 
 PLACE_IN_DOUBT = "place of v_y"
 """What stands under *could not be judged* where v_y is of no axle, nor of the CG."""
@@ -26,27 +29,44 @@ def place_of_lateral_velocity(checks: Checks, by_accelerometer: bool) -> list[Co
 
     In this order, from the surest: the path and the accelerometer need no tyre, and the path no other sensor.
     """
-    return (
+    found = (
         _by_the_path(checks)
         or (behind_the_accelerometer(checks) if by_accelerometer else [])
         or _by_the_sideslip(checks)
     )
+    if not found and checks.possible_arm and not any(relation.name == ACROSS for relation in checks.relations):
+        name, entry = _name_and_entry(checks)
+        reason = f"{name} may be measured {_place_by_the_path(checks.vehicle, checks.possible_arm)}{entry} if so"
+        checks.unjudged.append(Unjudged(PLACE_IN_DOUBT, reason))
+    return found
 
 
 def _by_the_path(checks: Checks) -> list[ConsistencyFinding]:
     if not checks.arm:
         return []
-    car = checks.vehicle
     name, entry = _name_and_entry(checks)
-    at = "the rear axle" if checks.arm > 0.0 else "the front axle"
-    axle = car.cg_to_rear_axle if checks.arm > 0.0 else -car.cg_to_front_axle
-    near = abs(checks.arm - axle) < _NEAR * abs(axle)
-    place = at.removeprefix("the ").replace(" ", "_") if near else f"{{x: {-checks.arm:.2f}, y: 0.0}}"
-    text = (
-        f"{name} is measured {abs(checks.arm):.2f} m {'behind' if checks.arm > 0.0 else 'ahead of'} the CG, by "
-        f"the path across yaw{f': near {at}' if near else ''}. Set `position: {place}`{entry}."
-    )
-    return [ConsistencyFinding("place", "vy", text, car.cg_to_rear_axle - checks.arm, None)]
+    text = f"{name} is measured {_place_by_the_path(checks.vehicle, checks.arm)}{entry}."
+    return [ConsistencyFinding("place", "vy", text, checks.vehicle.cg_to_rear_axle - checks.arm, None)]
+
+
+def _place_by_the_path(car: Vehicle, arm: float) -> str:
+    """Say how far behind the CG v_y is measured, `arm` [m], and what the map says then."""
+    at = "rear_axle" if arm > 0.0 else "front_axle"
+    axle = car.cg_to_rear_axle if arm > 0.0 else -car.cg_to_front_axle
+    near = abs(arm - axle) < _NEAR * abs(axle)
+    side = "behind" if arm > 0.0 else "ahead of"
+    of_axle = f": near the {at.replace('_', ' ')}" if near else ""
+    place = at if near else f"{{x: {-arm:.2f}, y: 0.0}}"
+    return f"{abs(arm):.2f} m {side} the CG, by the path across yaw{of_axle}. Set `position: {place}`"
+
+
+def or_its_place(finding: ConsistencyFinding, checks: Checks) -> ConsistencyFinding:
+    """Say of a v_y whose sign is blamed that it may be of another place, which fits the path better."""
+    if finding.channel != "vy" or finding.check != "sign" or not checks.possible_arm or checks.vehicle is None:
+        return finding
+    place = _place_by_the_path(checks.vehicle, checks.possible_arm)
+    text = f"{finding.text} Or it is measured {place} and keep its sign: that fits the path better."
+    return replace(finding, text=text)
 
 
 def _by_the_sideslip(checks: Checks) -> list[ConsistencyFinding]:

@@ -89,8 +89,13 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
             what = f"was converted from {stated} although it is in {unit}"
             known += _factor(channel, 1.0 / factor, what, f"set `unit: {unit}`", RARE, unit)
     if channel.startswith("wheel_speed") and vehicle is not None:
-        known += _unit(channel, 1.0 / vehicle.wheel_radius, "rad/s")
-        known += _unit(channel, 60.0 / (2.0 * np.pi * vehicle.wheel_radius), "rpm")
+        for factor, unit in ((1.0, "rad/s"), (30.0 / np.pi, "rpm")):
+            turns = factor / vehicle.wheel_radius
+            known += _unit(channel, turns, unit)
+            what = f"is in {unit}, and the wheel {OTHER_RADIUS}"
+            remedy = f"correct `wheel_radius` in the vehicle file, and set `unit: {unit}`"
+            low, high = (turns * ratio for ratio in _RADIUS_RATIOS)
+            known.append(Mistake(channel, low, high, False, what, remedy, DOUBLE + 1.0))
         what = OTHER_RADIUS
         remedy = "correct `wheel_radius` in the vehicle file where it counts turns, else set `scale:`"
         known.append(Mistake(channel, *_RADIUS_RATIOS, False, what, remedy, 4.0))

@@ -36,7 +36,7 @@ def candidates_of(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> l
     for info in columns:
         if not is_of_a_state(info, infos) and not is_no_measurement(info):
             found += _by_name(info, renamed.get(info.name, info))
-    found = _by_pairs(found, infos)
+    found = _with_level_axis(_by_pairs(found, infos), infos)
     return [*_signed(found, infos), *_fixes(found)]
 
 
@@ -109,6 +109,19 @@ def _by_pairs(found: list[TrialCandidate], infos: Sequence[RawChannelInfo]) -> l
     if len(fix) == 2:
         # Beside a latitude, lon is no longitudinal acceleration.
         found = [c for c in found if c.channel in fix or c.sources not in fix.values()]
+    return found
+
+
+def _with_level_axis(found: list[TrialCandidate], infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:
+    """Return candidates with Y from the axis z of a position whose y, up in many games, is not recorded."""
+    if any(c.channel == "Y" for c in found):
+        return found
+    names = {info.name for info in infos if info.type_name != "text"}
+    for c in [c for c in found if c.channel == "X" and len(c.sources) == 1]:
+        y, z = (re.sub(r"[xX](?=[^xX]*$)", lambda m, a=a: a if m[0] == "x" else a.upper(), c.sources[0]) for a in "yz")
+        if y not in names and z in names and z != c.sources[0]:
+            note = "no y is recorded, so z is taken as the other level axis"
+            return [*found, replace(c, channel="Y", sources=(z,), note=note)]
     return found
 
 

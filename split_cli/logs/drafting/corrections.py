@@ -1,12 +1,13 @@
 """What the consistency checks change in a draft: units nobody states, signs, hands, the zero of yaw."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.checking.consistency import Consistency
+from split_cli.logs.checking.relations import SHARED, Relation
 from split_cli.logs.checking.wheel_speeds import AXLES
 from split_cli.logs.drafting.draft import UNITS_OF, Suggestion
 from split_cli.logs.drafting.handedness import HANDED, is_heading, path_is_certain
@@ -217,10 +218,29 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     if holding:
         notes = [f"; note: {f.text}" for f in verdict.findings if f.channel == s.channel]
         shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])
+        if against := _better_blamed(s.channel, holding, verdict):
+            doubt = f"its scale: {against.name} {against.slope.slope:.3g}, and with that factor in {s.channel}"
+            return replace(s, unit=unit, status="assumed", reason=f"{remark}{doubt} the others fit better: {shown}")
         return replace(s, status="judged", reason=f"{remark}{shown}{''.join(notes[:1])}")
     if s.status == "stated":
         return replace(s, reason=f"{'; ' + s.reason if s.reason else ''}")
     return replace(s, unit=unit, reason=f"{_assumed(s, unit)}, and {_who_could_judge(s, verdict)}")
+
+
+def _better_blamed(channel: str, holding: Sequence[Relation], verdict: Consistency) -> Relation | None:
+    """Return a relation that fails, and whose factor in this channel would make all that hold fit better."""
+    unexplained = {f.channel for f in verdict.findings if f.check == "scale"} - verdict.factors.keys()
+    for failed in verdict.relations:
+        if failed.holds or failed.leaf not in unexplained or failed.slope.slope < 0.0 or channel not in SHARED:
+            continue
+        power = failed.powers.get(channel, 0)
+        if not power or failed.corrected is not None or failed.leaf == channel:
+            continue
+        factors = {channel: failed.slope.slope ** (1.0 / power)}
+        left = [(r.slope.slope, r.without(factors)) for r in holding]
+        if all(after > 0.0 and abs(np.log(after)) < abs(np.log(before)) for before, after in left):
+            return failed
+    return None
 
 
 def _assumed(s: Suggestion, unit: str) -> str:

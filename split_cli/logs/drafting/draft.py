@@ -85,6 +85,10 @@ class Draft:
         return [s for s in self.suggestions if s.channel == channel]
 
 
+WHAT_GIVES_R = (
+    "a gyro or a heading will do; export it if the logger has one. a_y and a course over ground follow the path and "
+    "not the body, so a yaw rate from them would hide all sideslip."
+)
 NO_SIDE = "no channel has a side"
 """Of `Draft.left`, where nothing of the recording has one."""
 
@@ -181,7 +185,7 @@ def _ways(missing: Sequence[str], mapped: set[str], opened: set[str]) -> list[st
     if "vy" in missing and "vy" not in made:
         ways.append("vy: neither lateral velocity, sideslip, pose nor yaw rate with a_y was found; it takes one.")
     if "r" in missing and "r" not in made:
-        ways.append("r: a gyro or a heading. a_y and the course turn with the path, so sideslip is not in them.")
+        ways.append(f"r: {WHAT_GIVES_R}")
     if "delta" in missing and not opened & {"delta", "steering_wheel_angle"}:
         ways.append("delta: no steering angle was found. Training and diagnosis need one, measured or commanded.")
     return ways

@@ -17,6 +17,9 @@ HANDED = ("r", "vy", "ay", "yaw", "delta", "steering_wheel_angle", "sideslip")
 """Channels whose sign says left or right."""
 
 
+_HEADING = re.compile("head|hdg|azimuth|bearing|kurs", re.IGNORECASE)
+
+
 def path_is_certain(chosen: Mapping[str, Suggestion]) -> bool:
     """Tell whether X, Y are east and north: of a satellite fix, or so called."""
     if not {"X", "Y"} <= set(chosen):
@@ -32,12 +35,26 @@ def path_is_certain(chosen: Mapping[str, Suggestion]) -> bool:
 
 def is_heading(s: Suggestion, signals: Mapping[str, RawSignal]) -> bool:
     """Tell whether an angle is named a heading and runs from 0 to 360 degrees, as a compass does."""
-    if s.convert or not re.search("head|hdg|azimuth|bearing|kurs", s.sources[0], re.IGNORECASE):
+    if s.convert or not _HEADING.search(s.sources[0]):
         return False
     values = signals[s.sources[0]].values
     finite = values[np.isfinite(values)]
     whole = 360.0 if s.unit == "deg" else 2.0 * np.pi
     return bool(finite.min() >= 0.0 and finite.max() <= whole and finite.max() > 0.5 * whole)
+
+
+def as_bearing_by_name(s: Suggestion, chosen: Mapping[str, Suggestion], values: np.ndarray | None) -> Suggestion:
+    """Take a heading beside a satellite fix that nothing judged as a compass has it, to be confirmed.
+
+    Of a car that stands or drives straight neither its range nor its turning tells how it is counted.
+    """
+    by_custom = s.status in ("stated", "assumed") and not s.world and not s.convert and _HEADING.search(s.sources[0])
+    if not by_custom or values is None or not path_is_certain(chosen):
+        return s
+    why = "a heading is a compass bearing by custom, and it turns too little here to show how it is counted"
+    if np.nanmin(values) < 0.0:
+        return replace(s, status="assumed", reason=f"{why}: with `world: ned`, if so")
+    return replace(s, world="ned", status="assumed", reason=why)
 
 
 def certain_of(chosen: Mapping[str, Suggestion]) -> frozenset[str]:

@@ -18,6 +18,7 @@ from split_cli.logs.drafting.clock import clock_of_rows, is_cut_in_degrees
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import Draft, Suggestion, quoted, render_draft
 from split_cli.logs.drafting.handedness import (
+    as_bearing_by_name,
     channels_with_a_side,
     path_is_certain,
     what_tells_left,
@@ -40,9 +41,16 @@ from split_cli.logs.drafting.single_channel import (
 from split_cli.logs.drafting.speed_units import copies_of_others, with_units_of_multiples
 from split_cli.logs.drafting.steering import read_steering
 from split_cli.logs.drafting.trial import Trial, TrialCandidate, names_of
-from split_cli.logs.drafting.vector_axes import along_the_car, names_of_triples, side_by_gravity, unit_by_gravity
+from split_cli.logs.drafting.vector_axes import (
+    along_the_car,
+    doubt_of_height,
+    names_of_triples,
+    side_by_gravity,
+    unit_by_gravity,
+)
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheel_torques import PARTS, note_on_engine, torques_alike
+from split_cli.logs.listing import with_all_elements
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, time_column, turned
 from split_cli.logs.readers.named_values import NAMES, VALUES
 from split_cli.signals import find_unit
@@ -106,7 +114,8 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     taken = {name for s in suggestions for name in s.sources}
     known = {s.channel for s in suggestions}
     left_out, opened = opened, [s for s in opened if s.channel not in known and not set(s.sources) & taken]
-    unused = tuple(info.name for info in infos if info.name not in taken and f": {quoted(info.name)}," not in line)
+    left_over = (i.name for i in infos if i.name not in taken and f": {quoted(i.name)}," not in line)
+    unused = tuple(with_all_elements(recording, left_over))
     bare = {note.where for note in recording.notes if note.what.startswith("not readable")}
     undefined = dict.fromkeys(i.type_name for i in infos if i.name in bare and "/" in i.type_name)
     mapped = {s.channel: s for s in suggestions if s.status != "open"}
@@ -177,10 +186,11 @@ def _judged(
         "yaw": read_yaw,
     }
     suggestions = [alone[s.channel](s, clear, trial.rate) if s.channel in alone else s for s in suggestions]
+    suggestions = [as_bearing_by_name(s, corrected, clear.get("yaw")) if s.channel == "yaw" else s for s in suggestions]
     suggestions = [unit_by_gravity(s, triples, trial.signals) for s in suggestions]
     suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
     suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
-    suggestions = _in_pairs(without_the_tilted(suggestions))
+    suggestions = _in_pairs(doubt_of_height(without_the_tilted(suggestions), triples, trial.signals, trial.time))
     suggestions = [read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions]
     steered = [s.left_open(hand) if hand and s.status != "open" else s for s in steering]
     return [*suggestions, *steered]

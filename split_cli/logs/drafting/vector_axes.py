@@ -15,6 +15,9 @@ from split_cli.signals import STANDARD_GRAVITY, find_unit
 
 _CLEARLY = 3.0
 """How many times more one axis must turn or move than the one that the names say [1]."""
+_STEEPEST = 0.25
+"""Slope of a road [1]: of passes 0.2, of the steepest streets 0.35 over 100 m. An axis that changes by more, beside one
+that hardly changes, is no height."""
 _SECONDS = 5.0
 """Over which a car that rolls and pitches comes back, and one that yaws does not [s]."""
 _HEAVE = 0.5
@@ -129,6 +132,29 @@ def unit_by_gravity(
     return s.left_open(reason)
 
 
+def doubt_of_height(
+    suggestions: Sequence[Suggestion],
+    triples: Sequence[tuple[str, str, str]],
+    signals: Mapping[str, RawSignal],
+    time: np.ndarray | None,
+) -> list[Suggestion]:
+    """Mark X and Y whose third axis changes more than Y where only the speed of the path judged them.
+
+    On a straight along X the speed fits with a height in the place of Y too; a turning tells them apart.
+    """
+    pose = {s.channel: s for s in suggestions if s.channel in ("X", "Y") and s.status == "judged"}
+    three = next((t for t in triples if len(pose) == 2 and pose["X"].sources + pose["Y"].sources == t[:2]), None)
+    if three is None or three[2] not in signals or "turning" in pose["X"].reason:
+        return list(suggestions)
+    across, third = (_lasting(signals[name], time, True) for name in three[1:])
+    if third <= _CLEARLY * across:
+        return list(suggestions)
+    remark = f"{three[2]} changes more than {three[1]}: one of them is the height, and which is not told"
+    return [
+        replace(s, status="assumed", reason=f"{remark}; {s.reason}") if s in pose.values() else s for s in suggestions
+    ]
+
+
 def along_the_car(
     candidates: Sequence[TrialCandidate],
     triples: Sequence[tuple[str, str, str]],
@@ -207,8 +233,7 @@ def _axes(
         return _Axes(1, 2, f"the car travels along {name}: {NOT_UP}")
     span = sizes("position", without_bias=True)
     x, y, z = span if span is not None and travel is turning is None else np.zeros(3)
-    # A road that rises by a third of its length is none, so the third axis is no height.
-    if z > x / _CLEARLY and _CLEARLY * y < min(x, z):
+    if z > _STEEPEST * x and _CLEARLY * y < min(x, z):
         return _Axes(1, None, f"{kinds['position'][1]} changes far less than the other two: {NOT_UP}")
     return None
 

@@ -19,7 +19,8 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
     moving = [(one, one.drive if one.vehicle is None else one.motion) for one in subjects]
     found = [(one, motion and understeer_of(motion, vehicle)) for one, motion in moving]
     shown = [(one, gradient) for one, gradient in found if gradient]
-    if any(one.vehicle is None for one, _ in shown):
+    known = any(one.vehicle is None for one, _ in shown)
+    if known:
         charts.append(_understeer(shown, [one.name for one, gradient in found if not gradient]))
     responses = [
         (one, one.lateral_motion and steering_response(one.lateral_motion, vehicle.minimum_speed)) for one in subjects
@@ -33,6 +34,7 @@ def handling_charts(subjects: Sequence[Subject], vehicle: Vehicle) -> tuple[Char
         phase = tuple(ChartLine(one.name, r.frequency, r.phase, one.role, shown=one.shown) for one, r in coherent)
         count = coherent[0][1].windows
         note = f"{count} stretches of 8 s; only where steering and yaw rate are coherent; bands are 95 %."
+        note += "" if known else " Too little gentle, steady cornering was measured for an understeer gradient."
         charts.append(
             Chart(
                 "response-gain",
@@ -65,7 +67,7 @@ def _understeer(shown: Sequence[tuple[Subject, Understeer]], missing: Sequence[s
             part = thinned(len(found.lateral), _MOST_DOTS)
             x, y = found.lateral[part], found.slip_difference[part]
             series.append(ChartLine(f"{one.name}, moments", x, y, one.role, "points", shown=one.shown))
-        reach = np.array([-1.0, 1.0]) * _reach(found)
+        reach = np.clip([np.min(found.lateral), np.max(found.lateral)], -_reach(found), _reach(found))
         line = found.offset + found.gradient * reach
         series.append(ChartLine(one.name, reach, line, one.role, shown=one.shown))
     ranges = [f"{_reach(found):.1f}" for _, found in shown]

@@ -12,7 +12,7 @@ from split_cli.logs.assembling.assemble import Assembled, IngestSettings, assemb
 from split_cli.logs.assembling.gather import fitting_presets, topic_of
 from split_cli.logs.assembling.quality import QualityReport, render_quality
 from split_cli.logs.drafting.meeting_clocks import let_clocks_meet
-from split_cli.logs.drive import Drive, DriveMetadata, read_drive, write_drive
+from split_cli.logs.drive import Drive, DriveMetadata, open_drive, read_drive, write_drive
 from split_cli.logs.listing import ListedChannel, listed_channels
 from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.raw import RawRecording
@@ -59,6 +59,10 @@ class IngestResult:
     def faults(self) -> tuple[str, ...]:
         """What the checks found that makes whatever is learned from the drive wrong."""
         return self.metadata.faults
+
+    def reaches(self, speed: float) -> bool:
+        """Whether v_x exceeds `speed` [m/s] anywhere in the drive."""
+        return bool((open_drive(self.drive_path)["vx"] > speed).any())
 
     def to_text(self) -> str:
         """Return the report for a terminal."""

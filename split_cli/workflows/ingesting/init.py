@@ -10,7 +10,7 @@ from typing import Any
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
 from split_cli.logs.assembling.derivations import DERIVATIONS, derivations_for
-from split_cli.logs.drafting.draft import in_ranges, lines_on_presets, lines_on_runs
+from split_cli.logs.drafting.draft import WHAT_GIVES_R, in_ranges, lines_on_presets, lines_on_runs
 from split_cli.logs.drafting.nameless import has_no_name
 from split_cli.logs.drafting.several_logs import agreed_draft
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
@@ -124,9 +124,10 @@ class InitResult:
         nameless = in_ranges([name for name in self.draft.unused if has_no_name(name)])
         unnamed = f" One of {', '.join(nameless[:8])} may be it: they have no names." if nameless else ""
         it, has = ("them", "they have") if len(lost) > 1 else ("it", "it has")
+        gyro = f" For r {WHAT_GIVES_R}" if "r" in lost else ""
         return (
             f"Nothing in this log gives {', '.join(lost)}, and no drive can be made without {it}: "
-            f"another file may hold {it} (--together), or {has} to be recorded. "
+            f"another file may hold {it} (--together), or {has} to be recorded.{gyro} "
             f"Comments in {self.map_path} say what will do.{unnamed}"
         )
 

@@ -87,6 +87,7 @@
   let cells = [];
   function binned(plot) {
     const [xName, yName] = AXES[state.axes];
+    document.querySelector("#plot-map .hint").hidden = yName !== "torque";
     // Fewer samples make larger cells, so that most have enough for a mean. The screen does not decide: means,
     // colours and the table are the same on paper and on a telephone.
     const samples = chosenDrives().reduce((sum, drive) => sum + drive.size, 0);
