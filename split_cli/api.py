@@ -68,6 +68,12 @@ def _frame(rows: Any, columns: Sequence[str] | None = None) -> Any:
     return pandas.DataFrame(rows, columns=columns)
 
 
+def _by_state(name: str, values: Sequence[float]) -> dict[str, float]:
+    """Return values of v_x, v_y, r (and their norm, where there are four) as columns of a row."""
+    states = ("vx", "vy", "r", "norm")[: len(values)]
+    return {f"{name}_{state}": float(value) for state, value in zip(states, values, strict=True)}
+
+
 def drive_table(drive: Drive) -> Any:
     """Return the samples of a drive as a DataFrame, a column a channel [SI], with ``segment``."""
     return _frame({**drive.columns, "segment": drive.segment})
@@ -121,11 +127,8 @@ class EvaluationResult:
         rows = []
         for one in self.run.report.scores:
             row = {"model": one.name, "features": one.features, "drive": one.drive or "all", "points": one.points}
-            row |= dict(zip(("rmse_vx", "rmse_vy", "rmse_r", "rmse_norm"), map(float, one.rmse), strict=True))
-            row["skill"] = float(one.skill_velocity_held[3])
-            if one.coverage_95 is not None:
-                row |= dict(zip(("in95_vx", "in95_vy", "in95_r"), map(float, one.coverage_95), strict=True))
-            rows.append(row)
+            row |= _by_state("rmse", one.rmse) | {"skill": float(one.skill_velocity_held[3])}
+            rows.append(row if one.coverage_95 is None else row | _by_state("in95", one.coverage_95))
         return _frame(rows)
 
     @cached_property
@@ -134,8 +137,27 @@ class EvaluationResult:
         rows = []
         for one in self.run.report.rollouts:
             row = {"model": one.name, "features": one.features, "horizon": one.horizon, "starts": one.starts}
-            row |= dict(zip(("rmse_vx", "rmse_vy", "rmse_r"), map(float, one.rmse), strict=True))
-            rows.append(row | {"distance": one.distance, "diverged": one.diverged})
+            rows.append(row | _by_state("rmse", one.rmse) | {"distance": one.distance, "diverged": one.diverged})
+        return _frame(rows)
+
+    @cached_property
+    def sizes(self) -> Any:
+        """Errors of the dense process on the most informative samples, a row a size, as a DataFrame."""
+        return _frame(
+            [
+                {"features": one.score.features, "points": one.score.points, **_by_state("rmse", one.score.rmse)}
+                for one in self.run.report.sizes
+            ]
+        )
+
+    @cached_property
+    def intervals(self) -> Any:
+        """Shares of labels inside 50, 90 and 95 % intervals, near the points and beyond, as a DataFrame."""
+        rows = []
+        for one in self.run.report.intervals:
+            row = {"model": one.name, "features": one.features, "near": one.near, "samples": one.samples}
+            row |= {"share": one.share} | _by_state("in50", one.coverage_50)
+            rows.append(row | _by_state("in90", one.coverage_90) | _by_state("in95", one.coverage_95))
         return _frame(rows)
 
     @cached_property

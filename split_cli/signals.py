@@ -183,29 +183,24 @@ def _known_unit(spelled: str) -> Unit | None:
 
 #: Words within a unit's name. Some lack letters, since bus databases cut names (``Unit_MeterPerSeconSquar``).
 _WORDS_OF_UNITS = {
-    "percent": "%",
-    "kilo": "k",
-    "milli": "m",
-    "centi": "c",
-    "metre": "m",
-    "meter": "m",
-    "degreeofarc": "deg",
-    "degreofarc": "deg",
-    "radian": "rad",
-    "radia": "rad",
-    "second": "s",
-    "secon": "s",
-    "hour": "h",
-    "minute": "min",
-    "minut": "min",
-    "squared": "^2",
-    "square": "^2",
-    "squar": "^2",
-    "newton": "N",
-    "newto": "N",
-    "bar": "bar",
-    "per": "/",
-    "forceofgravi": "g",
+    word: symbol
+    for symbol, words in {
+        "%": "percent",
+        "k": "kilo",
+        "m": "milli metre meter",
+        "c": "centi",
+        "deg": "degreeofarc degreofarc",
+        "rad": "radian radia",
+        "s": "second secon",
+        "h": "hour",
+        "min": "minute minut",
+        "^2": "squared square squar",
+        "N": "newton newto",
+        "bar": "bar",
+        "/": "per",
+        "g": "forceofgravi",
+    }.items()
+    for word in words.split()
 }
 _PARTS_OF_UNITS = re.compile("|".join(sorted(_WORDS_OF_UNITS, key=len, reverse=True)))
 
@@ -294,31 +289,9 @@ TWO_WORDS = {
 """Units as the two last words of a name (``v_y_cm_s``), whose last alone would be another."""
 _SUFFIXES = {
     suffix: suffix
-    for suffix in (
-        "mps2",
-        "mpss",
-        "mps",
-        "kmph",
-        "kph",
-        "kmh",
-        "mph",
-        "fps",
-        "radps",
-        "rad",
-        "degps",
-        "dps",
-        "deg",
-        "rpm",
-        "Nm",
-        "bar",
-        "kPa",
-        "psi",
-        "pct",
-        "ns",
-        "us",
-        "sec",
-        "mm",
-    )
+    for suffix in """
+        mps2 mpss mps kmph kph kmh mph fps radps rad degps dps deg rpm Nm bar kPa psi pct ns us sec mm
+    """.split()
 } | TWO_WORDS
 _SUFFIX_UNITS = {suffix.lower(): unit for suffix, symbol in _SUFFIXES.items() if (unit := find_unit(symbol))}
 # The longest first: deg_s before s, mps2 before any shorter one.

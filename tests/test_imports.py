@@ -42,7 +42,7 @@ ROOMS_OF = {
 }
 # diagnosis may see neither the plant that makes test recordings nor the proof that conceals them (one number, so
 # neither may import the other), and the plant nothing but the ground.
-PLANT_MAY_IMPORT = {"plant", "signals", "files", "errors"}
+PLANT_MAY_IMPORT = {"plant", "signals", "files", "yaml_file", "errors"}
 MAY_IMPORT_PLANT = {"plant", "workflows", "proof"}
 
 HOMES = {

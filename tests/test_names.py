@@ -17,12 +17,28 @@ def nodes() -> list[tuple[Path, ast.AST]]:
 
 
 def test_no_two_classes_share_a_name(nodes):
-    """One name, one meaning: a reader who meets a class knows which one it is."""
+    """One name, one meaning: a reader who meets a class knows which one it is, in tests and studies, too."""
     where: dict[str, list[str]] = {}
-    for path, node in nodes:
+    tests = [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in (ROOT.parent / "tests").rglob("*.py")]
+    for path, node in [*nodes, *((path, node) for path, tree in tests for node in ast.walk(tree))]:
         if isinstance(node, ast.ClassDef):
             where.setdefault(node.name, []).append(str(path))
     assert {name: places for name, places in where.items() if len(places) > 1} == {}
+
+
+#: Functions of one name that mean the same: what a notebook calls and what does it, a compiled loop and its caller,
+#: numbers in a sentence and on a page. `cli` is left out, whose functions are called as the commands are.
+SAME_MEANING = {"advance", "diagnose", "evaluate", "number", "percent"}
+
+
+def test_no_two_functions_that_others_import_share_a_name(nodes):
+    """A function without an underscore serves other modules, where its name alone has to say what it does."""
+    where: dict[str, set[str]] = {}
+    for path, node in nodes:
+        for one in node.body if isinstance(node, ast.Module) and path.parts[0] != "cli" else ():
+            if isinstance(one, ast.FunctionDef) and not one.name.startswith("_"):
+                where.setdefault(one.name, set()).add(str(path))
+    assert {name: places for name, places in where.items() if len(places) > 1 and name not in SAME_MEANING} == {}
 
 
 def test_the_map_of_the_data_names_what_there_is():

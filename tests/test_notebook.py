@@ -12,7 +12,7 @@ import pytest
 
 from split_cli.api import DiagnosisResult, EvaluationResult
 from split_cli.diagnosis.statement.result import Diagnosis
-from split_cli.scoring.report import RolloutScore
+from split_cli.scoring.report import IntervalShares, RolloutScore, SizeScore
 from split_cli.vehicle.parameters import Vehicle
 from tests.diagnosis.test_report import mismatch
 from tests.factories import road_car
@@ -94,8 +94,18 @@ def test_every_table_of_a_result_is_a_frame():
     nothing = DiagnosisResult(Diagnosis("undecided", None, 0.0), road_car(), (), ())
     assert len(nothing.improvement) == len(nothing.detectable) == 0 and "unit" in nothing.detectable
     score = RolloutScore("nominal", "", 0.5, 40, 1, np.array([0.1, 0.2, 0.3]), 0.05)
-    (row,) = EvaluationResult(SimpleNamespace(report=SimpleNamespace(rollouts=(score,)))).rollouts.itertuples()
+    shares = IntervalShares(
+        "bcm", "z2", False, 30, 0.1, *(level * np.array([1.0, 0.9, 0.8]) for level in (0.5, 0.9, 1))
+    )
+    size = SizeScore(8, SimpleNamespace(features="z1", points=7, rmse=np.array([0.1, 0.2, 0.3, 0.4])))
+    report = SimpleNamespace(rollouts=(score,), intervals=(shares,), sizes=(size,))
+    result = EvaluationResult(SimpleNamespace(report=report))
+    (row,) = result.rollouts.itertuples()
     assert (row.model, row.starts, row.rmse_vy, row.distance, row.diverged) == ("nominal", 40, 0.2, 0.05, 1)
+    (row,) = result.intervals.itertuples()
+    assert (row.near, row.samples, row.in50_vx, row.in95_r) == (False, 30, 0.5, 0.8)
+    (row,) = result.sizes.itertuples()
+    assert (row.features, row.points, row.rmse_vx, row.rmse_norm) == ("z1", 7, 0.1, 0.4)
 
 
 def test_the_calibrated_file_is_no_worse_than_its_start(ran):

@@ -103,9 +103,9 @@ def _code(compared, exit_code: bool, limits: dict[str, float]) -> int:
 
 
 def _tell(compared) -> None:
-    from split_cli.workflows.report.comparison import headline
+    from split_cli.workflows.report.comparison import comparison_headline
 
-    click.echo(headline(compared))
+    click.echo(comparison_headline(compared))
     click.echo(f"open-loop simulation from {compared.starts} starts on {', '.join(compared.drives)}")
     click.echo("rms errors in m/s, m/s, rad/s with 95 % intervals; * is best; --legend explains every column\n")
     rows = []

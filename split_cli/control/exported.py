@@ -5,7 +5,7 @@ from pathlib import Path
 import casadi
 import numpy as np
 
-from split_cli.control.generated import Batch, compiled
+from split_cli.control.generated import Batch, as_compiled_c
 from split_cli.control.grip import learned_grip
 from split_cli.control.policy import LEAST_KNOWN
 from split_cli.control.residual import Residual, ResidualValues
@@ -63,7 +63,7 @@ class ExportedResidual(Residual):
         z = casadi.MX.sym("z", predict.size1_in(0))
         mean, variance = predict(z)
         outputs = [casadi.densify(one) for one in (mean, variance, casadi.jacobian(mean, z))]
-        self._function, self.not_compiled = compiled(casadi.Function("exported", [z], outputs))
+        self._function, self.not_compiled = as_compiled_c(casadi.Function("exported", [z], outputs))
         self._prior = predict(np.full(predict.size1_in(0), np.inf))[1].full().ravel()
         self._batches: dict[int, Batch] = {}
 

@@ -53,7 +53,7 @@ class Batch:
         ]
 
 
-def compiled(function: casadi.Function) -> tuple[casadi.Function, str]:
+def as_compiled_c(function: casadi.Function) -> tuple[casadi.Function, str]:
     """Return the function as compiled C with nothing to say, or itself with the reason why it is not.
 
     The library is kept in a folder that belongs to this user alone, under the hash of its source.

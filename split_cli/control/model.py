@@ -8,7 +8,7 @@ import casadi
 import numpy as np
 
 from split_cli.control._compiled import discretize
-from split_cli.control.generated import Batch, compiled
+from split_cli.control.generated import Batch, as_compiled_c
 from split_cli.control.policy import SLOWEST
 from split_cli.control.residual import Residual, ResidualValues
 from split_cli.errors import VehicleError
@@ -90,7 +90,7 @@ class ControlModel:
         self.states = 8 + self.memory
         self._stage, self.not_compiled = _stage_function(vehicle, residual.features, step), "was not asked for"
         if compile_c:
-            self._stage, self.not_compiled = compiled(self._stage)
+            self._stage, self.not_compiled = as_compiled_c(self._stage)
         self._batches: dict[int, Batch] = {}
         torque = max(vehicle.max_torque, vehicle.max_brake_torque)
         # Terms' states are torques, angles and forces; the size each takes on a drive is not known before.

@@ -63,24 +63,8 @@ class Mpc(RecedingController):
     def first_plan(self, x: np.ndarray, s: float) -> Plan:
         """Return a roll along the line at the wanted speed."""
         self._place(x, s)
-        point, speed = self.path.at(self.s), self.wanted
-        wheelbase = self.model.vehicle.wheelbase
-        plan = Plan(np.zeros((self.horizon + 1, self.n)), np.zeros((self.horizon, self.m)))
-        for k in range(self.horizon + 1):
-            bend = point.curvature[k]
-            here = np.array(
-                [
-                    point.x[k],
-                    point.y[k],
-                    point.direction[k],
-                    speed[k],
-                    0.0,
-                    speed[k] * bend,
-                    x[6],
-                    np.arctan(wheelbase * bend),
-                ]
-            )
-            plan.x[k] = self.model.steady_states(here)
+        states = self.rolling_states(self.path.at(self.s), self.wanted, x[6])
+        plan = Plan(states, np.zeros((self.horizon, self.m)))
         plan.x[0] = x
         return plan
 

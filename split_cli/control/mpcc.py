@@ -64,21 +64,7 @@ class Mpcc(RecedingController):
         theta = self.path.project(x[0], x[1], s) + v * h * np.arange(N + 1)
         point = self.path.at(theta)
         plan = Plan(np.zeros((N + 1, self.n)), np.zeros((N, self.m)))
-        wheelbase = self.model.vehicle.wheelbase
-        for k in range(N + 1):
-            here = np.array(
-                [
-                    point.x[k],
-                    point.y[k],
-                    point.direction[k],
-                    v,
-                    0.0,
-                    v * point.curvature[k],
-                    x[6],
-                    np.arctan(wheelbase * point.curvature[k]),
-                ]
-            )
-            plan.x[k, : self.n_model] = self.model.steady_states(here)
+        plan.x[:, : self.n_model] = self.rolling_states(point, np.full(N + 1, v), x[6])
         plan.x[:, -2], plan.x[:, -1] = theta, min(v, self.settings.max_speed)
         begin = np.array(x, dtype=float)
         begin[2] += 2.0 * np.pi * np.round((point.direction[0] - begin[2]) / (2.0 * np.pi))

@@ -151,6 +151,15 @@ class RecedingController(ABC):
     def first_plan(self, x: np.ndarray, s: float) -> Plan:
         """Return a guess from the model's state `x`, shape (n_model,), at arc length `s` [m]."""
 
+    def rolling_states(self, point: PathPoint, speed: np.ndarray, torque: float) -> np.ndarray:
+        """Return the model's steady states where a car rolls along a line, shape (N + 1, n of the model)."""
+        wheelbase = self.model.vehicle.wheelbase
+        states = []
+        for x, y, direction, bend, v in zip(point.x, point.y, point.direction, point.curvature, speed, strict=True):
+            here = np.array([x, y, direction, v, 0.0, v * bend, torque, np.arctan(wheelbase * bend)])
+            states.append(self.model.steady_states(here))
+        return np.array(states)
+
     @property
     @abstractmethod
     def place(self) -> float:

@@ -23,8 +23,8 @@ from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
 from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, search, with_witnessed_names
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.identifiable import identifiable, what_was_not_excited
+from split_cli.diagnosis.search.instrument_drift import beyond_drift
 from split_cli.diagnosis.search.selection import Selection
-from split_cli.diagnosis.search.wandering import beyond_wandering
 from split_cli.diagnosis.statement.result import Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.detectable import detection_limits
@@ -146,7 +146,7 @@ def diagnose(
         policy,
         [one.series for one in case.simulated],
     )
-    candidates = beyond_wandering(case, candidates, policy)
+    candidates = beyond_drift(case, candidates, policy)
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
     if outcome.self_test.ratio > policy.selection.much_over_noise:
         not_judged += (_MUCH_FORM_ERROR,)

@@ -67,7 +67,7 @@ class ComparisonRules:
         250,
         "rows of 0.04 s",
         "evidence below which nothing is decided; half of it in a half of the simulation, a quarter kept out for "
-        "a share of the gap; length of a stretch from one to the next of which instruments wander, and at most "
+        "a share of the gap; length of a stretch from one to the next of which instruments drift, and at most "
         "of a block when a simulation is dealt into halves",
         JUDGEMENT + "ten seconds of driving",
     )
@@ -190,7 +190,7 @@ class SelectionRules:
         1.96,
         "standard deviations",
         "that hold 95 %: of cars, between no effect and the largest that a car can have; of recordings of one "
-        "car, over what halves of the simulation differ by, and over what instruments wander by",
+        "car, over what halves of the simulation differ by, and over what instruments drift by",
         THEORY + "95 % of a normal deviate, two-sided",
     )
 
@@ -220,7 +220,7 @@ class Abstention:
         "1",
         "share from which on it is the greater part: of what the best explanation saves, for one that no real "
         "car has to be a lead, and of what a term saves, for a rival to be fitted; of the track, for the interval "
-        "of a stretch's end to leave its place open; of how far noise makes an integral wander, for a yaw to be "
+        "of a stretch's end to leave its place open; of how far noise carries an integral away, for a yaw to be "
         "that integral; of what a car can have, for an effect of which a match tells where it would hide; of all "
         "effects, that no drive would show, for a match to be none",
         JUDGEMENT + "a half",

@@ -10,38 +10,20 @@ CHOSEN = JUDGEMENT + "chosen while developing on cases of `split prove`, without
 #: guards refuse a recording or leave rows out; effort bounds computing time; telling chooses what a report says of
 #: a gap that has been found. All else decides: whether there is a difference, its name, or its size.
 KINDS = {
-    "guards": (
-        "screening",
-        "comparison.least_rows",
-        "comparison.least_share",
-        "believing.rolling_share",
-        "believing.lost_share",
-        "believing.rolling_seconds",
-        "believing.least_rolling",
-        "believing.cycling_seconds",
-        "believing.cycling_share",
-        "unnamed.fewest",
-    ),
-    "effort": (
-        "selection.few_names",
-        "selection.full_fits",
-        "selection.considered",
-        "selection.rounds",
-        "selection.swaps",
-        "selection.beginnings",
-    ),
-    "telling": (
-        "comparison.holdout_share",
-        "abstention.most_leads",
-        "reporting.least_dependence",
-        "reporting.clearly_more",
-        "reporting.local_gap",
-        "reporting.local_ratio",
-        "reporting.stable",
-        "reporting.formula_terms",
-        "reporting.much_slipping",
-        "reporting.least_compared",
-    ),
+    kind: tuple(names.split())
+    for kind, names in {
+        "guards": """
+            screening comparison.least_rows comparison.least_share believing.rolling_share believing.lost_share
+            believing.rolling_seconds believing.least_rolling believing.cycling_seconds believing.cycling_share
+            unnamed.fewest""",
+        "effort": """
+            selection.few_names selection.full_fits selection.considered selection.rounds selection.swaps
+            selection.beginnings""",
+        "telling": """
+            comparison.holdout_share abstention.most_leads reporting.least_dependence reporting.clearly_more
+            reporting.local_gap reporting.local_ratio reporting.stable reporting.formula_terms reporting.much_slipping
+            reporting.least_compared""",
+    }.items()
 }
 DECIDES = "decides"
 # A sensor out of scale is a difference, whatever the drives show otherwise.

@@ -15,7 +15,7 @@ from split_cli.errors import ExportError, printable
 from split_cli.export.memory import Memory, present
 from split_cli.export.projection import ProjectionData
 from split_cli.export.provenance import Provenance
-from split_cli.export.straight_line import number, straight_line
+from split_cli.export.straight_line import c_literal, straight_line
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData, lines_of
 from split_cli.learning.running_trust import MEMORY, SPAN
@@ -24,44 +24,10 @@ from split_cli.learning.trust import kept_share, supported_variance
 #: The C that evaluates each kind of constants.
 _TEMPLATES = {BcmTables: "committee.c.in", TableData: "table.c.in", ProjectionData: "projection.c.in"}
 _KEYWORDS = frozenset(
-    (
-        "auto",
-        "break",
-        "case",
-        "char",
-        "const",
-        "continue",
-        "default",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "extern",
-        "float",
-        "for",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "main",
-        "real",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-    )
+    """
+    auto break case char const continue default do double else enum extern float for goto if inline int long main real
+    register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
+    """.split()
 )
 
 
@@ -181,7 +147,7 @@ def _texts(tables: Constants, graph: NominalGraph, provenance: Provenance, name:
         "LOW_SPEED": f"{graph.low_speed:g}",
         "KEPT": ", ".join(f"{value:g}" for value in _kept(tables).tolist()),
         "DOUBT": ", ".join(f"{value:g}" for value in tables.doubt.tolist()),
-        "SUPPORTED": ", ".join(number(value, tables.real) for value in supported.tolist()),
+        "SUPPORTED": ", ".join(c_literal(value, tables.real) for value in supported.tolist()),
         "PLACE_TIME": f", {name}_real t, {name}_real s" if graph.needs_place_and_time else "",
         "RESIDUAL": "h g(z)" if plain else "h Phi g(z)",
         "RESIDUAL_A": "none" if plain else "A",
@@ -230,12 +196,12 @@ def _limits(graph: NominalGraph, provenance: Provenance, real: str) -> str:
     arrays = {"most_state[TAKEN]": states, "most_input[INPUTS]": [2e3 * torque, 2e3 * steer]}
     parts = [f"enum {{ TAKEN = {whole} }};"]
     parts += [
-        f"static const real {label} = {{{', '.join(number(v, real) for v in values)}}};"
+        f"static const real {label} = {{{', '.join(c_literal(v, real) for v in values)}}};"
         for label, values in arrays.items()
     ]
     # 256 time constants are e^256 = 1e111; single precision ends at e^88.
-    parts.append(f"static const real longest = {number(256.0 if real == 'double' else 64.0, real)};")
-    parts.append(f"static const real most_carried = {number(largest, real)};")
+    parts.append(f"static const real longest = {c_literal(256.0 if real == 'double' else 64.0, real)};")
+    parts.append(f"static const real most_carried = {c_literal(largest, real)};")
     return "\n".join(parts)
 
 
@@ -320,7 +286,7 @@ def _memory_values(graph: NominalGraph, memory: Memory | None, name: str, real: 
         "MEMORY_TEXT": text,
         "MEMORY_ENUM": f", {upper}_CONTINUOUS_STATES = {memory.continuous}",
         "MEMORY_MACRO": (
-            f"\n/* Interval of the step [s]. */\n#define {upper}_TIME_STEP {number(memory.step, real)}\n"
+            f"\n/* Interval of the step [s]. */\n#define {upper}_TIME_STEP {c_literal(memory.step, real)}\n"
             if delayed
             else ""
         ),
@@ -351,7 +317,7 @@ def _memory_tables(graph: NominalGraph, memory: Memory, real: str) -> str:
     units = (1.0,) * 8 + graph.units
     parts = [f"enum {{ LONGEST_LINE = {longest}, PLAYS = {len(memory.plays)} }};"]
     if memory.line:
-        parts.append(f"#define STEP {number(memory.step, real)}")
+        parts.append(f"#define STEP {c_literal(memory.step, real)}")
     if memory.plays:
         parts.append(f"static const int play[PLAYS] = {{{', '.join(str(8 + k) for k in memory.plays)}}};")
     arrays = {
@@ -361,7 +327,7 @@ def _memory_tables(graph: NominalGraph, memory: Memory, real: str) -> str:
         "share_delta[LATE_DELTA + 1]": memory.weights(1),
     }
     parts += [
-        f"static const real {label} = {{{', '.join(number(float(v), real) for v in values)}}};"
+        f"static const real {label} = {{{', '.join(c_literal(float(v), real) for v in values)}}};"
         for label, values in arrays.items()
     ]
     return "\n".join(parts)
@@ -388,7 +354,7 @@ def _tables(tables: Constants) -> tuple[str, int]:
             size += (8 if label.startswith("long") else 2) * len(text)
     for label, values in _reals(tables).items():
         flat = np.ravel(values)
-        parts.append(_array(f"static const real {label}", [number(v, real) for v in flat.tolist()]))
+        parts.append(_array(f"static const real {label}", [c_literal(v, real) for v in flat.tolist()]))
         size += (4 if real == "float" else 8) * len(flat)
     return "\n".join(parts), size
 
@@ -438,7 +404,7 @@ def _macros(real: str) -> str:
     upper = {"exp": "EXP", "log": "LOG", "sin": "SIN", "cos": "COS", "fabs": "FABS"}
     macros = [f"#define {macro} {function}{suffix}" for function, macro in upper.items()]
     constants = {"ZERO": 0.0, "HALF": 0.5, "ONE": 1.0, "TWO": 2.0, "THREE": 3.0, "FOUR": 4.0, "SIX": 6.0}
-    macros += [f"#define {macro} {number(value, real)}" for macro, value in constants.items()]
+    macros += [f"#define {macro} {c_literal(value, real)}" for macro, value in constants.items()]
     return "\n".join(macros) + "\n"
 
 

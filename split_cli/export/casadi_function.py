@@ -44,10 +44,10 @@ def predictor_function(constants: Constants, name: str) -> casadi.Function:
         return spline_table(constants, name)
     if isinstance(constants, ProjectionData):
         return projection(constants, name)
-    return committee(constants, name)
+    return committee_function(constants, name)
 
 
-def committee(tables: BcmTables, name: str) -> casadi.Function:
+def committee_function(tables: BcmTables, name: str) -> casadi.Function:
     """Return the committee z -> (mean, variance), robust or not, as a graph of a few dozen matrix operations.
 
     Parameters

@@ -55,7 +55,7 @@ def provenance_of(training_set: TrainingSet, predictor: str, set_name: str = "",
     """Return the provenance of a set; without a file, its SHA-256 is that of its content."""
     return Provenance(
         set_name=set_name,
-        set_sha256=set_sha256 or content_digest(training_set),
+        set_sha256=set_sha256 or prediction_digest(training_set),
         vehicle=vehicle_to_mapping(training_set.vehicle),
         vehicle_digest=training_set.vehicle.digest(),
         features=training_set.features.names,
@@ -65,7 +65,7 @@ def provenance_of(training_set: TrainingSet, predictor: str, set_name: str = "",
     )
 
 
-def content_digest(training_set: TrainingSet) -> str:
+def prediction_digest(training_set: TrainingSet) -> str:
     """Return the SHA-256 of what predictions depend on: points, labels, cells, kernel, trust, vehicle, names."""
     digest = hashlib.sha256(training_set.vehicle.digest().encode())
     digest.update("\0".join(training_set.features.names).encode())

@@ -14,29 +14,11 @@ _UNARY = {
     casadi.OP_SIGN: "(real)(({0} > @ZERO@) - ({0} < @ZERO@))",
 }
 _FUNCTIONS = {
-    casadi.OP_SIN: "sin",
-    casadi.OP_COS: "cos",
-    casadi.OP_TAN: "tan",
-    casadi.OP_ASIN: "asin",
-    casadi.OP_ACOS: "acos",
-    casadi.OP_ATAN: "atan",
-    casadi.OP_ATAN2: "atan2",
-    casadi.OP_TANH: "tanh",
-    casadi.OP_SINH: "sinh",
-    casadi.OP_COSH: "cosh",
-    casadi.OP_EXP: "exp",
-    casadi.OP_LOG: "log",
-    casadi.OP_SQRT: "sqrt",
-    casadi.OP_FABS: "fabs",
-    casadi.OP_FMIN: "fmin",
-    casadi.OP_FMAX: "fmax",
-    casadi.OP_POW: "pow",
-    casadi.OP_CONSTPOW: "pow",
-    casadi.OP_FLOOR: "floor",
-    casadi.OP_CEIL: "ceil",
-    casadi.OP_FMOD: "fmod",
-    casadi.OP_HYPOT: "hypot",
-}
+    getattr(casadi, f"OP_{name.upper()}"): name
+    for name in """
+        sin cos tan asin acos atan atan2 tanh sinh cosh exp log sqrt fabs fmin fmax pow floor ceil fmod hypot
+    """.split()
+} | {casadi.OP_CONSTPOW: "pow"}
 _BINARY = {
     casadi.OP_ADD: "{0} + {1}",
     casadi.OP_SUB: "{0} - {1}",
@@ -52,7 +34,7 @@ _BINARY = {
 }
 
 
-def number(value: float, real: str) -> str:
+def c_literal(value: float, real: str) -> str:
     """Return a C literal that reads back to exactly `value` rounded to `real`."""
     if real == "float":
         import numpy as np
@@ -103,7 +85,7 @@ def straight_line(function: casadi.Function, name: str, real: str, comment: str)
         lines.append(f"    const real a{k} = {expression};")
     body = "\n".join(lines)
     for token, value in (("@ZERO@", 0.0), ("@ONE@", 1.0), ("@TWO@", 2.0)):
-        body = body.replace(token, number(value, real))
+        body = body.replace(token, c_literal(value, real))
     unused = "" if inputs else "    (void)in;\n"
     return f"/* {comment} */\nstatic void {name}(const real *const *in, real *const *out)\n{{\n{unused}{body}\n}}\n"
 
@@ -111,7 +93,7 @@ def straight_line(function: casadi.Function, name: str, real: str, comment: str)
 def _constant(value: float, real: str) -> str:
     if value != value or value in (float("inf"), float("-inf")):
         raise ExportError(f"the nominal model holds the constant {value}", advice="Check the vehicle file.")
-    text = number(value, real)
+    text = c_literal(value, real)
     return f"({text})" if text.startswith("-") else text
 
 

@@ -175,7 +175,7 @@ def wheel_torques(x, wheel, load, tire, env, car):
 
 
 @compiled
-def derivative(x, torque_command, steer_command, env, car, dx, out):
+def state_rate(x, torque_command, steer_command, env, car, dx, out):
     """Write the state's rate to `dx` and what follows from state and input to `out`."""
     vx, vy, r = x[VX], x[VY], x[R]
     cos_yaw, sin_yaw = math.cos(x[YAW]), math.sin(x[YAW])
@@ -255,16 +255,16 @@ def derivative(x, torque_command, steer_command, env, car, dx, out):
 def rk4_step(x, torque_command, steer_command, env, car, step, work, out):
     """Advance `x` in place by one step of the classical Runge-Kutta method, inputs held."""
     k1, k2, k3, k4, trial = work[0], work[1], work[2], work[3], work[4]
-    derivative(x, torque_command, steer_command, env, car, k1, out)
+    state_rate(x, torque_command, steer_command, env, car, k1, out)
     for i in range(STATE_SIZE):
         trial[i] = x[i] + 0.5 * step * k1[i]
-    derivative(trial, torque_command, steer_command, env, car, k2, out)
+    state_rate(trial, torque_command, steer_command, env, car, k2, out)
     for i in range(STATE_SIZE):
         trial[i] = x[i] + 0.5 * step * k2[i]
-    derivative(trial, torque_command, steer_command, env, car, k3, out)
+    state_rate(trial, torque_command, steer_command, env, car, k3, out)
     for i in range(STATE_SIZE):
         trial[i] = x[i] + step * k3[i]
-    derivative(trial, torque_command, steer_command, env, car, k4, out)
+    state_rate(trial, torque_command, steer_command, env, car, k4, out)
     for i in range(STATE_SIZE):
         x[i] += step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
 
@@ -277,5 +277,5 @@ def advance(x, torque_command, steer_command, env, car, step, count):
     out = np.empty(OUT_SIZE)
     for _ in range(count):
         rk4_step(x, torque_command, steer_command, env, car, step, work, out)
-    derivative(x, torque_command, steer_command, env, car, work[0], out)
+    state_rate(x, torque_command, steer_command, env, car, work[0], out)
     return x, out

@@ -23,8 +23,8 @@ from split_cli.plant._compiled import (
     R,
     X,
     Y,
-    derivative,
     rk4_step,
+    state_rate,
 )
 from split_cli.plant._driver_numba import commands, project, surroundings
 from split_cli.plant._faults_numba import MEM_SIZE, arriving, disturb
@@ -109,7 +109,7 @@ def _driving(called):
                 if faults.active > 0.0:
                     torque_in, steer_in = disturb(x, torque_now, played, faults, car, out, memory, env, step)
                 if j % keep == 0:
-                    derivative(x, torque_in, steer_in, env, car, work[0], out)
+                    state_rate(x, torque_in, steer_in, env, car, work[0], out)
                     times[row] = t
                     copy(x, states[row])
                     copy(out, outs[row])

@@ -14,25 +14,13 @@ from split_cli.errors import SplitError
 from split_cli.files import atomic_path, atomic_write_text
 from split_cli.plant.ros_messages import TOPICS, Topic, definition
 from split_cli.plant.sensors import Reading
-from split_cli.signals import find_unit
+from split_cli.signals import CHANNELS, find_unit
 
 #: Seconds since 1970 of a run's time 0 [s].
 EPOCH = 1_700_000_000
 """When every simulated drive begins, seconds since 1970: fixed, so that equal seeds give equal files [s]."""
 
-TABLE_CHANNELS = {
-    "t": "s",
-    "X": "m",
-    "Y": "m",
-    "yaw": "rad",
-    "vx": "m/s",
-    "vy": "m/s",
-    "r": "rad/s",
-    "T": "N m",
-    "delta": "rad",
-    "ax": "m/s^2",
-    "ay": "m/s^2",
-}
+TABLE_CHANNELS = {name: channel.unit for name, channel in CHANNELS.items()}
 """Columns of a table in their order, with their units in the order of the drive's channels."""
 
 WORKSHOP_UNITS = {

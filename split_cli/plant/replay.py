@@ -15,7 +15,7 @@ def recorded_motion(run: Trajectory) -> np.ndarray:
     return np.ascontiguousarray(run.states[:, : _compiled.R + 1])
 
 
-def predict(
+def predict_windows(
     run: Trajectory, car: CarParameters, road: Road, *, motion: np.ndarray | None = None, horizon: float = 0.05
 ) -> np.ndarray:
     """Predict a run piece by piece with another car under the same commands.

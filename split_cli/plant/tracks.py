@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from split_cli.errors import SplitError, nearest_names
+from split_cli.yaml_file import read_yaml_mapping
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class _Outline:
     """Corners of a polygon, each rounded by an arc, then smoothed."""
 
     # (x, y, radius): [m]; the lap starts in the middle of the edge from the last corner to the first.
-    corners: tuple[tuple[float, float, float], ...]
+    corners: list[list[float]]
     length: float  # the finished centreline is scaled to it [m]
     smoothing: float  # standard deviation of the Gaussian over arc length that turns arcs into easements [m]
     # spacing, half_width: [m]
@@ -47,65 +49,8 @@ class _Outline:
 
 
 _OUTLINES = {
-    "handling": _Outline(
-        corners=(
-            (430, 0, 45),
-            (500, 150, 60),
-            (360, 215, 38),
-            (420, 330, 36),
-            (270, 420, 70),
-            (175, 290, 40),
-            (60, 330, 55),
-            (-10, 230, 45),
-            (-130, 300, 42),
-            (-260, 190, 60),
-            (-150, 90, 30),
-            (-270, 0, 28),
-        ),
-        length=2300.0,
-        smoothing=7.0,
-        spacing=0.5,
-        half_width=6.0,
-    ),
-    "small": _Outline(
-        corners=(
-            (75, 0, 16),
-            (95, 55, 18),
-            (50, 62, 11),
-            (55, 110, 16),
-            (-5, 115, 22),
-            (-15, 62, 12),
-            (-65, 72, 14),
-            (-70, 0, 20),
-        ),
-        length=580.0,
-        smoothing=3.0,
-        spacing=0.25,
-        half_width=4.0,
-    ),
-    "oval": _Outline(
-        corners=((250, 0, 105), (250, 220, 105), (-250, 220, 105), (-250, 0, 105)),
-        length=1250.0,
-        smoothing=15.0,
-        spacing=0.5,
-        half_width=7.0,
-    ),
-    "f1tenth": _Outline(
-        corners=(
-            (7, 0, 1.9),
-            (7.6, 5, 1.7),
-            (3.6, 4.4, 1.3),
-            (2.6, 8, 1.5),
-            (-2.4, 8.4, 2.0),
-            (-2.6, 3.9, 1.4),
-            (-6.6, 4.6, 1.5),
-            (-6.8, 0, 1.8),
-        ),
-        length=52.0,
-        smoothing=0.3,
-        spacing=0.025,
-        half_width=0.9,
-    ),
+    name: _Outline(**given)
+    for name, given in read_yaml_mapping(Path(__file__).with_name("tracks.yaml"), SplitError).items()
 }
 
 TRACK_NAMES = tuple(_OUTLINES)

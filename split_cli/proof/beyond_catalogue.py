@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from split_cli.proof.windows import window_errors
+from split_cli.proof.windows import errors_of_terms
 from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
@@ -100,11 +100,11 @@ def _large_terms(vehicle: Vehicle) -> list[Term]:
 
 
 def build_library(columns: Mapping[str, np.ndarray], vehicle: Vehicle, lap_length: float, noise: np.ndarray) -> Library:
-    """Return the regressors of a recording: `window_errors` of the plain model less that with each term."""
-    nominal = window_errors(columns, vehicle, ())
+    """Return the regressors of a recording: `errors_of_terms` of the plain model less that with each term."""
+    nominal = errors_of_terms(columns, vehicle, ())
     found, names = [], []
     for term in (*_small_terms(vehicle, lap_length), *_large_terms(vehicle)):
-        column = ((nominal - window_errors(columns, vehicle, [term])) / noise).ravel()
+        column = ((nominal - errors_of_terms(columns, vehicle, [term])) / noise).ravel()
         if np.isfinite(column).all() and np.any(column):
             found.append(column)
             names.append(term.id)

@@ -9,7 +9,7 @@ from split_cli.plant.maneuvers import CALIBRATION_TESTS, build_maneuver, run_man
 from split_cli.plant.sensors import sensors_of
 from split_cli.plant.tire import TireParameters, tire_force
 from split_cli.proof.recordings import Alignment, alignment_of, command_channels
-from split_cli.proof.windows import window_errors
+from split_cli.proof.windows import errors_of_terms
 from split_cli.vehicle.calibration.calibrate import CalibrationSettings, calibrate_vehicle
 from split_cli.vehicle.calibration.samples import MotionRun
 from split_cli.vehicle.effects.actuators import SteerDelay
@@ -191,7 +191,7 @@ def _polished(
 
     def residuals(values: np.ndarray) -> np.ndarray:
         delay = [SteerDelay({"delay": 1e-3 * (values[8] - 1.0)})]
-        return np.concatenate([(window_errors(run, changed(values), delay) / noise).ravel() for run in runs])
+        return np.concatenate([(errors_of_terms(run, changed(values), delay) / noise).ravel() for run in runs])
 
     # A curve with C of 2 or more would change its sign at large slip; the rest may move by a half.
     most = np.full(9, 1.5)

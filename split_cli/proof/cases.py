@@ -27,7 +27,7 @@ from split_cli.proof.truth import (
     search_size,
     severity,
 )
-from split_cli.proof.windows import window_errors
+from split_cli.proof.windows import errors_of_terms
 from split_cli.proof.world import ProofWorld, Trip, drive, effect_error
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
@@ -229,7 +229,7 @@ def _base_severity(without: ProofWorld, trip: Trip, source: CarOfProof) -> float
     run = drive(without, trip, duration=_SEARCH_SECONDS, sample_period=1e-2)
     nothing = np.zeros((0, 3))
     columns = exact_drive(run, source.alignment, without.sensor, nothing).columns
-    return severity(window_errors(columns, source.vehicle, ()), source.noise)
+    return severity(errors_of_terms(columns, source.vehicle, ()), source.noise)
 
 
 def _sized(

@@ -112,7 +112,7 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     return max(0.0, (middle - spread) / (1.0 + z2 / of)), min(1.0, (middle + spread) / (1.0 + z2 / of))
 
 
-def rate_of(outcomes: Sequence[bool]) -> Rate:
+def share_of_true(outcomes: Sequence[bool]) -> Rate:
     """Return the share of true entries."""
     hits = sum(bool(o) for o in outcomes)
     return Rate(hits, len(outcomes), *wilson(hits, len(outcomes)))

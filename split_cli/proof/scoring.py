@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.errors import VehicleError
 from split_cli.proof.cases import Answer
-from split_cli.proof.outcome import OUTCOMES, Named, Rate, Statement, judge, rate_of
+from split_cli.proof.outcome import OUTCOMES, Named, Rate, Statement, judge, share_of_true
 from split_cli.proof.plan import TIERS
 from split_cli.proof.strange import NAMED_SINCE
 from split_cli.proof.truth import ExactDrive, removed_share
@@ -122,17 +122,17 @@ class CaseSetScore:
     memory_most: float = 0.0
 
 
-def summarise(scores: Sequence[CaseScore]) -> CaseSetScore:
+def score_of_cases(scores: Sequence[CaseScore]) -> CaseSetScore:
     """Return rates, targets and confusions of scored cases."""
     names = sorted({score.group for score in scores}, key=_group_order)
     groups = tuple(
-        (name, {kind: rate_of([s.outcome == kind for s in scores if s.group == name]) for kind in OUTCOMES})
+        (name, {kind: share_of_true([s.outcome == kind for s in scores if s.group == name]) for kind in OUTCOMES})
         for name in names
     )
     covered = [entry for score in scores for entry in score.covered]
     parameters = sorted({name for name, _ in covered})
     ratios = [score.removed for score in scores if score.removed is not None]
-    coverage = rate_of([inside for _, inside in covered])
+    coverage = share_of_true([inside for _, inside in covered])
     median = float(np.median(ratios)) if ratios else None
     return CaseSetScore(
         groups=groups,
@@ -140,7 +140,8 @@ def summarise(scores: Sequence[CaseScore]) -> CaseSetScore:
         confusion=_confusion(scores),
         coverage=coverage,
         coverage_by_parameter=tuple(
-            (parameter, rate_of([inside for name, inside in covered if name == parameter])) for parameter in parameters
+            (parameter, share_of_true([inside for name, inside in covered if name == parameter]))
+            for parameter in parameters
         ),
     )
 
@@ -153,7 +154,7 @@ def _group_order(name: str) -> tuple[int, str]:
 
 def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) -> tuple:
     def rate(group: str, *outcomes: str) -> Rate:
-        return rate_of([s.outcome in outcomes for s in scores if s.group.startswith(group)])
+        return share_of_true([s.outcome in outcomes for s in scores if s.group.startswith(group)])
 
     singles_wrong = rate("single", "wrong")
     sets = [score for score in scores if score.answer.kind.endswith("set")]
@@ -161,7 +162,13 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
         [
             ("sets: effects named, or in class", "at least 95 %", _recall(sets), 0.95, True),
             ("sets: names that are none of theirs, of all named", "at most 2 %", _wrongly_named(sets), 0.02, False),
-            ("sets complete", "at least 80 %", rate_of([s.outcome in ("exact", "class") for s in sets]), 0.80, True),
+            (
+                "sets complete",
+                "at least 80 %",
+                share_of_true([s.outcome in ("exact", "class") for s in sets]),
+                0.80,
+                True,
+            ),
         ]
         if sets
         else []
@@ -196,7 +203,7 @@ def _targets(scores: Sequence[CaseScore], coverage: Rate, median: float | None) 
 
 def _doubted(scores: Sequence[CaseScore]) -> Rate:
     """Return how many singles that are named rightly are called unexplained beside that."""
-    return rate_of(
+    return share_of_true(
         [
             score.said.unexplained
             for score in scores
@@ -207,7 +214,7 @@ def _doubted(scores: Sequence[CaseScore]) -> Rate:
 
 def _recall(sets: Sequence[CaseScore]) -> Rate:
     """Return how many effects of sets are named, or among the alternatives of a finding."""
-    return rate_of(
+    return share_of_true(
         [
             any(effect.term == one.term or effect.term in one.alternatives for one in score.said.findings)
             for score in sets
@@ -219,7 +226,7 @@ def _recall(sets: Sequence[CaseScore]) -> Rate:
 
 def _wrongly_named(sets: Sequence[CaseScore]) -> Rate:
     """Return how many findings in sets are none of the effects, nor have one among their alternatives."""
-    return rate_of(
+    return share_of_true(
         [
             not {one.term, *one.alternatives} & {effect.term for effect in score.answer.effects}
             for score in sets
@@ -234,11 +241,11 @@ def _confusion(scores: Sequence[CaseScore]) -> tuple[tuple[str, str, int], ...]:
         if score.outcome == "exact":
             continue
         truth = " + ".join(sorted(e.term for e in score.answer.effects)) or "nothing"
-        counted[truth, words_of(score.said)] += 1
+        counted[truth, in_short(score.said)] += 1
     return tuple((truth, said, n) for (truth, said), n in sorted(counted.items()))
 
 
-def words_of(said: Statement) -> str:
+def in_short(said: Statement) -> str:
     """Return a statement in short."""
     if said.verdict != "mismatch":
         return said.verdict

@@ -18,7 +18,7 @@ from split_cli.proof.nominal_terms import NOMINAL_TERMS
 from split_cli.proof.plan import CasePlan
 from split_cli.proof.recordings import RATE
 from split_cli.proof.truth import severity
-from split_cli.proof.windows import window_errors
+from split_cli.proof.windows import errors_of_terms
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.effects.recording import play_response
 from split_cli.vehicle.effects.search import Course
@@ -233,7 +233,7 @@ def _severity(vehicle: Vehicle, term: Term, seed: int) -> float:
     columns = scripted_drive(vehicle, [term], seed, runs=8, seconds=4.0)
     columns = {**columns, "s": np.zeros(len(columns["t"]))}
     runs = [{name: values[columns["segment"] == k] for name, values in columns.items()} for k in range(8)]
-    errors = [window_errors(run, vehicle, (), held=("T", "delta")) for run in runs]
+    errors = [errors_of_terms(run, vehicle, (), held=("T", "delta")) for run in runs]
     return severity(np.concatenate(errors), noise)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from split_cli.proof.outcome import OUTCOMES, Rate
-from split_cli.proof.scoring import CaseSetScore, words_of
+from split_cli.proof.scoring import CaseSetScore, in_short
 
 
 def target_rows(score: CaseSetScore) -> list[list[str]]:
@@ -53,7 +53,7 @@ def markdown_of(result) -> str:
                     f"{s.answer.total_severity:.2f}",
                     f"{s.answer.effects[0].beyond:.2f}",
                     " + ".join(s.answer.effects[0].absorbed_by),
-                    words_of(s.said),
+                    in_short(s.said),
                     s.outcome,
                 ]
                 for s in sorted(strange, key=lambda s: s.answer.effects[0].term)

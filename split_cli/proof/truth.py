@@ -8,7 +8,7 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.plant.simulation import Trajectory
 from split_cli.proof.recordings import RATE, Alignment, SensorFault, command_channels, exact_motion
-from split_cli.proof.windows import window_errors
+from split_cli.proof.windows import errors_of_terms
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -129,7 +129,7 @@ def exact_drive(run: Trajectory, alignment: Alignment, fault: SensorFault, error
 
 def model_gain(exact: ExactDrive, vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
     """Return what terms explain of the nominal model's 0.05 s errors, shape (K, 3): nominal less extended."""
-    gain = window_errors(exact.columns, vehicle, ()) - window_errors(exact.columns, vehicle, terms)
+    gain = errors_of_terms(exact.columns, vehicle, ()) - errors_of_terms(exact.columns, vehicle, terms)
     return gain[: len(exact.error)]
 
 
@@ -161,12 +161,12 @@ def fit_effective(
     free = [name for name in kind.parameter_units(variant) if name not in given]
     if not free:
         return dict(given)
-    nominal = window_errors(exact.columns, vehicle, ())
+    nominal = errors_of_terms(exact.columns, vehicle, ())
     goal = exact.error / noise
 
     def residuals(values: np.ndarray) -> np.ndarray:
         parameters = {**given, **dict(zip(free, values.tolist(), strict=True))}
-        gain = nominal - window_errors(exact.columns, vehicle, [kind(parameters, variant)])
+        gain = nominal - errors_of_terms(exact.columns, vehicle, [kind(parameters, variant)])
         return np.nan_to_num((goal - gain[: len(goal)] / noise).ravel(), nan=1e6, posinf=1e6, neginf=-1e6)
 
     scale = {

@@ -18,7 +18,7 @@ FIRST = 0.5
 """Where the first window starts, when tyres are loaded and late channels have begun [s]."""
 
 
-def window_errors(
+def errors_of_terms(
     columns: Mapping[str, np.ndarray], vehicle: Vehicle, terms: Sequence[Term], held: Sequence[str] = ()
 ) -> np.ndarray:
     """Return recorded minus predicted v_x, v_y, r over windows of 0.05 s with the model and terms, shape (K, 3).

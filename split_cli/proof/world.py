@@ -7,7 +7,7 @@ import numpy as np
 from split_cli.plant.cars import CarParameters
 from split_cli.plant.drivers import DriverStyle
 from split_cli.plant.faults import SOUND, Faults
-from split_cli.plant.replay import predict, recorded_motion
+from split_cli.plant.replay import predict_windows, recorded_motion
 from split_cli.plant.road import Road
 from split_cli.plant.simulation import Trajectory, drive_laps
 from split_cli.plant.tracks import Track
@@ -73,7 +73,7 @@ def effect_error(run: Trajectory, world: ProofWorld, without: ProofWorld) -> np.
     seen = recorded_motion(run).copy()
     if world.sensor != without.sensor:
         seen[:, 3:6] = exact_motion(run, world.sensor, run.t)[:, 3:6]
-    predicted = predict(run, without.car, without.road, motion=seen, horizon=HORIZON)
+    predicted = predict_windows(run, without.car, without.road, motion=seen, horizon=HORIZON)
     window = int(round(HORIZON / SAMPLE))
     error = seen[window::window, 3:6][: len(predicted)] - predicted
     return error[int(round(FIRST / HORIZON)) :]

@@ -89,7 +89,7 @@ def number_blocks(time: np.ndarray, segment: np.ndarray, first: int = 0) -> np.n
     return block
 
 
-def compare(name: str, features: str, parts: Sequence[BlockErrors], seed: int = 0) -> tuple[Comparison, ...]:
+def comparisons_of(name: str, features: str, parts: Sequence[BlockErrors], seed: int = 0) -> tuple[Comparison, ...]:
     """Return the comparisons of all states at all horizons.
 
     Parameters

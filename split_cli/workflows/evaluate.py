@@ -42,7 +42,7 @@ from split_cli.scoring.torque_lag import Prepared, decide, found_lag, lag_note
 from split_cli.scoring.verdict import (
     BlockErrors,
     Comparison,
-    compare,
+    comparisons_of,
     number_blocks,
     one_step_errors,
     rollout_errors,
@@ -54,9 +54,9 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.evaluation_notes import (
     drive_facts,
-    left_out,
     not_unseen,
     notes_of,
+    notes_on_parts,
     own_sets,
     same_interval,
     says_something,
@@ -229,7 +229,7 @@ def _notes_of_sets(labelled_sets: Sequence[tuple], settings: EvaluationSettings,
     finds_trust = are_own and _finds_trust(settings)
     if finds_trust:
         yield from own_sets([(name, own) for name, _, own in labelled_sets])
-    yield from left_out(labelled_sets[0][1], finds_trust)
+    yield from notes_on_parts(labelled_sets[0][1], finds_trust)
 
 
 def _train(held: Sequence[HeldOutSamples], vehicle: Vehicle, settings: EvaluationSettings) -> TrainingSet:
@@ -453,7 +453,7 @@ def _comparisons(
             for seconds in settings.rollout
             if len(starts)
         ]
-        found[key] = compare(*key, parts)
+        found[key] = comparisons_of(*key, parts)
     believed = {key: says_something(own, [held.drive for held in nominal]) for key, own in found.items()}
     verdicts = tuple(
         f"{name} {features} {verdict(own, believed.get((name + RUNNING, features), ()))}"

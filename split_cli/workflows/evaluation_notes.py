@@ -136,7 +136,7 @@ def own_sets(sets: Sequence[tuple[str, TrainingSet]]) -> list[str]:
     ]
 
 
-def left_out(drives: Sequence[HeldOutSamples], finds_trust: bool) -> list[str]:
+def notes_on_parts(drives: Sequence[HeldOutSamples], finds_trust: bool) -> list[str]:
     """Return of which part of long drives a result is; a set that is given brings its trust along."""
     bounds = [("trust was found on at most", MOST_ROWS)] if finds_trust else []
     bounds.append(("the page draws", DRAWN_ROWS))

@@ -23,18 +23,13 @@ from split_cli.plant.tracks import find_track
 FORMATS = ("mcap", "csv", "parquet")
 INSTRUMENTS = ("full", "lean", "perfect")
 TABLE_RATE = 100.0
+_WHEELS = ("fl", "fr", "rl", "rr")
 _TRUTH_EXTRAS = (
     "s",
     "T_actual",
     "delta_actual",
-    "load_fl",
-    "load_fr",
-    "load_rl",
-    "load_rr",
-    "wheel_speed_fl",
-    "wheel_speed_fr",
-    "wheel_speed_rl",
-    "wheel_speed_rr",
+    *(f"load_{wheel}" for wheel in _WHEELS),
+    *(f"wheel_speed_{wheel}" for wheel in _WHEELS),
 )
 _PAUSE_BETWEEN_TESTS = 10.0
 # A car's actuators keep a command until the next one.

@@ -17,30 +17,11 @@ from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.logs.readers.numpy_arrays import is_array_folder
 from split_cli.logs.readers.opening import is_prose
 
-LOG_SUFFIXES = (
-    ".mcap",
-    ".bag",
-    ".db3",
-    ".csv",
-    ".txt",
-    ".vbo",
-    ".parquet",
-    ".feather",
-    ".mat",
-    ".mf4",
-    ".mdf",
-    ".blf",
-    ".asc",
-    ".trc",
-    ".jsonl",
-    ".ascii",
-    ".lvm",
-    ".tsv",
-    ".arrow",
-    ".mcap.zstd",
-    ".db3.zstd",
-    ".npz",
-    ".ibt",
+LOG_SUFFIXES = tuple(
+    """
+    .mcap .bag .db3 .csv .txt .vbo .parquet .feather .mat .mf4 .mdf .blf .asc .trc .jsonl .ascii .lvm .tsv .arrow
+    .mcap.zstd .db3.zstd .npz .ibt
+    """.split()
 )
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
 _COPY_BYTES = 1 << 22

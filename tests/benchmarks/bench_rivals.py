@@ -49,8 +49,8 @@ from split_cli.vehicle.single_track import SingleTrack  # noqa: E402
 from tests.benchmarks.gpytorch_rival import gpytorch_rows  # noqa: E402
 from tests.benchmarks.rival_stream import (  # noqa: E402
     SLOW_QUERIES,
-    Row,
-    Stream,
+    Samples,
+    Timed,
     accuracy,
     each,
     percentiles,
@@ -107,7 +107,7 @@ int main(int argc, char **argv)
 # ---- ours ------------------------------------------------------------------------------------------------------
 
 
-def our_update(stream: Stream) -> Row:
+def our_update(stream: Samples) -> Timed:
     """Time every sample of the stream offered alone to the compiled update, as `OnlineSet` does."""
     from split_cli.learning._compiled import update_cell
 
@@ -126,10 +126,10 @@ def our_update(stream: Stream) -> Row:
         took = spent(lambda at=cell, k=sample, out=became: out.extend(update_cell(at, k, 0.0, *settings, *state)))
         if became[0]:
             times.append(took)
-    return Row("split update (numba), accepted", len(stream.z), s.size, None, *percentiles(times[10:]))
+    return Timed("split update (numba), accepted", len(stream.z), s.size, None, *percentiles(times[10:]))
 
 
-def offered(stream: Stream) -> Row:
+def offered(stream: Samples) -> Timed:
     """Time every sample that a controller offers to its set from numbers alone, where it is taken."""
     online = OnlineSet(without_points(stream.trained))
     online.begin_drive("stream", 0.0)
@@ -140,10 +140,10 @@ def offered(stream: Stream) -> Row:
         if became[0]:
             times.append(took)
     name = "split, offer_one of OnlineSet (Python), accepted"
-    return Row(name, len(stream.z), online.size, None, *percentiles(times[10:]))
+    return Timed(name, len(stream.z), online.size, None, *percentiles(times[10:]))
 
 
-def online_update(stream: Stream) -> Row:
+def online_update(stream: Samples) -> Timed:
     """Time every sample offered to a set while driving, the committee decomposing the cell it changes."""
     empty = without_points(stream.trained)
     online = OnlineSet(empty)
@@ -151,12 +151,12 @@ def online_update(stream: Stream) -> Row:
     committee = OnlineCommittee(online)
     labels = [make_labels(stream.z[k : k + 1], stream.y[k : k + 1], empty.vehicle) for k in range(len(stream.z))]
     times = [spent(lambda one=one: committee.update(online.offer(one).changed)) for one in labels]
-    return Row(
+    return Timed(
         "split online, update and committee (Python)", len(stream.z), online.size, None, *percentiles(times[10:])
     )
 
 
-def projected(stream: Stream, full: np.ndarray | None) -> Row:
+def projected(stream: Samples, full: np.ndarray | None) -> Timed:
     """Time every sample absorbed by the online process, and its answers of mean, variance and Jacobian at once."""
     make = partial(OnlineProcess, stream.trained.kernel)
     make().learn(stream.z[:1], stream.y[:1])
@@ -166,22 +166,22 @@ def projected(stream: Stream, full: np.ndarray | None) -> Row:
     ]
     query = each(process.along, [z[None] for z in stream.queries])
     mean, variance, _ = process.along(stream.queries)
-    return Row("projected, online (Python)", len(stream.z), process.count, None, *percentiles(times[10:]), *query,
+    return Timed("projected, online (Python)", len(stream.z), process.count, None, *percentiles(times[10:]), *query,
                *query, **accuracy(mean, variance, stream, full),
                megabytes=process.nbytes / 1e6)  # fmt: skip
 
 
-def printed_update(stream: Stream) -> Row:
+def printed_update(stream: Samples) -> Timed:
     """Time the update as the paper prints it, one inversion a point."""
     s = stream.trained
     printed = PrintedLearner(s.kernel.length_scales, s.capacity, s.threshold)
     numbers = s.grid.pack(s.grid.index(stream.z)[0]).tolist()
     items = list(range(len(stream.z)))
     p50, p99 = each(lambda k: printed.offer(k, numbers[k], stream.z[k]), items)
-    return Row("split update, as printed (NumPy)", len(stream.z), None, None, p50, p99)
+    return Timed("split update, as printed (NumPy)", len(stream.z), None, None, p50, p99)
 
 
-def iol_update(stream: Stream, capacity: int, full: np.ndarray) -> Row:
+def iol_update(stream: Samples, capacity: int, full: np.ndarray) -> Timed:
     """Time the dictionary, and what a process on it predicts."""
     s = stream.trained
     dictionary = Dictionary(s.kernel, capacity, s.threshold)
@@ -193,11 +193,11 @@ def iol_update(stream: Stream, capacity: int, full: np.ndarray) -> Row:
     query = each(predictor.predict, queries)
     jacobian = each(predictor.jacobian, queries)
     found = accuracy(asked.mean, asked.variance, stream, full)
-    return Row(f"iol, {capacity} points", len(stream.z), len(dictionary), None, p50, p99, *query, *jacobian,
+    return Timed(f"iol, {capacity} points", len(stream.z), len(dictionary), None, p50, p99, *query, *jacobian,
                **found, megabytes=8e-6 * len(dictionary) ** 2)  # fmt: skip
 
 
-def python_predictor(name: str, stream: Stream, full: np.ndarray) -> Row:
+def python_predictor(name: str, stream: Samples, full: np.ndarray) -> Timed:
     """Time one of the predictors, asked one query at a time from Python."""
     begin = time.perf_counter()
     predictor = make_predictor(name, stream.trained)
@@ -208,11 +208,11 @@ def python_predictor(name: str, stream: Stream, full: np.ndarray) -> Row:
     queries = [z[None] for z in stream.queries[: None if quick else SLOW_QUERIES]]
     query, jacobian = each(predictor.predict, queries), each(predictor.jacobian, queries)
     memory = predictor.nbytes / 1e6 if name == "table" else None
-    return Row(f"{name} (Python)", len(stream.z), stream.trained.size, build, None, None, *query, *jacobian,
+    return Timed(f"{name} (Python)", len(stream.z), stream.trained.size, build, None, None, *query, *jacobian,
                **accuracy(asked.mean, asked.variance, stream, full), megabytes=memory)  # fmt: skip
 
 
-def exported(name: str, real: str, stream: Stream, table: TablePredictor, compiler: Compiler) -> list[Row]:
+def exported(name: str, real: str, stream: Samples, table: TablePredictor, compiler: Compiler) -> list[Timed]:
     """Time the exported C: mean and variance, these with the Jacobian, and mean and Jacobian alone."""
     s = stream.trained
     graph = build_nominal(SingleTrack(s.vehicle), s.features)
@@ -236,15 +236,15 @@ def exported(name: str, real: str, stream: Stream, table: TablePredictor, compil
             measured += percentiles([1e-9 * float(t) for t in text[::2][len(stream.queries) :]])
         sizes = section_bytes(compiled) or (0, 0)
     size, title = len(stream.z), f"{name} (C, {real})"
-    whole = Row(title, size, s.size, None, None, None, *measured[:4],
+    whole = Timed(title, size, s.size, None, None, None, *measured[:4],
                 megabytes=source.table_bytes / 1e6, code_kb=sizes[0] / 1e3, compile_s=seconds)  # fmt: skip
-    return [whole, Row(f"{title}, without variance", size, s.size, None, None, None, None, None, *measured[4:])]
+    return [whole, Timed(f"{title}, without variance", size, s.size, None, None, None, None, None, *measured[4:])]
 
 
 # ---- rivals ----------------------------------------------------------------------------------------------------
 
 
-def scikit_learn(stream: Stream, full: np.ndarray) -> Row | None:
+def scikit_learn(stream: Samples, full: np.ndarray) -> Timed | None:
     """Time scikit-learn's exact process, one an output."""
     try:
         from sklearn.gaussian_process import GaussianProcessRegressor
@@ -265,10 +265,10 @@ def scikit_learn(stream: Stream, full: np.ndarray) -> Row | None:
 
     query = each(predict, [z[None] for z in stream.queries[:SLOW_QUERIES]])
     found = accuracy(*predict(stream.queries), stream, full, ours=False)
-    return Row("scikit-learn, exact", len(stream.z), len(z), build, None, None, *query, **found)
+    return Timed("scikit-learn, exact", len(stream.z), len(z), build, None, None, *query, **found)
 
 
-def casadi_full(stream: Stream, compiler: Compiler) -> Row:
+def casadi_full(stream: Samples, compiler: Compiler) -> Timed:
     """Time the mean of the full process as C that CasADi writes, with its Jacobian."""
     import casadi
 
@@ -304,19 +304,19 @@ def casadi_full(stream: Stream, compiler: Compiler) -> Row:
         times = each(call, list(stream.queries))
         size = (Path(scratch) / "full.c").stat().st_size / 1e6
     name = "full GP, CasADi's C, mean and Jacobian"
-    return Row(name, len(stream.z), s.size, None, None, None, None, None, *times, megabytes=size, compile_s=seconds)
+    return Timed(name, len(stream.z), s.size, None, None, None, None, None, *times, megabytes=size, compile_s=seconds)
 
 
 def measure(
-    stream: Stream, repeats: int, compiler: Compiler | None, log_gp: Path | None = None, sky_gp: Path | None = None
-) -> list[Row]:
+    stream: Samples, repeats: int, compiler: Compiler | None, log_gp: Path | None = None, sky_gp: Path | None = None
+) -> list[Timed]:
     """Return the rows of one stream; every contestant `repeats` times, the median taken of each figure."""
     size, dense = len(stream.z), stream.trained.size <= 6000
     full = make_predictor("full", stream.trained).mean(stream.queries) if dense else None
     begin = time.perf_counter()
     table = TablePredictor(stream.trained)
     build = time.perf_counter() - begin
-    rows: list[list[Row]] = []
+    rows: list[list[Timed]] = []
     for _ in range(repeats):
         found = [our_update(stream), offered(stream), online_update(stream), projected(stream, full)]
         if size <= 5000:
@@ -328,7 +328,7 @@ def measure(
         asked = table.predict(stream.queries)
         singles = [q[None] for q in stream.queries]
         times = (*each(table.predict, singles), *each(table.jacobian, singles))
-        found.append(Row("table (Python)", size, stream.trained.size, build, None, None, *times,
+        found.append(Timed("table (Python)", size, stream.trained.size, build, None, None, *times,
                          **accuracy(asked.mean, asked.variance, stream, full),
                          megabytes=table.nbytes / 1e6))  # fmt: skip
         if compiler is not None:
@@ -347,14 +347,14 @@ def measure(
     return [_median(list(same)) for same in zip(*rows, strict=True)]
 
 
-def measure_streaming(stream: Stream, log_gp: Path | None, sky_gp: Path | None) -> list[Row]:
+def measure_streaming(stream: Samples, log_gp: Path | None, sky_gp: Path | None) -> list[Timed]:
     """Return rows of the contestants that learn sample by sample, once each, at any size."""
     rows = [our_update(stream), offered(stream), online_update(stream), projected(stream, None)]
     rows += [] if log_gp is None else log_gp_rows(log_gp, stream, None)
     return rows + ([] if sky_gp is None else sky_gp_rows(sky_gp, stream, None))
 
 
-def measure_table(stream: Stream, repeats: int, compiler: Compiler) -> list[Row]:
+def measure_table(stream: Samples, repeats: int, compiler: Compiler) -> list[Timed]:
     """Return the rows of the table in C at any size, medians of `repeats`."""
     table = TablePredictor(stream.trained)
     found = [
@@ -364,12 +364,12 @@ def measure_table(stream: Stream, repeats: int, compiler: Compiler) -> list[Row]
     return [_median(list(same)) for same in zip(*found, strict=True)]
 
 
-def _median(rows: list[Row]) -> Row:
+def _median(rows: list[Timed]) -> Timed:
     def of(name: str) -> object:
         values = [getattr(row, name) for row in rows]
         return values[0] if not isinstance(values[0], float) else float(np.median(values))
 
-    typical = Row(**{name: of(name) for name in asdict(rows[0])})
+    typical = Timed(**{name: of(name) for name in asdict(rows[0])})
     medians = ("update_p50", "query_p50", "jacobian_p50")
     times = [[getattr(row, name) for row in rows] for name in medians if getattr(typical, name)]
     return replace(typical, spread=max((max(t) - min(t)) / np.median(t) for t in times) if times else None)
@@ -387,7 +387,7 @@ def machine() -> dict:
             "python": platform.python_version(), "numpy": np.__version__}  # fmt: skip
 
 
-def table_text(rows: list[Row]) -> str:
+def table_text(rows: list[Timed]) -> str:
     """Return the rows as a Markdown table; ratios are to the plain committee in C of the same size."""
 
     def cell(value: object) -> str:
@@ -448,7 +448,7 @@ def main(
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     compiler = find_compiler()
-    rows: list[Row] = []
+    rows: list[Timed] = []
     if (recording is None) != (vehicle is None):
         raise click.UsageError("--drive and --vehicle need each other")
     if recording is not None:

@@ -7,10 +7,10 @@ import time
 import click
 import numpy as np
 
-from tests.benchmarks.rival_stream import SLOW_QUERIES, Row, Stream, accuracy, percentiles, spent
+from tests.benchmarks.rival_stream import SLOW_QUERIES, Samples, Timed, accuracy, percentiles, spent
 
 
-def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) -> list[Row]:
+def gpytorch_rows(stream: Samples, full: np.ndarray | None, alone: bool = False) -> list[Timed]:
     """Time GPyTorch's exact process: cached, and each query after an update; nothing where it is not installed.
 
     The three outputs are one batch or, `alone`, one after the other, which takes a third of the memory; times are
@@ -69,7 +69,7 @@ def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) 
     how = ", one output after the other" if alone else ""
     size, count = len(stream.z), len(points)
     return [
-        Row(
+        Timed(
             f"GPyTorch, exact{how}",
             size,
             count,
@@ -80,5 +80,5 @@ def gpytorch_rows(stream: Stream, full: np.ndarray | None, alone: bool = False) 
             **accuracy(mean, variance, stream, full, ours=False),
             megabytes=peak,
         ),
-        Row(f"GPyTorch, update then predict{how}", size, count, None, None, None, *percentiles(list(anew))),
+        Timed(f"GPyTorch, update then predict{how}", size, count, None, None, None, *percentiles(list(anew))),
     ]

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
-class Case:
+class TabledDrive:
     """One recording: how it is ingested, and with which vehicle it is judged."""
 
     title: str
@@ -28,31 +28,31 @@ _MESSAGES = ("--map", "split_sim")
 _FROM_ACCELERATION = ("--derive", "torque-from-acceleration")
 
 CASES = (
-    Case("Road car, two laps at 70 % of the grip", "road_handling_moderate.mcap", "road_car.yaml", _MESSAGES),
-    Case("Road car, two laps at 85 % of the grip", "road_handling_aggressive.mcap", "road_car.yaml", _MESSAGES),
-    Case(
+    TabledDrive("Road car, two laps at 70 % of the grip", "road_handling_moderate.mcap", "road_car.yaml", _MESSAGES),
+    TabledDrive("Road car, two laps at 85 % of the grip", "road_handling_aggressive.mcap", "road_car.yaml", _MESSAGES),
+    TabledDrive(
         "Road car, one lap of the small course",
         "road_small_workshop.csv",
         "road_car.yaml",
         ("--map", "split_sim_table"),
     ),
-    Case("1:10 car, three laps", "f1tenth_laps.mcap", "f1tenth_car.yaml", _MESSAGES),
-    Case(
+    TabledDrive("1:10 car, three laps", "f1tenth_laps.mcap", "f1tenth_car.yaml", _MESSAGES),
+    TabledDrive(
         "Hyundai Genesis, real, gentle",
         "genesis_slow/cpg_slow_lap.mat",
         "genesis",
         ("--map", "genesis_slow", *_FROM_ACCELERATION),
         True,
     ),
-    Case(
+    TabledDrive(
         "Indy AV-21, real, banked oval",
         "av21_lvms/LVMS_23_01_04_B.csv",
         "av21",
         ("--map", "av21_lvms", "--estimate-delays", *_FROM_ACCELERATION),
         True,
     ),
-    Case("TUM double track, run", "tum_sim/data_to_run.csv", "tum_sim", ("--map", "tum_sim"), True),
-    Case("TUM double track, train", "tum_sim/data_to_train_12.csv", "tum_sim", ("--map", "tum_sim"), True),
+    TabledDrive("TUM double track, run", "tum_sim/data_to_run.csv", "tum_sim", ("--map", "tum_sim"), True),
+    TabledDrive("TUM double track, train", "tum_sim/data_to_train_12.csv", "tum_sim", ("--map", "tum_sim"), True),
 )
 
 
@@ -65,7 +65,7 @@ def main() -> None:
                 print(section(case, Path(folder), datasets), flush=True)
 
 
-def section(case: Case, folder: Path, datasets: Path | None) -> str:
+def section(case: TabledDrive, folder: Path, datasets: Path | None) -> str:
     """Run one case and return its section."""
     base = datasets if case.foreign else ROOT / "sample_logs"
     shown = "DATASETS" if case.foreign else "sample_logs"

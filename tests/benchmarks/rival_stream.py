@@ -28,7 +28,7 @@ SLOW_QUERIES = 40
 
 
 @dataclass(frozen=True)
-class Row:
+class Timed:
     """What one contestant did at one size; times in microseconds, None where it has no such thing.
 
     `spread` is the range of a median over repeats, as a share of it, where that is largest.
@@ -89,7 +89,7 @@ class RivalKernel:
 
 
 @dataclass(frozen=True)
-class Stream:
+class Samples:
     """Samples in order and what is asked afterwards.
 
     Errors are divided by `scale`. `noise` is the variance of what is asked beyond the process: that of labels
@@ -107,7 +107,7 @@ class Stream:
     noise: tuple[np.ndarray, np.ndarray]  # of our kernel and of the rivals'
 
 
-def stream_of(size: int, length_scale: float, tuned: bool = False) -> Stream:
+def stream_of(size: int, length_scale: float, tuned: bool = False) -> Samples:
     """Return `size` samples, the set SPLIT keeps of them, and queries with the truth.
 
     Where they are `tuned`, ours and the others fit their own hyperparameters, and exact processes get all samples.
@@ -129,10 +129,10 @@ def stream_of(size: int, length_scale: float, tuned: bool = False) -> Stream:
     rivals = RivalKernel.fitted(z, y, kernel) if tuned else RivalKernel.of(kernel)
     points, nothing = (z, y) if tuned else (trained.z, trained.y), np.zeros(3)
     scale = np.sqrt(np.mean(truth**2, axis=0))
-    return Stream(z, y, queries, smooth_residual(queries), trained, rivals, points, scale, (nothing, nothing))
+    return Samples(z, y, queries, smooth_residual(queries), trained, rivals, points, scale, (nothing, nothing))
 
 
-def recorded_stream(recording: Path, vehicle: Vehicle) -> Stream:
+def recorded_stream(recording: Path, vehicle: Vehicle) -> Samples:
     """Return the labels of a drive's training blocks in order; asked are the labels of its held-out blocks.
 
     Ours has the kernel that `split train` fits, the others their own. Errors are relative to the nominal model's.
@@ -148,7 +148,7 @@ def recorded_stream(recording: Path, vehicle: Vehicle) -> Stream:
     rivals = RivalKernel.fitted(known.z, known.y, trained.kernel)
     scale = np.sqrt(np.mean(tested.y**2, axis=0))
     noise = (trained.kernel.noise_variance, rivals.noise_variance)
-    return Stream(known.z, known.y, tested.z, tested.y, trained, rivals, (known.z, known.y), scale, noise)
+    return Samples(known.z, known.y, tested.z, tested.y, trained, rivals, (known.z, known.y), scale, noise)
 
 
 def percentiles(times: list[float]) -> tuple[float, float]:
@@ -179,7 +179,7 @@ def each(call: Callable, items: list) -> tuple[float, float]:
 
 
 def accuracy(
-    mean: np.ndarray, variance: np.ndarray, stream: Stream, full: np.ndarray | None, ours: bool = True
+    mean: np.ndarray, variance: np.ndarray, stream: Samples, full: np.ndarray | None, ours: bool = True
 ) -> dict:
     """Return error, density and coverage against the truth, and against the full GP."""
     count = len(mean)

@@ -14,7 +14,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from tests.benchmarks.rival_stream import SLOW_QUERIES, Row, Stream, accuracy, each, percentiles, spent
+from tests.benchmarks.rival_stream import SLOW_QUERIES, Samples, Timed, accuracy, each, percentiles, spent
 
 #: Points a local process holds: the papers' 50 and 100.
 POINTS = (50, 100)
@@ -22,7 +22,7 @@ POINTS = (50, 100)
 SKY_SETTINGS = ((50, 4, None), (100, 2, None), (50, 2, 4))
 
 
-def log_gp_rows(folder: Path, stream: Stream, full: np.ndarray | None) -> list[Row]:
+def log_gp_rows(folder: Path, stream: Samples, full: np.ndarray | None) -> list[Timed]:
     """Return a row for each leaf size of LoG-GP; its authors' Python answers with the mean alone."""
     made = _loaded(folder / "LoGGP.py", "LoGGP")
     if made is None:
@@ -39,12 +39,12 @@ def log_gp_rows(folder: Path, stream: Stream, full: np.ndarray | None) -> list[R
         # Without a variance there is neither density nor coverage.
         found = accuracy(mean, np.ones_like(mean), stream, full) | {"nlpd": None, "coverage_95": None}
         rows.append(
-            Row(f"LoG-GP, {points} points a leaf, mean only", len(stream.z), None, None, *update, *query, **found)
+            Timed(f"LoG-GP, {points} points a leaf, mean only", len(stream.z), None, None, *update, *query, **found)
         )
     return rows
 
 
-def sky_gp_rows(folder: Path, stream: Stream, full: np.ndarray | None) -> list[Row]:
+def sky_gp_rows(folder: Path, stream: Samples, full: np.ndarray | None) -> list[Timed]:
     """Return a row for each setting of SkyGP-BCM, one model an output as its update is written for one.
 
     It is asked about a sample before it is offered it, as its authors use it: the update reuses what the
@@ -102,7 +102,7 @@ def sky_gp_rows(folder: Path, stream: Stream, full: np.ndarray | None) -> list[R
         found = accuracy(*(np.stack(part) for part in zip(*answers, strict=True)), stream, full, ours=False)
         where = "of all" if looked_at is None else f"of {looked_at} beside the last"
         name = f"SkyGP-BCM, {points} points an expert, nearest {nearest} {where}"
-        rows.append(Row(name, len(stream.z), None, None, *update, *query, **found))
+        rows.append(Timed(name, len(stream.z), None, None, *update, *query, **found))
     return rows
 
 

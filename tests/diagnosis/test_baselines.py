@@ -41,25 +41,10 @@ def commanded(drive: Drive, gain: float) -> Drive:
 
 #: Of every family one or two, so that a search is short; those that could stand for a steering are all there.
 TERMS = frozenset(
-    [
-        "steer_gain",
-        "steer_offset",
-        "steer_delay",
-        "steer_lag",
-        "drive_gain",
-        "mass",
-        "yaw_inertia",
-        "cg_shift",
-        "aero_drag",
-        "tire_stiffness",
-        "friction_scale",
-        "load_transfer",
-        "yaw_rate_scale",
-        "speed_scale",
-        "sensor_lever_arm",
-        "sensor_misalignment",
-        "road_bank",
-    ]
+    """
+    steer_gain steer_offset steer_delay steer_lag drive_gain mass yaw_inertia cg_shift aero_drag tire_stiffness
+    friction_scale load_transfer yaw_rate_scale speed_scale sensor_lever_arm sensor_misalignment road_bank
+    """.split()
 )
 
 

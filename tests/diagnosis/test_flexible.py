@@ -8,7 +8,7 @@ import pytest
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.recording.series import build_series
-from split_cli.diagnosis.remainder.flexible import flexible_rows, left_out
+from split_cli.diagnosis.remainder.flexible import flexible_rows, states_between
 from split_cli.diagnosis.remainder.structure import build_structure
 from split_cli.logs.drive import Drive
 from split_cli.proof.sets import scripted_drive
@@ -23,15 +23,15 @@ def test_a_cubic_is_told_to_the_last_digit(nominal_series):
     t = nominal_series.t[:, None] / nominal_series.t[-1]
     cubic = np.hstack([1.0 + t, t**2 - t, 0.3 - t**3])
     series = replace(nominal_series, measured=cubic, smooth=cubic + 1.0)
-    assert left_out(series) == pytest.approx(cubic, abs=1e-9)
+    assert states_between(series) == pytest.approx(cubic, abs=1e-9)
 
 
 def test_what_a_row_measures_tells_nothing_of_its_states(nominal_series):
     """Five samples of one row moved: the states at all of them stay, those beyond move."""
     begin = nominal_series.recording.segments[1][0] + 20 * ROW
-    before, measured = left_out(nominal_series), nominal_series.measured.copy()
+    before, measured = states_between(nominal_series), nominal_series.measured.copy()
     measured[begin : begin + ROW + 1] += 1.0
-    after = left_out(replace(nominal_series, measured=measured))
+    after = states_between(replace(nominal_series, measured=measured))
     assert np.array_equal(after[begin : begin + ROW + 1], before[begin : begin + ROW + 1])
     assert np.abs(after - before).max() > 0.1
 

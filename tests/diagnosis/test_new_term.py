@@ -7,6 +7,7 @@ import pytest
 from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.statement.separation import separation
 from split_cli.vehicle import effects
+from split_cli.workflows.report.headline import finding_headline
 from tests.diagnosis.recordings import driven, noisy
 from tests.factories import road_car
 
@@ -26,6 +27,7 @@ class TorqueSteer(Term):
     """Torque turns the front wheels: delta + angle T/T_max."""
 
     id = "torque_steer"
+    titles: ClassVar = {"": "Torque steers"}
     units: ClassVar = {"angle": "rad"}
     neutral: ClassVar = {"angle": 0.0}
     family = "steering"
@@ -74,5 +76,6 @@ def test_a_new_file_is_diagnosed_and_said_in_its_own_words(toy):
     low, high = finding.parameters["angle"].interval_95
     assert low <= 0.02 <= high and high - low < 0.01
     assert finding.sentence.startswith("In reality full torque turns the front wheels by 0.0")
+    assert finding_headline(finding).startswith("Torque steers: ")
     assert "torque_steer" in {one.term for one in said.detectable}
     assert separation("torque_steer", "", "steer_offset").hint == "turns with and without torque"

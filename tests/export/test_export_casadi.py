@@ -11,7 +11,7 @@ from split_cli.export.casadi_function import (
     CasadiFunctions,
     check_casadi,
     check_hessian,
-    committee,
+    committee_function,
     generate_c,
     model_step,
 )
@@ -27,7 +27,7 @@ from tests.export.export_support import build_acados_caller, oracle_of, take_cel
 
 def functions_of(training_set):
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
-    predict = committee(build_tables(training_set), "car")
+    predict = committee_function(build_tables(training_set), "car")
     return graph, CasadiFunctions(predict, model_step(predict, graph, "car_step", training_set.plain))
 
 

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from split_cli.cli.export import command as export_command
 from split_cli.cli.train import command as train_command
-from split_cli.export.casadi_function import committee, model_step
+from split_cli.export.casadi_function import committee_function, model_step
 from split_cli.export.compiler import STRICT_FLAGS
 from split_cli.export.symbolic import build_nominal
 from split_cli.export.tables import build_tables
@@ -129,7 +129,7 @@ def test_an_export_with_memory_verifies_and_a_forged_step_does_not(corrected):
     training_set = read_set(folder / "car.split")
     slower = replace(training_set.vehicle, effects=(EffectSpec("steer_lag", {"tau": 0.1001}),))
     graph = build_nominal(SingleTrack(slower), training_set.features)
-    forged = model_step(committee(build_tables(training_set), "car"), graph, "car_step")
+    forged = model_step(committee_function(build_tables(training_set), "car"), graph, "car_step")
     forged.save(str(out / "car_step.casadi"))
     manifest["files"]["car_step.casadi"] = sha256_of_file(out / "car_step.casadi")
     (out / "manifest.json").write_text(json.dumps(manifest))

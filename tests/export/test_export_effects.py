@@ -10,7 +10,7 @@ import pytest
 
 from split_cli.errors import ExportError
 from split_cli.export.c_check import check_c
-from split_cli.export.casadi_function import CasadiFunctions, committee, generate_c, model_step
+from split_cli.export.casadi_function import CasadiFunctions, committee_function, generate_c, model_step
 from split_cli.export.casadi_step import memory_functions
 from split_cli.export.compiler import STRICT_FLAGS
 from split_cli.export.documents import document_of, read_json, require_equal, schema_text, write_json
@@ -98,7 +98,7 @@ def test_casadi_and_c_drive_alike(exported, name):
     case = exported[name]
     x, commands, t, s = manoeuvre()
     path = case.drive(x, commands, t, s)
-    predict = committee(build_tables(case.training_set), "car")
+    predict = committee_function(build_tables(case.training_set), "car")
     step = model_step(predict, case.graph, "car_step")
     now = path[0]
     if case.memory is not None:
@@ -188,7 +188,7 @@ def test_another_interval_than_that_of_the_past_commands_is_refused(exported):
     for interval, finite in ((STEP, True), (STEP * 1.0005, True), (0.04, False), (0.06, False), (np.nan, False)):
         case.call("step", now, np.zeros(2), float(interval), following)
         assert np.isfinite(following).all() == finite
-        step = model_step(committee(build_tables(case.training_set), "car"), case.graph, "car_step")
+        step = model_step(committee_function(build_tables(case.training_set), "car"), case.graph, "car_step")
         assert np.isfinite(np.asarray(step(now, np.zeros(2), interval))).all() == finite
 
 
@@ -414,7 +414,7 @@ int main(void)
 
 def test_acados_gets_the_memory_as_states_and_time_and_place_as_parameters(exported, compiler, tmp_path):
     case = exported["friction_patch+steer_lag"]
-    predict = committee(build_tables(case.training_set), "car")
+    predict = committee_function(build_tables(case.training_set), "car")
     step = model_step(predict, case.graph, "car_step")
     generate_c(CasadiFunctions(predict, step), "car", tmp_path)
     (tmp_path / "car_acados.c").write_text(acados_source("car", case.graph, STEP))

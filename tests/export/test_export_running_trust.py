@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from split_cli.export.c99 import c_source
-from split_cli.export.casadi_function import committee, model_step
+from split_cli.export.casadi_function import committee_function, model_step
 from split_cli.export.casadi_step import casadi_substeps
 from split_cli.export.casadi_trust import TRUST_SIZE, trust_functions
 from split_cli.export.compiler import STRICT_FLAGS
@@ -50,7 +50,7 @@ def stepped(car: Exported, x: np.ndarray, u: np.ndarray, share: np.ndarray) -> n
 
 
 def test_c_and_casadi_have_the_trust_of_python_and_find_a_planted_share(exported):
-    predict = committee(build_tables(exported.training_set), "car")
+    predict = committee_function(build_tables(exported.training_set), "car")
     trusted, observe = trust_functions(predict, exported.graph, "car", plain=False)
     in_casadi = np.concatenate([np.ones(3), np.zeros(TRUST_SIZE - 3)])
     planted = np.array([0.2, 0.3, 0.8])  # all of the correction makes v_x worse than none of it
@@ -95,7 +95,7 @@ def test_what_is_not_finite_begins_the_errors_anew(exported):
     np.testing.assert_array_equal(trust[:3], share)
     np.testing.assert_array_equal(trust[15:], products)
     assert not trust[3:15].any()
-    predict = committee(build_tables(exported.training_set), "car")
+    predict = committee_function(build_tables(exported.training_set), "car")
     _, observe = trust_functions(predict, exported.graph, "car", plain=False)
     given = np.arange(63.0) / 100.0
     np.testing.assert_array_equal(np.asarray(observe(x, u, STEP, np.full(exported.size, np.nan), given)).ravel(), trust)

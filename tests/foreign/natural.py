@@ -142,7 +142,7 @@ def autorally_drive(datasets: Path, number: int, folder: Path) -> Drive:
 
 
 @dataclass(frozen=True)
-class Experiment:
+class NaturalExperiment:
     """One pair, or one recording against the nominal model.
 
     Attributes
@@ -169,64 +169,64 @@ def _halves(name: str) -> Callable[[Path, Path], tuple[Drive, Drive]]:
 
 RUBBER, TAPE, SLIPPERY = "rubber_steer03_ramp", "tape_tiles_steer03_ramp", "slippery_2025-04-16-17-36-01"
 EXPERIMENTS = {
-    "tape-nominal": Experiment(
+    "tape-nominal": NaturalExperiment(
         "grip of tape over that of rubber, to which the nominal model is fitted: 0.43",
         lambda datasets, folder: (dart_drive(datasets, TAPE, folder), None),
         DART_CAR,
     ),
-    "tape-angles": Experiment(
+    "tape-angles": NaturalExperiment(
         "the same with the tracked axis and the steer angle corrected by what rubber and tape have at a crawl",
         lambda datasets, folder: (tape_with_angles_of_rubber(datasets, folder), None),
         DART_CAR,
     ),
-    "tape-rubber": Experiment(
+    "tape-rubber": NaturalExperiment(
         "the same with the drive on rubber as simulation: 0.43 of the peak, 0.5 to 0.6 at equal slips",
         lambda datasets, folder: (dart_drive(datasets, TAPE, folder), dart_drive(datasets, RUBBER, folder)),
         DART_CAR,
     ),
-    "rubber-tape": Experiment(
+    "rubber-tape": NaturalExperiment(
         "the same the other way: tape is the simulation, grip of rubber over that of tape is 2.3",
         lambda datasets, folder: (dart_drive(datasets, RUBBER, folder), dart_drive(datasets, TAPE, folder)),
         DART_CAR,
     ),
-    "slippery-nominal": Experiment(
+    "slippery-nominal": NaturalExperiment(
         "a third floor, pose at 20 Hz; lateral acceleration ends at 4.0 m/s^2, on rubber at 7.7: grip about 0.5",
         lambda datasets, folder: (dart_drive(datasets, SLIPPERY, folder), None),
         DART_CAR,
     ),
-    "autorally-nominal": Experiment(
+    "autorally-nominal": NaturalExperiment(
         "drift on dirt: sideslip to 50 degrees, steering 0.2 s late, yaw rate 4 % below the turn of yaw",
         lambda datasets, folder: (autorally_drive(datasets, 6, folder), None),
         AUTORALLY_CAR,
     ),
-    "autorally-runs": Experiment(
+    "autorally-runs": NaturalExperiment(
         "nothing: two runs of one car on one track",
         lambda datasets, folder: (autorally_drive(datasets, 5, folder), autorally_drive(datasets, 6, folder)),
         AUTORALLY_CAR,
     ),
-    "rubber-halves": Experiment("nothing: one floor, one car", _halves(RUBBER), DART_CAR),
-    "tape-halves": Experiment("nothing: one floor, one car", _halves(TAPE), DART_CAR),
-    "free-nominal": Experiment(
+    "rubber-halves": NaturalExperiment("nothing: one floor, one car", _halves(RUBBER), DART_CAR),
+    "tape-halves": NaturalExperiment("nothing: one floor, one car", _halves(TAPE), DART_CAR),
+    "free-nominal": NaturalExperiment(
         "steering 40 to 100 ms late (commands of 10 Hz, servo); to the right a third more angle than the map says",
         lambda datasets, folder: (dart_drive(datasets, "free_driving", folder), None),
         DART_CAR,
     ),
-    "kth-yaw-rate": Experiment(
+    "kth-yaw-rate": NaturalExperiment(
         "the same slalom twice: the yaw rate of the CAN bus is some 40 ms later than the IMU's",
         lambda datasets, folder: (kth_drive(datasets, "038", folder), kth_drive(datasets, "038", folder, "imu")),
         KTH_CAR,
     ),
-    "kth-nominal": Experiment(
+    "kth-nominal": NaturalExperiment(
         "a brochure's car: steering ratio within some 10 %, yaw rate of the CAN bus 40 ms late",
         lambda datasets, folder: (kth_drive(datasets, "038", folder), None),
         KTH_CAR,
     ),
-    "kth-antennas": Experiment(
+    "kth-antennas": NaturalExperiment(
         "the same with position and heading of two antennas, after which the yaw rate comes 50 ms late",
         lambda datasets, folder: (kth_drive(datasets, "038", folder, "antennas"), None),
         KTH_CAR,
     ),
-    "free-halves": Experiment("nothing: one floor, one car", _halves("free_driving"), DART_CAR),
+    "free-halves": NaturalExperiment("nothing: one floor, one car", _halves("free_driving"), DART_CAR),
 }
 
 

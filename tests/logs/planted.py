@@ -10,22 +10,11 @@ from split_cli.logs.assembling.derived_torque import torque_from_acceleration
 from split_cli.logs.map_entries import SignalMap
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.signal_map import map_from_mapping
+from split_cli.signals import CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 from tests.factories import road_car
 
-UNITS = {
-    "X": "m",
-    "Y": "m",
-    "yaw": "rad",
-    "vx": "m/s",
-    "vy": "m/s",
-    "r": "rad/s",
-    "T": "N m",
-    "delta": "rad",
-    "ax": "m/s^2",
-    "ay": "m/s^2",
-    "wheel_speed_fl": "m/s",
-}
+UNITS = {name: channel.unit for name, channel in CHANNELS.items() if name != "t"} | {"wheel_speed_fl": "m/s"}
 
 
 class PlantedDrive:

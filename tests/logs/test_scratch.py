@@ -193,7 +193,7 @@ def test_a_long_log_of_any_format_makes_the_same_drive(tmp_path, monkeypatch, ki
         "delta": 0.05 * np.sin(2 * t),
     }
     log, form = tmp_path / f"log.{kind}", kind.replace("outside", "ros2")
-    long_logs.write_log(form, log, long_logs.Lap(driven), 2000)
+    long_logs.write_log(form, log, long_logs.LoggedLap(driven), 2000)
     if kind == "outside.mcap":
         log.write_bytes(without_chunks(log.read_bytes()))
     given = long_logs.arguments_of(form, tmp_path)

@@ -1,7 +1,5 @@
 """Twenty header styles: every channel right, or left open with its reason, never wrong in silence."""
 
-# ruff: noqa: E501
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +31,7 @@ FACTORS = {
 
 
 @dataclass(frozen=True)
-class Style:
+class HeaderStyle:
     """A header style: the column's title, the channel and the unit its numbers are in; a sign where it is turned."""
 
     name: str
@@ -41,153 +39,58 @@ class Style:
     separator: str = ","
 
 
-STYLES = (
-    Style(
-        "SI with brackets",
-        (
-            ("time [s]", "t", "s"),
-            ("vx [m/s]", "vx", "m/s"),
-            ("vy [m/s]", "vy", "m/s"),
-            ("yaw rate [rad/s]", "r", "rad/s"),
-            ("steering angle [rad]", "delta", "rad"),
-            ("torque [Nm]", "T", "N m"),
-        ),
-    ),
-    Style(
-        "suffixes, mixed units",
-        (
-            ("Time_ms", "t", "ms"),
-            ("speed_kph", "vx", "km/h"),
-            ("lat_vel_mps", "vy", "m/s"),
-            ("yaw_rate_dps", "r", "deg/s"),
-            ("road_wheel_angle_deg", "delta", "deg"),
-            ("wheel_torque_Nm", "T", "N m"),
-            ("accel_x_g", "ax", "g"),
-            ("accel_y_g", "ay", "g"),
-            ("heading_deg", "yaw", "deg"),
-            ("east_m", "X", "m"),
-            ("north_m", "Y", "m"),
-        ),
-    ),
-    Style(
-        "camel case without units",
-        (
-            ("timestamp", "t", "s"),
-            ("longitudinalVelocity", "vx", "km/h"),
-            ("lateralVelocity", "vy", "km/h"),
-            ("yawRate", "r", "deg/s"),
-            ("posX", "X", "m"),
-            ("posY", "Y", "m"),
-            ("yaw", "yaw", "rad"),
-            ("accelX", "ax", "g"),
-            ("accelY", "ay", "g"),
-        ),
-    ),
-    Style(
-        "no units, SI",
-        (
-            ("t", "t", "s"),
-            ("x", "X", "m"),
-            ("y", "Y", "m"),
-            ("psi", "yaw", "rad"),
-            ("vx", "vx", "m/s"),
-            ("vy", "vy", "m/s"),
-            ("omega", "r", "rad/s"),
-            ("ax", "ax", "m/s^2"),
-            ("ay", "ay", "m/s^2"),
-            ("delta", "delta", "rad"),
-        ),
-    ),
-    Style(
-        "right-handed down, no units",
-        (
-            ("time", "t", "s"),
-            ("x", "X", "m"),
-            ("y", "Y", "m"),
-            ("yaw", "yaw", "rad"),
-            ("u", "vx", "m/s"),
-            ("v_y", "vy", "m/s", -1.0),
-            ("yaw_rate", "r", "rad/s", -1.0),
-            ("a_y", "ay", "m/s^2", -1.0),
-            ("delta_f", "delta", "rad", -1.0),
-        ),
-    ),
-    Style(
-        "Bosch-like CAN names",
-        (
-            ("Time", "t", "s"),
-            ("ESP_VehicleSpeed [km/h]", "vx", "km/h"),
-            ("YawRate1 [deg/s]", "r", "deg/s"),
-            ("LatAcc [m/s^2]", "ay", "m/s^2"),
-            ("LongAcc [m/s^2]", "ax", "m/s^2"),
-            ("SteeringWheelAngle [deg]", "steering_wheel_angle", "deg"),
-            ("WheelSpeedFL [km/h]", "wheel_speed_fl", "km/h"),
-        ),
-    ),
-    Style(
-        "ISO 8855 words",
-        (
-            ("Time (s)", "t", "s"),
-            ("Longitudinal velocity (m/s)", "vx", "m/s"),
-            ("Lateral velocity (m/s)", "vy", "m/s"),
-            ("Yaw velocity (rad/s)", "r", "rad/s"),
-            ("Longitudinal acceleration (m/s2)", "ax", "m/s^2"),
-            ("Lateral acceleration (m/s2)", "ay", "m/s^2"),
-            ("Yaw angle (rad)", "yaw", "rad"),
-        ),
-    ),
-    Style(
-        "simulator state log",
-        (
-            ("time_ns", "t", "ns"),
-            ("pose.x", "X", "m"),
-            ("pose.y", "Y", "m"),
-            ("pose.yaw", "yaw", "rad"),
-            ("twist.vx", "vx", "m/s"),
-            ("twist.vy", "vy", "m/s"),
-            ("twist.yaw_rate", "r", "rad/s"),
-            ("input.delta", "delta", "rad"),
-        ),
-    ),
-    Style(
-        "German decimal commas, semicolons",
-        (
-            ("Zeit;t", "t", "s"),
-            ("vx_kmh", "vx", "km/h"),
-            ("vy_kmh", "vy", "km/h"),
-            ("psip_degps", "r", "deg/s"),
-            ("ay_g", "ay", "g"),
-            ("ax_g", "ax", "g"),
-        ),
-        ";",
-    ),
-    Style(
-        "American",
-        (
-            ("Time", "t", "s"),
-            ("GPS Speed (mph)", "vx", "mph"),
-            ("Gyro Z (deg/s)", "r", "deg/s"),
-            ("Lat Accel (g)", "ay", "g"),
-            ("Long Accel (g)", "ax", "g"),
-            ("Pos X (ft)", "X", "ft"),
-            ("Pos Y (ft)", "Y", "ft"),
-        ),
-    ),
-    Style(
-        "OxTS-like",
-        (
-            ("Time", "t", "s"),
-            ("VelForward (m/s)", "vx", "m/s"),
-            ("VelLateral (m/s)", "vy", "m/s"),
-            ("AngRateZ (deg/s)", "r", "deg/s"),
-            ("AccelX (m/s2)", "ax", "m/s^2"),
-            ("AccelY (m/s2)", "ay", "m/s^2"),
-        ),
-    ),
-    Style(
-        "no column of time",
-        (("vx_mps", "vx", "m/s"), ("dpsi_radps", "r", "rad/s"), ("psi_rad", "yaw", "rad"), ("ay_mps2", "ay", "m/s^2")),
-    ),
+def _style(name: str, columns: str) -> HeaderStyle:
+    """Return a style of `title = channel unit` (and ` x factor`), parted by bars; with a semicolon, as in Germany."""
+    read = []
+    for column in columns.split("|"):
+        title, meaning = column.strip().split(" = ")
+        channel, unit = meaning.split(maxsplit=1)
+        unit, *factor = unit.split(" x ")
+        read.append((title, channel, unit, *map(float, factor)))
+    return HeaderStyle(name, tuple(read), ";" if ";" in columns else ",")
+
+
+STYLES = tuple(
+    _style(name, columns)
+    for name, columns in {
+        "SI with brackets": """
+            time [s] = t s | vx [m/s] = vx m/s | vy [m/s] = vy m/s | yaw rate [rad/s] = r rad/s |
+            steering angle [rad] = delta rad | torque [Nm] = T N m""",
+        "suffixes, mixed units": """
+            Time_ms = t ms | speed_kph = vx km/h | lat_vel_mps = vy m/s | yaw_rate_dps = r deg/s |
+            road_wheel_angle_deg = delta deg | wheel_torque_Nm = T N m | accel_x_g = ax g | accel_y_g = ay g |
+            heading_deg = yaw deg | east_m = X m | north_m = Y m""",
+        "camel case without units": """
+            timestamp = t s | longitudinalVelocity = vx km/h | lateralVelocity = vy km/h | yawRate = r deg/s |
+            posX = X m | posY = Y m | yaw = yaw rad | accelX = ax g | accelY = ay g""",
+        "no units, SI": """
+            t = t s | x = X m | y = Y m | psi = yaw rad | vx = vx m/s | vy = vy m/s | omega = r rad/s |
+            ax = ax m/s^2 | ay = ay m/s^2 | delta = delta rad""",
+        "right-handed down, no units": """
+            time = t s | x = X m | y = Y m | yaw = yaw rad | u = vx m/s | v_y = vy m/s x -1 |
+            yaw_rate = r rad/s x -1 | a_y = ay m/s^2 x -1 | delta_f = delta rad x -1""",
+        "Bosch-like CAN names": """
+            Time = t s | ESP_VehicleSpeed [km/h] = vx km/h | YawRate1 [deg/s] = r deg/s |
+            LatAcc [m/s^2] = ay m/s^2 | LongAcc [m/s^2] = ax m/s^2 |
+            SteeringWheelAngle [deg] = steering_wheel_angle deg | WheelSpeedFL [km/h] = wheel_speed_fl km/h""",
+        "ISO 8855 words": """
+            Time (s) = t s | Longitudinal velocity (m/s) = vx m/s | Lateral velocity (m/s) = vy m/s |
+            Yaw velocity (rad/s) = r rad/s | Longitudinal acceleration (m/s2) = ax m/s^2 |
+            Lateral acceleration (m/s2) = ay m/s^2 | Yaw angle (rad) = yaw rad""",
+        "simulator state log": """
+            time_ns = t ns | pose.x = X m | pose.y = Y m | pose.yaw = yaw rad | twist.vx = vx m/s |
+            twist.vy = vy m/s | twist.yaw_rate = r rad/s | input.delta = delta rad""",
+        "German decimal commas, semicolons": """
+            Zeit;t = t s | vx_kmh = vx km/h | vy_kmh = vy km/h | psip_degps = r deg/s | ay_g = ay g |
+            ax_g = ax g""",
+        "American": """
+            Time = t s | GPS Speed (mph) = vx mph | Gyro Z (deg/s) = r deg/s | Lat Accel (g) = ay g |
+            Long Accel (g) = ax g | Pos X (ft) = X ft | Pos Y (ft) = Y ft""",
+        "OxTS-like": """
+            Time = t s | VelForward (m/s) = vx m/s | VelLateral (m/s) = vy m/s | AngRateZ (deg/s) = r deg/s |
+            AccelX (m/s2) = ax m/s^2 | AccelY (m/s2) = ay m/s^2""",
+        "no column of time": "vx_mps = vx m/s | dpsi_radps = r rad/s | psi_rad = yaw rad | ay_mps2 = ay m/s^2",
+    }.items()
 )
 
 
@@ -205,7 +108,7 @@ def values_of(planted: PlantedDrive, time: np.ndarray, channel: str, unit: str, 
     return planted.at(channel, time) * factor
 
 
-def drafted(planted: PlantedDrive, style: Style, tmp_path) -> tuple[Draft, dict]:
+def drafted(planted: PlantedDrive, style: HeaderStyle, tmp_path) -> tuple[Draft, dict]:
     time = np.arange(0.0, 60.0, 0.02)
     truth, columns, titles = {}, [], []
     for title, channel, unit, *sign in style.columns:
@@ -299,16 +202,7 @@ def test_what_decides_in_foreign_recordings(datasets):
 def test_a_command_beside_a_pose_alone_is_compared_with_the_turning_of_the_path(planted, tmp_path):
     """Right-positive, in -1..1 and without a yaw rate: the draft says so, and with which scale it is an angle."""
     largest = np.max(np.abs(planted.at("delta", np.arange(0.0, 60.0, 0.02))))
-    style = Style(
-        "pose",
-        (
-            ("time", "t", "s"),
-            ("X", "X", "m"),
-            ("Y", "Y", "m"),
-            ("yaw", "yaw", "rad"),
-            ("steering", "delta", "rad", -1.0 / largest),
-        ),
-    )
+    style = _style("pose", f"time = t s | X = X m | Y = Y m | yaw = yaw rad | steering = delta rad x {-1.0 / largest}")
     draft, _ = drafted(planted, style, tmp_path)
     reason = next(s.reason for s in draft.suggestions if s.channel == "delta")
     size = float(reason.split("WHEELBASE/")[1].split("`")[0])
@@ -324,16 +218,8 @@ def test_elements_of_one_array_stand_as_one_name_among_what_is_not_used():
 
 def test_an_angle_that_a_user_asks_for_is_a_steering_command_and_no_radian(planted, tmp_path):
     """Donkeycar's `user/angle`: a share of the lock, though its size over curvature may be a wheelbase's."""
-    style = Style(
-        "donkey",
-        (
-            ("time", "t", "s"),
-            ("enc/speed", "vx", "m/s"),
-            ("imu/gyr_z", "r", "rad/s"),
-            ("user/angle", "delta", "rad", 2.0),
-            ("user/mode", "ay", "m/s^2"),
-        ),
-    )
+    columns = "time = t s | enc/speed = vx m/s | imu/gyr_z = r rad/s | user/angle = delta rad x 2"
+    style = _style("donkey", f"{columns} | user/mode = ay m/s^2")
     draft, _ = drafted(planted, style, tmp_path)
     steering = next(s for s in draft.suggestions if s.channel == "delta")
     assert steering.sources == ("user/angle",) and steering.status == "open"
@@ -343,16 +229,8 @@ def test_an_angle_that_a_user_asks_for_is_a_steering_command_and_no_radian(plant
 
 def test_next_steps_name_what_must_be_recorded(planted, tmp_path):
     """A sideslip gives v_y as soon as v_x is there."""
-    style = Style(
-        "no speed",
-        (
-            ("time", "t", "s"),
-            ("yaw_rate", "r", "rad/s"),
-            ("sideslip", "yaw", "rad"),
-            ("torque_cmd", "T", "N m"),
-            ("delta_cmd", "delta", "rad"),
-        ),
-    )
+    columns = "time = t s | yaw_rate = r rad/s | sideslip = yaw rad | torque_cmd = T N m | delta_cmd = delta rad"
+    style = _style("no speed", columns)
     drafted(planted, style, tmp_path)
     log = tmp_path / "log.csv"
     alone = init_project([log], tmp_path / "one").next_steps

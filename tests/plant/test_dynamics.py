@@ -20,7 +20,7 @@ WHEELS = slice(6, 10)
 def state_rate(car, state, torque, steer, around=None):
     """Return the rate of a state, and what follows from it there."""
     rate, out = np.empty(_compiled.STATE_SIZE), np.empty(_compiled.OUT_SIZE)
-    _compiled.derivative(state, torque, steer, (around or Surroundings()).vector(), as_numbers(car), rate, out)
+    _compiled.state_rate(state, torque, steer, (around or Surroundings()).vector(), as_numbers(car), rate, out)
     return rate, outputs_from(out)
 
 

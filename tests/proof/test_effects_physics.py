@@ -1,7 +1,7 @@
 """Each effect of the plant against a hand formula: what it changes within 10 ms, channel by channel.
 
 A car with the effect is driven; the same car without it is carried along and let free for 10 ms at a time
-(`replay.predict`). The difference over 10 ms is an acceleration, which is compared with the one that a formula
+(`replay.predict_windows`). The difference over 10 ms is an acceleration, which is compared with the one that a formula
 gives from the run's own states: forces of single wheels by `tire_force`, balances on paper. Response within the
 window (relaxation 27 mm, that is 1 to 2 ms, and yaw damping of some 1/0.1 s) takes up to a fifth of a lateral
 force, hence the tolerance on the slope; the shape must fit closely.
@@ -14,7 +14,7 @@ import pytest
 
 from split_cli.plant.cars import ROAD_CAR
 from split_cli.plant.drivers import DRIVER_STYLES
-from split_cli.plant.replay import predict, recorded_motion
+from split_cli.plant.replay import predict_windows, recorded_motion
 from split_cli.plant.simulation import commands_at
 from split_cli.plant.tire import tire_force
 from split_cli.proof.cars import bare
@@ -44,7 +44,7 @@ class Seen:
 
     def __init__(self, run, without: ProofWorld) -> None:
         steps = int(round(WINDOW / 2e-3))
-        predicted = predict(run, without.car, without.road, horizon=WINDOW)
+        predicted = predict_windows(run, without.car, without.road, horizon=WINDOW)
         count = len(predicted)
         ends = recorded_motion(run)[steps::steps, 3:6][:count]
         keep = slice(100, None)

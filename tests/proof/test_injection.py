@@ -10,7 +10,7 @@ from split_cli.logs.drive import Drive, DriveMetadata, write_drive
 from split_cli.proof.altered_car import ALTERATIONS
 from split_cli.proof.injection import FAULTS, faults_for, faults_of_sizes, inject, split_in_blocks, split_in_halves
 from split_cli.proof.outcome import Statement
-from split_cli.proof.windows import window_errors
+from split_cli.proof.windows import errors_of_terms
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.proving.prove_recording import prove_recording
 from tests.factories import one_run, road_car
@@ -50,7 +50,7 @@ def test_the_term_that_names_a_fault_undoes_it(name, drive):
     assert changed
 
     def errors(one, terms):
-        return window_errors({**one.columns, "s": one["t"] * 0.0}, VEHICLE, terms)
+        return errors_of_terms({**one.columns, "s": one["t"] * 0.0}, VEHICLE, terms)
 
     term = fault.built()
     clean, repaired, broken = errors(drive, ()), errors(faulty, [term]), errors(faulty, ())

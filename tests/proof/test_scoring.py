@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from split_cli.proof.cases import Answer, ConcealedEffect
-from split_cli.proof.outcome import Named, Statement, judge, rate_of, wilson
-from split_cli.proof.scoring import CaseScore, score_case, summarise
+from split_cli.proof.outcome import Named, Statement, judge, share_of_true, wilson
+from split_cli.proof.scoring import CaseScore, score_case, score_of_cases
 
 
 @pytest.mark.parametrize(("hits", "of"), [(0, 190), (7, 7), (3, 4), (50, 100), (1, 1000)])
@@ -18,7 +18,7 @@ def test_the_wilson_interval_solves_its_quadratic(hits, of):
 
 def test_no_false_alarm_in_190_nulls_allows_to_claim_two_per_cent():
     assert wilson(0, 190)[1] < 0.02 < wilson(0, 188)[1] + 1e-3
-    assert rate_of([]).share is None
+    assert share_of_true([]).share is None
 
 
 def said(*names, unexplained=False, **alternatives):
@@ -76,7 +76,7 @@ def test_coverage_counts_rightly_named_parameters_only():
         for i, s in enumerate((right, narrow, other))
     ]
     assert [s.covered for s in scores] == [(("mass.scale", True),), (("mass.scale", False),), ()]
-    score = summarise(scores)
+    score = score_of_cases(scores)
     assert (score.coverage.hits, score.coverage.of) == (1, 2)
     rates = dict(score.groups)["single realistic"]
     assert {name: rate.hits for name, rate in rates.items() if rate.hits} == {"exact": 2, "wrong": 1}
@@ -86,8 +86,8 @@ def test_coverage_counts_rightly_named_parameters_only():
 def test_targets_are_met_or_not_by_their_own_measure():
     nulls = [CaseScore(str(i), answer("null", ""), Statement("match"), "exact") for i in range(99)]
     alarm = CaseScore("99", answer("null", ""), said("wind"), "wrong")
-    met = {what: ok for what, _, _, ok in summarise([*nulls, alarm]).targets}
+    met = {what: ok for what, _, _, ok in score_of_cases([*nulls, alarm]).targets}
     assert met["nulls called a mismatch"] is True
     assert met["pairs, both right"] is None
-    met = {what: ok for what, _, _, ok in summarise([*nulls[:9], alarm]).targets}
+    met = {what: ok for what, _, _, ok in score_of_cases([*nulls[:9], alarm]).targets}
     assert met["nulls called a mismatch"] is False

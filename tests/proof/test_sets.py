@@ -8,8 +8,8 @@ import pytest
 from split_cli.proof import sets
 from split_cli.proof.outcome import Named, Statement
 from split_cli.proof.plan import CasePlan, plan_case
-from split_cli.proof.scoring import score_case, summarise
-from split_cli.proof.windows import window_errors
+from split_cli.proof.scoring import score_case, score_of_cases
+from split_cli.proof.windows import errors_of_terms
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import read_vehicle
@@ -35,8 +35,8 @@ def test_the_scripted_car_obeys_its_equations_with_the_terms_and_not_without():
     columns = {**columns, "s": np.zeros(len(columns["t"]))}
     clock = Recording.single(0.01, len(columns["t"]))
     true = terms[1].correct(columns, clock)
-    left = window_errors(true, car, terms[:1], held=HELD)
-    without = window_errors(true, car, (), held=HELD)
+    left = errors_of_terms(true, car, terms[:1], held=HELD)
+    without = errors_of_terms(true, car, (), held=HELD)
     assert np.abs(left).max() < 1e-5
     assert np.abs(without).max() > 1e3 * np.abs(left).max()
 
@@ -51,7 +51,7 @@ def test_a_set_is_scored_by_effects_by_strange_names_and_whole():
     def rates(*findings: Named) -> dict[str, float]:
         said = Statement("mismatch", findings)
         scored = score_case("1", case.answer, said, None, case.noise, case.vehicle)
-        return {what: rate.share for what, _, rate, _ in summarise([scored]).targets if what.startswith("sets")}
+        return {what: rate.share for what, _, rate, _ in score_of_cases([scored]).targets if what.startswith("sets")}
 
     some = rates(Named("aero_drag"), Named("yaw_inertia"))
     assert list(some.values()) == pytest.approx([1.0 / 3.0, 0.5, 0.0])

@@ -18,7 +18,7 @@ from split_cli.proof.truth import (
     search_size,
     severity,
 )
-from split_cli.proof.windows import FIRST, HORIZON, window_errors
+from split_cli.proof.windows import FIRST, HORIZON, errors_of_terms
 from split_cli.vehicle.effects import CATALOGUE
 
 
@@ -113,7 +113,7 @@ def test_removed_share_is_none_without_terms_and_negative_for_harm(case):
 
 def test_windows_do_not_overlap_and_begin_where_the_plant_s_do(case):
     columns = case.heldout.columns
-    errors = window_errors(columns, case.vehicle, ())
+    errors = errors_of_terms(columns, case.vehicle, ())
     assert abs(len(errors) - len(case.heldout.error)) <= 1
     assert len(errors) == (len(columns["t"]) - 1 - round(FIRST * 100)) // round(HORIZON * 100)
 

@@ -9,7 +9,7 @@ from split_cli.plant.cars import CARS
 from split_cli.proof.cars import bare
 from split_cli.proof.cases import Answer, ConcealedEffect
 from split_cli.proof.outcome import Named, Statement
-from split_cli.proof.scoring import score_case, summarise
+from split_cli.proof.scoring import score_case, score_of_cases
 from split_cli.proof.whole_car import PIECES, without_piece
 
 UNNAMED = {"side_area"}  # acts in wind only, and there is none
@@ -40,7 +40,7 @@ def test_what_is_small_may_be_named_and_is_not_asked_for():
     def scored(*terms: str) -> tuple[str, dict[str, float]]:
         said = Statement("mismatch", tuple(Named(term) for term in terms))
         score = score_case("1", answer, said, None, np.ones(3), None)
-        told = summarise([score]).targets
+        told = score_of_cases([score]).targets
         return score.outcome, {what.split(":")[1][:9]: rate.share for what, _, rate, _ in told if "whole" in what}
 
     assert scored("load_transfer", "drive_lag", "combined_slip") == ("exact", {" physics ": 1.0, " names of": 0.0})

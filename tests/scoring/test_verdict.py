@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from split_cli.scoring.verdict import BlockErrors, compare, number_blocks, verdict, warnings_of
+from split_cli.scoring.verdict import BlockErrors, comparisons_of, number_blocks, verdict, warnings_of
 
 
 def errors(factor, seed, blocks=20, each=30):
@@ -21,7 +21,7 @@ def test_the_intervals_hold_the_true_ratio_as_often_as_they_say():
     inside = [
         c.to_nominal[1] < 0.8 < c.to_nominal[2]
         for seed in range(60)
-        for c in compare("bcm", "z2", [errors((0.8, 0.8, 0.8), seed)], seed)
+        for c in comparisons_of("bcm", "z2", [errors((0.8, 0.8, 0.8), seed)], seed)
     ]
     # 180 intervals of 95 %: within three standard deviations, less the bootstrap's known shortfall at 20 blocks.
     assert np.mean(inside) > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / 180) - 0.03
@@ -30,20 +30,20 @@ def test_the_intervals_hold_the_true_ratio_as_often_as_they_say():
 def test_ratios_pool_squares_over_drives_and_two_drives_keep_their_blocks():
     one, two = errors((0.5, 1.0, 2.0), 1), errors((0.5, 1.0, 2.0), 2)
     two = BlockErrors(two.horizon, two.corrected, two.nominal, two.held, two.block + 20)
-    found = compare("bcm", "z2", [one, two])
+    found = comparisons_of("bcm", "z2", [one, two])
     assert all(c.blocks == 40 for c in found) and [c.state for c in found] == ["v_x", "v_y", "r"]
     pooled = np.sqrt(np.square(np.concatenate([one.corrected, two.corrected])).mean(axis=0))
     np.testing.assert_allclose([c.corrected for c in found], pooled, rtol=1e-12)
 
 
 def test_the_words_name_what_helps_what_harms_and_what_changes_nothing():
-    found = compare("bcm", "z2", [errors((0.5, 1.0, 2.0), 3)])
+    found = comparisons_of("bcm", "z2", [errors((0.5, 1.0, 2.0), 3)])
     said = verdict(found)
     assert said.startswith("verdict: the correction does harm: v_x better (0.")
     assert "v_y as the nominal model" in said and "r WORSE (" in said and "after 0.5 s" in said
     # Harm is told beside what a running trust leaves of it.
     assert said.endswith(")") and verdict(found, ()) == said
-    running = compare("bcm, running trust", "z2", [errors((0.5, 1.0, 1.0), 3)])
+    running = comparisons_of("bcm, running trust", "z2", [errors((0.5, 1.0, 1.0), 3)])
     assert verdict(found, running) == f"{said}. With a running trust (NAME_observe in an export) no state is worse"
     worst = [replace(c, to_nominal=(1.3, 1.2, 1.4)) if c.state == "v_y" else c for c in running]
     assert verdict(found, worst).endswith("v_y is 1.30 times as wrong at most")
@@ -52,11 +52,13 @@ def test_the_words_name_what_helps_what_harms_and_what_changes_nothing():
     assert [line.split()[1] for line in told] == ["r", "r"]
     assert "the nominal model" in told[0] and "holding the velocities" in told[1]
     assert warnings_of([*found, *found])[0].count("after 0.5 s") == 1  # two predictors, one horizon
-    assert verdict(compare("bcm", "z2", [errors((0.5, 0.5, 0.5), 4)])).startswith("verdict: the correction helps")
+    assert verdict(comparisons_of("bcm", "z2", [errors((0.5, 0.5, 0.5), 4)])).startswith(
+        "verdict: the correction helps"
+    )
 
 
 def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
-    worse, *others = compare("bcm", "z2", [errors((2.0, 0.5, 1.0), 3)])
+    worse, *others = comparisons_of("bcm", "z2", [errors((2.0, 0.5, 1.0), 3)])
     for ratio, words, head in ((1.009, "v_x hardly worse (1.01 times", "helps"), (1.011, "v_x WORSE", "does harm")):
         one = replace(worse, to_nominal=(ratio, ratio - 1e-3, ratio + 1e-3))
         said = verdict([one, *others])
@@ -72,7 +74,7 @@ def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
 
 
 def test_with_too_few_blocks_nothing_is_claimed():
-    found = compare("bcm", "z2", [errors((5.0, 5.0, 5.0), 5, blocks=3)])
+    found = comparisons_of("bcm", "z2", [errors((5.0, 5.0, 5.0), 5, blocks=3)])
     assert "too few blocks" in verdict(found) and warnings_of(found) == ()
 
 
@@ -94,7 +96,7 @@ def test_a_ratio_near_one_is_told_from_one():
 
 def test_a_change_that_no_printed_digit_shows_is_none():
     """With a trust of 0.1 an error grew by 0.003 %, beyond chance: "hardly worse (1.00003 times)"."""
-    one, *_ = compare("bcm", "z2", [errors((1.0, 1.0, 1.0), 3)])
+    one, *_ = comparisons_of("bcm", "z2", [errors((1.0, 1.0, 1.0), 3)])
     for ratio, words in ((1.00003, "as the nominal"), (0.99997, "as the nominal"), (0.998, "better (0.998 times")):
         said = verdict([replace(one, to_nominal=(ratio, ratio - 1e-6, ratio + 1e-6))])
         assert f"v_x {words}" in said, said

@@ -16,17 +16,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.studies.kill import CASES, Case, prepare, run, state, verified
+from tests.studies.kill import CASES, Killed, prepare, run, state, verified
 
 _PAGE, _FILLER = 4096, "filler"
 CAR = ("--vehicle", "car.yaml")
 MORE = (
-    Case("label", ("label", "d1.parquet", *CAR, "-o", "l.parquet"), ("l.parquet",)),
-    Case("compare", ("compare", "car.yaml", "road_car.yaml", "--on", "d1.parquet", "-o", "compared"), ("compared",)),
-    Case("calibrate", ("calibrate", "d1.parquet", *CAR, "--fit", "tires", "-o", "fitted.yaml"), ("fitted.yaml",)),
-    Case("init", ("init", "lap.csv", "-o", "project"), ("project",)),
-    Case("simulate", ("simulate", "--track", "small", "--duration", "5", "-o", "sim.csv"), ("sim.csv",)),
-    Case("page", ("ingest", "lap.csv", "-o", "p.parquet", "--report", "p.html"), ("p.parquet", "p.html")),
+    Killed("label", ("label", "d1.parquet", *CAR, "-o", "l.parquet"), ("l.parquet",)),
+    Killed("compare", ("compare", "car.yaml", "road_car.yaml", "--on", "d1.parquet", "-o", "compared"), ("compared",)),
+    Killed("calibrate", ("calibrate", "d1.parquet", *CAR, "--fit", "tires", "-o", "fitted.yaml"), ("fitted.yaml",)),
+    Killed("init", ("init", "lap.csv", "-o", "project"), ("project",)),
+    Killed("simulate", ("simulate", "--track", "small", "--duration", "5", "-o", "sim.csv"), ("sim.csv",)),
+    Killed("page", ("ingest", "lap.csv", "-o", "p.parquet", "--report", "p.html"), ("p.parquet", "p.html")),
 )
 
 
@@ -46,13 +46,13 @@ def small_disk(place: Path, size: int, read_only: bool = False) -> Iterator[None
             subprocess.run(["umount", str(place)], check=True)
 
 
-def moved(case: Case) -> tuple[str, ...]:
+def moved(case: Killed) -> tuple[str, ...]:
     """Return the arguments with every output in the folder ``disk``."""
     command, *others = case.arguments
     return (command, *(f"disk/{text}" if text in case.outputs else text for text in others))
 
 
-def attempt(case: Case, folder: Path) -> list[str]:
+def attempt(case: Killed, folder: Path) -> list[str]:
     """Run one command alone, on a full disk and on a read-only one; return what broke a rule."""
     disk, arguments, broken = folder / "disk", moved(case), []
     shutil.rmtree(disk, ignore_errors=True)
@@ -91,7 +91,7 @@ def attempt(case: Case, folder: Path) -> list[str]:
     return broken
 
 
-def _stray_or_damaged(case: Case, disk: Path) -> bool:
+def _stray_or_damaged(case: Killed, disk: Path) -> bool:
     return any(path.name not in case.outputs or verified(path) for path in disk.iterdir() if path.name != _FILLER)
 
 

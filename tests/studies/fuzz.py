@@ -40,7 +40,7 @@ MOST_MEMORY = 1 << 30
 
 
 @dataclass
-class Tally:
+class FuzzTally:
     """What became of the inputs of one kind."""
 
     read: int = 0
@@ -50,7 +50,7 @@ class Tally:
     slowest: float = 0.0
     grown: int = 0  # by which one input raised the peak memory of its process, at most [bytes]
 
-    def add(self, one: Tally) -> None:
+    def add(self, one: FuzzTally) -> None:
         """Take in what became of more inputs."""
         self.read += one.read
         self.dropped += one.dropped
@@ -181,7 +181,7 @@ def mutant(path: Path, content: bytes, others: list[bytes], rng: random.Random) 
     return mutate(content, other, rng)
 
 
-def judge(path: Path, read: Callable[[Path], object], tally: Tally) -> str | None:
+def judge(path: Path, read: Callable[[Path], object], tally: FuzzTally) -> str | None:
     """Read one input; count it, or return which rule it broke."""
 
     def ring(*_: object) -> None:
@@ -219,21 +219,21 @@ def fuzz(
     seed: int,
     keep: Path | None = None,
     only: str = "",
-    tell: Callable[[str, Tally], None] = lambda kind, tally: None,
+    tell: Callable[[str, FuzzTally], None] = lambda kind, tally: None,
     shares: Mapping[str, float] = SLOW,
     rest: float = 1.0,
-) -> dict[str, Tally]:
+) -> dict[str, FuzzTally]:
     """Try `inputs` mutated files, spread over all kinds by their shares, `rest` for those that have none.
 
     Inputs that break a rule are kept in `keep`. Every kind gets one input at least.
     """
-    tallies: dict[str, Tally] = {}
+    tallies: dict[str, FuzzTally] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         kinds = {kind: what for kind, what in seeds(folder).items() if only in kind}
         others = [path.read_bytes() for path, _ in kinds.values()]
         for kind, (path, read) in kinds.items():
-            tally = tallies[kind] = Tally()
+            tally = tallies[kind] = FuzzTally()
             content = path.read_bytes()
             scratch = folder / "scratch"
             work = partial(_try_inputs, f"{seed} {kind}", content, others, path, read, scratch)
@@ -281,7 +281,7 @@ def _try_inputs(
         rng = random.Random(f"{seed} {number}")
         target.write_bytes(mutant(target, content, others, rng))
         said.send(("begin", number, None))
-        one, before = Tally(), _peak()
+        one, before = FuzzTally(), _peak()
         broken, peak = judge(target, read, one), _peak()
         # A peak never falls: what an input adds to that of all before it is the input's own.
         one.grown = peak - before
@@ -295,7 +295,7 @@ def _peak() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _in_a_process(work: Callable, first: int, last: int) -> Iterator[tuple[int, str | None, Tally]]:
+def _in_a_process(work: Callable, first: int, last: int) -> Iterator[tuple[int, str | None, FuzzTally]]:
     """Yield number, broken rule and tally of each input; a process that dies has broken a rule at its input."""
     context = multiprocessing.get_context("fork")
     hears, says = context.Pipe(duplex=False)
@@ -316,10 +316,10 @@ def _in_a_process(work: Callable, first: int, last: int) -> Iterator[tuple[int, 
         if not begun:
             raise RuntimeError("no input could be made; the process has printed why") from None
         if not ended:
-            yield number, f"the process died (exit code {process.exitcode})", Tally()
+            yield number, f"the process died (exit code {process.exitcode})", FuzzTally()
 
 
-def _print_row(kind: str, tally: Tally) -> None:
+def _print_row(kind: str, tally: FuzzTally) -> None:
     count = tally.read + tally.dropped + tally.refused
     row = f"{kind:18} {count:8} {tally.read:8} {tally.dropped:8} {tally.refused:8}"
     print(f"{row} {len(tally.broken):7} {tally.slowest:9.2f} {tally.grown / 1e6:9.0f}", flush=True)

@@ -46,45 +46,16 @@ QUICK = dict.fromkeys(
 LONG_HERE = 16
 """Values from which on a column is kept in a file [1]: so that the short ones of these files are."""
 
-NEWER = (
-    "json rows",
-    "json list",
-    "json columns",
-    "pi toolbox",
-    "pi toolbox block",
-    "csv etas",
-    "csv labview",
-    "csv spreadsheet",
-    "together",
-    "mat carmaker",
-    "mat motec 7.3",
-    "can savvycan",
-    "can cabana",
-    "mcap ros2 in pieces",
-    "mcap json in pieces",
-    "bag in pieces",
-    "db3 in pieces",
-    "mat 5 in pieces",
-    "mat 7.3 in pieces",
-    "csv in pieces",
-    "can asc in pieces",
-    "json rows in pieces",
-    "verify drive",
-    "verify labels",
-    "verify set",
-    "verify vehicle",
-    "verify map",
-    "verify diagnosis",
-    "json channels",
-    "named csv",
-    "named json",
-    "set of the past",
-    "info diagnosis",
-    "info export",
-    "verify manifest",
-    "verify document",
-    "verify answers",
-    "verify drives",
+NEWER = tuple(
+    kind.strip()
+    for kind in """
+        json rows, json list, json columns, pi toolbox, pi toolbox block, csv etas, csv labview,
+        csv spreadsheet, together, mat carmaker, mat motec 7.3, can savvycan, can cabana, mcap ros2 in pieces,
+        mcap json in pieces, bag in pieces, db3 in pieces, mat 5 in pieces, mat 7.3 in pieces, csv in pieces,
+        can asc in pieces, json rows in pieces, verify drive, verify labels, verify set, verify vehicle,
+        verify map, verify diagnosis, json channels, named csv, named json, set of the past, info diagnosis,
+        info export, verify manifest, verify document, verify answers, verify drives
+    """.split(",")
 )
 """Kinds that came last, of which `--newer` takes all inputs."""
 

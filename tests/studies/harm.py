@@ -20,7 +20,7 @@ from statistics import NormalDist
 import numpy as np
 
 from split_cli.logs.drive import Drive, read_drive, write_drive
-from tests.benchmarks.results_tables import CASES, ROOT, Case, split
+from tests.benchmarks.results_tables import CASES, ROOT, TabledDrive, split
 from tests.foreign.natural import (
     AUTORALLY_CAR,
     DART_CAR,
@@ -166,7 +166,7 @@ def pairs(parts: list[str], folder: Path, datasets: Path | None, first_seed: int
         yield from dirt_pairs(datasets, folder)
 
 
-def recorded_pairs(cases: dict[str, Case], folder: Path, datasets: Path | None) -> Iterator[Pair]:
+def recorded_pairs(cases: dict[str, TabledDrive], folder: Path, datasets: Path | None) -> Iterator[Pair]:
     """Yield the pairs of drives of one car, and of halves of one drive."""
 
     def drive(title: str) -> tuple[Path, str]:

@@ -29,7 +29,7 @@ from tests.studies.snapshots import leftovers_of_kills
 
 
 @dataclass(frozen=True)
-class Case:
+class Killed:
     """One command, run in a folder that holds its inputs and an old output.
 
     Attributes
@@ -57,7 +57,7 @@ class Case:
 
 
 @dataclass
-class Outcome:
+class KillOutcome:
     """What was found after the kills of one command."""
 
     kills: int = 0
@@ -67,44 +67,31 @@ class Outcome:
 
 
 # A model car's lap needs a fourth of the steps of a road car's.
-RACE = (
-    "race",
-    "--vehicle",
-    "f1tenth_car.yaml",
-    "--car",
-    "f1tenth_car",
-    "--track",
-    "f1tenth",
-    "--max-speed",
-    "4",
-    "--laps",
-    "1",
-    "--report",
-    "race.html",
-    "--set",
-    "race.split",
-    "-o",
-    "race.parquet",
+RACE = tuple(
+    """
+    race --vehicle f1tenth_car.yaml --car f1tenth_car --track f1tenth --max-speed 4 --laps 1 --report race.html --set
+    race.split -o race.parquet
+    """.split()
 )
 MANEUVER = ("maneuver", "brake-avoid", "--vehicle", "road_car.yaml", "--set", "turn.split", "-o", "turn.parquet")
 EXPORT = ("export", "--target", "json", "--queries", "200", "-o", "export")
 CASES = (
-    Case("ingest", ("ingest", "lap.csv", "-o", "lap.parquet", "--rate", "40"), ("lap.parquet",)),
-    Case("ingest folder", ("ingest", "archive", "-o", "drives", "--rate", "40"), ("drives",)),
-    Case("train", ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"), ("a.split",)),
-    Case("append", ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append"), ("b.split",)),
-    Case(
+    Killed("ingest", ("ingest", "lap.csv", "-o", "lap.parquet", "--rate", "40"), ("lap.parquet",)),
+    Killed("ingest folder", ("ingest", "archive", "-o", "drives", "--rate", "40"), ("drives",)),
+    Killed("train", ("train", "d0.parquet", "--vehicle", "car.yaml", "-o", "a.split", "--capacity", "5"), ("a.split",)),
+    Killed("append", ("train", "d1.parquet", "--vehicle", "car.yaml", "-o", "b.split", "--append"), ("b.split",)),
+    Killed(
         "evaluate",
         ("evaluate", "d1.parquet", "--vehicle", "car.yaml", "-o", "evaluation"),
         ("evaluation",),
         repeats=False,
     ),
-    Case(
+    Killed(
         "diagnose", ("diagnose", "--real", "d1.parquet", "--vehicle", "car.yaml", "--out", "diagnosis"), ("diagnosis",)
     ),
-    Case("race", RACE, ("race.parquet", "race.split", "race.html"), repeats=False, written_twice=("race.split",)),
-    Case("maneuver", MANEUVER, ("turn.parquet", "turn.split")),
-    Case("export", (*EXPORT, "new.split"), ("export",)),
+    Killed("race", RACE, ("race.parquet", "race.split", "race.html"), repeats=False, written_twice=("race.split",)),
+    Killed("maneuver", MANEUVER, ("turn.parquet", "turn.split")),
+    Killed("export", (*EXPORT, "new.split"), ("export",)),
 )
 
 
@@ -174,9 +161,9 @@ def state(path: Path) -> str:
     return digest.hexdigest()
 
 
-def try_moments(case: Case, ready: Path, kills: int, rng: random.Random) -> Outcome:
+def try_moments(case: Killed, ready: Path, kills: int, rng: random.Random) -> KillOutcome:
     """Kill one command at random moments of its duration."""
-    outcome = Outcome()
+    outcome = KillOutcome()
     with tempfile.TemporaryDirectory() as name:
         whole = Path(name) / "whole"
         shutil.copytree(ready, whole)
@@ -204,13 +191,13 @@ def try_moments(case: Case, ready: Path, kills: int, rng: random.Random) -> Outc
     return outcome
 
 
-def try_steps(case: Case, ready: Path, place: Path, again: Callable[[Path, Sequence[str]], int] = run) -> Outcome:
+def try_steps(case: Killed, ready: Path, place: Path, again: Callable[[Path, Sequence[str]], int] = run) -> KillOutcome:
     """Kill one command before each of its steps on the disk.
 
     The next run is tried after each kind of state: the outputs, and what lies beside them. `place` is an empty
     folder to work in, `again` runs a command.
     """
-    outcome, whole = Outcome(), place / "whole"
+    outcome, whole = KillOutcome(), place / "whole"
     shutil.copytree(ready, whole)
     old = case.state(whole)
     left = leftovers_of_kills(whole, case.arguments, place / "copies")
@@ -227,7 +214,7 @@ def try_steps(case: Case, ready: Path, place: Path, again: Callable[[Path, Seque
     return outcome
 
 
-def _look(outcome: Outcome, case: Case, folder: Path, old: tuple, new: tuple, moment: str) -> None:
+def _look(outcome: KillOutcome, case: Killed, folder: Path, old: tuple, new: tuple, moment: str) -> None:
     """See that each output is the old or the new one and is what `split verify` takes for whole."""
     outcome.kills += 1
     found = case.state(folder)
@@ -254,8 +241,8 @@ def verified(output: Path) -> str:
 
 
 def _run_again(
-    outcome: Outcome,
-    case: Case,
+    outcome: KillOutcome,
+    case: Killed,
     folder: Path,
     ready: Path,
     old: tuple,

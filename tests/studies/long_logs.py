@@ -28,7 +28,7 @@ _ON_BUS = {"Motion": ("vx", "vy", "r"), "Inputs": ("T", "delta")}
 Part = dict[str, np.ndarray]
 
 
-class Lap:
+class LoggedLap:
     """A drive that is repeated.
 
     Parameters
@@ -66,7 +66,7 @@ class Lap:
             yield from zip(_nanoseconds(part["t"]), map(bytes, numbers), strict=True)
 
 
-def write_log(kind: str, path: Path, lap: Lap, rows: int) -> None:
+def write_log(kind: str, path: Path, lap: LoggedLap, rows: int) -> None:
     """Write `rows` rows as a log of one of `KINDS`."""
     KINDS[kind](path, lap, rows)
 
@@ -90,7 +90,7 @@ def _nanoseconds(time: np.ndarray) -> list[int]:
     return [1_700_000_000_000_000_000 + stamp for stamp in np.rint(1e9 * time).astype(np.int64).tolist()]
 
 
-def _csv(path: Path, lap: Lap, rows: int) -> None:
+def _csv(path: Path, lap: LoggedLap, rows: int) -> None:
     import pyarrow as pa
     import pyarrow.csv
 
@@ -100,7 +100,7 @@ def _csv(path: Path, lap: Lap, rows: int) -> None:
             writer.write_table(pa.table(part, schema=schema))
 
 
-def _parquet(path: Path, lap: Lap, rows: int) -> None:
+def _parquet(path: Path, lap: LoggedLap, rows: int) -> None:
     import pyarrow as pa
     import pyarrow.parquet
 
@@ -122,7 +122,7 @@ def _mcap(path: Path, messages: Iterator[tuple[int, bytes]], schema: tuple[str, 
         writer.finish()
 
 
-def _json_mcap(path: Path, lap: Lap, rows: int) -> None:
+def _json_mcap(path: Path, lap: LoggedLap, rows: int) -> None:
     """JSON messages: the slowest encoding, and the largest."""
     fields = {name: {"type": "number"} for name in lap.names}
     schema = json.dumps({"type": "object", "properties": fields}).encode()
@@ -136,19 +136,19 @@ def _json_mcap(path: Path, lap: Lap, rows: int) -> None:
     _mcap(path, messages(), ("Car", "jsonschema", schema), "json")
 
 
-def _definition(lap: Lap) -> str:
+def _definition(lap: LoggedLap) -> str:
     return "".join(f"float64 {name}\n" for name in lap.names)
 
 
-def _ros2(lap: Lap, rows: int) -> Iterator[tuple[int, bytes]]:
+def _ros2(lap: LoggedLap, rows: int) -> Iterator[tuple[int, bytes]]:
     return ((stamp, b"\0\1\0\0" + numbers) for stamp, numbers in lap.packed(rows))
 
 
-def _ros2_mcap(path: Path, lap: Lap, rows: int) -> None:
+def _ros2_mcap(path: Path, lap: LoggedLap, rows: int) -> None:
     _mcap(path, _ros2(lap, rows), (_TYPE, "ros2msg", _definition(lap).encode()), "cdr")
 
 
-def _bag(path: Path, lap: Lap, rows: int) -> None:
+def _bag(path: Path, lap: LoggedLap, rows: int) -> None:
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -160,7 +160,7 @@ def _bag(path: Path, lap: Lap, rows: int) -> None:
             bag.write(connection, stamp, numbers)
 
 
-def _db3(path: Path, lap: Lap, rows: int) -> None:
+def _db3(path: Path, lap: LoggedLap, rows: int) -> None:
     import sqlite3
 
     with sqlite3.connect(path) as database:
@@ -176,7 +176,7 @@ def _db3(path: Path, lap: Lap, rows: int) -> None:
     database.close()
 
 
-def _mf4(path: Path, lap: Lap, rows: int) -> None:
+def _mf4(path: Path, lap: LoggedLap, rows: int) -> None:
     from asammdf import MDF, Signal
 
     whole = lap.whole(rows)
@@ -185,13 +185,13 @@ def _mf4(path: Path, lap: Lap, rows: int) -> None:
         mdf.save(path, overwrite=True, compression=1)
 
 
-def _mat(path: Path, lap: Lap, rows: int) -> None:
+def _mat(path: Path, lap: LoggedLap, rows: int) -> None:
     from scipy.io import savemat
 
     savemat(path, lap.whole(rows), appendmat=False, do_compression=True)
 
 
-def _mat_hdf5(path: Path, lap: Lap, rows: int) -> None:
+def _mat_hdf5(path: Path, lap: LoggedLap, rows: int) -> None:
     import h5py
 
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -201,7 +201,7 @@ def _mat_hdf5(path: Path, lap: Lap, rows: int) -> None:
         file.write(b"MATLAB 7.3 MAT-file".ljust(124) + struct.pack("<HH", 0x0200, 0x4D49))
 
 
-def _frames(path: Path, lap: Lap, rows: int) -> None:
+def _frames(path: Path, lap: LoggedLap, rows: int) -> None:
     """Frames of 16-bit signals, two a row."""
     import can
     import cantools
@@ -225,14 +225,14 @@ def _frames(path: Path, lap: Lap, rows: int) -> None:
                     )
 
 
-_MESSAGES: dict[str, Callable[[Path, Lap, int], None]] = {
+_MESSAGES: dict[str, Callable[[Path, LoggedLap, int], None]] = {
     "mcap": _json_mcap,
     "ros2.mcap": _ros2_mcap,
     "bag": _bag,
     "db3": _db3,
 }
-_ON_A_BUS: dict[str, Callable[[Path, Lap, int], None]] = {"blf": _frames, "asc": _frames, "log": _frames}
-KINDS: dict[str, Callable[[Path, Lap, int], None]] = {
+_ON_A_BUS: dict[str, Callable[[Path, LoggedLap, int], None]] = {"blf": _frames, "asc": _frames, "log": _frames}
+KINDS: dict[str, Callable[[Path, LoggedLap, int], None]] = {
     "parquet": _parquet,
     "csv": _csv,
     **_MESSAGES,

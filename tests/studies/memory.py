@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.studies.long_logs import Lap, arguments_of, write_log
+from tests.studies.long_logs import LoggedLap, arguments_of, write_log
 
 ROOT = Path(__file__).parents[2]
 CAR = ROOT / "sample_logs" / "road_car.yaml"
@@ -47,7 +47,7 @@ def make_log(path: Path, rows: int, kind: str) -> None:
     if not source.exists():
         ingest_logs([LAP], source, maps=["split_sim"], vehicle_path=CAR)
     table = pa.parquet.read_table(source)
-    lap = Lap({name: table[name].to_numpy() for name in table.column_names if name != "segment"})
+    lap = LoggedLap({name: table[name].to_numpy() for name in table.column_names if name != "segment"})
     if kind != "drive":
         return write_log(kind, path, lap, rows)
     with pa.parquet.ParquetWriter(path, table.schema, compression="zstd") as writer:

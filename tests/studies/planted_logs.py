@@ -21,20 +21,10 @@ from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drive import Drive, read_drive
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.signal_map import map_from_mapping
+from split_cli.signals import CHANNELS
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 
-_UNITS = {
-    "X": "m",
-    "Y": "m",
-    "yaw": "rad",
-    "vx": "m/s",
-    "vy": "m/s",
-    "r": "rad/s",
-    "T": "N m",
-    "delta": "rad",
-    "ax": "m/s^2",
-    "ay": "m/s^2",
-}
+_UNITS = {name: channel.unit for name, channel in CHANNELS.items() if name != "t"}
 _CORNERS = {"fl": (1, -1), "fr": (1, 1), "rl": (-1, -1), "rr": (-1, 1)}
 _TRACK = 0.58
 """Of a car's wheelbase, for the wheel speeds that are made for it [1]."""
@@ -44,7 +34,7 @@ Columns = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Planted:
+class Defect:
     """A mistake: what it does to the columns of a log, the channel to be told, and words that explain it."""
 
     change: Callable[[Columns], Columns]
@@ -62,54 +52,54 @@ def _late(channel: str, seconds: float) -> Callable[[Columns], Columns]:
 
 
 DEG, G, MPH = 180.0 / np.pi, 9.80665, 0.44704
-PLANTED: dict[str, Planted] = {
-    "clock in ms as s": Planted(lambda c: {"t": c["t"] * 1e3}, ("time",), "probably in ms"),
-    "clock in s as ms": Planted(lambda c: {"t": c["t"], _IN_MS: c["t"]}, ("time",), "probably in s"),
-    "rows newest first": Planted(lambda c: {n: v[::-1] for n, v in c.items() if n != "t"}, ("time",), "backwards"),
-    "yaw rate in deg/s": Planted(_times("r", DEG), ("r",), "is in deg/s"),
-    "yaw rate clockwise": Planted(_times("r", -1.0), ("r",), "left-handed"),
-    "yaw rate 0.2 s late": Planted(_late("r", 0.2), ("r",), "late"),
-    "yaw in degrees": Planted(_times("yaw", DEG), ("yaw",), "is in deg"),
-    "yaw rate copied from the steer angle": Planted(lambda c: {"r": c["delta"]}, ("r", "delta"), "copy"),
-    "yaw rate computed from the steer angle": Planted(
+PLANTED: dict[str, Defect] = {
+    "clock in ms as s": Defect(lambda c: {"t": c["t"] * 1e3}, ("time",), "probably in ms"),
+    "clock in s as ms": Defect(lambda c: {"t": c["t"], _IN_MS: c["t"]}, ("time",), "probably in s"),
+    "rows newest first": Defect(lambda c: {n: v[::-1] for n, v in c.items() if n != "t"}, ("time",), "backwards"),
+    "yaw rate in deg/s": Defect(_times("r", DEG), ("r",), "is in deg/s"),
+    "yaw rate clockwise": Defect(_times("r", -1.0), ("r",), "left-handed"),
+    "yaw rate 0.2 s late": Defect(_late("r", 0.2), ("r",), "late"),
+    "yaw in degrees": Defect(_times("yaw", DEG), ("yaw",), "is in deg"),
+    "yaw rate copied from the steer angle": Defect(lambda c: {"r": c["delta"]}, ("r", "delta"), "copy"),
+    "yaw rate computed from the steer angle": Defect(
         lambda c: {"r": c["vx"] * np.tan(c["delta"]) / (2.0 * c["lr"])}, ("r",), "computed from"
     ),
-    "v_x in km/h": Planted(_times("vx", 3.6), ("vx",), "is in km/h"),
-    "v_x in mph": Planted(_times("vx", 1 / MPH), ("vx",), "is in mph"),
-    "v_x 6 % too large": Planted(_times("vx", 1.06), ("X", "vx"), "times the"),
-    "v_y in mm/s": Planted(_times("vy", 1e3), ("vy",), "mm/s"),
-    "v_y in km/h": Planted(_times("vy", 3.6), ("vy",), "is in km/h"),
-    "v_y right-positive": Planted(_times("vy", -1.0), ("vy",), "right-positive"),
-    "v_y of the rear axle": Planted(lambda c: {"vy": c["vy"] - c["lr"] * c["r"]}, ("vy",), "rear_axle"),
-    "a_x in g": Planted(_times("ax", 1 / G), ("ax",), "is in g"),
-    "a_x in ft/s^2": Planted(_times("ax", 1 / 0.3048), ("ax",), "ft/s"),
-    "a_y in g": Planted(_times("ay", 1 / G), ("ay",), "is in g"),
-    "a_y right-positive": Planted(_times("ay", -1.0), ("ay",), "right-positive"),
-    "a_x and a_y exchanged": Planted(lambda c: {"ax": c["ay"], "ay": c["ax"]}, ("ax", "ay"), "along the other"),
-    "position in mm": Planted(lambda c: {n: c[n] * 1e3 for n in "XY"}, ("X",), "mm"),
-    "north and east as X and Y": Planted(lambda c: {"X": c["Y"], "Y": c["X"]}, ("X",), "mirrored", ("yaw", "r")),
-    "north-east-down, whole pose": Planted(
+    "v_x in km/h": Defect(_times("vx", 3.6), ("vx",), "is in km/h"),
+    "v_x in mph": Defect(_times("vx", 1 / MPH), ("vx",), "is in mph"),
+    "v_x 6 % too large": Defect(_times("vx", 1.06), ("X", "vx"), "times the"),
+    "v_y in mm/s": Defect(_times("vy", 1e3), ("vy",), "mm/s"),
+    "v_y in km/h": Defect(_times("vy", 3.6), ("vy",), "is in km/h"),
+    "v_y right-positive": Defect(_times("vy", -1.0), ("vy",), "right-positive"),
+    "v_y of the rear axle": Defect(lambda c: {"vy": c["vy"] - c["lr"] * c["r"]}, ("vy",), "rear_axle"),
+    "a_x in g": Defect(_times("ax", 1 / G), ("ax",), "is in g"),
+    "a_x in ft/s^2": Defect(_times("ax", 1 / 0.3048), ("ax",), "ft/s"),
+    "a_y in g": Defect(_times("ay", 1 / G), ("ay",), "is in g"),
+    "a_y right-positive": Defect(_times("ay", -1.0), ("ay",), "right-positive"),
+    "a_x and a_y exchanged": Defect(lambda c: {"ax": c["ay"], "ay": c["ax"]}, ("ax", "ay"), "along the other"),
+    "position in mm": Defect(lambda c: {n: c[n] * 1e3 for n in "XY"}, ("X",), "mm"),
+    "north and east as X and Y": Defect(lambda c: {"X": c["Y"], "Y": c["X"]}, ("X",), "mirrored", ("yaw", "r")),
+    "north-east-down, whole pose": Defect(
         lambda c: {"X": c["Y"], "Y": c["X"], "yaw": 0.5 * np.pi - c["yaw"]},
         ("X", "yaw", "r"),
         "world: ned",
         ("r", "ay", "delta", "vy"),
     ),
-    "steering wheel's angle": Planted(_times("delta", 15.0), ("delta",), "steering-wheel angle"),
-    "steer angle in degrees": Planted(_times("delta", DEG), ("delta",), "is in deg"),
-    "steer angle right-positive": Planted(_times("delta", -1.0), ("delta",), "right-positive"),
-    "steer angle 0.3 s late": Planted(_late("delta", 0.3), ("delta",), "late"),
-    "steer angle 2 deg off": Planted(lambda c: {"delta": c["delta"] + 2.0 / DEG}, ("delta",), "straight"),
-    "torque of one wheel": Planted(_times("T", 0.25), ("T",), "one wheel"),
-    "torque without the brakes": Planted(lambda c: {"T": np.maximum(c["T"], 0.0)}, ("T",), "without the brakes"),
-    "torque 1.4 times too large": Planted(_times("T", 1.4), ("T",), "would fit"),
-    "torque in kN m": Planted(_times("T", 1e-3), ("T",), "kN m"),
-    "torque positive when braking": Planted(_times("T", -1.0), ("T",), "when braking"),
-    "wheels left and right exchanged": Planted(
+    "steering wheel's angle": Defect(_times("delta", 15.0), ("delta",), "steering-wheel angle"),
+    "steer angle in degrees": Defect(_times("delta", DEG), ("delta",), "is in deg"),
+    "steer angle right-positive": Defect(_times("delta", -1.0), ("delta",), "right-positive"),
+    "steer angle 0.3 s late": Defect(_late("delta", 0.3), ("delta",), "late"),
+    "steer angle 2 deg off": Defect(lambda c: {"delta": c["delta"] + 2.0 / DEG}, ("delta",), "straight"),
+    "torque of one wheel": Defect(_times("T", 0.25), ("T",), "one wheel"),
+    "torque without the brakes": Defect(lambda c: {"T": np.maximum(c["T"], 0.0)}, ("T",), "without the brakes"),
+    "torque 1.4 times too large": Defect(_times("T", 1.4), ("T",), "would fit"),
+    "torque in kN m": Defect(_times("T", 1e-3), ("T",), "kN m"),
+    "torque positive when braking": Defect(_times("T", -1.0), ("T",), "when braking"),
+    "wheels left and right exchanged": Defect(
         lambda c: {a: c[b] for a, b in (("fl", "fr"), ("fr", "fl"), ("rl", "rr"), ("rr", "rl"))},
         ("wheel_speed_fl", "wheel_speed_rl"),
         "exchanged",
     ),
-    "wheel speeds in rad/s": Planted(
+    "wheel speeds in rad/s": Defect(
         lambda c: {n: c[n] / c["radius"] for n in _CORNERS}, ("wheel_speed_fl",), "is in rad/s"
     ),
 }

@@ -38,7 +38,7 @@ from tests.foreign.natural import (
     kth_drive,
 )
 from tests.studies.changing_faults import CHANGING
-from tests.studies.recorded_faults_lists import LISTS, Row
+from tests.studies.recorded_faults_lists import LISTS, FaultRow
 
 Prepared = Callable[[Path, Path], Drive]
 
@@ -135,7 +135,7 @@ class Study:
         lines = self.path.read_text(encoding="utf-8").splitlines() if self.path.exists() else []
         self.rows = [Told(**json.loads(line)) for line in lines]
 
-    def row(self, row: Row) -> Told:
+    def row(self, row: FaultRow) -> Told:
         """Return a row, from the file or computed now."""
         for one in self.rows:
             if (one.pair, one.fault, one.multiple) == (row.pair, row.fault, row.multiple) and (
@@ -148,7 +148,7 @@ class Study:
             out.write(json.dumps(asdict(told)) + "\n")
         return told
 
-    def _computed(self, row: Row) -> Told:
+    def _computed(self, row: FaultRow) -> Told:
         name, split = row.pair.split(", ")
         other = split.removeprefix(AGAINST) if split.startswith(AGAINST) else ""
         prepare, file = DRIVES[name]
@@ -194,7 +194,7 @@ class Study:
             },
         )
 
-    def _faults(self, row: Row, drive: Drive, vehicle: Vehicle) -> list[InjectedFault] | None:
+    def _faults(self, row: FaultRow, drive: Drive, vehicle: Vehicle) -> list[InjectedFault] | None:
         """Return the faults of a row, none for a clean pair; None if one of them cannot be put in."""
         if row.fault == "none":
             return []
@@ -210,7 +210,7 @@ class Study:
             if value is not None:
                 kinds = [replace(one, parameters=tuple((each, value) for each, _ in one.parameters)) for one in kinds]
             else:
-                beside = self.row(Row(row.pair, " + ".join(each for each in parts if "=" in each) or "none"))
+                beside = self.row(FaultRow(row.pair, " + ".join(each for each in parts if "=" in each) or "none"))
                 promised = {tuple(key.split(":")): least for key, least in beside.promised.items()}
                 kinds = faults_of_sizes(kinds, promised, [row.multiple])
             if not kinds:

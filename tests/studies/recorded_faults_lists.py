@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Row:
+class FaultRow:
     """One fault in one pair.
 
     Attributes
@@ -26,35 +26,35 @@ class Row:
     value: float | None = None
 
 
-def _rows(pair: str, *faults: str | tuple[str, float]) -> list[Row]:
+def _rows(pair: str, *faults: str | tuple[str, float]) -> list[FaultRow]:
     """Return faults of 1.5 times the promise, or of another multiple."""
     pairs = [(one, 1.5) if isinstance(one, str) else one for one in faults]
-    return [Row(pair, "none"), *(Row(pair, name, multiple) for name, multiple in pairs)]
+    return [FaultRow(pair, "none"), *(FaultRow(pair, name, multiple) for name, multiple in pairs)]
 
 
-def _twice(pair: str, *faults: str) -> list[Row]:
+def _twice(pair: str, *faults: str) -> list[FaultRow]:
     """Return faults of 1.5 and of 3 times the promise."""
     return _rows(pair, *((name, multiple) for name in faults for multiple in (1.5, 3.0)))
 
 
-LISTS: dict[str, list[Row]] = {
+LISTS: dict[str, list[FaultRow]] = {
     "first": [
         *_rows("rubber, blocks", "yaw rate scaled", "torque scaled", "heavier"),
         *_rows("rubber, blocks", "velocity drifts", "speed scaled", "CG moved")[1:],
         *_rows("tum, halves", "yaw rate late", "torque scaled", "steering late"),
         *_rows("free, blocks"),
-        Row("free, blocks", "CG moved", value=0.050),
+        FaultRow("free, blocks", "CG moved", value=0.050),
         *_rows("free, blocks", "clocks shifted", "torque scaled", "steering late", "yaw rate scaled")[1:],
         *_rows("kth, halves", "clocks shifted", "lateral velocity late", "steering late"),
-        Row("kth, halves", "yaw rate late", value=0.21),
+        FaultRow("kth, halves", "yaw rate late", value=0.21),
         *_rows("slippery, blocks", "steering late", "clocks shifted", "torque late"),
         *_rows("av21, halves", "yaw rate late", "velocity drifts", "yaw rate biased", "velocity moved"),
         *_rows("tum, blocks", "steering late", ("steering late", 3.0), "torque late", ("torque late", 3.0)),
         *_rows("tum, blocks", "clocks shifted")[1:],
-        Row("tum, blocks", "yaw rate late", value=0.074),
-        Row("tum, blocks", "softer tyres", value=0.65),
+        FaultRow("tum, blocks", "yaw rate late", value=0.074),
+        FaultRow("tum, blocks", "softer tyres", value=0.65),
         *_rows("genesis, blocks"),
-        Row("genesis, blocks", "lateral velocity late", value=0.90),
+        FaultRow("genesis, blocks", "lateral velocity late", value=0.90),
         *_rows("genesis, blocks", "steering late", "steering scaled", "speed scaled", "yaw rate late")[1:],
         *_rows("genesis, blocks", "yaw rate biased")[1:],
         *_rows("autorally 5, halves", "clocks shifted", "torque scaled", "lateral velocity late", "speed scaled"),
@@ -84,14 +84,14 @@ LISTS: dict[str, list[Row]] = {
     "fourth": [
         *_rows("rubber, blocks 8", ("front tyres softer", 2.0), ("more yaw inertia", 2.0)),
         *_rows("tape, blocks 8", ("velocity moved + torque scaled", 3.0)),
-        Row("tape, blocks 8", "grip falls", value=0.75),
+        FaultRow("tape, blocks 8", "grip falls", value=0.75),
         *_rows("slippery, swapped blocks 6", ("speed scaled + steering scaled", 2.0)),
-        Row("slippery, swapped blocks 6", "rows lost", value=0.1),
+        FaultRow("slippery, swapped blocks 6", "rows lost", value=0.1),
         *_rows("free, swapped halves", ("torque late", 5.0), ("steering late + torque scaled", 3.0)),
-        Row("free, swapped halves", "clocks drift", value=0.3),
-        Row("free, swapped halves", "steering scaled to the left", value=0.7),
+        FaultRow("free, swapped halves", "clocks drift", value=0.3),
+        FaultRow("free, swapped halves", "steering scaled to the left", value=0.7),
         *_rows("kth, blocks 4", ("velocity moved + yaw rate late", 2.0)),
-        Row("kth, blocks 4", "yaw rate reversed", value=-1.0),
+        FaultRow("kth, blocks 4", "yaw rate reversed", value=-1.0),
         *_rows("autorally 5, blocks 6", ("torque fades", 4.0), ("yaw rate scaled + velocity rotated", 2.0)),
         *_rows("av21, thirds", ("steering offset steps", 4.0), ("velocity biased", 5.0)),
         *_rows("genesis, thirds", ("yaw rate drifts", 4.0), ("speed scaled + yaw rate late", 3.0)),
@@ -129,13 +129,13 @@ LISTS: dict[str, list[Row]] = {
         *_rows("free, against steering", ("steering offset", 1.5)),
     ],
     "beside": [
-        Row("slippery, blocks", "steering scaled + velocity moved=0.04", 1.5),
-        Row("slippery, blocks", "torque late + velocity moved=0.04", 1.5),
-        Row("free, blocks", "steering late=0.15 + torque scaled", 1.5),
-        Row("free, blocks", "steering late=0.15 + velocity rotated", 1.5),
-        Row("rubber, blocks", "torque scaled=0.6 + steering scaled", 1.5),
-        Row("kth, halves", "steering late=0.16 + velocity rotated", 1.5),
-        Row("tum, blocks", "steering scaled=0.75 + yaw rate late", 1.5),
+        FaultRow("slippery, blocks", "steering scaled + velocity moved=0.04", 1.5),
+        FaultRow("slippery, blocks", "torque late + velocity moved=0.04", 1.5),
+        FaultRow("free, blocks", "steering late=0.15 + torque scaled", 1.5),
+        FaultRow("free, blocks", "steering late=0.15 + velocity rotated", 1.5),
+        FaultRow("rubber, blocks", "torque scaled=0.6 + steering scaled", 1.5),
+        FaultRow("kth, halves", "steering late=0.16 + velocity rotated", 1.5),
+        FaultRow("tum, blocks", "steering scaled=0.75 + yaw rate late", 1.5),
     ],
     "several": [
         *_rows("rubber, blocks", ("steering late + yaw rate scaled", 2.0), ("torque scaled + steering scaled", 2.0)),
@@ -152,32 +152,32 @@ LISTS: dict[str, list[Row]] = {
         *_rows("autorally 5, halves", ("torque scaled + yaw rate late", 2.0), ("steering late + speed scaled", 3.0)),
     ],
     "several again": [
-        Row("rubber, swapped blocks", "none"),
-        Row("rubber, swapped blocks", "steering late=0.08 + speed scaled=0.95"),
-        Row("rubber, swapped blocks", "torque scaled=0.6 + steering scaled=0.85 + yaw rate biased=0.03"),
-        Row("tape, swapped blocks", "none"),
-        Row("tape, swapped blocks", "steering scaled=0.85 + yaw rate scaled=0.93"),
-        Row("tape, swapped blocks", "steering late=0.1 + velocity biased=0.06"),
-        Row("free, swapped blocks", "none"),
-        Row("free, swapped blocks", "torque scaled=0.6 + steering late=0.1 + velocity rotated=0.05"),
-        Row("free, swapped blocks", "heavier=1.4 + yaw rate late=0.08"),
-        Row("slippery, blocks 6", "none"),
-        Row("slippery, blocks 6", "steering scaled=0.85 + yaw rate scaled=0.95 + velocity moved=0.04"),
-        Row("kth, swapped halves", "none"),
-        Row("kth, swapped halves", "steering scaled=0.85 + yaw rate late=0.1"),
-        Row("kth, swapped halves", "steering offset=0.02 + speed scaled=0.95"),
-        Row("tum second file, blocks", "none"),
-        Row("tum second file, blocks", "steering scaled=0.8 + torque scaled=0.6"),
-        Row("tum second file, blocks", "steering late=0.1 + velocity rotated=0.03"),
-        Row("av21, halves", "none"),
-        Row("av21, halves", "velocity rotated=0.03 + yaw rate late=0.1"),
-        Row("av21, halves", "steering scaled=0.8 + yaw rate biased=0.02"),
-        Row("genesis, swapped halves", "none"),
-        Row("genesis, swapped halves", "steering scaled=0.8 + yaw rate scaled=0.95"),
-        Row("genesis, swapped halves", "steering offset=0.03 + velocity rotated=0.03 + speed scaled=0.95"),
-        Row("autorally 6, halves", "none"),
-        Row("autorally 6, halves", "torque scaled=0.6 + yaw rate late=0.1"),
-        Row("autorally 6, halves", "steering late=0.1 + speed scaled=0.93"),
+        FaultRow("rubber, swapped blocks", "none"),
+        FaultRow("rubber, swapped blocks", "steering late=0.08 + speed scaled=0.95"),
+        FaultRow("rubber, swapped blocks", "torque scaled=0.6 + steering scaled=0.85 + yaw rate biased=0.03"),
+        FaultRow("tape, swapped blocks", "none"),
+        FaultRow("tape, swapped blocks", "steering scaled=0.85 + yaw rate scaled=0.93"),
+        FaultRow("tape, swapped blocks", "steering late=0.1 + velocity biased=0.06"),
+        FaultRow("free, swapped blocks", "none"),
+        FaultRow("free, swapped blocks", "torque scaled=0.6 + steering late=0.1 + velocity rotated=0.05"),
+        FaultRow("free, swapped blocks", "heavier=1.4 + yaw rate late=0.08"),
+        FaultRow("slippery, blocks 6", "none"),
+        FaultRow("slippery, blocks 6", "steering scaled=0.85 + yaw rate scaled=0.95 + velocity moved=0.04"),
+        FaultRow("kth, swapped halves", "none"),
+        FaultRow("kth, swapped halves", "steering scaled=0.85 + yaw rate late=0.1"),
+        FaultRow("kth, swapped halves", "steering offset=0.02 + speed scaled=0.95"),
+        FaultRow("tum second file, blocks", "none"),
+        FaultRow("tum second file, blocks", "steering scaled=0.8 + torque scaled=0.6"),
+        FaultRow("tum second file, blocks", "steering late=0.1 + velocity rotated=0.03"),
+        FaultRow("av21, halves", "none"),
+        FaultRow("av21, halves", "velocity rotated=0.03 + yaw rate late=0.1"),
+        FaultRow("av21, halves", "steering scaled=0.8 + yaw rate biased=0.02"),
+        FaultRow("genesis, swapped halves", "none"),
+        FaultRow("genesis, swapped halves", "steering scaled=0.8 + yaw rate scaled=0.95"),
+        FaultRow("genesis, swapped halves", "steering offset=0.03 + velocity rotated=0.03 + speed scaled=0.95"),
+        FaultRow("autorally 6, halves", "none"),
+        FaultRow("autorally 6, halves", "torque scaled=0.6 + yaw rate late=0.1"),
+        FaultRow("autorally 6, halves", "steering late=0.1 + speed scaled=0.93"),
     ],
 }
 """By name. ``first`` are the 42 faults of docs/records/recorded_faults.md at today's sizes.

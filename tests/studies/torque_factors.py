@@ -1,4 +1,4 @@
-"""Multiply T of drives by a factor, or take a part of it, and print what ingest says: from which factor on it is told.
+"""Multiply T of drives by a factor, or take a part of it: what ingest says, and from which factor on it is reported.
 
 Example: ``python -m tests.studies.torque_factors road.parquet sample_logs/road_car.yaml``. Drives and vehicle files
 go in turn. Each line is a drive, with its shares as recorded and the verdict on each alteration: *-* nothing, *!* a

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from split_cli.errors import LogError
-from tests.studies.fuzz import Tally, fuzz, judge, mutate
+from tests.studies.fuzz import FuzzTally, fuzz, judge, mutate
 from tests.studies.fuzz_seeds import SLOW
 
 
@@ -29,7 +29,7 @@ def test_mutated_files_are_read_counted_or_refused():
 )
 def test_the_judge_sees_a_rule_broken(tmp_path, monkeypatch, read, expected):
     monkeypatch.setattr("tests.studies.fuzz.LONGEST_SECONDS", 0.2)
-    found = judge(tmp_path / "x", read, Tally())
+    found = judge(tmp_path / "x", read, FuzzTally())
     assert (found is None) if expected is None else found.startswith(expected)
 
 

@@ -239,13 +239,13 @@ def test_terms_of_time_see_the_time_inside_the_step(road_car):
 
 
 def test_place_advances_with_the_path(road_car):
-    class Place:
+    class PlaceTerm:
         def velocity_derivative(self, vx, vy, r, T, delta, *, s=0.0, **situation):
             return 0.0 * vx, s + 0.0 * vy, 0.0 * r
 
     inputs = np.zeros((1, 11))
     start = np.array([[4.0, 0.0, 0.0]])
-    end = integrate_recorded(Place(), start, inputs, inputs, 0.1, 1, Situation(s=np.array([3.0])))
+    end = integrate_recorded(PlaceTerm(), start, inputs, inputs, 0.1, 1, Situation(s=np.array([3.0])))
     # v_y' = s = 3 + 4 t over 1 s: 3 + 2.
     assert end[0, 1] == pytest.approx(5.0, rel=1e-12)
 

@@ -15,7 +15,7 @@ from split_cli.plots.charts import track_chart
 from split_cli.scoring.comparison import RunErrors, rank, worse_than
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.compare import ComparedModel, ModelComparison, compare_models
-from split_cli.workflows.report.comparison import comparison_page, headline
+from split_cli.workflows.report.comparison import comparison_headline, comparison_page
 from tests.factories import make_drive, road_car
 
 CAR = road_car()
@@ -61,7 +61,7 @@ class TestScores:
         assert np.isnan(found[1].states[0].to_best[1]) and worse_than(found, [one], "b") == ()
         assert all(state.as_good for score in found for state in score.states)
         compared = ModelComparison(("a", "b"), ("lap",), 30, 0, found, (), (), ())
-        assert headline(compared) == "a has the smallest error after 1 s; the difference is not significant."
+        assert comparison_headline(compared) == "a has the smallest error after 1 s; the difference is not significant."
 
 
 @pytest.fixture(scope="module")
@@ -104,9 +104,9 @@ class TestModels:
     def test_a_model_that_learned_the_drive_is_not_simply_best(self, drive):
         known = replace(drive, sha256="known")
         compared = compare_models([ComparedModel("wrong", WRONG), ComparedModel("right", CAR)], [known], (0.5,))
-        assert "trained on" not in headline(compared)
+        assert "trained on" not in comparison_headline(compared)
         learned = replace(compared, in_sample=("right",))
-        assert headline(learned).endswith(", but was trained on what it is compared on.")
+        assert comparison_headline(learned).endswith(", but was trained on what it is compared on.")
         page = comparison_page(replace(learned, notes=("IN SAMPLE: right was trained on lap.parquet",)))
         assert page.index("IN SAMPLE") < page.index('id="scores"')
 

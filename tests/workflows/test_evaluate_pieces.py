@@ -13,7 +13,7 @@ from split_cli.scoring.run import EvaluationRun
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.evaluate import evaluate_files
-from split_cli.workflows.evaluation_notes import left_out
+from split_cli.workflows.evaluation_notes import notes_on_parts
 from split_cli.workflows.report.evaluation import evaluation_page
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -78,7 +78,7 @@ def test_the_page_draws_a_stretch_of_a_long_drive_and_says_so(monkeypatch, tmp_p
     assert f"the page draws {700 * drive.period / 60:.3g} minutes of a.parquet" in run.report.notes
     whole = f"trust was found on at most {700 * drive.period / 60:.3g} minutes of a.parquet"
     monkeypatch.setattr("split_cli.workflows.evaluation_notes.MOST_ROWS", 700)
-    assert whole in left_out(run.held[0], True) and whole not in left_out(run.held[0], False)
+    assert whole in notes_on_parts(run.held[0], True) and whole not in notes_on_parts(run.held[0], False)
     assert evaluation_page(run).endswith("</html>\n") or "</html>" in evaluation_page(run)[-20:]
 
 

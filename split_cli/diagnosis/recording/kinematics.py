@@ -16,12 +16,15 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from split_cli.diagnosis.recording.series import Series
-from split_cli.diagnosis.recording.windows import changes, displacements, integrals
+from split_cli.diagnosis.recording.windows import (
+    LEAST_WINDOWS,
+    changes,
+    displacements,
+    edge_of,
+    integrals,
+    windows_within,
+)
 from split_cli.vehicle.effects import Term
-
-_WINDOW_SECONDS = 0.5
-_EDGE_SECONDS = 0.1
-_LEAST_WINDOWS = 12
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ class KinematicResiduals:
         sine, cosine = self._direction
         # In the world frame once, then into the car's frame of each window.
         period = self.series.period
-        x, y = displacements(velocity, sine, cosine, self.begin, self.end, _edge(period) if averaged else 0)
+        x, y = displacements(velocity, sine, cosine, self.begin, self.end, edge_of(period) if averaged else 0)
         return _in_car_frame(middle, x * period, y * period)
 
     @cached_property
@@ -115,16 +118,9 @@ def build_kinematics(series: Series, usual: np.ndarray | None = None) -> Kinemat
     drive = series.drive
     if not drive.has_position:
         return None
-    size = max(4, int(round(_WINDOW_SECONDS / series.period)))
-    edge = _edge(series.period)
-    begins = [
-        np.arange(first + edge, end - size - edge, size)
-        for first, end in series.recording.segments
-        if end - first > size + 2 * edge
-    ]
-    if not begins or sum(map(len, begins)) < _LEAST_WINDOWS:
+    begin, size = windows_within(series.recording.segments, series.period)
+    if len(begin) < LEAST_WINDOWS:
         return None
-    begin = np.concatenate(begins).astype(np.int64)
     end = begin + size
     x, y, angle = (moving_mean(values, series.period) for values in (drive["X"], drive["Y"], series.yaw))
     middle = angle[(begin + end) // 2]
@@ -138,21 +134,17 @@ def build_kinematics(series: Series, usual: np.ndarray | None = None) -> Kinemat
 
 def integral(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float, *, averaged: bool) -> np.ndarray:
     """Return the integral of a rate over windows, shape (W,), over 0.2 s of shifted windows if `averaged`."""
-    return integrals(rate, begin, end, _edge(period) if averaged else 0) * period
+    return integrals(rate, begin, end, edge_of(period) if averaged else 0) * period
 
 
 def averaged_change(values: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float) -> np.ndarray:
     """Return the change of values, averaged over 0.2 s, over windows, shape (W,)."""
-    return changes(values, begin, end, _edge(period))
-
-
-def _edge(period: float) -> int:
-    return max(1, int(round(_EDGE_SECONDS / period)))
+    return changes(values, begin, end, edge_of(period))
 
 
 def moving_mean(values: np.ndarray, period: float) -> np.ndarray:
     """Return the centred moving mean over 0.2 s of values (N,); ends are continued by their last value."""
-    return uniform_filter1d(values, 2 * _edge(period) + 1, mode="nearest")
+    return uniform_filter1d(values, 2 * edge_of(period) + 1, mode="nearest")
 
 
 def _in_car_frame(angle: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,24 @@
 """Sums of rates over short windows of a recording, compiled, for the search of sensor faults."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit
+
+LEAST_WINDOWS = 12
+_WINDOW_SECONDS, _EDGE_SECONDS = 0.5, 0.1
+
+
+def edge_of(period: float) -> int:
+    """Return by how many rows windows are moved to both sides where their ends are averaged."""
+    return max(1, int(round(_EDGE_SECONDS / period)))
+
+
+def windows_within(segments: Sequence[tuple[int, int]], period: float) -> tuple[np.ndarray, int]:
+    """Return the first rows of windows of half a second, int64 (W,), and their length; ends of runs stay free."""
+    size, edge = max(4, int(round(_WINDOW_SECONDS / period))), edge_of(period)
+    begins = [np.arange(first + edge, end - size - edge, size) for first, end in segments]
+    return np.concatenate([*begins, np.zeros(0)]).astype(np.int64), size
 
 
 def integrals(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int = 0) -> np.ndarray:

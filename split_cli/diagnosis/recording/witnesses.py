@@ -23,13 +23,11 @@ from split_cli.diagnosis.recording.kinematics import (
 )
 from split_cli.diagnosis.recording.screening import measures
 from split_cli.diagnosis.recording.series import VISIBLE, Series
+from split_cli.diagnosis.recording.windows import LEAST_WINDOWS, edge_of, windows_within
 from split_cli.vehicle.effects import Term
 
 _CHANNELS = {"a_x": "ax", "a_y": "ay"}
 _KINDS = ("turn", "way", *_CHANNELS)
-_WINDOW_SECONDS = 0.5
-_EDGE_SECONDS = 0.1
-_LEAST_WINDOWS = 12
 # A channel that is recorded finer than this share of its spread is no noise but the number of its last digit.
 _LEAST_SPREAD = 1e-3
 
@@ -150,11 +148,11 @@ def is_integral(series: Series, share: float) -> bool:
     ----------
     series : Series
     share : float
-        Of how far noise makes an integral wander, within which a yaw is that integral.
+        Of how far noise carries an integral away, within which a yaw is that integral.
 
     Notes
     -----
-    White noise sigma of the yaw rate makes its integral over N samples wander by h sigma sqrt(N) from the yaw of
+    White noise sigma of the yaw rate carries its integral over N samples away by h sigma sqrt(N) from the yaw of
     any other instrument. One that was integrated stays with it to rounding. Where r has no noise nobody can tell.
     """
     noise, r = series.noise[2], series.measured[:, 2]
@@ -179,23 +177,18 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None, rul
         if position is None:
             return None
         # The yaw angle is averaged, and its change again: twice the edge is unknown at both ends of a run.
-        edge = 2 * max(1, int(round(_EDGE_SECONDS / series.period)))
+        edge = 2 * edge_of(series.period)
         first, last = np.array(series.recording.segments, dtype=np.int64).T
         run = np.searchsorted(first, position.begin, side="right") - 1
         whole = (position.begin - edge >= first[run]) & (position.end + edge < last[run])
-        if whole.sum() < _LEAST_WINDOWS:
+        if whole.sum() < LEAST_WINDOWS:
             return None
         position = position.select(whole)
         return Witness(kind, series, position.begin, position.end, position, 1.0, np.zeros(3))
     if not measures(series.drive, _CHANNELS[kind]):
         return None
-    size, edge = (max(least, int(round(s / series.period))) for least, s in ((4, _WINDOW_SECONDS), (1, _EDGE_SECONDS)))
-    begins = [
-        np.arange(first + edge, end - size - edge, size)
-        for first, end in series.recording.segments
-        if end - first > size + 2 * edge
-    ]
-    begin = np.concatenate([*begins, np.zeros(0)]).astype(np.int64)
+    begin, size = windows_within(series.recording.segments, series.period)
+    edge = edge_of(series.period)
     # Samples without a number were filled: windows that hold one, once all is averaged, witness nothing.
     unknown = np.cumsum(~np.isfinite(series.drive[_CHANNELS[kind]]))
     last = np.minimum(begin + size + 2 * edge, len(unknown) - 1)
@@ -204,7 +197,7 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None, rul
         return None
     felt = series.accelerations(())[_CHANNELS[kind]]
     begin = begin[_resolved(felt, begin - edge, begin + size + edge, series.period, rules.huber)]
-    if len(begin) < _LEAST_WINDOWS:
+    if len(begin) < LEAST_WINDOWS:
         return None
     return Witness(kind, series, begin, begin + size, None, 1.0, np.zeros(3))
 

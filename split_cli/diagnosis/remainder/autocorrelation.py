@@ -24,7 +24,7 @@ class ResidualAutocorrelation:
     rows: int
 
     def p_value(self, usual: float, rules: SelfTestRules = STANDARD.self_test) -> float:
-        """Return the probability of wandering this much where `usual` is the simulation's own ratio.
+        """Return the probability of varying together this much where `usual` is the simulation's own ratio.
 
         Notes
         -----

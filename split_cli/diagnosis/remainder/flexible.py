@@ -42,7 +42,7 @@ def flexible_rows(
     """
     series, vehicle = one.series, one.vehicle
     if uncompared:
-        series = replace(series, smooth=left_out(series))
+        series = replace(series, smooth=states_between(series))
     groups = {
         "operating point": discrepancy.blocks(series),
         "left against right": _asymmetric(series, vehicle),
@@ -61,7 +61,7 @@ def flexible_rows(
             yield from map_in_threads(piece, [(group, block) for block in some])
 
 
-def left_out(series: Series) -> np.ndarray:
+def states_between(series: Series) -> np.ndarray:
     """Return v_x, v_y, r at every sample, (N, 3), by cubics through samples beside the rows that it lies in.
 
     A sample between two rows is told without either. Where a segment is too short for a cubic beside a row, the

@@ -66,7 +66,7 @@ def chosen_simulation_parts(
     -----
     An offer must predict the end of every simulation no worse than the nominal model does, learned from what comes
     before; of the pairs of those that do, the one is taken that predicts the real drives' training time best. Both
-    by `relative_error`.
+    by `log_error_ratio`.
     """
     if any(one is None for one in bare):
         return SimulationPart(), SimulationPart()
@@ -98,7 +98,7 @@ def _best(rows, rates, terms: Sequence[Term], believable: tuple[Sequence[str], S
 
 
 def _excess(judged: Sequence[RolloutErrors], stage: str, than: str, channels: Sequence[int]) -> float:
-    return sum(len(one.t) * relative_error(one, stage, than, channels) for one in judged)
+    return sum(len(one.t) * log_error_ratio(one, stage, than, channels) for one in judged)
 
 
 def _without(evidence: Evidence, rows: np.ndarray) -> Evidence:
@@ -126,7 +126,7 @@ def _errors(
     return [errors for errors in out if errors is not None]
 
 
-def relative_error(errors: RolloutErrors, stage: str, than: str, channels: Sequence[int] = (0, 1, 2)) -> float:
+def log_error_ratio(errors: RolloutErrors, stage: str, than: str, channels: Sequence[int] = (0, 1, 2)) -> float:
     """Return by how much a stage's errors exceed another's [1].
 
     The mean of log(rms/rms) over horizons and channels. Below the noise floor all errors are alike.

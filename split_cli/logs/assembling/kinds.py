@@ -103,7 +103,7 @@ def unlike_a_sensor(
         names = f"{', '.join(most)} and {last}" if most else last
         said.append(
             f"without any sensor noise: {names}, as a simulator writes them. `split diagnose` then takes the smallest "
-            "misfit of a model for an effect (docs/diagnosis.md, Recordings without noise)"
+            "model-form error for an effect (docs/diagnosis.md, Recordings without noise)"
         )
     steps = {q.channel: q.step for q in qualities if q.step is not None and kinds.get(q.channel) == "measured"}
     moving = np.abs(drive["vx"]) > 0.2 * float(np.quantile(np.abs(drive["vx"]), 0.95))

@@ -9,47 +9,13 @@ from split_cli.logs.raw import RawChannelInfo
 from split_cli.signals import TWO_WORDS, find_unit
 
 _UNIT_WORDS = {
-    "mps": "m/s",
-    "mps2": "m/s^2",
-    "mpss": "m/s^2",
-    "ms2": "m/s^2",
-    "kph": "km/h",
-    "kmh": "km/h",
-    "kmph": "km/h",
-    "mph": "mph",
-    "kn": "kn",
-    "knots": "kn",
-    "rad": "rad",
-    "radps": "rad/s",
-    "rads": "rad/s",
-    "deg": "deg",
-    "degps": "deg/s",
-    "dps": "deg/s",
-    "degs": "deg/s",
-    "degree": "deg",
-    "degrees": "deg",
-    "rpm": "rpm",
-    "s": "s",
-    "sec": "s",
-    "us": "us",
-    "ns": "ns",
-    "nm": "N m",
-    "bar": "bar",
-    "kpa": "kPa",
-    "pct": "%",
-    "percent": "%",
-    "percentage": "%",
-    "mm": "mm",
-    "m": "m",
-    "ft": "ft",
-    "g": "g",
-    "n": "N",
-    "fps": "ft/s",
-    "ftps": "ft/s",
-    "lbft": "lbf ft",
-    "ftlb": "lbf ft",
-    "ftlbf": "lbf ft",
-}
+    word: unit.symbol
+    for word in """
+        mps mps2 mpss kph kmh kmph mph kn knots rad radps deg degps dps degree degrees rpm s sec us ns nm bar
+        kpa pct percent mm m ft g n fps ftps lbft ftlb
+    """.split()
+    if (unit := find_unit(word))
+} | {"ms2": "m/s^2", "rads": "rad/s", "degs": "deg/s", "percentage": "%", "ftlbf": "lbf ft"}
 _LAST_TWO = {tuple(words.split("_")): unit for words, unit in TWO_WORDS.items()}
 
 
@@ -153,70 +119,19 @@ _RULES: tuple[tuple[str, int, str], ...] = (
 _LETTERS = {("T", "N m"): "T", ("t", "N m"): "T", ("E", "m"): "X", ("e", "m"): "X", ("N", "m"): "Y", ("n", "m"): "Y"}
 """Single letters that only their unit makes clear."""
 _COMPILED = tuple((channel, weight, re.compile(pattern)) for channel, weight, pattern in _RULES)
-_MAKERS = {
-    "esp",
-    "abs",
-    "ecu",
-    "can",
-    "imu",
-    "ins",
-    "gps",
-    "vbox",
-    "obd",
-    "ego",
-    "odom",
-    "mti",
-    "oxts",
-    "ff",
-    "pf",
-    "car",
-    "vehicle",
-    "vhcl",
-}
+_MAKERS = frozenset("esp abs ecu can imu ins gps vbox obd ego odom mti oxts ff pf car vehicle vhcl".split())
 """Words in front that say which device measured, or that it is the car's."""
 _JUDGED = {"innovation", "innovations", "innov", "innovs", "variances", "ratios", "inconsistency", "integ"}
 """Words of what an estimator says of measurements, whatever quantity its fields are called."""
-_COMMAND_WORDS = {
-    "cmd",
-    "command",
-    "ref",
-    "target",
-    "desired",
-    "goal",
-    "setpoint",
-    "request",
-    "reference",
-    "plan",
-    "planned",
-    "predicted",
-}
+_COMMAND_WORDS = frozenset(
+    "cmd command ref target desired goal setpoint request reference plan planned predicted".split()
+)
 COMMANDED = ("delta", "T", "throttle", "brake", "brake_pressure")
 """Channels that a driver or a controller asks for: a command of any other one is no measurement of it."""
 _NO_SOURCES = {
-    "other",
-    "lead",
-    "leader",  # another car
-    "next",
-    "old",
-    "last",
-    "first",
-    "init",
-    "initial",
-    "start",
-    "begin",
-    "end",  # another time
-    "mean",
-    "avg",
-    "average",
-    "peak",
-    "lim",
-    "pred",
-    "track",
-    "centerline",
-    "wall",
-    "noise",
-    "offset",
-    "origin",
+    *"other lead leader".split(),  # another car
+    *"next old last first init initial start begin end".split(),  # another time
+    *"mean avg average peak lim pred track centerline wall noise offset origin".split(),
 }
 """Last words of what this car did not do there and then: no device measured it, however many names end so."""
 _SEVERAL = 3

@@ -29,20 +29,7 @@ from split_cli.logs.readers.json_document import plain_number
 from split_cli.logs.scratch import GrowingSignal
 from split_cli.signals import find_unit, split_name_and_unit, symbol_of
 
-NAMES = (
-    "signal",
-    "signal_name",
-    "channel",
-    "name",
-    "variable",
-    "parameter",
-    "topic",
-    "key",
-    "field",
-    "_field",
-    "metric",
-    "sensor",
-)
+NAMES = tuple("signal signal_name channel name variable parameter topic key field _field metric sensor".split())
 VALUES = ("value", "_value", "val", "data", "reading", "measurement", "signal_value", "physical_value")
 _GROUPS = ("message", "_measurement", "measurement", "message_name", "ecu", "device", "topic")
 _TIMES = tuple(

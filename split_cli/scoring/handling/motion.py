@@ -13,7 +13,7 @@ _SMOOTH = 0.25  # [s] of the quadratic that a derivative is read from
 _VELOCITIES = ("vx", "vy", "r")
 
 
-def derivative(values: np.ndarray, drive: Drive) -> np.ndarray:
+def rate_of_change(values: np.ndarray, drive: Drive) -> np.ndarray:
     """Return the time derivative of a channel, shape (N,), never across a gap.
 
     Notes
@@ -38,7 +38,7 @@ def lateral_acceleration(drive: Drive) -> np.ndarray:
     """Return a_y at the CG [m/s^2], shape (N,): recorded, else v_y' + v_x r."""
     if "ay" in drive:
         return drive["ay"]
-    lateral: np.ndarray = derivative(drive["vy"], drive) + drive["vx"] * drive["r"]
+    lateral: np.ndarray = rate_of_change(drive["vy"], drive) + drive["vx"] * drive["r"]
     return lateral
 
 
@@ -55,7 +55,7 @@ def measured_motion(drive: Drive) -> Drive:
     columns = dict(drive.columns)
     columns["ay"] = lateral_acceleration(drive)
     if "ax" not in drive:
-        columns["ax"] = derivative(drive["vx"], drive) - drive["vy"] * drive["r"]
+        columns["ax"] = rate_of_change(drive["vx"], drive) - drive["vy"] * drive["r"]
     columns["s"] = distance(drive)
     whole = replace(drive, columns=columns)
     every = max(1, round(STEP / drive.period))

@@ -21,6 +21,7 @@ class DriveDelay(Delayed):
     """The torque arrives late by `delay`: T(t - delay). Only a logged command can show it."""
 
     id = "drive_delay"
+    titles: ClassVar = {"": "Drive torque late"}
     late_inputs = ("T",)
     family = "along"
     needs: ClassVar = frozenset({"torque", "torque changes"})
@@ -38,6 +39,7 @@ class DriveGain(Term):
     """The torque is scaled: drive_gain T where T > 0, brake_gain T where T < 0."""
 
     id = "drive_gain"
+    factors: ClassVar = {"drive_gain": ("Drive torque", "strong", "weak"), "brake_gain": ("Brakes", "strong", "weak")}
     units: ClassVar = {"drive_gain": "1", "brake_gain": "1"}
     neutral: ClassVar = {"drive_gain": 1.0, "brake_gain": 1.0}
     family = "along"
@@ -89,6 +91,7 @@ class DriveLag(Lagging):
     """
 
     id = "drive_lag"
+    titles: ClassVar = {"": "Drive torque lags"}
     in_every_car: ClassVar = True
     variants: ClassVar = ("", "changed", "along")
     family = "along"
@@ -128,6 +131,7 @@ class SteerDelay(Delayed):
     """The steering responds late by `delay`: delta(t - delay)."""
 
     id = "steer_delay"
+    titles: ClassVar = {"": "Steering late"}
     late_inputs = ("delta",)
     through_tires: ClassVar = True
     family = "steering"
@@ -146,6 +150,7 @@ class SteerGain(Term):
     """The steering ratio differs from the nominal one: gain delta."""
 
     id = "steer_gain"
+    factors: ClassVar = {"gain": ("Steering", "more than commanded", "less than commanded")}
     through_tires: ClassVar = True
     units: ClassVar = {"gain": "1"}
     neutral: ClassVar = {"gain": 1.0}
@@ -175,6 +180,7 @@ class SteerBacklash(Term):
     """
 
     id = "steer_backlash"
+    titles: ClassVar = {"": "Steering play"}
     units: ClassVar = {"width": "rad"}
     neutral: ClassVar = {"width": 0.0}
     family = "steering"
@@ -210,6 +216,7 @@ class SteerLag(Lagging):
     """
 
     id = "steer_lag"
+    titles: ClassVar = {"": "Steering lags"}
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     family = "steering"
@@ -236,6 +243,7 @@ class SteerOffset(Term):
     """The steering has a zero offset: delta + offset, applied after all other actuator terms."""
 
     id = "steer_offset"
+    titles: ClassVar = {"": "Steering off centre"}
     units: ClassVar = {"offset": "rad"}
     neutral: ClassVar = {"offset": 0.0}
     family = "steering"

@@ -66,6 +66,7 @@ class Mass(Term):
     """
 
     id = "mass"
+    factors: ClassVar = {"scale": ("Mass", "more", "less")}
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
     family = "along"
@@ -116,6 +117,7 @@ class RotatingMass(Term):
     """
 
     id = "rotating_mass"
+    titles: ClassVar = {"": "Wheels and drive line heavy to spin up"}
     in_every_car: ClassVar = True
     units: ClassVar = {"mass": "kg"}
     neutral: ClassVar = {"mass": 0.0}
@@ -147,6 +149,7 @@ class YawInertia(Term):
     """The yaw inertia differs: I_z scale. The effect shows in transients only."""
 
     id = "yaw_inertia"
+    factors: ClassVar = {"scale": ("Yaw inertia", "more", "less")}
     units: ClassVar = {"scale": "1"}
     neutral: ClassVar = {"scale": 1.0}
     family = "body"
@@ -179,6 +182,7 @@ class CgShift(Term):
     """
 
     id = "cg_shift"
+    titles: ClassVar = {"": "Centre of gravity off along the car"}
     through_tires: ClassVar = True
     units: ClassVar = {"dx": "m"}
     neutral: ClassVar = {"dx": 0.0}

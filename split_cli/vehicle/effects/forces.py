@@ -27,6 +27,7 @@ class AeroDrag(Term):
     """
 
     id = "aero_drag"
+    titles: ClassVar = {"": "More or less drag"}
     units: ClassVar = {"drag": "N/(m/s)^2"}
     neutral: ClassVar = {"drag": 0.0}
     family = "along"
@@ -65,6 +66,7 @@ class RollingResistance(Term):
     """
 
     id = "rolling_resistance"
+    titles: ClassVar = {"": "Rolling resistance off"}
     units: ClassVar = {"force": "N"}
     neutral: ClassVar = {"force": 0.0}
     family = "along"
@@ -111,6 +113,7 @@ class YawMomentDifferential(Term):
     """
 
     id = "yaw_moment_differential"
+    titles: ClassVar = {"": "Locked differential"}
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"yaw_damping": "N m s/rad"}
@@ -160,6 +163,7 @@ class Wind(Term):
     """
 
     id = "wind"
+    titles: ClassVar = {"": "Wind"}
     units: ClassVar = {"wx": "m/s", "wy": "m/s"}
     neutral: ClassVar = {"wx": 0.0, "wy": 0.0}
     family = "air"

@@ -74,6 +74,7 @@ class VelocityBias(_Instrument):
     """
 
     id = "velocity_bias"
+    titles: ClassVar = {"": "Lateral velocity biased"}
     units: ClassVar = {"angle": "rad", "drift": "rad/s"}
     variants: ClassVar = ("", "step", "offset")
     variant_units: ClassVar = {"step": {"angle": "rad", "step": "rad", "at": "s"}, "offset": {"offset": "m/s"}}
@@ -144,6 +145,7 @@ class AccelerationBias(_Instrument):
     """
 
     id = "acceleration_bias"
+    titles: ClassVar = {"": "Acceleration biased"}
     units: ClassVar = {"ax": "m/s^2", "ay": "m/s^2"}
     variants: ClassVar = ("", "ax", "ay")
     variant_units: ClassVar = {name: {name: "m/s^2"} for name in ("ax", "ay")}
@@ -181,6 +183,7 @@ class YawRateBias(_Instrument):
     """
 
     id = "yaw_rate_bias"
+    titles: ClassVar = {"": "Yaw rate biased"}
     units: ClassVar = {"r": "rad/s"}
     neutral: ClassVar = {"r": 0.0}
     needs: ClassVar = frozenset({"measured position"})
@@ -236,6 +239,7 @@ class SpeedScale(_Scale):
     """
 
     id = "speed_scale"
+    factors: ClassVar = {"scale": ("Speed sensor", "high", "low")}
     variants: ClassVar = ("", "vx")
     channels = ("vx", "vy")
     subject = "the velocity"
@@ -253,6 +257,7 @@ class YawRateScale(_Scale):
     """
 
     id = "yaw_rate_scale"
+    factors: ClassVar = {"scale": ("Yaw rate sensor", "high", "low")}
     channels = ("r",)
     subject = "the yaw rate"
     mimics: ClassVar = (Mimic("steer_gain", "gentle driving, without yaw", "yaw recorded beside the yaw rate"),)
@@ -269,6 +274,15 @@ class ChannelDelay(_Instrument):
     """
 
     id = "channel_delay"
+    titles: ClassVar = {
+        "r": "Yaw rate late",
+        "vx": "Longitudinal velocity late",
+        "vy": "Lateral velocity late",
+        "velocity": "Velocities late",
+        "imu": "Inertial unit late",
+        "ax": "Longitudinal acceleration late",
+        "ay": "Lateral acceleration late",
+    }
     variants: ClassVar = ("r", "vx", "vy", "velocity", "ax", "ay", "imu")
     units: ClassVar = {"r": "s"}
     variant_units: ClassVar = {

@@ -91,6 +91,7 @@ class RoadGrade(_Incline):
     """
 
     id = "road_grade"
+    titles: ClassVar = {"": "Road slopes along"}
     needs: ClassVar = frozenset({"torque", "known torque"})
     directions = ("climbs", "falls")
     steepest: ClassVar = {"": 0.35, "wave": 0.35, "stretch": 0.35}
@@ -127,6 +128,7 @@ class RoadBank(_Incline):
     """
 
     id = "road_bank"
+    titles: ClassVar = {"": "Road slopes across"}
     needs: ClassVar = frozenset({"lateral velocity"})
     directions = ("rises to the left", "rises to the right")
     steepest: ClassVar = {"": 0.16, "wave": 0.6, "stretch": 0.6}

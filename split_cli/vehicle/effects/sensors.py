@@ -53,6 +53,7 @@ class SensorLeverArm(_Frame):
     """
 
     id = "sensor_lever_arm"
+    titles: ClassVar = {"": "Velocity sensor off its place"}
     variants: ClassVar = ("", "unit", _FRAME)
     variant_needs: ClassVar = {**_Frame.variant_needs, "unit": frozenset({"ay"})}
     units: ClassVar = {"dx": "m"}
@@ -110,6 +111,7 @@ class SensorMisalignment(_Frame):
     """
 
     id = "sensor_misalignment"
+    titles: ClassVar = {"": "Velocity sensor turned"}
     variants: ClassVar = ("", _FRAME)
     units: ClassVar = {"angle": "rad"}
     neutral: ClassVar = {"angle": 0.0}
@@ -178,6 +180,7 @@ class SensorDelay(_LateChannels):
     """
 
     id = "sensor_delay"
+    titles: ClassVar = {"": "Sensors late"}
     late_inputs = ("T", "delta")
     needs: ClassVar = frozenset({"torque"})
     mimics: ClassVar = (
@@ -204,6 +207,7 @@ class SteerSignalDelay(_LateChannels):
     """
 
     id = "steer_signal_delay"
+    titles: ClassVar = {"": "Steering logged late"}
     late_inputs = ("delta",)
     mimics: ClassVar = (
         Mimic("yaw_inertia", "gentle transients: a body that turns more easily", "steer steps at two speeds"),

@@ -117,6 +117,12 @@ class Term:
         Whether it changes the motion; a term that only remembers serves as features.
     on_command_clock : bool
         Whether a fault of the measurement is taken into account by taking commands later, not by `correct`.
+    titles : mapping of str to str
+        By variant, what a headline calls it, the part of the car first: ``Steering late``. A variant that is not
+        named is called as the default, a term without any by its own name.
+    factors : mapping of str to (str, str, str)
+        Of a parameter that is a factor, or of ``variant/parameter``: the part of the car, and the words for above
+        and below 1: ``Brakes``, ``strong``, ``weak``.
     discrepancy : tuple of (str, str, float)
         Variant, parameter and step from neutral, in units of `sizes`: what a single track typically lacks of any
         real car by this term. Simulation and reality may share it; the step is its prior standard deviation.
@@ -148,6 +154,8 @@ class Term:
     shows_late: ClassVar[bool] = False
     moves_car: ClassVar[bool] = True
     on_command_clock: ClassVar[bool] = False
+    titles: ClassVar[Mapping[str, str]] = {}
+    factors: ClassVar[Mapping[str, tuple[str, str, str]]] = {}
     discrepancy: ClassVar[tuple[tuple[str, str, float], ...]] = ()
 
     _kept: tuple[Any, Any] | None = None

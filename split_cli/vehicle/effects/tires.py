@@ -89,6 +89,7 @@ class CombinedSlip(Term):
     """
 
     id = "combined_slip"
+    titles: ClassVar = {"": "Tyres share their grip"}
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"strength": "1"}
@@ -139,6 +140,11 @@ class FrictionScale(Term):
     """
 
     id = "friction_scale"
+    factors: ClassVar = {
+        "scale": ("Tyre grip", "more", "less"),
+        "front/scale": ("Grip of the front tyres", "more", "less"),
+        "rear/scale": ("Grip of the rear tyres", "more", "less"),
+    }
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     states_peak: ClassVar = True
@@ -183,6 +189,7 @@ class FrictionPatch(Term):
     """
 
     id = "friction_patch"
+    factors: ClassVar = {"scale": ("Grip on one stretch", "more", "less")}
     through_tires: ClassVar = True
     units: ClassVar = {"scale": "1", "s_start": "m", "s_end": "m"}
     neutral: ClassVar = {"scale": 1.0}
@@ -226,6 +233,7 @@ class GripFade(Term):
     """
 
     id = "grip_fade"
+    titles: ClassVar = {"": "Tyre grip fades"}
     through_tires: ClassVar = True
     states_peak: ClassVar = True
     units: ClassVar = {"final_loss": "1", "tau": "s"}
@@ -273,6 +281,7 @@ class TireRelaxation(Term):
     """
 
     id = "tire_relaxation"
+    titles: ClassVar = {"": "Tyres build up force late"}
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"length": "m"}
@@ -327,6 +336,7 @@ class LoadTransfer(Term):
     """
 
     id = "load_transfer"
+    titles: ClassVar = {"": "Load moves between the axles"}
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"cg_height": "m"}
@@ -398,6 +408,10 @@ class TireStiffness(Term):
     """The tyres of an axle have another stiffness: B front_scale, B rear_scale. The peak stays."""
 
     id = "tire_stiffness"
+    factors: ClassVar = {
+        "front_scale": ("Front tyres", "stiffer", "softer"),
+        "rear_scale": ("Rear tyres", "stiffer", "softer"),
+    }
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"front_scale": "1", "rear_scale": "1"}
@@ -434,6 +448,7 @@ class AeroDownforce(Term):
     """
 
     id = "aero_downforce"
+    titles: ClassVar = {"": "Downforce"}
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"front": "N/(m/s)^2", "rear": "N/(m/s)^2"}

@@ -18,7 +18,7 @@ from split_cli.errors import SplitError
 from split_cli.files import atomic_write_text
 from split_cli.proof.generate import generate_cases
 from split_cli.proof.outcome import Statement
-from split_cli.proof.scoring import CaseScore, CaseSetScore, score_case, statement_of, summarise
+from split_cli.proof.scoring import CaseScore, CaseSetScore, score_case, score_of_cases, statement_of
 from split_cli.proof.store import Seal, ShownCase, check_seal, read_answer, read_heldout, shown_cases
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.engine import Engine
@@ -146,7 +146,7 @@ def score_cases(root: Path, *, count: Callable[[int, int], None] = lambda done, 
         count(number + 1, len(cases))
     seconds = [note["seconds"] for note in notes]
     summary = replace(
-        summarise(scores),
+        score_of_cases(scores),
         seconds_median=float(np.median(seconds)),
         seconds_most=max(seconds),
         memory_most=max(note["peak_memory_mb"] for note in notes),

@@ -17,7 +17,7 @@ from split_cli.proof.injection import (
     split_in_halves,
 )
 from split_cli.proof.outcome import Statement, judge
-from split_cli.proof.scoring import statement_of, words_of
+from split_cli.proof.scoring import in_short, statement_of
 from split_cli.vehicle.parameters import Vehicle, read_vehicle, write_vehicle
 from split_cli.workflows.diagnose import diagnose_files
 
@@ -131,7 +131,7 @@ def diagnose_pair(folder: Path, vehicle_path: Path, reference: Drive, faulted: D
         # A fault of the diagnosis is a result too; the other faults are still tried.
         return Statement("undecided"), f"failed: {type(error).__name__}: {error}"
     said = statement_of(document)
-    return said, words_of(said)
+    return said, in_short(said)
 
 
 def injection_result(

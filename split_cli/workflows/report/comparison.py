@@ -15,7 +15,7 @@ from split_cli.workflows.report.markup import (
     notes_section,
     plain_table,
     section,
-    verdict,
+    verdict_section,
 )
 from split_cli.workflows.report.payload import shows
 from split_cli.workflows.report.shell import page
@@ -45,10 +45,10 @@ def comparison_page(compared: ModelComparison, drive_charts: Sequence[Chart] = (
         summary = f"<summary>{len(compared.worse)} states and horizons</summary>"
         alarms = f"<details>{summary}<ul>{alarms}</ul></details>"
     kind = "mismatch" if compared.worse else "match"
-    said = headline(compared)
+    said = comparison_headline(compared)
     title = f"Errors after {last[0].horizon:g} s of open-loop simulation"
     body = (
-        verdict(kind, said, facts_list([*facts, *_first_judged(compared)]))
+        verdict_section(kind, said, facts_list([*facts, *_first_judged(compared)]))
         + section("errors", title, charts_block(charts[:3], thirds=True))
         + (section("gate", f"Where {escape(compared.models[0])}, named first, is worse", alarms) if alarms else "")
         + notes_section(compared.notes, "What to know")
@@ -75,7 +75,7 @@ def _first_judged(compared: ModelComparison) -> list[tuple[str, str, str]]:
     ]
 
 
-def headline(compared: ModelComparison) -> str:
+def comparison_headline(compared: ModelComparison) -> str:
     """Return which model is best at the longest horizon, and whether the others can be told from it."""
     horizon = _longest(compared)
     last = _at(compared.scores, horizon)

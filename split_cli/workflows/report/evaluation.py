@@ -27,7 +27,14 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.drive_charts import gathered
 from split_cli.workflows.evaluation_notes import derived_states
 from split_cli.workflows.report.chart_sections import chart_sections
-from split_cli.workflows.report.markup import charts_block, facts_list, notes_section, plain_table, section, verdict
+from split_cli.workflows.report.markup import (
+    charts_block,
+    facts_list,
+    notes_section,
+    plain_table,
+    section,
+    verdict_section,
+)
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number, percent
 
@@ -149,7 +156,7 @@ def _verdict(run: EvaluationRun, comparisons: Sequence[Comparison], left_out: It
     but = "".join(f"<p{style}>Note: {escape(text)}.</p>" for text in warned)
     more = f"<details><summary>Every predictor, state by state</summary>{lines}</details>"
     said = f"{but}{facts_list(facts)}" if harm else f"{facts_list(facts)}{but}"
-    return verdict(kind, headline, f"{said}{more}")
+    return verdict_section(kind, headline, f"{said}{more}")
 
 
 def _ratio_charts(comparisons: Sequence[Comparison], predictors: Sequence[str]) -> list[Chart]:

@@ -12,7 +12,7 @@ def section(name: str, title: str, body: str) -> str:
     return f'<section id="{name}" aria-labelledby="{name}-title"><h2 id="{name}-title">{title}</h2>{body}</section>'
 
 
-def verdict(kind: str, said: str, body: str, before: str = "") -> str:
+def verdict_section(kind: str, said: str, body: str, before: str = "") -> str:
     """Return the first section: `said` as the heading of the page, HTML below it and before it."""
     return (
         f'<section class="verdict {kind}" aria-labelledby="verdict">{before}'

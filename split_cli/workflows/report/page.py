@@ -6,7 +6,7 @@ from importlib.resources import files
 from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.payload import chart_numbers
-from split_cli.workflows.report.sections import all_sections, headline
+from split_cli.workflows.report.sections import all_sections, diagnosis_headline
 from split_cli.workflows.report.shell import page
 
 
@@ -23,7 +23,7 @@ def report_page(diagnosis: Diagnosis, charts: Sequence[Chart] = ()) -> str:
     return page(
         "diagnose",
         _compared(diagnosis),
-        f"{headline(diagnosis)} {real}".strip(),
+        f"{diagnosis_headline(diagnosis)} {real}".strip(),
         all_sections(diagnosis, charts),
         charts,
         chart_numbers(diagnosis),

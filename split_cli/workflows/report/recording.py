@@ -7,7 +7,7 @@ from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart
 from split_cli.signals import CHANNELS
 from split_cli.workflows.report.chart_sections import chart_sections
-from split_cli.workflows.report.markup import facts_list, items, plain_table, section, verdict
+from split_cli.workflows.report.markup import facts_list, items, plain_table, section, verdict_section
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import number, prose
 
@@ -35,7 +35,7 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
         ("Channels", f"{len(drive.columns) - 1}", _named(drive)),
     ]
     body = (
-        f"{verdict(kind, _short(headline), f'{_rest(headline)}{more}{facts_list(facts)}')}"
+        f"{verdict_section(kind, _short(headline), f'{_rest(headline)}{more}{facts_list(facts)}')}"
         f"{''.join(chart_sections(charts))}{_open(found)}{_channels(found)}{_done(drive)}"
     )
     source = ", ".join(one.name for one in drive.metadata.sources) or drive.name

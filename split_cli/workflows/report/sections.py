@@ -10,7 +10,7 @@ from split_cli.plots.chart import Chart
 from split_cli.workflows.report.chart_sections import chart_sections
 from split_cli.workflows.report.findings import what_section
 from split_cli.workflows.report.headline import finding_headline, findings_headline
-from split_cli.workflows.report.markup import bar_row, facts_list, section, table, verdict
+from split_cli.workflows.report.markup import bar_row, facts_list, section, table, verdict_section
 from split_cli.workflows.report.words import (
     CHANNELS,
     FORCE_IDS,
@@ -51,7 +51,7 @@ _STAGES = (
 )
 
 
-def headline(diagnosis: Diagnosis) -> str:
+def diagnosis_headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in plain words: what was found by its part of the car, else whether they differ."""
     left = unexplained_part(diagnosis.findings, diagnosis.remainder) if diagnosis.unexplained else ""
     found = findings_headline(diagnosis.findings, left) if diagnosis.findings else ""
@@ -86,7 +86,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     lead = _in_sentences(diagnosis) if len(_lead(diagnosis)) <= _AT_THE_TOP else ""
     body = f"{_chips(diagnosis)}{_doubt(diagnosis)}{lead}{facts_list(_facts(diagnosis))}"
     before = f'<span class="sign" aria-hidden="true">{sign}</span>{kicker}'
-    return verdict(diagnosis.verdict, headline(diagnosis), body, before)
+    return verdict_section(diagnosis.verdict, diagnosis_headline(diagnosis), body, before)
 
 
 def _in_sentences(diagnosis: Diagnosis) -> str:
@@ -274,11 +274,11 @@ def _corrected(diagnosis: Diagnosis) -> str:
     rows = []
     for one in corrected.states:
         values = (one.nominal, one.corrected, one.persistence, one.noise_floor)
-        verdict = "worse" if one.is_worse else "better" if one.is_better else "no significant change"
+        change = "worse" if one.is_worse else "better" if one.is_better else "no significant change"
         cells = "".join(f"<td>{number(value)}</td>" for value in values)
         rows.append(
             f"<tr><th scope=row><i>{one.channel}</i> after {one.horizon:g} s [{one.unit}]</th>{cells}"
-            f"<td>{verdict}</td></tr>"
+            f"<td>{change}</td></tr>"
         )
     said = "" if corrected.accepted else f"<p><strong>{escape(not_accepted(corrected))}</strong></p>"
     if corrected.further:

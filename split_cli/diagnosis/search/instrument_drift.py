@@ -1,7 +1,7 @@
-"""How far instruments wander by themselves: no sensor's fault that is smaller can be told from that.
+"""How far instruments drift by themselves: no sensor's fault that is smaller can be identified.
 
 Navigation systems correct their heading as they go, biases drift, and roads lean. So what one instrument says of
-another wanders from one stretch of driving to the next. Two recordings of one car may lie as far apart.
+another changes from one stretch of driving to the next. Two recordings of one car may lie as far apart.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,12 +18,12 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.effects import CATALOGUE, Term
 
 
-def wandering(
+def drift_between_stretches(
     witnesses: Sequence[KinematicResiduals | Witness],
     pattern: Callable[[KinematicResiduals | Witness], np.ndarray],
     policy: Policy = STANDARD,
 ) -> float:
-    """Return how far the size of a fault wanders from stretch to stretch by witnesses of one kind, as a deviation.
+    """Return how far the size of a fault drifts from stretch to stretch by witnesses of one kind, as a deviation.
 
     Parameters
     ----------
@@ -79,12 +79,10 @@ def _between(values: np.ndarray, pattern: np.ndarray, stretches: np.ndarray, spe
     return float(np.sqrt((total - noise * between) / weight.sum()))
 
 
-def beyond_wandering(
-    case: DiagnosisCase, candidates: Sequence[Candidate], policy: Policy = STANDARD
-) -> list[Candidate]:
-    """Return candidates of which no size is a fault that instruments wander by, in reality or in the simulation.
+def beyond_drift(case: DiagnosisCase, candidates: Sequence[Candidate], policy: Policy = STANDARD) -> list[Candidate]:
+    """Return candidates of which no size is a fault that instruments drift by, in reality or in the simulation.
 
-    A size is a fault where it exceeds what sizes of single stretches wander by, by the witness that shows it most,
+    A size is a fault where it exceeds how far sizes of single stretches lie apart, by the witness that shows it most,
     95 % of a normal deviate. Velocities are held against position and yaw alone: accelerometers hardly feel their
     biases.
     """
@@ -104,7 +102,7 @@ def _everyday(
     theirs: Sequence[KinematicResiduals | Witness],
     policy: Policy,
 ) -> dict[str, float]:
-    """Return from which size on each parameter exceeds what sizes of stretches wander by, by its clearest witness."""
+    """Return from which size on each parameter exceeds how far stretches lie apart, by its clearest witness."""
     found = {}
     for name, (fault, size) in _each_alone(candidate).items():
 
@@ -115,7 +113,9 @@ def _everyday(
         kind = _clearest(fault, direct)
         if kind:
             alike = ([one for one in several if one.kind == kind] for several in (ours, theirs))
-            found[name] = policy.selection.deviations * max(wandering(several, pattern, policy) for several in alike)
+            found[name] = policy.selection.deviations * max(
+                drift_between_stretches(several, pattern, policy) for several in alike
+            )
     return found
 
 

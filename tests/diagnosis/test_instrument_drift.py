@@ -1,4 +1,4 @@
-"""How far instruments wander by themselves, against wandering that was planted."""
+"""How far instruments drift by themselves, against drift that was planted."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,7 +8,7 @@ import pytest
 
 from split_cli.diagnosis.recording.witnesses import build_witnesses
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.wandering import _between, beyond_wandering
+from split_cli.diagnosis.search.instrument_drift import _between, beyond_drift
 from split_cli.logs.drive import Drive
 from tests.diagnosis.recordings import driven, noisy, prepared
 from tests.factories import road_car
@@ -43,7 +43,7 @@ def everyday(ours: list, theirs: list) -> dict[str, dict[str, float]]:
     """Return what is no fault by term in its first variant."""
     case = SimpleNamespace(kinematics=ours, simulated_kinematics=theirs)
     found = {}
-    for one in beyond_wandering(case, build_candidates(road_car(), ours[0].series)):
+    for one in beyond_drift(case, build_candidates(road_car(), ours[0].series)):
         found.setdefault(one.term, {name: limit.everyday for name, limit in one.ranges.items()})
     return found
 
@@ -88,13 +88,13 @@ def test_a_place_of_the_sensor_is_a_fault_beyond_what_its_places_in_stretches_wa
     assert everyday(witnesses_of(moved(drive, np.ones(RUNS)), 20), sound)["sensor_lever_arm"]["dx"] == 0.0
 
 
-def test_a_constant_fault_and_a_drift_are_no_wandering(drive):
+def test_a_constant_fault_and_a_steady_drift_are_taken_off(drive):
     for angles in (np.full(RUNS, 0.02), np.linspace(-0.02, 0.02, RUNS)):
         found = witnesses_of(turned(drive, angles), 13)
         assert not any(everyday(found, found)["sensor_misalignment"].values())
 
 
-def test_a_bias_of_the_yaw_rate_that_grows_is_no_wandering(drive):
+def test_a_bias_of_the_yaw_rate_that_grows_is_taken_off(drive):
     """From 0 to 0.01 rad/s over the whole drive."""
     growing = 0.01 * (drive["t"] - drive["t"][0]) / np.ptp(drive["t"])
     found = witnesses_of(replace(drive, columns={**drive.columns, "r": drive["r"] + growing}), 14)
@@ -111,7 +111,7 @@ def late_yaw_rate(drive: Drive, delays: np.ndarray) -> Drive:
 
 
 def test_a_delay_is_a_fault_beyond_what_delays_of_stretches_wander_by(drive):
-    """Delays of 30 ms (rms) from run to run, on one side alone; a delay of 60 ms all along is no wandering."""
+    """Delays of 30 ms (rms) from run to run, on one side alone; a delay of 60 ms all along is no drift."""
     delays = np.random.default_rng(7).normal(0.06, 0.03, RUNS)
     sound, wanders = witnesses_of(drive, 15), witnesses_of(late_yaw_rate(drive, delays), 16)
     for ours, theirs in ((wanders, sound), (sound, wanders)):
