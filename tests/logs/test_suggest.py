@@ -240,7 +240,7 @@ def test_next_steps_name_what_must_be_recorded(planted, tmp_path):
 
 def test_a_heading_of_a_car_that_stands_is_a_bearing_to_be_confirmed(planted, tmp_path):
     """Beside a satellite fix, 110 to 111 degrees: neither its range nor its turning shows how it is counted."""
-    style = Style(
+    style = HeaderStyle(
         "standing",
         (
             ("time [s]", "t", "s"),
@@ -257,7 +257,7 @@ def test_a_heading_of_a_car_that_stands_is_a_bearing_to_be_confirmed(planted, tm
 
 def test_a_speed_that_the_failing_relation_blames_is_not_called_judged(planted, tmp_path):
     """A wheel's encoder reads 10 % more than the car drives: a_y against v_x r alone tolerates it."""
-    style = Style(
+    style = HeaderStyle(
         "encoder",
         (
             ("time", "t", "s"),
