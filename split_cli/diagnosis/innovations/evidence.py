@@ -10,7 +10,7 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener, cost_by_disturbance
 from split_cli.diagnosis.policy import STANDARD, Believing
-from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model
+from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, predicted_by_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -122,6 +122,7 @@ def gather_evidence(
     least_disturbance : ndarray, shape (3,), optional
         Found on another recording of the same kind; never less is assumed.
     """
+    series = predicted_by_model(series, vehicle)
     rows = series.predicted.T
     jacobian = extended_model(vehicle).velocity_jacobian(
         *rows, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s

@@ -341,9 +341,6 @@ def build_series(
     smooth = np.stack(
         [_smoothed(column, sigma, recording) for column, sigma in zip(measured.T, noise, strict=True)], axis=1
     )
-    predicted = np.stack(
-        [_predicted(*columns, recording) for columns in zip(measured.T, smooth.T, noise, strict=True)], axis=1
-    )
     t = drive["t"] - drive["t"][0]
     if "yaw" in drive:
         yaw = np.unwrap(drive["yaw"])
@@ -357,7 +354,7 @@ def build_series(
         recording=recording,
         measured=measured,
         smooth=smooth,
-        predicted=predicted,
+        predicted=_all_predicted(measured, smooth, noise, recording)[0],
         torque=T,
         steer_angle=delta,
         t=t,
@@ -398,8 +395,36 @@ def _smoothed(values: np.ndarray, sigma: float, recording: Recording) -> np.ndar
     return best
 
 
-def _predicted(values: np.ndarray, smooth: np.ndarray, sigma: float, recording: Recording) -> np.ndarray:
-    """Return every sample, shape (N,), as a polynomial through earlier ones predicts it.
+def predicted_by_model(series: Series, vehicle: Vehicle) -> Series:
+    """Return the series with states predicted by the nominal model too, where that errs less.
+
+    Notes
+    -----
+    The model's rates at the predicted states, summed up, move with the commands as the car does. What it lacks varies
+    slowly, and is what polynomials predict then. Neither knows what comes later.
+    """
+    moved, recording = np.zeros_like(series.measured), series.recording
+    rates = series.rates(extended_model(vehicle))
+    for begin, end in recording.segments:
+        moved[begin + 1 : end] = np.cumsum(series.period * rates[begin : end - 1], axis=0)
+    plain = _all_predicted(series.measured, series.smooth, series.noise, recording)
+    by_model = _all_predicted(series.measured - moved, series.smooth - moved, series.noise, recording)
+    predicted = np.where(by_model[1] < plain[1], moved + by_model[0], plain[0])
+    return replace(series, predicted=predicted)
+
+
+def _all_predicted(
+    measured: np.ndarray, smooth: np.ndarray, noise: np.ndarray, recording: Recording
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return predictions of every channel, shape (N, 3), and the rms by which they miss the samples, shape (3,)."""
+    found = [predicted_from_the_past(*columns, recording) for columns in zip(measured.T, smooth.T, noise, strict=True)]
+    return np.stack([one for one, _ in found], axis=1), np.array([error for _, error in found])
+
+
+def predicted_from_the_past(
+    values: np.ndarray, smooth: np.ndarray, sigma: float, recording: Recording
+) -> tuple[np.ndarray, float]:
+    """Return every sample, shape (N,), as a polynomial through earlier ones predicts it, and the rms error.
 
     Degree and window are those that err least. Where a recording begins, and where a prediction errs more than one
     measured sample does, the smoothed value stays: noise is next to nothing there, beside what varies.
@@ -414,7 +439,7 @@ def _predicted(values: np.ndarray, smooth: np.ndarray, sigma: float, recording: 
                 if end - begin > length:
                     trial[begin + length : end] = np.convolve(values[begin:end], weights[::-1], mode="valid")[:-1]
                     known[begin + length : end] = True
-            error = np.sqrt(np.mean((values - trial)[known] ** 2)) if known.any() else np.inf
+            error = float(np.sqrt(np.mean((values - trial)[known] ** 2))) if known.any() else np.inf
             if error < least:
                 best, least = trial, error
-    return best
+    return best, least
