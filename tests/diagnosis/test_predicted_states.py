@@ -8,7 +8,7 @@ import pytest
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.innovations.objective import build_objective, learn_discrepancy
-from split_cli.diagnosis.recording.series import Series, build_series, predicted_from_the_past
+from split_cli.diagnosis.recording.series import Series, build_series, predicted_by_model, predicted_from_the_past
 from split_cli.logs.drive import Drive
 from split_cli.proof.sets import scripted_drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -58,6 +58,14 @@ def noisy_pair() -> tuple[Series, Series]:
         drive = Drive("noisy.parquet", columns, segment, 0.01).with_held(("T", "delta"))
         out.append(build_series(drive, "real" if terms else "sim", np.cumsum(0.01 * columns["vx"])))
     return tuple(out)
+
+
+def test_predicting_again_changes_nothing(noisy_pair):
+    """A recording is gathered again with other commands, to see what a fault saves."""
+    car = read_vehicle(library_path("av21"))
+    once = predicted_by_model(noisy_pair[0], car)
+    assert not np.array_equal(once.predicted, noisy_pair[0].predicted)
+    assert np.array_equal(predicted_by_model(once, car).predicted, once.predicted)
 
 
 def damping_learned(series: Series) -> float:

@@ -404,10 +404,10 @@ def predicted_by_model(series: Series, vehicle: Vehicle) -> Series:
     slowly, and is what polynomials predict then. Neither knows what comes later.
     """
     moved, recording = np.zeros_like(series.measured), series.recording
-    rates = series.rates(extended_model(vehicle))
+    plain = _all_predicted(series.measured, series.smooth, series.noise, recording)
+    rates = replace(series, predicted=plain[0]).rates(extended_model(vehicle))
     for begin, end in recording.segments:
         moved[begin + 1 : end] = np.cumsum(series.period * rates[begin : end - 1], axis=0)
-    plain = _all_predicted(series.measured, series.smooth, series.noise, recording)
     by_model = _all_predicted(series.measured - moved, series.smooth - moved, series.noise, recording)
     predicted = np.where(by_model[1] < plain[1], moved + by_model[0], plain[0])
     return replace(series, predicted=predicted)
