@@ -135,7 +135,7 @@ def prepared(drive: Drive, role: str = "real") -> Series:
 def light_evidence(series: Series, disturbance: float = 1e-8) -> Evidence:
     """Return evidence of a known disturbance, without the shared discrepancy's columns: for many replicates."""
     car = road_car()
-    jacobian = SingleTrack(car).velocity_jacobian(*series.smooth.T, series.torque, series.steer_angle)
+    jacobian = SingleTrack(car).velocity_jacobian(*series.predicted.T, series.torque, series.steer_angle)
     rows = 4
     group, at = np.full(len(series) - 1, -1, dtype=np.int64), []
     for begin, end in series.recording.segments:

@@ -58,16 +58,16 @@ def test_forces_are_those_of_the_slips_where_the_axles_really_are(variant):
     discrepancy = build_shared_discrepancy(car, series)
     weights = np.random.default_rng(3).standard_normal(discrepancy.columns(series).shape[2])
     weights[: len(tangents())] = 0.0  # tangents hold the drag, too, which feels the velocity
-    ahead = series.smooth + AHEAD * series.smooth[:, 2:] * [0.0, 1.0, 0.0]
+    ahead = series.predicted + AHEAD * series.predicted[:, 2:] * [0.0, 1.0, 0.0]
     shift = term("cg_shift", variant, dx=AHEAD)
     there = moved_axles(car, [shift])
-    found = discrepancy.rates(replace(series, smooth=ahead), weights, (shift,))
+    found = discrepancy.rates(replace(series, predicted=ahead), weights, (shift,))
     forces, moved = (
         rates @ np.linalg.inv(vehicle.force_matrix()).T
         for rates, vehicle in ((discrepancy.rates(series, weights), car), (found, there))
     )
     np.testing.assert_allclose(moved, forces, rtol=1e-6, atol=1e-6 * np.abs(forces).max())
-    stays = discrepancy.at_another_car(discrepancy.rates(replace(series, smooth=ahead), weights), series, (shift,))
+    stays = discrepancy.at_another_car(discrepancy.rates(replace(series, predicted=ahead), weights), series, (shift,))
     assert np.abs(stays - found).max() > 0.01 * np.abs(found).max()
 
 

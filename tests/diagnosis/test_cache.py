@@ -43,7 +43,7 @@ def test_defects_beside_sensors_are_those_of_a_model_evaluated_alone(objective):
         ]
         steering = [CATALOGUE["steer_gain"]({"gain": 1.0 + 0.01 * k})]
         terms = [*model_terms, *steering, *sensors]
-        measured, smooth = series.measured, series.smooth
+        measured, smooth = series.measured, series.predicted
         for term in sensors:
             measured, smooth = (_without(term, series, velocity) for velocity in (measured, smooth))
         model = extended_model(one.vehicle, terms)

@@ -134,8 +134,8 @@ def test_shared_discrepancy_answers_to_what_arrives_of_the_inputs(discrepancy, n
         discrepancy.rates(nominal_series, weights, (gain,)), discrepancy.rates(steered, weights), rtol=1e-9, atol=1e-9
     )
     turned = CATALOGUE["sensor_lever_arm"]({"dx": 0.3})
-    vx, vy, r = nominal_series.smooth.T
-    moved = replace(nominal_series, smooth=np.stack([vx, vy - 0.3 * r, r], axis=1))
+    vx, vy, r = nominal_series.predicted.T
+    moved = replace(nominal_series, predicted=np.stack([vx, vy - 0.3 * r, r], axis=1))
     np.testing.assert_allclose(
         discrepancy.rates(nominal_series, weights, (turned,)), discrepancy.rates(moved, weights), rtol=1e-9, atol=1e-9
     )
@@ -147,7 +147,7 @@ def test_what_is_common_is_the_same_in_the_mirror(discrepancy, nominal_series):
     mirrored = replace(
         nominal_series,
         measured=nominal_series.measured * flip,
-        smooth=nominal_series.smooth * flip,
+        predicted=nominal_series.predicted * flip,
         steer_angle=-nominal_series.steer_angle,
         yaw=-nominal_series.yaw,
     )
@@ -158,7 +158,7 @@ def test_what_is_common_is_the_same_in_the_mirror(discrepancy, nominal_series):
 
 def test_nothing_is_extrapolated(discrepancy, nominal_series):
     """Twice as fast and sideways as the simulation has ever been: smooth functions stay within their bounds."""
-    wild = replace(nominal_series, smooth=nominal_series.smooth * np.array([2.0, 10.0, 10.0]))
+    wild = replace(nominal_series, predicted=nominal_series.predicted * np.array([2.0, 10.0, 10.0]))
     first = len(tangents())
     inside = np.abs(discrepancy.columns(nominal_series)[:, :, first:]).max()
     # Each scaled feature levels off at 2, and four of them are multiplied at most.

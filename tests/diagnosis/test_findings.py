@@ -33,7 +33,7 @@ def test_values_hold_with_and_without_what_is_not_believed():
 def test_what_only_nameless_terms_explain_is_unexplained(pair, chosen_pair, discrepancy):
     """Yaw inertia and drag: where the drag stays in the fit without a name, the drag's share has none."""
     (evidence,) = pair.evidence
-    structure = build_structure(pair, [flexible_rows(evidence, discrepancy, uncompared=True)])
+    structure = build_structure(pair, [flexible_rows(evidence, discrepancy)])
     gap = structure.fit(chosen_pair.base.residuals, INFLATION)
     without_drag = findings._nameless(chosen_pair, {"aero_drag"})
     said = {}

@@ -45,7 +45,7 @@ def check(fit: Fit, truth: dict[str, float], least_told: float = 20.0) -> None:
     for (name, value), error in zip(fit.parts[0].values.items(), standard_errors(fit), strict=True):
         size = abs(truth[name] - kind.neutral[name])
         assert error < size / least_told, (name, value, error)
-        # States are smoothed and rates are held over a sample of 10 ms: a hundredth for both.
+        # States are predicted and rates are held over a sample of 10 ms: a hundredth for both.
         assert abs(value - truth[name]) < 3.0 * error + 0.01 * size, (name, value, error)
 
 

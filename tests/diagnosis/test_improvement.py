@@ -109,15 +109,15 @@ def test_what_the_simulation_knows_follows_the_model_away_from_the_recording(res
     posterior = learn_discrepancy([resisted])
     shared = shared_rates(resisted.series, discrepancy, posterior)
     nuisances = np.array([0.05, 0.01, 0.002])
-    moved = replace(resisted.series, smooth=resisted.series.smooth + nuisances)
+    moved = replace(resisted.series, predicted=resisted.series.predicted + nuisances)
     there = discrepancy.rates(moved, posterior.weights)
     rows = np.arange(len(nuisances), len(moved), 97)
-    told = shared.at(rows, resisted.series.smooth[rows] + nuisances)
+    told = shared.at(rows, resisted.series.predicted[rows] + nuisances)
     change = np.abs(there[rows] - shared.base[rows]).mean(axis=0)
     # Linear in a small step: what is left is of second order.
     assert np.all(np.abs(told - there[rows]).mean(axis=0) < 0.1 * change)
     # And never more than the recording itself has shown.
-    far = shared.at(rows, resisted.series.smooth[rows] + 1e3)
+    far = shared.at(rows, resisted.series.predicted[rows] + 1e3)
     assert np.all(np.abs(far - shared.base[rows]) <= np.abs(shared.base).max(axis=0) + 1e-12)
 
 

@@ -92,7 +92,7 @@ def test_noise_of_gap_forces_is_what_sensor_noise_makes_of_them(plain):
     told = force_noise(plain, inside)
     gap = gap[inside]
     # 400 independent averages of 0.2 s: 7 % of a variance in one standard error; noise itself is estimated, and
-    # smoothed states enter to second order.
+    # predicted states enter to second order.
     np.testing.assert_allclose(np.mean(gap**2, axis=0), told, rtol=0.25)
 
 

@@ -84,7 +84,7 @@ BESIDE_THEIR_ALGORITHM = {
     "recording/screening.py": {"SMOOTHED_SECONDS", "_STEP_SECONDS", "_OUTER_SHARE"},
     "recording/series.py": {"_SLACK", "_WORTHLESS", "REMEMBERED", "VISIBLE"},
     "recording/straights.py": {"_BLOCK_SECONDS", "_FEWEST_BLOCKS"},
-    "remainder/flexible.py": {"_BESIDE_SECONDS", "_HARMONICS", "_KNOTS"},
+    "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},
     "remainder/location.py": {"_AVERAGE_SECONDS", "_ALIKE", "_FOLDS"},
     "remainder/spectrum.py": {"_BACKGROUND", "_LARGEST"},

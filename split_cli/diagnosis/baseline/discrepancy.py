@@ -81,10 +81,10 @@ class SharedDiscrepancy:
         if there is not self.vehicle:
             rest = [term for term in terms if not moves_axles(self.vehicle, term)]
             return replace(self, vehicle=there).rates(series, weights, rest)
-        _, smooth = series.corrected(terms)
+        _, predicted = series.evaluated(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
-        torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), smooth)
-        actual = replace(series, smooth=smooth, torque=torque, steer_angle=steer_angle)
+        torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), predicted)
+        actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle)
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
         flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
         out = SingleTrack.weighted_changes(actual.flow(extended_model(self.vehicle)), flows)
@@ -222,10 +222,10 @@ def build_shared_discrepancy(vehicle: Vehicle, series: Series) -> SharedDiscrepa
 
 
 def features(series: Series, vehicle: Vehicle) -> np.ndarray:
-    """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the smoothed states, shape (N, 4)."""
+    """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the predicted states, shape (N, 4)."""
     flow = series.flow(extended_model(vehicle))
     ratio = series.torque / vehicle.max_torque
-    return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, series.smooth[:, 0]], axis=1)
+    return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, series.predicted[:, 0]], axis=1)
 
 
 def scaled_features(series: Series, vehicle: Vehicle) -> np.ndarray:

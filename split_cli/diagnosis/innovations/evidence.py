@@ -10,7 +10,7 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener, cost_by_disturbance
 from split_cli.diagnosis.policy import STANDARD, Believing
-from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model
+from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, predicted_by_model
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -27,7 +27,7 @@ class Evidence:
 
     vehicle: Vehicle
     series: Series
-    jacobian: np.ndarray  # (N, 3, 3): nominal velocity Jacobian at the smoothed states
+    jacobian: np.ndarray  # (N, 3, 3): nominal velocity Jacobian at the predicted states
     whitener: Whitener
     nominal_rows: np.ndarray  # (G, 3): whitened rows against the nominal model
     discrepancy: np.ndarray  # (G, 3, C): whitened columns of the shared discrepancy
@@ -62,29 +62,30 @@ class Evidence:
         discrepancy_rates : ndarray, shape (N, 3), optional
             What the shared discrepancy adds to the model's rates [m/s^2], [m/s^2], [rad/s^2].
         """
-        measured, smooth = self.series.corrected(terms)
-        rates = self.series.rates(extended_model(self.vehicle, terms), smooth)
+        measured, predicted = self.series.evaluated(terms)
+        rates = self.series.rates(extended_model(self.vehicle, terms), predicted)
         if discrepancy_rates is not None:
             rates = rates + discrepancy_rates
-        return self._moved(measured, smooth) - integrated(self.series, rates)
+        return self._moved(measured, predicted) - integrated(self.series, rates)
 
-    def _moved(self, measured: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    def _moved(self, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         # Velocities are kept with their motion, so that no others can come to have their ids.
         made = self._moved_before(
-            (id(measured), id(smooth)), lambda: (motion(self.series, self.jacobian, measured, smooth), measured, smooth)
+            (id(measured), id(predicted)),
+            lambda: (motion(self.series, self.jacobian, measured, predicted), measured, predicted),
         )
         return made[0]
 
 
-def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-    """Return what rates of a model at the smoothed states have to explain, shape (N - 1, 3); 0 over gaps.
+def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """Return what rates of a model at the predicted states have to explain, shape (N - 1, 3); 0 over gaps.
 
     Notes
     -----
-    The model is evaluated at smoothed states and carried to the measured ones by its Jacobian, so that sensor
+    The model is evaluated at predicted states and carried to the measured ones by its Jacobian, so that sensor
     noise enters to first order only, where the whitener knows of it.
     """
-    carried = np.einsum("nij,nj->ni", jacobian, measured - smooth)
+    carried = np.einsum("nij,nj->ni", jacobian, measured - predicted)
     out = np.diff(measured, axis=0) - 0.5 * series.period * (carried[1:] + carried[:-1])
     out[~series.inside()] = 0.0
     return out
@@ -121,12 +122,13 @@ def gather_evidence(
     least_disturbance : ndarray, shape (3,), optional
         Found on another recording of the same kind; never less is assumed.
     """
-    rows = series.smooth.T
+    series = predicted_by_model(series, vehicle)
+    rows = series.predicted.T
     jacobian = extended_model(vehicle).velocity_jacobian(
         *rows, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
     )
     rates = series.rates(extended_model(vehicle))
-    plain = motion(series, jacobian, series.measured, series.smooth) - integrated(series, rates)
+    plain = motion(series, jacobian, series.measured, series.predicted) - integrated(series, rates)
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
     begins = _begins_anew(series, rolls)

@@ -76,10 +76,10 @@ def shared_rates(
     base = discrepancy.rates(series, posterior.weights, terms)
     slope = np.empty((*base.shape, 3))
     for k in range(3):
-        step = 1e-3 * max(float(np.std(series.smooth[:, k])), 1e-6)
-        moved = replace(series, smooth=series.smooth + step * np.eye(3)[k])
+        step = 1e-3 * max(float(np.std(series.predicted[:, k])), 1e-6)
+        moved = replace(series, predicted=series.predicted + step * np.eye(3)[k])
         slope[:, :, k] = (discrepancy.rates(moved, posterior.weights, terms) - base) / step
-    around = series.corrected(terms)[1]
+    around = series.evaluated(terms)[1]
     jacobian = extended_model(discrepancy.vehicle).velocity_jacobian(
         *around.T, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
     )

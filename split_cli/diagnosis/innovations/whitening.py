@@ -93,7 +93,7 @@ def build_whitener(
     Parameters
     ----------
     jacobian : ndarray, shape (N, 3, 3)
-        A, velocity block of the nominal Jacobian at the smoothed states.
+        A, velocity block of the nominal Jacobian at the predicted states.
     period : float
         [s]
     noise : ndarray, shape (3,)

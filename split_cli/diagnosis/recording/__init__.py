@@ -1,4 +1,4 @@
-"""What a drive must be before it is judged: screening, smoothed series, straights, redundant channels (witnesses).
+"""What a drive must be before it is judged: screening, states, straights, redundant channels (witnesses).
 
 May import: statement; vehicle, logs, signals, errors.
 """

@@ -1,4 +1,9 @@
-"""A drive prepared for the diagnosis: smoothed states for evaluating physics, raw ones for judging it."""
+"""A drive prepared for the diagnosis: predicted states for evaluating physics, recorded ones for judging it.
+
+A model is evaluated at states that earlier samples predict. A smoothed state knows the noise of later samples, and
+what a model makes of it follows the very noise that it is judged by: any flexible correction then learns too little
+damping (for a model evaluated in the middle of a sample this is the drift term of Onsager and Machlup, 1953).
+"""
 
 from __future__ import annotations
 
@@ -26,6 +31,8 @@ REMEMBERED = 8
 #: a channel of four digits.
 VISIBLE = 1e-4
 _WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
+#: Degrees of polynomials through earlier samples that may predict the next one [1].
+_DEGREES = (1, 2, 3)
 # A window counts as too long when what it takes away exceeds the noise by more than this.
 _SLACK = 1.04
 _WORTHLESS = 1e3
@@ -40,9 +47,10 @@ class Series:
     role: str
     drive: Drive
     recording: Recording  # its clock
-    # measured, smooth: (N, 3): v_x, v_y, r as recorded, and smoothed.
+    # measured, smooth, predicted: (N, 3): v_x, v_y, r as recorded, smoothed, and predicted from earlier samples.
     measured: np.ndarray
     smooth: np.ndarray
+    predicted: np.ndarray
     # torque, steer_angle: (N,): means over the sample that begins at each row [N m], [rad]: the value itself of a
     # held input, halfway to the next sample of one that runs in straight lines.
     torque: np.ndarray
@@ -61,7 +69,7 @@ class Series:
     _changed_by: dict[tuple[str, str], frozenset[str]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    _corrected_before: Recent[tuple[np.ndarray, np.ndarray]] = field(
+    _corrected_before: Recent[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(
         default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
     )
     _read_before: Recent[dict[str, np.ndarray]] = field(
@@ -107,10 +115,18 @@ class Series:
 
     def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
         """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""
+        return self._all_corrected(terms)[:2]
+
+    def evaluated(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
+        """Return measured and predicted velocities with the sensors' faults among `terms` taken off."""
+        measured, _, predicted = self._all_corrected(terms)
+        return measured, predicted
+
+    def _all_corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
         correcting = [term for term in terms if term.corrects and self.is_moved_by(term)]
         if not correcting:
-            return self.measured, self.smooth
+            return self.measured, self.smooth, self.predicted
         # One explanation is asked for by the model and by every witness in turn, and while others are fitted.
         return self._corrected_before(values_of(correcting), lambda: self._corrected(correcting))
 
@@ -121,7 +137,7 @@ class Series:
         that moved along would make each try of a fit another draw of it. Where nothing is fitted any more, a
         correction moves both (`residue_moves`).
         """
-        measured, smooth = self._channels
+        measured, smooth, _ = self._channels
         left = {name: measured[name] - smooth[name] for name in smooth}
         for term in terms:
             left = term.correct_noise(left, self.recording)
@@ -141,8 +157,8 @@ class Series:
             self._changed_by[kind] = frozenset(name for name, one in before.items() if after[name] is not one)
         return term.moves_samples or not self._changed_by[kind].isdisjoint(channels)
 
-    def _corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
-        measured, smooth = self._channels
+    def _corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        measured, smooth, predicted = self._channels
         for term in terms:
             good = self._put_right(term, smooth)
             if term.moves_samples:
@@ -151,19 +167,18 @@ class Series:
                 measured = {name: good[name] + left[name] for name in good}
             else:
                 measured = self._put_right(term, measured)
-            smooth = good
+            smooth, predicted = good, self._put_right(term, predicted)
         stays = all(smooth[name] is column for name, column in self._channels[1].items())
-        columns = [np.stack(list(one.values()), axis=1) for one in (measured, smooth)]
-        return columns[0], self.smooth if stays else columns[1]
+        columns = [np.stack(list(one.values()), axis=1) for one in (measured, smooth, predicted)]
+        return columns[0], self.smooth if stays else columns[1], self.predicted if stays else columns[2]
 
     @cached_property
-    def _channels(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Return measured and smooth velocities channel by channel, shape (N,) each."""
-        measured, smooth = (
+    def _channels(self) -> tuple[dict[str, np.ndarray], ...]:
+        """Return measured, smooth and predicted velocities channel by channel, shape (N,) each."""
+        return tuple(
             dict(zip(("vx", "vy", "r"), map(np.ascontiguousarray, velocity.T), strict=True))
-            for velocity in (self.measured, self.smooth)
+            for velocity in (self.measured, self.smooth, self.predicted)
         )
-        return measured, smooth
 
     def _put_right(self, term: Term, velocity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return velocities with a sensor's fault taken off, channel by channel."""
@@ -207,7 +222,7 @@ class Series:
         return {**self._channels[1], **accelerations, "t": self.t}
 
     def flow(self, model: SingleTrack, velocity: np.ndarray | None = None) -> Flow:
-        """Evaluate a model in the middle of every sample, at the smoothed states unless others are given.
+        """Evaluate a model in the middle of every sample, at the predicted states unless others are given.
 
         Notes
         -----
@@ -215,7 +230,7 @@ class Series:
         to second order whatever an input does between samples. Delays and linear lags commute with the mean over
         a sample: of a staircase they are exact. Place, time and yaw are those of the sample's begin.
         """
-        if velocity is not None and velocity is not self.smooth:
+        if velocity is not None and velocity is not self.predicted:
             bare = self._without_terms_at(velocity, model.vehicle)
         else:
             bare = self._without_terms(model.vehicle)
@@ -252,7 +267,7 @@ class Series:
 
     @cached_property
     def _columns(self) -> tuple[np.ndarray, ...]:
-        return tuple(np.ascontiguousarray(over_samples(self.smooth, self.recording).T))
+        return tuple(np.ascontiguousarray(over_samples(self.predicted, self.recording).T))
 
     def _without_terms(self, vehicle: Vehicle) -> Flow:
         """Return the flow without any term, from which all others take what their terms leave as it was."""
@@ -339,6 +354,7 @@ def build_series(
         recording=recording,
         measured=measured,
         smooth=smooth,
+        predicted=_all_predicted(measured, smooth, noise, recording)[0],
         torque=T,
         steer_angle=delta,
         t=t,
@@ -377,3 +393,53 @@ def _smoothed(values: np.ndarray, sigma: float, recording: Recording) -> np.ndar
             break
         best = trial
     return best
+
+
+def predicted_by_model(series: Series, vehicle: Vehicle) -> Series:
+    """Return the series with states predicted by the nominal model too, where that errs less.
+
+    Notes
+    -----
+    The model's rates at the predicted states, summed up, move with the commands as the car does. What it lacks varies
+    slowly, and is what polynomials predict then. Neither knows what comes later.
+    """
+    moved, recording = np.zeros_like(series.measured), series.recording
+    plain = _all_predicted(series.measured, series.smooth, series.noise, recording)
+    rates = replace(series, predicted=plain[0]).rates(extended_model(vehicle))
+    for begin, end in recording.segments:
+        moved[begin + 1 : end] = np.cumsum(series.period * rates[begin : end - 1], axis=0)
+    by_model = _all_predicted(series.measured - moved, series.smooth - moved, series.noise, recording)
+    predicted = np.where(by_model[1] < plain[1], moved + by_model[0], plain[0])
+    return replace(series, predicted=predicted)
+
+
+def _all_predicted(
+    measured: np.ndarray, smooth: np.ndarray, noise: np.ndarray, recording: Recording
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return predictions of every channel, shape (N, 3), and the rms by which they miss the samples, shape (3,)."""
+    found = [predicted_from_the_past(*columns, recording) for columns in zip(measured.T, smooth.T, noise, strict=True)]
+    return np.stack([one for one, _ in found], axis=1), np.array([error for _, error in found])
+
+
+def predicted_from_the_past(
+    values: np.ndarray, smooth: np.ndarray, sigma: float, recording: Recording
+) -> tuple[np.ndarray, float]:
+    """Return every sample, shape (N,), as a polynomial through earlier ones predicts it, and the rms error.
+
+    Degree and window are those that err least. Where a recording begins, and where a prediction errs more than one
+    measured sample does, the smoothed value stays: noise is next to nothing there, beside what varies.
+    """
+    best, least = smooth, np.sqrt(2.0) * sigma  # of a prediction that errs as one sample does, seen with its noise
+    for seconds in _WINDOWS_SECONDS:
+        length = int(round(seconds / recording.period))
+        for degree in (one for one in _DEGREES if one < length):
+            weights = np.linalg.pinv(np.vander(np.arange(-length, 0) / length, degree + 1, increasing=True))[0]
+            trial, known = smooth.copy(), np.zeros(len(values), dtype=bool)
+            for begin, end in recording.segments:
+                if end - begin > length:
+                    trial[begin + length : end] = np.convolve(values[begin:end], weights[::-1], mode="valid")[:-1]
+                    known[begin + length : end] = True
+            error = float(np.sqrt(np.mean((values - trial)[known] ** 2))) if known.any() else np.inf
+            if error < least:
+                best, least = trial, error
+    return best, least

@@ -1,14 +1,14 @@
 """Functions of a flexible fit: operating point, its mirror images, memory, time and place."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice, product
 
 import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, scaled_features, spread
 from split_cli.diagnosis.innovations.effect_to_noise import windowed
-from split_cli.diagnosis.innovations.evidence import ROW_SECONDS, Evidence, integrated
+from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.parallel import cores, map_in_threads
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects.recording import first_order_response
@@ -16,7 +16,6 @@ from split_cli.vehicle.parameters import Vehicle
 
 _HARMONICS = 8
 _KNOTS = 9
-_BESIDE_SECONDS = 0.09  # of samples on either side of what is left out, through which a cubic is fitted
 
 
 @dataclass(frozen=True)
@@ -28,21 +27,9 @@ class FlexiblePiece:
     group: str
 
 
-def flexible_rows(
-    one: Evidence, discrepancy: SharedDiscrepancy, *, uncompared: bool = False
-) -> Iterator[FlexiblePiece]:
-    """Yield the functions' rows a few functions at a time: all of them at once fill memory.
-
-    Parameters
-    ----------
-    uncompared : bool
-        Whether no simulation shows what the functions make of noise. Noise of a smoothed state is part of the row
-        that the state lies in, too. Functions of it follow that noise where slips are small beside it, and look
-        like a difference; halves of a simulation show as much. Without one, states are taken from samples around.
-    """
+def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> Iterator[FlexiblePiece]:
+    """Yield the functions' rows a few functions at a time: all of them at once fill memory."""
     series, vehicle = one.series, one.vehicle
-    if uncompared:
-        series = replace(series, smooth=states_between(series))
     groups = {
         "operating point": discrepancy.blocks(series),
         "left against right": _asymmetric(series, vehicle),
@@ -59,35 +46,6 @@ def flexible_rows(
     for group, blocks in groups.items():
         while some := list(islice(blocks, cores())):
             yield from map_in_threads(piece, [(group, block) for block in some])
-
-
-def states_between(series: Series) -> np.ndarray:
-    """Return v_x, v_y, r at every sample, (N, 3), by cubics through samples beside the rows that it lies in.
-
-    A sample between two rows is told without either. Where a segment is too short for a cubic beside a row, the
-    smoothed state stays.
-    """
-    size, reach = (max(1, round(seconds / series.period)) for seconds in (ROW_SECONDS, _BESIDE_SECONDS))
-    out = series.smooth.copy()
-    for begin, end in series.recording.segments:
-        values, number = series.measured[begin:end], np.arange(end - begin)
-        for place in range(size):
-            before, after = (size, size) if place == 0 else (place, size - place)
-            offsets = np.r_[-before - reach : -before, after + 1 : after + reach + 1]
-            at = number[place::size]
-            inside = (at + offsets[0] >= 0) & (at + offsets[-1] < len(values))
-            weights = _at_the_middle(offsets)
-            out[begin + at[inside]] = np.tensordot(weights, values[at[inside] + offsets[:, None]], axes=1)
-            for i in at[~inside]:
-                near = offsets[(i + offsets >= 0) & (i + offsets < len(values))]
-                if len(near) >= reach:
-                    out[begin + i] = _at_the_middle(near) @ values[i + near]
-    return out
-
-
-def _at_the_middle(offsets: np.ndarray) -> np.ndarray:
-    """Return weights of samples at these offsets, (K,), for the value at 0 of the cubic through them."""
-    return np.linalg.pinv(np.vander(offsets / np.abs(offsets).max(), 4, increasing=True))[0]
 
 
 def _forces(vehicle: Vehicle) -> np.ndarray:

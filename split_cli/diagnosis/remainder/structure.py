@@ -109,8 +109,8 @@ def build_structure(objective: MarginalLikelihood, pieces: Sequence[Iterable[Fle
     blocks, windows, groups = [], [[] for _ in objective.evidence], []
     for several in zip(*pieces, strict=True):
         some = objective.whiten(objective.stack([one.whitened for one in several]))
-        # A ridge: sums of nearly collinear columns hold little beside the noise of the smoothed states, which is
-        # also in the residuals and would look like structure.
+        # A ridge: sums of nearly collinear columns hold little beside the noise of the predicted states, and would
+        # look like structure where they fit it.
         scale = np.sqrt(np.mean(some**2, axis=0)) + 1e-12
         scale = np.where(scale > 1e-9, scale, np.inf)
         blocks.append(some / scale)

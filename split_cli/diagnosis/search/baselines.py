@@ -274,10 +274,7 @@ def _known(
 
 def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], known: SelfTest) -> SearchOutcome:
     objective = known.allow(objective)
-    alone = objective.posterior is None
-    structure = build_structure(
-        objective, [flexible_rows(one, objective.discrepancy, uncompared=alone) for one in objective.evidence]
-    )
+    structure = build_structure(objective, [flexible_rows(one, objective.discrepancy) for one in objective.evidence])
     base = nothing(objective)
     variance_inflation = max(
         objective.policy.comparison.variance_inflation, residual_autocorrelation(structure, base.residuals).ratio
