@@ -23,8 +23,9 @@ TESTS = (
     "tests/learning/test_labels.py",
     "tests/prediction/test_predictors.py",
     "tests/export/test_export_c99.py",
+    "tests/control/test_qp.py",
 )
-"""Of every layer that a dependency carries: tables, messages, compiled learning and prediction, export."""
+"""Of every layer that a dependency carries: tables, messages, compiled learning and prediction, export, solver."""
 NEEDED = ("pytest>=8", "pytest-xdist>=3.5", "hypothesis>=6.90", "pandas>=2.1")
 
 
