@@ -23,6 +23,7 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
 SLIP_ROWS = 3
+"""Rows a stage that `slip_rows` returns [1]: the slip angle of each axle, and their difference."""
 
 
 @dataclass(frozen=True)
