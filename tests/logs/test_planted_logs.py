@@ -159,6 +159,20 @@ def test_a_copied_and_a_computed_yaw_rate_are_told_and_judge_nobody(planted):
     assert (finding.channel, finding.check) == ("r", "copied") and finding.measured == pytest.approx(1 / 2.6, rel=1e-3)
 
 
+@pytest.mark.parametrize("delay", [0.05, 0.133, 0.3, -0.1])
+def test_a_computed_yaw_rate_that_comes_late_is_no_other_channels_fault(delay, planted):
+    def computed(t, v):
+        return planted.at("vx", t - delay) * np.tan(planted.at("delta", t - delay)) / 2.6
+
+    finding = only(ingested(planted, r=computed))
+    assert (finding.channel, finding.check) == ("r", "copied") and finding.measured == pytest.approx(1 / 2.6, rel=0.01)
+    assert f"{abs(delay):.2f} s {'earlier' if delay > 0 else 'later'}" in finding.text
+
+
+def test_a_measured_yaw_rate_is_not_taken_for_a_computed_one(planted):
+    assert not [f for f in ingested(planted).findings if f.check == "copied"]
+
+
 @pytest.mark.parametrize(("time", "unit"), [(1e3, "s"), (1.0, "ms")])
 def test_a_clock_in_another_unit_hides_no_second_mistake(time, unit, planted):
     with pytest.raises(LogError, match="probably in") as alone:

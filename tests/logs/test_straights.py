@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.assembling.quality import EARLIER, render_quality
 from split_cli.logs.checking.consistency import check_consistency
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.steering_zero import steering_zero
@@ -150,6 +151,9 @@ def test_a_drive_ingested_again_keeps_what_was_derived_and_assumed(planted, tmp_
     kinds = again.drive.metadata.kinds
     assert kinds["T"].startswith("derived:") and kinds["vy"].startswith("derived:") and kinds["delta"] == "command"
     assert any("vx in m/s" in text and "first ingested" in text for text in again.quality.assumed)
+    # Columns of a drive are in SI by definition: nothing is assumed a second time, and the rest takes one line.
+    assert set(again.quality.assumed) == {f"{text}{EARLIER}" for text in first.quality.assumed}
+    assert render_quality(again.quality).count("first ingested") == 1
     assert set(first.drive.metadata.conversions) <= set(again.drive.metadata.conversions)
 
 

@@ -16,7 +16,7 @@ from split_cli.logs.assembling.derivations import DERIVATIONS, can_derive, deriv
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.kinds import between_of, kinds_of, unlike_a_sensor
 from split_cli.logs.assembling.moving_to_cg import move_to_cg
-from split_cli.logs.assembling.quality import QualityReport
+from split_cli.logs.assembling.quality import EARLIER, UNSTATED, QualityReport
 from split_cli.logs.assembling.resample import SampleClock
 from split_cli.logs.assembling.standstills import standstills_of, stopped
 from split_cli.logs.assembling.synchronize import (
@@ -193,7 +193,7 @@ def _assemble(
         clock=gathered.clock,
         consistency=consistency,
         delays=estimates,
-        assumed=(*_assumed_before(before), *gathered.assumed),
+        assumed=(*_assumed_before(before), *_assumed_now(gathered.assumed, before)),
         contradictions=gathered.contradictions,
         skipped=gathered.skipped,
         warnings=(
@@ -296,9 +296,14 @@ def _unverified(path: Path, before: DriveMetadata | None) -> str:
     return f"the file has no checksums: {NO_CHECKSUMS}" if unchecked else ""
 
 
+def _assumed_now(assumed: Sequence[str], before: DriveMetadata | None) -> tuple[str, ...]:
+    """Return what this ingest assumes; columns of a drive are in SI by definition."""
+    return tuple(text for text in assumed if before is None or not text.endswith(UNSTATED))
+
+
 def _assumed_before(before: DriveMetadata | None) -> tuple[str, ...]:
     assumed = before.quality.get("assumed", ()) if before is not None else ()
-    return tuple(f"{text} (when it was first ingested)" for text in map(str, assumed))
+    return tuple(text if text.endswith(EARLIER) else f"{text}{EARLIER}" for text in map(str, assumed))
 
 
 def _needed_channels(signal_map: SignalMap, derivations: Sequence[str]) -> list[str]:

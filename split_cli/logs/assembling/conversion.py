@@ -70,9 +70,8 @@ class Converter:
         bent = self._bend(channel, source, name, values * source.scale + source.offset)
         values = self._to_si(channel, source, bent, unit, signals[0].unit)
         if source.scale != 1.0 or source.offset != 0.0:
-            self.notes.conversions.append(
-                f"{channel}: {source.scale:g} x {name} {'+' if source.offset >= 0 else '-'} {abs(source.offset):g}"
-            )
+            shift = f" {'+' if source.offset > 0 else '-'} {abs(source.offset):g}" if source.offset else ""
+            self.notes.conversions.append(f"{channel}: {source.scale:g} x {name}{shift}")
         values = self._to_frame(channel, source, values)
         time = common if signals[0].time is None else signals[0].time
         if len(time) != len(values):

@@ -18,6 +18,10 @@ _KNOWN = {*CHANNELS, *EXTRA_UNITS}
 _MOST_ROWS = 12
 """Of the table, for columns that no command knows: CarSim writes 700, and what follows would be out of sight."""
 _SHOWN = 6
+UNSTATED = " (neither file nor map says)"
+"""How an assumption ends that is made for want of a unit."""
+EARLIER = " (when it was first ingested)"
+"""What follows an assumption that a drive brings with it."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +166,10 @@ def _few(names: Sequence[str]) -> str:
 
 
 def _assumed(texts: Sequence[str]) -> list[str]:
-    """Put the channels whose unit nobody says into one line."""
-    tail = " (neither file nor map says)"
-    units = [text.removesuffix(tail) for text in texts if text.endswith(tail)]
-    rest = [text for text in texts if not text.endswith(tail)]
-    return [*rest, *([", ".join(units) + tail] if units else [])]
+    """Put the channels whose unit nobody says into one line, and those of an earlier ingest into another."""
+    lines, rest = [], list(texts)
+    for tail in (UNSTATED, f"{UNSTATED}{EARLIER}"):
+        units = [text.removesuffix(tail) for text in rest if text.endswith(tail)]
+        rest = [text for text in rest if not text.endswith(tail)]
+        lines += [", ".join(units) + tail] if units else []
+    return [*rest, *lines]

@@ -13,6 +13,8 @@ _LEFT = 1e-4
 """Share of a channel's variation that a copy leaves [1]; the noise of any sensor leaves more."""
 _LEFT_BY_FORMULA = 2e-3
 """The same of a product of channels, each brought to the clock by itself [1]."""
+_LONGEST = 0.5
+"""Time over which a yaw rate that was computed is searched for [s]: filters and buses of cars delay less."""
 _MEASURED = ("vx", "r", "yaw", "X", "Y", "vy", "ax", "ay", "delta", "T")
 """Of two the later is told; those that judge most others stand first."""
 
@@ -50,14 +52,51 @@ def copied_channels(drive: Drive, kinds: Mapping[str, str]) -> list[ConsistencyF
             )
             found.append(ConsistencyFinding("copied", second, text, factor))
     if {"r", "vx", "delta"} <= set(measured) and "r" not in reported:
-        factor = _factor(columns["r"], columns["vx"] * np.tan(columns["delta"]), _LEFT_BY_FORMULA)
+        computed = columns["vx"] * np.tan(columns["delta"])
+        factor, late = _factor(columns["r"], computed, _LEFT_BY_FORMULA), 0.0
+        if factor is None:
+            factor, late = _late_factor(columns["r"], computed, drive)
         if factor is not None and factor != 0.0:
+            moved = f"{late:.2f} s {'earlier' if late > 0.0 else 'later'}" if late else ""
             text = (
-                f"r is v_x tan(delta)/{1.0 / factor:.4g} m, computed from the steer angle, not measured: it "
-                "shows nothing of tyres. Map a gyro, or derive r from yaw: `--derive yaw-rate-from-yaw`."
+                f"r is v_x tan(delta)/{1.0 / factor:.4g} m{f' of {moved}' if moved else ''}, computed from the steer "
+                "angle, not measured: it shows nothing of tyres. Map a gyro, or derive r from yaw: "
+                "`--derive yaw-rate-from-yaw`."
             )
             found.append(ConsistencyFinding("copied", "r", text, factor))
     return found
+
+
+def _late_factor(r: np.ndarray, computed: np.ndarray, drive: Drive) -> tuple[float | None, float]:
+    """Return the factor with which a product of channels gives r at another time, and by how much r is late [s].
+
+    Notes
+    -----
+    Rows are shifted by whole samples to where the two go together best. Three neighbouring rows then stand for a
+    fraction of a sample: their weights add up to the factor, and their mean is the time. Rows whose neighbours
+    belong to another segment are left out.
+    """
+    most = min(int(round(_LONGEST / drive.period)), len(r) // 4)
+    begins = np.flatnonzero(np.diff(drive.segment, prepend=drive.segment[0] - 1))
+    ends = np.append(begins[1:], len(r))
+    inside = np.zeros(len(r), bool)
+    for begin, end in zip(begins, ends, strict=True):
+        inside[begin + most + 1 : end - most - 1] = True
+    row = np.flatnonzero(inside & np.isfinite(r))
+    if len(row) < 50:
+        return None, 0.0
+    y = r[row]
+    shifted = {k: np.nan_to_num(computed[row - k]) for k in range(-most - 1, most + 2)}
+    if np.std(y) == 0.0 or not np.any(computed[row]):
+        return None, 0.0
+    best = max(range(-most, most + 1), key=lambda k: abs(float(shifted[k] @ y)) / (np.linalg.norm(shifted[k]) + 1e-12))
+    near = [best - 1, best, best + 1]
+    design = np.stack([shifted[k] for k in near], axis=1)
+    weights, *_ = np.linalg.lstsq(design, y)
+    factor = float(weights.sum())
+    if factor == 0.0 or float(np.std(y - design @ weights)) >= _LEFT_BY_FORMULA * float(np.std(y)):
+        return None, 0.0
+    return factor, float(weights @ near) / factor * drive.period
 
 
 def _factor(y: np.ndarray, x: np.ndarray, left: float) -> float | None:
