@@ -120,6 +120,13 @@ def test_one_lap_of_two_learners_is_called_no_comparison():
     assert "not a comparison" not in race_page([one, replace(one, learner="none")], split.path)
 
 
+def test_what_two_races_noted_is_said_once_and_behind_the_tables():
+    noted = replace(race(), notes=("the same of both",))
+    page = race_page([replace(noted, learner="iol"), replace(noted, learner="split")], noted.path)
+    assert page.count("the same of both") == 1 and "iol, split: the same of both" in page
+    assert page.index("table-timing") < page.index("the same of both")
+
+
 def test_a_lap_that_was_lost_at_once_stands_in_the_tables():
     """It has no trace to draw, and its row says why."""
     result = race()

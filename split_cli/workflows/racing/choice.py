@@ -67,8 +67,8 @@ def choose_features(laps: Sequence[Drive], vehicle: Vehicle, settings: RaceSetti
         for one in sorted(found, key=lambda one: candidates.index(one.features))
     )
     reason = (
-        f"features {chosen.features}: on held-out tenths of {driven} the correction leaves {left} of the nominal "
-        "model's error"
+        f"the inputs of the correction are {chosen.features} (`--features`). On parts of {driven} that were not "
+        f"learned, its error is {left} of the nominal model's"
     )
     undecided = sum(one.behind <= one.behind_error for one in found) > 1
     if undecided:

@@ -11,7 +11,7 @@ from split_cli.control.path import Path
 from split_cli.plots.chart import Chart, ChartLine, thinned
 from split_cli.plots.palette import DASHED, ROLES
 from split_cli.workflows.racing.result import Lap, RaceResult
-from split_cli.workflows.report.markup import charts_block, plain_table
+from split_cli.workflows.report.markup import charts_block, notes_section, plain_table
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, heading, prose
 
@@ -47,6 +47,7 @@ def race_page(races: Sequence[RaceResult], path: Path) -> str:
         caution=_caution(races),
         table=_table(races),
         timing=_timing(races),
+        notes=_notes(races),
         strips=charts_block([chart for chart in charts if chart.wide]),
         plane=charts_block([chart for chart in charts if not chart.wide]),
     )
@@ -153,10 +154,9 @@ def _headline(races: Sequence[RaceResult]) -> str:
 
 
 def _caution(races: Sequence[RaceResult]) -> str:
-    """Return whether learning helped, what a race noted, and a warning where learners drove one lap each."""
+    """Return whether learning helped, and a warning where learners drove one lap each."""
     learning = [race for race in races if race.learner != "none"]
-    said = [(_called(race), text) for race in races for text in (race.verdict, *race.notes) if text]
-    verdicts = "".join(f"<p>{escape(name)}: {prose(text)}</p>" for name, text in said)
+    verdicts = "".join(f"<p>{escape(_called(race))}: {prose(race.verdict)}</p>" for race in races if race.verdict)
     if len(learning) < 2 or max(lap.number for race in learning for lap in race.laps) > 1:
         return verdicts
     return verdicts + (
@@ -164,6 +164,15 @@ def _caution(races: Sequence[RaceResult]) -> str:
         "learners: laps scatter by tenths of a second, and learning goes on. Compare them over ten laps "
         "(<code>--laps 10</code>) and several seeds.</p>"
     )
+
+
+def _notes(races: Sequence[RaceResult]) -> str:
+    """Return what races noted, once for all of which it was said."""
+    said: dict[str, list[str]] = {}
+    for race in races:
+        for text in race.notes:
+            said.setdefault(text, []).append(_called(race))
+    return notes_section([f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in said.items()], "Notes")
 
 
 def _about(race: RaceResult) -> str:
