@@ -38,7 +38,8 @@ COLUMNS: dict[str, dict[str, str]] = {
         "in 90 %": "share of labels inside the 90 % interval, of v_x/v_y/r [%]",
         "in 95 %": "share of labels inside the 95 % interval, of v_x/v_y/r [%]; far below 95 means overconfident",
         "model": "predictor; nominal: the model without a correction; velocity held: persistence; last label "
-        "held: the last label as correction; noise floor: error of sensor noise alone",
+        "held: the last label as correction; full trust: the whole correction, not the trusted share; running trust: a "
+        "share found anew while the drive lasts; noise floor: error of sensor noise alone",
         "norm": "root of the sum of the three squared errors of one step; for ranking only, since it mixes units",
         "norm valid": "the same, inside the valid region only",
         "position": f"{_RMS} of position after the open-loop simulation [m]",

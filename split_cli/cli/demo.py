@@ -7,6 +7,9 @@ import click
 
 from split_cli.cli.options import OutputPath, existing_file
 
+_LISTED = 6
+"""Files of a folder that are named [1]: so many fit a line or two."""
+
 
 @click.command("demo")
 @click.option("--samples", type=existing_file, metavar="FOLDER", help="Folder with the sample logs.")
@@ -36,8 +39,10 @@ def command(samples, output) -> None:
     for number, step in enumerate(steps, 1):
         click.echo(f"\n[{number}/{len(steps)}] {step.title}\n$ {step.command}\n")
         group.main(args=list(step.arguments), prog_name="split", standalone_mode=False)
-    click.echo(f"\nDone in {time.perf_counter() - begin:.0f} s. Look at:")
-    for path in sorted(output.rglob("*")):
-        if path.is_file():
-            click.echo(f"  {path}  ({path.stat().st_size / 1024:.0f} kB)")
+    click.echo(f"\nDone in {time.perf_counter() - begin:.0f} s. It wrote:")
+    for folder in [output, *sorted(path for path in output.rglob("*") if path.is_dir())]:
+        files = sorted(path for path in folder.iterdir() if path.is_file())
+        shown = ", ".join(path.name for path in files[:_LISTED]) + (", ..." if len(files) > _LISTED else "")
+        if files:
+            click.echo(f"  {folder}/  {len(files)} file{'s' if len(files) > 1 else ''}: {shown}")
     click.echo(f"\n{closing_words(output)}")

@@ -101,6 +101,15 @@ class TestModels:
         assert twice.notes[0] == "lap.parquet was given twice: it counts once"
         assert twice.notes[1] == "copy.parquet is a copy of lap.parquet: it counts once"
 
+    def test_the_headline_says_by_how_much_the_best_is_ahead(self, drive):
+        """Significant is not large: 0.8 % less error was headed like 80 %."""
+        compared = compare_models([ComparedModel("wrong", WRONG), ComparedModel("right", CAR)], [drive], (0.5,))
+        right, wrong = (next(s for s in compared.scores if s.name == name) for name in ("right", "wrong"))
+        near = [replace(right, total=0.992), replace(wrong, total=1.0)]
+        assert "with 0.8 % less error than wrong" in comparison_headline(replace(compared, scores=tuple(near)))
+        far = [replace(right, total=0.2), replace(wrong, total=1.0)]
+        assert "with 80 % less error than wrong" in comparison_headline(replace(compared, scores=tuple(far)))
+
     def test_a_model_that_learned_the_drive_is_not_simply_best(self, drive):
         known = replace(drive, sha256="known")
         compared = compare_models([ComparedModel("wrong", WRONG), ComparedModel("right", CAR)], [known], (0.5,))
@@ -147,7 +156,7 @@ class TestTheCommand:
         first = said["scores"][0]["states"][0]
         assert float(rows[0]["rmse"]) == pytest.approx(first["rmse"]) and rows[0]["model"] == "old"
         page = (folder / "out" / "report.html").read_text(encoding="utf-8")
-        assert "new is best after 1 s, significantly in" in page
+        assert "new is best after 1 s, with" in page and "significantly in" in page
         # The pictures of every report: motion, tyres, handling, accelerations, whiteness.
         for chart in ("strip-vy", "tire-front", "force-x", "understeer", "gg", "white-r"):
             assert f'"name":"{chart}"' in page, chart

@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -227,6 +228,21 @@ def test_on_paper_every_chart_fills_its_column_and_what_is_folded_leaves_no_head
     )
     assert not browser.find_element("id", "folded").is_displayed()
     browser.execute_script("window.dispatchEvent(new Event('afterprint'))")
+
+
+def test_words_below_three_charts_are_as_wide_as_the_three(browser, tmp_path):
+    """In the column of the first they took ten lines, and on paper pushed the next section to another page."""
+    line = ChartLine("label", np.arange(5.0), np.arange(5.0), "measured")
+    charts = [Chart(name, name.upper(), "time [s]", "y [m]", (line,)) for name in "abc"]
+    alone = charts_block([replace(charts[0], note="Said of all."), *charts[1:]], thirds=True)
+    both = charts_block([replace(chart, note=f"Of {chart.name}.") for chart in charts], thirds=True)
+    assert "<b>A:</b>" not in alone and "<b>A:</b> Of a." in both and "<b>C:</b> Of c." in both
+    file = tmp_path / "page.html"
+    file.write_text(page("compare", "a", "b", f'<h1 id="verdict">x</h1>{alone}', charts), encoding="utf-8")
+    browser.set_window_size(1200, 800)
+    browser.get(file.as_uri())
+    grid, words = (browser.find_element("css selector", name).size["width"] for name in (".thirds", ".note-line"))
+    assert words == pytest.approx(grid, abs=2)
 
 
 def test_names_of_rows_that_begin_alike_are_told_apart(browser, tmp_path):

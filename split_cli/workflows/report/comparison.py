@@ -91,7 +91,16 @@ def comparison_headline(compared: ModelComparison) -> str:
     learned = ", but was trained on what it is compared on" if best.name in compared.in_sample else ""
     if not sure:
         return f"{best.name} has the smallest error after {horizon:g} s; the difference is not significant{learned}."
-    return f"{best.name} is best after {horizon:g} s, significantly in {_listed(sure)}{learned}."
+    lead = _lead(best, others)
+    return f"{best.name} is best after {horizon:g} s, with {lead}, significantly in {_listed(sure)}{learned}."
+
+
+def _lead(best: ModelScore, others: Sequence[ModelScore]) -> str:
+    """Return by how much the error of the best is below that of the next, a mean over the three states."""
+    following = min(others, key=lambda score: score.total)
+    less = 100.0 * (1.0 - best.total / following.total)
+    share = f"{less:.0f} %" if less >= 10.0 else f"{less:.1f} %"
+    return f"{share} less error than {following.name}"
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -152,8 +161,10 @@ def _table(scores: Sequence[ModelScore], name: str) -> str:
             if one.is_best:
                 best.append((k, len(cells)))
             ratio, low, high = one.to_best
-            interval = f"{low:.2f} to {high:.2f}" if low == low else "interval unknown: too short a drive"
-            relation = "best" if one.is_best else f"{ratio:.2f} ({interval})"
+            # Near 1 a third digit tells an interval from its ends.
+            digits = 3 if ratio < 1.1 else 2
+            interval = f"{low:.{digits}f} to {high:.{digits}f}" if low == low else "interval unknown: too short a drive"
+            relation = "best" if one.is_best else f"{ratio:.{digits}f} ({interval})"
             cells += [number(one.rmse), f"{one.fit:.1f}", f"{one.skill:.3f}", relation]
         rows.append(cells)
     return plain_table(heads, rows, name, best)

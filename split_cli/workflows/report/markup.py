@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.words import escape, heading, prose
@@ -120,5 +121,11 @@ def charts_block(charts: Sequence[Chart], *, thirds: bool = False) -> str:
             f'<label><input type="radio" name="along-x" value="s"{other}><span>distance</span></label>'
             "</span></fieldset></form>"
         )
-    kind = "figures thirds" if thirds else "figures"
-    return f'{choice}<div class="{kind}">{"".join(figure(chart) for chart in charts)}</div>'
+    if not thirds:
+        return f'{choice}<div class="figures">{"".join(map(figure, charts))}</div>'
+    # A third of the page is too narrow for sentences.
+    noted = [chart for chart in charts if chart.note]
+    titles = [f"<b>{escape(chart.title)}:</b> " if len(noted) > 1 else "" for chart in noted]
+    notes = [f'<p class="note-line wide">{t}{escape(c.note)}</p>' for t, c in zip(titles, noted, strict=True)]
+    drawn = "".join(figure(replace(chart, note="")) for chart in charts)
+    return f'{choice}<div class="figures thirds">{drawn}{"".join(notes)}</div>'
