@@ -98,11 +98,16 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
     metavar="LIST",
     help="Cell edges for --select, as multiples of the standard edge.",
 )
+@click.option(
+    "--keep-going", is_flag=True, help="Leave out drives that cannot be read or are of another vehicle; exit code 1."
+)
 @shared.engine_options(1)
 @shared.output_option("Folder for figures and report.html.", required=False, folder=True)
 @shared.held_option
 @shared.json_option
-def command(drives, vehicle_path, set_path, output, as_json, select, engine, scheduler, jobs, **settings) -> None:
+def command(
+    drives, vehicle_path, set_path, output, as_json, select, keep_going, engine, scheduler, jobs, **settings
+) -> int:
     """Measure the error of predictors beside that of the nominal model.
 
     The table also has persistence, which holds the last value, and the noise floor: the error that sensor noise
@@ -122,17 +127,22 @@ def command(drives, vehicle_path, set_path, output, as_json, select, engine, sch
     tried = {name: settings.pop(name) for name in ("capacities", "thresholds", "cell_edges")}
     if select and (engine != "process" or jobs > 1):
         raise click.UsageError("--select works in this process: leave out --engine and --jobs")
+    if select and keep_going:
+        raise click.UsageError("--select takes no --keep-going")
+    failed = False
     with local_drives(drives) as paths:
         if select:
             _select(paths, vehicle_path, set_path, output, as_json, tried, settings)
         else:
-            learned = _evaluate(paths, vehicle_path, set_path, output, as_json, (engine, scheduler, jobs), settings)
+            worked = engine, scheduler, jobs, keep_going
+            learned, failed = _evaluate(paths, vehicle_path, set_path, output, as_json, worked, settings)
     if not as_json and not select:
         _tell_what_follows(drives, vehicle_path, set_path, learned)
+    return 1 if failed else 0
 
 
-def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> bool:
-    """Evaluate and print; return whether the set was trained on every drive."""
+def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> tuple[bool, bool]:
+    """Evaluate and print; return whether the set was trained on every drive, and whether drives were left out."""
     from split_cli.scoring.report import EvaluationSettings
     from split_cli.workflows.engine import open_engine
     from split_cli.workflows.evaluate import evaluate_files
@@ -140,9 +150,11 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
     asked = EvaluationSettings(**settings)
     # Labels, each predictor trusted and believed in full, rollouts and noise: no more steps than this.
     steps = len(asked.features) * (1 + 2 * len(asked.predictors)) + 2
-    engine, scheduler, jobs = worked
+    engine, scheduler, jobs, keep_going = worked
     with open_engine(engine, jobs=jobs, scheduler=scheduler) as where, StepBar(steps) as progress:
-        run = evaluate_files(drives, vehicle_path, asked, set_path, progress=progress, engine=where)
+        run = evaluate_files(
+            drives, vehicle_path, asked, set_path, progress=progress, engine=where, keep_going=keep_going
+        )
     if output is not None:
         from split_cli.workflows.pages import write_evaluation
 
@@ -152,11 +164,12 @@ def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, se
         for reason in drawn.left_out:
             click.echo(f"split: not drawn: {reason}", err=True)
     print_notes(run.report.notes)
+    shared.tell_left_out(run.failures)
     if as_json:
         shared.print_json(run.report)
     else:
         _print_report(run.report)
-    return set_path is not None and all(drive.in_sample for drive in run.report.drives)
+    return set_path is not None and all(drive.in_sample for drive in run.report.drives), bool(run.failures)
 
 
 def _tell_what_follows(drives, vehicle_path, set_path, learned: bool) -> None:

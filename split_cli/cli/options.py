@@ -322,6 +322,12 @@ def named_after(path: Path | str, what: str) -> str:
     return f"{Path(path).stem}_{what}"
 
 
+def tell_left_out(failures: Sequence[str]) -> None:
+    """Print on stderr which drives were left out, with the reason of each."""
+    for text in failures:
+        click.echo(f"split: left out: {text}", err=True)
+
+
 def tell_next(words: Sequence[str | Path] = (), *, before: str = "") -> None:
     """Print the command to run next on stderr, as a line to copy; `before` says what has to be done first."""
     line = before + " ".join(shlex.quote(typed_path(w) if isinstance(w, Path) else w) for w in words)

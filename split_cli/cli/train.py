@@ -70,10 +70,15 @@ from split_cli.cli.verbosity import StepBar, print_notes
     help="Leave this stretch of time out of training [s]; repeatable.",
 )
 @shared.held_option
+@click.option(
+    "--keep-going", is_flag=True, help="Leave out drives that cannot be read or are of another vehicle; exit code 1."
+)
 @shared.engine_options(1)
 @click.option("--per-lap", is_flag=True, help="Also print what each lap added, as in the paper's table.")
 @shared.json_option
-def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jobs, as_json, **settings) -> None:
+def command(
+    drives, vehicle_path, output, append, per_lap, keep_going, engine, scheduler, jobs, as_json, **settings
+) -> int:
     """Learn the error of the nominal model from drives into a trained set.
 
     Each drive is labelled once. Drives that `split label` has labelled for this vehicle are not labelled again.
@@ -102,13 +107,15 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
             TrainSettings(**settings),
             append=append,
             per_lap=per_lap,
+            keep_going=keep_going,
             engine=where,
             progress=progress,
         )
     print_notes(result.notes)
+    shared.tell_left_out(result.failures)
     if as_json:
         shared.print_json(result)
-        return
+        return 1 if result.failures else 0
     _print_rows(result)
     if result.laps:
         _print_laps(result.laps)
@@ -124,6 +131,7 @@ def command(drives, vehicle_path, output, append, per_lap, engine, scheduler, jo
     if result.trust.array.any():
         exported = ["split", "export", output, "--target", "c", "-o", shared.named_after(output, "controller/")]
         shared.tell_next(exported, before="where the correction helps, ")
+    return 1 if result.failures else 0
 
 
 def _print_laps(laps) -> None:

@@ -64,3 +64,4 @@ class EvaluationRun:
     traces: tuple[Trace, ...]
     tallies: Mapping[tuple[str, str], ScoreTally]  # pooled, by name and features
     rollouts: Mapping[tuple[str, str], RolloutSums]  # pooled, by name and features
+    failures: tuple[str, ...] = ()  # why drives were left out, where that was asked for

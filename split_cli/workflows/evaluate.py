@@ -62,7 +62,7 @@ from split_cli.workflows.evaluation_notes import (
     says_something,
 )
 from split_cli.workflows.other_vehicle import trained_for_another
-from split_cli.workflows.recordings import RecordingCorrection, vehicle_warnings
+from split_cli.workflows.recordings import RecordingCorrection, usable_drives, vehicle_warnings
 
 #: Marks a predictor whose whole correction is applied, beside one that is trusted in part.
 PLAIN = ", full trust"
@@ -79,8 +79,12 @@ def evaluate_files(
     set_path: str | Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
     engine: Engine = HERE,
+    *,
+    keep_going: bool = False,
 ) -> EvaluationRun:
     """Read drives, vehicle and set, and evaluate; see `evaluate`.
+
+    With `keep_going` drives that cannot be read or are of another vehicle are left out, instead of stopping.
 
     Raises
     ------
@@ -98,8 +102,11 @@ def evaluate_files(
     if trained is not None and trained.nominal_vehicle.digest() != car.digest():
         what = trained_for_another(trained.nominal_vehicle, car)
         raise SetError(what, where=str(set_path), advice="Leave --vehicle out, the set carries its own.")
+    failures: tuple[str, ...] = ()
+    if keep_going:
+        drives, failures = usable_drives([Path(path) for path in drives], car, settings.held, settings.any_vehicle)
     opened = [open_drive(path, settings.held, beside=len(drives)) for path in drives]
-    return evaluate(opened, car, settings, trained, progress, engine)
+    return replace(evaluate(opened, car, settings, trained, progress, engine), failures=failures)
 
 
 def evaluate(

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
-from split_cli.errors import DriveError
+from split_cli.errors import DriveError, SplitError
 from split_cli.learning.features import recording_of
-from split_cli.logs.drive import Drive
+from split_cli.logs.drive import Drive, open_drive
 from split_cli.logs.track_position import TrackReference, build_reference, track_position
 from split_cli.scoring.vehicle_match import belonging
 from split_cli.vehicle.effects import build_terms
@@ -62,6 +63,34 @@ class RecordingCorrection:
         for term in self._sensors:
             columns = term.correct(columns, recording_of(drive))
         return replace(drive, columns=columns)
+
+
+def usable_drives(
+    paths: Sequence[Path], vehicle: Vehicle, held: Sequence[str] | None, any_vehicle: bool
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Return the drives that can be read and are of the vehicle, and in words why the others are left out.
+
+    Files of labels are taken as they are; they are judged when they are learned.
+
+    Raises
+    ------
+    SplitError
+        If no drive is left: the error of the first.
+    """
+    usable: list[Path] = []
+    errors: list[SplitError] = []
+    correct = RecordingCorrection(vehicle)
+    for path in paths:
+        try:
+            if ".labels" not in path.name:
+                vehicle_warnings([correct(open_drive(path, held, beside=len(paths)))], vehicle, any_vehicle)
+        except SplitError as error:
+            errors.append(error)
+        else:
+            usable.append(path)
+    if errors and not usable:
+        raise errors[0]
+    return usable, tuple(map(str, errors))
 
 
 def vehicle_warnings(drives: Sequence[Drive], vehicle: Vehicle, any_vehicle: bool = False) -> tuple[str, ...]:

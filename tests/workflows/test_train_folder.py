@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
-from split_cli.errors import SetError
+from split_cli.cli.main import group
+from split_cli.errors import SetError, SplitError
 from split_cli.logs.drive import Drive, read_drive, write_drive
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.vehicle.parameters import write_vehicle
@@ -155,3 +157,36 @@ def test_a_copy_at_another_rate_is_known_for_the_driving_that_it_is(folder, tmp_
     settings = EvaluationSettings(rollout=(), blocks=4, guard=0.2)
     said = evaluate_files([tmp_path / "cut.parquet"], car, settings, once).report.notes
     assert sum(note.startswith("NOT UNSEEN") and "trained on a.parquet" in note for note in said) == 1
+
+
+class TestDrivesThatFail:
+    """`--keep-going`: one damaged drive of a folder does not stop the others, and is not passed over in silence."""
+
+    @pytest.fixture
+    def damaged(self, folder, tmp_path) -> Path:
+        shutil.copytree(folder / "in", tmp_path / "in")
+        (tmp_path / "in" / "aa.parquet").write_bytes((folder / "in" / "a.parquet").read_bytes()[:1000])
+        return tmp_path / "in"
+
+    def test_training_learns_the_others_bit_for_bit(self, folder, damaged, tmp_path):
+        with pytest.raises(SplitError, match="aa.parquet"):
+            train_set([damaged], folder / "car.yaml", tmp_path / "no.split", DEFAULT)
+        result = train_set([damaged], folder / "car.yaml", tmp_path / "some.split", DEFAULT, keep_going=True)
+        train_set([folder / "in"], folder / "car.yaml", tmp_path / "all.split", DEFAULT)
+        assert len(result.failures) == 1 and "aa.parquet" in result.failures[0]
+        assert (tmp_path / "some.split").read_bytes() == (tmp_path / "all.split").read_bytes()
+
+    def test_a_command_says_what_it_left_out_and_ends_with_1(self, folder, damaged, tmp_path):
+        made = tmp_path / "some.split"
+        for words in (
+            ["train", damaged, "--vehicle", folder / "car.yaml", "-o", made, "--hyperparameters", "default"],
+            ["evaluate", damaged, "--set", made, "--predictor", "projected", "--rollout", "0.5"],
+        ):
+            ran = CliRunner().invoke(group, [*map(str, words), "--keep-going"], standalone_mode=False)
+            assert ran.exception is None and ran.return_value == 1
+            assert "split: left out: " in ran.stderr and "aa.parquet" in ran.stderr
+
+    def test_where_all_fail_the_first_error_is_raised(self, folder, tmp_path):
+        (tmp_path / "x.parquet").write_bytes(b"PAR1")
+        with pytest.raises(SplitError, match="x.parquet"):
+            train_set([tmp_path / "x.parquet"], folder / "car.yaml", tmp_path / "no.split", DEFAULT, keep_going=True)

@@ -22,6 +22,7 @@ from split_cli.learning.trust import Trust
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.other_vehicle import trained_for_another
+from split_cli.workflows.recordings import usable_drives
 from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
 from split_cli.workflows.training.labelled_drives import LabelledDrives, Labelling, drive_digest
 from split_cli.workflows.training.laps import LapRow, lap_rows
@@ -61,6 +62,7 @@ class TrainResult:
     trust: Trust  # how far each output of the set is believed
     notes: tuple[str, ...]
     laps: tuple[LapRow, ...] = ()  # with `per_lap`, one a lap of each drive
+    failures: tuple[str, ...] = ()  # with `keep_going`, why drives were left out
 
 
 def train_set(
@@ -73,6 +75,7 @@ def train_set(
     rows: Sequence[np.ndarray] | None = None,
     batch: int | None = None,
     per_lap: bool = False,
+    keep_going: bool = False,
     engine: Engine = HERE,
     progress: Callable[[str], None] = lambda text: None,
 ) -> TrainResult:
@@ -92,6 +95,8 @@ def train_set(
         Samples offered at once; the result does not depend on it.
     per_lap : bool
         Also tell what each lap of the drives added; not for the dictionary of `iol`.
+    keep_going : bool
+        Leave out drives that cannot be read or are of another vehicle, instead of stopping; not with `rows`.
     engine : Engine
         Where drives are labelled; the set does not depend on it.
     progress : callable
@@ -115,8 +120,11 @@ def train_set(
         changed: tuple[str, ...] = ()
         if append and expanded:
             paths, changed = _not_learned(paths, read_set(output))
+        failures: tuple[str, ...] = ()
+        if keep_going:
+            paths, failures = usable_drives(paths, read_vehicle(vehicle_path), settings.held, settings.any_vehicle)
         result = _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, engine, progress)
-        return replace(result, notes=(*changed, *result.notes))
+        return replace(result, notes=(*changed, *result.notes), failures=failures)
 
 
 def _not_learned(paths: Sequence[Path], known: TrainingSet) -> tuple[list[Path], tuple[str, ...]]:
