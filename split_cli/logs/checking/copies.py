@@ -57,9 +57,10 @@ def copied_channels(drive: Drive, kinds: Mapping[str, str]) -> list[ConsistencyF
         if factor is None:
             factor, late = _late_factor(columns["r"], computed, drive)
         if factor is not None and factor != 0.0:
-            moved = f"{late:.2f} s {'earlier' if late > 0.0 else 'later'}" if late else ""
+            moved = f" of {late:.2f} s {'earlier' if late > 0.0 else 'later'}".replace("-", "") if late else ""
+            sign = "-" if factor < 0.0 else ""
             text = (
-                f"r is v_x tan(delta)/{1.0 / factor:.4g} m{f' of {moved}' if moved else ''}, computed from the steer "
+                f"r is {sign}v_x tan(delta)/L{moved} with L = {1.0 / abs(factor):.4g} m, computed from the steer "
                 "angle, not measured: it shows nothing of tyres. Map a gyro, or derive r from yaw: "
                 "`--derive yaw-rate-from-yaw`."
             )
