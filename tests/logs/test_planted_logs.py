@@ -12,7 +12,9 @@ from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.checking.measuring_point import or_its_place
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.raw import RawSignal, TableRecording
-from split_cli.logs.signal_map import map_from_mapping
+from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import map_from_mapping, read_map
+from split_cli.vehicle.parameters import read_vehicle
 from tests.logs.planted import UNITS, PlantedDrive
 
 CHANNELS = tuple(c for c in UNITS if not c.startswith("wheel"))
@@ -268,3 +270,16 @@ def test_a_sign_of_v_y_is_not_blamed_alone_where_a_place_fits_better(planted):
     beside = or_its_place(blamed, SimpleNamespace(possible_arm=1.4, vehicle=planted.vehicle))
     assert "Or it is measured 1.40 m behind the CG" in beside.text and "`position: rear_axle`" in beside.text
     assert or_its_place(blamed, SimpleNamespace(possible_arm=0.0, vehicle=planted.vehicle)) == blamed
+
+
+def test_a_speed_in_km_h_makes_no_steer_angle_early():
+    """Before v_x has its unit the place of v_y is not judged, and its angle passed for a delay of 0.1 s."""
+    samples = Path(__file__).resolve().parents[2] / "sample_logs"
+    car = read_vehicle(samples / "road_car.yaml")
+    drive = assemble_drive(open_recording(samples / "road_handling_moderate.mcap"), read_map("split_sim"), car).drive
+    columns = dict(drive.columns) | {"vx": 3.6 * drive["vx"], "yaw": np.degrees(drive["yaw"])}
+    for side, name in ((-0.8, "fl"), (0.8, "fr"), (-0.8, "rl"), (0.8, "rr")):
+        columns[f"wheel_speed_{name}"] = drive["vx"] + side * drive["r"]
+    table = TableRecording("log", Path("log"), {c: RawSignal(c, None, v, None) for c, v in columns.items()})
+    found = assemble_drive(table, read_map("canonical"), car).quality.consistency.findings
+    assert [(finding.channel, finding.check) for finding in found] == [("vx", "scale"), ("yaw", "scale")]

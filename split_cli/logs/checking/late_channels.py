@@ -66,7 +66,9 @@ def late_channels(
     if "vx" not in columns:
         return [], []
     wanders = any(f.channel == "vy" and f.check == "bias on straights" for f in known.findings)
-    if wanders or any(one.check == PLACE_IN_DOUBT for one in known.unjudged):
+    # The place of v_y is not judged either while v_x or r has to be multiplied first.
+    in_doubt = {"vx", "r"} & set(known.factors) or any(one.check == PLACE_IN_DOUBT for one in known.unjudged)
+    if wanders or in_doubt:
         columns.pop("delta", None)  # an angle of v_y that wanders passes for a lag; the yaw rate tells without v_y
     found: list[ConsistencyFinding] = []
     timed: set[str] = set()
