@@ -11,6 +11,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, float]] = {
     ("grip_fade", ""): {"final_loss": 0.3, "tau": 20.0},
     ("grip_fade", "curve"): {"final_loss": 0.3, "tau": 20.0},
     ("tire_relaxation", ""): {"length": 0.6},
+    ("tire_relaxation", "changed"): {"length": 0.3, "shared": 0.4},
     ("feature_lag", ""): {"tau": 0.08},
     ("load_transfer", ""): {"cg_height": 0.5},
     ("load_transfer", "peak"): {"cg_height": 0.5},

@@ -109,16 +109,20 @@ def test_a_single_is_named_with_the_truth_inside_its_interval(answer):
     assert finding["gap_explained"] > 0.9
 
 
-def test_a_lag_longer_than_that_of_the_simulation_is_one_name():
+@pytest.mark.parametrize(
+    ("term", "shared", "more", "width"), [("steer_lag", 0.02, 0.025, 0.02), ("tire_relaxation", 0.4, 0.4, 0.3)]
+)
+def test_a_lag_longer_than_that_of_the_simulation_is_one_name(term, shared, more, width):
     """The vehicle file has neither lag. A lag behind the simulation's own would need a delay beside it."""
+    kind = CATALOGUE[term]
     simulation, reality = (
-        recording(seed, CATALOGUE["steer_lag"]({"tau": tau})) for seed, tau in ((181, 0.02), (182, 0.045))
+        recording(seed, kind({kind.slow: late})) for seed, late in ((181, shared), (182, shared + more))
     )
     found = verdict_of([reality], road_car(), [simulation])
     (finding,) = found.findings
-    assert (finding.term, finding.variant) == ("steer_lag", "changed")
-    low, high = finding.parameters["tau"].interval_95
-    assert low <= 0.025 <= high and high - low < 0.02
+    assert (finding.term, finding.variant) == (term, "changed")
+    low, high = finding.parameters[kind.slow].interval_95
+    assert low <= more <= high and high - low < width
 
 
 def test_the_command_prints_the_file_and_tells_a_mismatch_by_its_code(run):

@@ -19,7 +19,8 @@ from split_cli.diagnosis.search.exchange import (
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.selection import Rival, Selection, _best_rival, nothing, select_terms
-from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.flow import Flow
 from tests.diagnosis.recordings import (
     INFLATION,
     LAP,
@@ -207,6 +208,27 @@ def test_late_sensors_stay_one_where_they_are():
     one = fitted(explore, sensor_delay={"delay": 0.045})
     assert split(explore, nothing(objective), one, (True,)) is None
     assert merged(explore, nothing(objective), one, (True,)) is None
+
+
+class Blunt(Term):
+    """Tyres of another shape with the same stiffness, whose front axle has less grip."""
+
+    id = "blunt"
+
+    def tire(self, flow: Flow) -> None:
+        flow.front.D, flow.front.B = 0.85 * flow.front.D, flow.front.B / 0.85
+        for axle in (flow.front, flow.rear):
+            axle.B, axle.C = axle.B * axle.C, 1.0
+
+
+def test_the_grip_of_one_axle_stays_one_name_on_tyres_of_another_shape():
+    """Grip of both axles and a moved CG fit better, by no more than what any name gets wrong of such tyres."""
+    objective = noisy_objective(driven(61, [Blunt({})]), 6)
+    explore = explorer(objective, "friction_scale", "tire_stiffness", "cg_shift")
+    one = fitted(explore, friction_scale__front={"scale": 0.9})
+    both = fitted(explore, friction_scale={"scale": 0.9}, cg_shift={"dx": 0.01})
+    assert explore.price(both) < explore.price(one) - 1000.0
+    assert split(explore, nothing(objective), one, (True,)) is None
 
 
 def test_two_terms_that_imitate_a_moved_centre_of_gravity_give_way_to_it():

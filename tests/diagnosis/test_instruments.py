@@ -50,9 +50,11 @@ PLANTED = [
 ]
 
 
-def recording(seed: int, *faults: Term, share: float = 1.0, seconds: float = 8.0) -> Drive:
-    """Return a minute with position and accelerations, as sensors with these faults record it."""
-    drive = driven(seed, runs=8, seconds=seconds, spaced=9.0)
+def recording(
+    seed: int, *faults: Term, share: float = 1.0, seconds: float = 8.0, terms: tuple[Term, ...] = ()
+) -> Drive:
+    """Return a minute of a car that has these terms, with position and accelerations, as faulty sensors record it."""
+    drive = driven(seed, terms, runs=8, seconds=seconds, spaced=9.0)
     columns = dict(drive.columns)
     rates = {name: np.zeros(len(drive)) for name in ("vx", "vy")}
     for rows in drive.segments():
@@ -60,6 +62,9 @@ def recording(seed: int, *faults: Term, share: float = 1.0, seconds: float = 8.0
             rate[rows] = np.gradient(columns[name][rows], drive.period)
     columns["ax"] = rates["vx"] - columns["vy"] * columns["r"]
     columns["ay"] = rates["vy"] + columns["vx"] * columns["r"]
+    for term in terms:
+        for name, felt in zip(("ax", "ay"), term.weight_felt(drive["s"]), strict=True):
+            columns[name] = columns[name] + felt
     clock = Recording(drive.period, tuple((run.start, run.stop) for run in drive.segments()))
     for fault in faults:
         columns = fault.corrupt(columns, clock)
@@ -124,6 +129,18 @@ def test_an_inclined_road_is_felt_by_accelerometers_and_by_nothing_else():
         moved = np.abs(banked.difference(()) - level.difference(())).max()
         # A window of half a second gains g sin(bank) times its length.
         assert moved == pytest.approx(0.5 * 9.80665 * np.sin(0.03) if level.kind == "a_y" else 0.0, abs=1e-9)
+
+
+def test_a_constant_grade_is_no_rolling_resistance_where_an_accelerometer_feels_it():
+    """Without a_x the two are the same force, and either is an alternative of the other."""
+    grade = CATALOGUE["road_grade"]({"angle": 0.03})
+    simulation, reality = recording(36), recording(37, terms=(grade,))
+    (finding,) = verdict_of([reality], road_car(), [simulation]).findings
+    low, high = finding.parameters["angle"].interval_95
+    assert finding.term == "road_grade" and low <= 0.03 <= high
+    blind = [replace(one, columns={n: c for n, c in one.columns.items() if n != "ax"}) for one in (reality, simulation)]
+    (finding,) = verdict_of(blind[:1], road_car(), blind[1:]).findings
+    assert finding.term == "rolling_resistance" and "road_grade" in finding.alternatives
 
 
 def test_a_derived_position_is_no_witness():

@@ -153,9 +153,10 @@ def test_declared_hints_come_before_those_of_the_kind():
 
 
 def test_exactness_depends_on_the_variant():
-    # A constant grade is rolling resistance; a climb on a stretch is not.
-    assert exact_mimics("road_grade", "") == ("rolling_resistance",)
-    assert exact_mimics("road_grade", "stretch") == ()
+    # Rolling resistance is a constant grade; a grade is none where an accelerometer feels it.
+    assert exact_mimics("rolling_resistance", "") == ("road_grade",)
+    assert exact_mimics("road_grade", "") == exact_mimics("road_grade", "stretch") == ()
+    assert "accelerometer" in separation("road_grade", "", "rolling_resistance").hint
     assert "other direction" in separation("road_grade", "stretch", "rolling_resistance").hint
     assert exact_mimics("friction_scale", "") == () != exact_mimics("friction_scale", "curve")
 

@@ -110,6 +110,7 @@ def test_a_changed_lag_is_the_command_and_the_difference_of_two_responses(shared
         term("drive_lag", "changed", tau=0.1, shared=0.05),
         term("drive_lag", tau=0.15),
         term("tire_relaxation", length=0.6),
+        term("tire_relaxation", "changed", length=-0.2, shared=0.6),
         LATE_LOAD,
         term("steer_backlash", width=0.015),
         term("feature_lag", tau=0.08),

@@ -223,21 +223,18 @@ def inverted_stretch(explore: Explorer, chosen: Fit) -> Fit | None:
 def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
     """Return the best explanation with one named part replaced by two that together look like it, if that saves.
 
-    Late sensors look like late steering and late torque together. One more name has to save what a single track
-    may get wrong of the whole as well, and its price where model-form error widens chance.
+    Late sensors look like late steering and late torque together. Two names fit better than one by its model-form
+    error alone, so they have to be better with both explanations' model-form errors free.
     """
     rules = explore.rules
-    widened = max(explore.variance_inflation, explore.objective.form_error_inflation)
-    burden = rules.form_error_cost * (base.cost - chosen.cost) / explore.variance_inflation
-    best, least = None, explore.price(chosen) - burden - rules.tie
+    best, least = None, explore.price(chosen) - rules.tie
     for k, part in enumerate(chosen.parts):
         others = chosen.parts[:k] + chosen.parts[k + 1 :]
         taken = {one.candidate.term for one in others}
         for pair in _pairs_like(part, explore.candidates) if named[k] else ():
             if not taken & {one.candidate.term for one in pair}:
                 fit = fit_parts(explore.objective, (*others, *pair), known=chosen)
-                worth = (chosen.cost - fit.cost) / widened > rules.price * (fit.complexity - chosen.complexity)
-                if worth and explore.price(fit) < least:
+                if explore.price(fit) < least and is_better_beside_form_error(explore, fit, chosen):
                     best, least = fit, explore.price(fit)
     return best
 

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from split_cli.vehicle.effects.late import Delayed, Lagging
+from split_cli.vehicle.effects.late import Delayed, Lagging, rate_of
 from split_cli.vehicle.effects.search import Course, Range, Search
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, late, scaled
@@ -111,12 +111,12 @@ class DriveLag(Lagging):
     def actuate(self, flow: Flow) -> None:
         """Let the torque follow its command."""
         if self.variant != "along":
-            flow.T = self.arrived(flow, "torque", flow.T)
+            flow.T = self.arrived(flow, "torque", flow.T, rate_of)
 
     def external(self, flow: Flow) -> None:
         """Let the force along the car alone follow the command."""
         if self.variant == "along":
-            late = self.arrived(flow, "torque", flow.T) - flow.T
+            late = self.arrived(flow, "torque", flow.T, rate_of) - flow.T
             flow.force_x = flow.force_x + late / flow.vehicle.wheel_radius
 
 
@@ -220,8 +220,8 @@ class SteerLag(Lagging):
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     family = "steering"
-    discrepancy: ClassVar = (("", "tau", 0.02), ("", "tau", 0.06))
     variants: ClassVar = ("", "changed")
+    discrepancy: ClassVar = (("", "tau", 0.02), ("", "tau", 0.06))
     states = ("angle",)
     state_units: ClassVar = {"angle": "rad", "angle_shared": "rad"}
     mimics: ClassVar = (
@@ -236,7 +236,7 @@ class SteerLag(Lagging):
 
     def actuate(self, flow: Flow) -> None:
         """Let the steer angle follow its command."""
-        flow.delta = self.arrived(flow, "angle", flow.delta)
+        flow.delta = self.arrived(flow, "angle", flow.delta, rate_of)
 
 
 class SteerOffset(Term):

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from split_cli.vehicle.effects.late import Lagging
+from split_cli.vehicle.effects.late import Lagging, rate_of
 from split_cli.vehicle.effects.search import LAG_SEARCH, Course, Search
 from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
@@ -36,6 +36,6 @@ class FeatureLag(Lagging):
 
     def lateral(self, flow: Flow) -> None:
         """Follow both slip angles and the torque that arrives."""
-        self.first_order(flow, "alpha_f", flow.front.slip_angle, self.rate)
-        self.first_order(flow, "alpha_r", flow.rear.slip_angle, self.rate)
-        self.first_order(flow, "torque", flow.T, self.rate)
+        self.arrived(flow, "alpha_f", flow.front.slip_angle, rate_of)
+        self.arrived(flow, "alpha_r", flow.rear.slip_angle, rate_of)
+        self.arrived(flow, "torque", flow.T, rate_of)

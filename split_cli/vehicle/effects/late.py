@@ -1,7 +1,7 @@
 """Base of delays and lags: their unit, their search range, and how they act on the inputs."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from split_cli.vehicle.effects.search import CHANGED_LAG_SEARCH, DELAY_SEARCH, LAG_SEARCH, Course, Search, time_unit
@@ -44,18 +44,55 @@ class Delayed(Term):
             setattr(flow, name, self.delayed(flow, getattr(flow, name), self.parameters["delay"]))
 
 
-class Lagging(Term):
-    """An input that builds up: tau u' = u_command - u, steady at each start; `tau` in s.
+class BuildsUp(Term):
+    """What follows its steady value by a first-order lag, of which one parameter says how long it takes.
 
-    The variant ``changed`` is for a lag that simulation and reality share and the vehicle file lacks: its time
-    constant is `shared` in the simulation and `shared` + `tau` in reality. What arrives is the command, with the
-    difference of the two responses. A shorter lag has a negative `tau`. `shared` shapes that difference, and is no
-    measurement of the simulation's lag: what is learned of the simulation takes a part of it.
+    The variant ``changed`` is for a lag that simulation and reality share and the vehicle file lacks: the parameter
+    is `shared` in the simulation, and in reality `shared` + its own value, which is negative for a shorter lag. What
+    arrives is the steady value, with the difference of the two responses. `shared` shapes that difference, and is
+    no measurement of the simulation's lag: what is learned of the simulation takes a part of it.
     """
 
+    slow: ClassVar[str]  # the parameter
+    variant_needs: ClassVar = {"changed": frozenset({"simulation"})}
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """What follows, in reality and, where its lag is shared, in the simulation."""
+        shared = (f"{self.id}.{name}_shared" for name in self.states if "shared" in self.parameters)
+        return (*super().state_names, *shared)
+
+    def quickest(self, rate: Callable[[Any], Any]) -> float:
+        """Return the largest rate of the responses [1/s]; what follows at once is not stepped.
+
+        Parameters
+        ----------
+        rate : callable
+            Rate [1/s] of a value of the parameter; infinite where that is too short to be seen.
+        """
+        rates = (float(rate(one)) for one in self._of_both())
+        return max((one for one in rates if math.isfinite(one)), default=0.0)
+
+    def arrived(self, flow: Flow, name: str, steady: Any, rate: Callable[[Any], Any]) -> Any:
+        """Return what has arrived of a steady value that the state `name` follows; `rate` as in `quickest`."""
+        own, shared = self._of_both()
+        value = self.first_order(flow, name, steady, rate(own))
+        if "shared" not in self.parameters:
+            return value
+        return steady + value - self.first_order(flow, f"{name}_shared", steady, rate(shared))
+
+    def _of_both(self) -> tuple[Any, Any]:
+        """Return the parameter in reality and in the simulation, where it is 0 by default."""
+        shared = self.parameters.get("shared", 0.0)
+        return self.parameters[self.slow] + shared, shared
+
+
+class Lagging(BuildsUp):
+    """An input that builds up: tau u' = u_command - u, steady at each start; `tau` in s."""
+
+    slow = "tau"
     units: ClassVar = {"tau": "s"}
     variant_units: ClassVar = {"changed": {"tau": "s", "shared": "s"}}
-    variant_needs: ClassVar = {"changed": frozenset({"simulation"})}
     neutral: ClassVar = {"tau": 0.0}
     order = 3
 
@@ -68,25 +105,6 @@ class Lagging(Term):
         """Return ranges and starts in units of `sizes`, of a lag alone and of one that the simulation has, too."""
         return {"": LAG_SEARCH, "changed": CHANGED_LAG_SEARCH}.get(variant)
 
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """What follows the command, in reality and, where its lag is shared, in the simulation."""
-        shared = (f"{self.id}.{name}_shared" for name in self.states if "shared" in self.parameters)
-        return (*super().state_names, *shared)
-
-    @property
-    def rate(self) -> Any:
-        """1/tau [1/s]; infinite for a tau that is too short to be seen, which the neutral 0 is."""
-        return rate_of(self.parameters["tau"] + self.parameters.get("shared", 0.0))
-
     def fastest_rate(self, speed: float) -> float:
-        """1/tau, of the quicker response; what follows at once is not stepped."""
-        shared = rate_of(self.parameters.get("shared", 0.0))
-        return max((one for one in map(float, (self.rate, shared)) if math.isfinite(one)), default=0.0)
-
-    def arrived(self, flow: Flow, name: str, command: Any) -> Any:
-        """Return what arrives of a command that the state `name` follows."""
-        value = self.first_order(flow, name, command, self.rate)
-        if "shared" not in self.parameters:
-            return value
-        return command + value - self.first_order(flow, f"{name}_shared", command, rate_of(self.parameters["shared"]))
+        """1/tau, of the quicker response."""
+        return self.quickest(rate_of)

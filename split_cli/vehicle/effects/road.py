@@ -86,18 +86,25 @@ class _Incline(Term):
 class RoadGrade(_Incline):
     """The road has a grade, uphill positive: F_x gains -m g sin(angle(s)).
 
-    Source: Rajamani (2012), equation 4.1. A constant angle is the same as rolling resistance and is never
-    reported as a grade; the variants over s are.
+    Source: Rajamani (2012), equation 4.1. A constant angle moves the car as rolling resistance does. An
+    accelerometer along the car tells them apart, since it feels the grade alone: only then is it looked for.
     """
 
     id = "road_grade"
     titles: ClassVar = {"": "Road slopes along"}
     needs: ClassVar = frozenset({"torque", "known torque"})
+    variant_needs: ClassVar = {"": frozenset({"ax"})}
     directions = ("climbs", "falls")
     steepest: ClassVar = {"": 0.35, "wave": 0.35, "stretch": 0.35}
     source = "judgement: the steepest streets climb 35 %"
     mimics: ClassVar = (
-        Mimic("rolling_resistance", "a constant grade is the same force", exact=True, variants=("",)),
+        Mimic(
+            "rolling_resistance",
+            "a constant grade is the same force",
+            "an accelerometer along the car",
+            variants=("",),
+            without=("ax",),
+        ),
         Mimic(
             "rolling_resistance",
             "the profile averages out over the lap",
@@ -106,11 +113,6 @@ class RoadGrade(_Incline):
         ),
         Mimic("wind", "one lap at one speed", "another speed, or the other direction"),
     )
-
-    @classmethod
-    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return ranges and starts of the profiles over s."""
-        return super().search(vehicle, course, variant) if variant else None
 
     def external(self, flow: Flow) -> None:
         """Add the longitudinal part of gravity."""

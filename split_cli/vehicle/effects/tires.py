@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from split_cli.signals import STANDARD_GRAVITY
-from split_cli.vehicle.effects.late import rate_of
+from split_cli.vehicle.effects.late import BuildsUp, rate_of
 from split_cli.vehicle.effects.place import PLACE_COMPLEXITY, inside_stretch, place_ranges, stretch_in_words
 from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit, time_unit
 from split_cli.vehicle.effects.term import Mimic, Term
@@ -273,7 +273,7 @@ class GripFade(Term):
             _scale_grip(axle, scale, self.variant == "curve")
 
 
-class TireRelaxation(Term):
+class TireRelaxation(BuildsUp):
     """The lateral force builds up over distance: length F' = v_x (F_ss - F) per axle.
 
     The term is a lag in distance, so at twice the speed its time constant is half. Source: Pacejka (2012),
@@ -284,12 +284,15 @@ class TireRelaxation(Term):
     titles: ClassVar = {"": "Tyres build up force late"}
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
+    slow = "length"
+    variants: ClassVar = ("", "changed")
     units: ClassVar = {"length": "m"}
+    variant_units: ClassVar = {"changed": {"length": "m", "shared": "m"}}
     neutral: ClassVar = {"length": 0.0}
     discrepancy: ClassVar = (("", "length", 0.15), ("", "length", 0.5))
     order = 9
     states = ("front", "rear")
-    state_units: ClassVar = {"front": "N", "rear": "N"}
+    state_units: ClassVar = {"front": "N", "rear": "N", "front_shared": "N", "rear_shared": "N"}
     mimics: ClassVar = (
         Mimic("steer_lag", "one speed", "the same manoeuvre at two speeds; relaxation also acts at the rear"),
         Mimic("yaw_inertia", "gentle transients at one speed", "steer steps at two speeds"),
@@ -297,29 +300,38 @@ class TireRelaxation(Term):
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        return {"length": vehicle.wheelbase / 2.7}
+        return {"length": vehicle.wheelbase / 2.7, "shared": vehicle.wheelbase / 2.7}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        starts = tuple({"length": value} for value in (0.1, 0.5, 1.5))
-        return Search({"length": Range(0.0, 3.5, 0.02, _ROLLED)}, starts)
+        if variant == "changed":
+            # Starts to both sides, from a tyre's usual length.
+            starts = ({"length": 0.1, "shared": 0.4}, {"length": -0.1, "shared": 0.4})
+            return Search({"length": Range(-1.75, 1.75, 0.02, _ROLLED), "shared": Range(0.0, 1.75, 0.02)}, starts)
+        return Search({"length": Range(0.0, 3.5, 0.02, _ROLLED)}, tuple({"length": value} for value in (0.1, 0.5, 1.5)))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
+        if variant == "changed":
+            over = amount(p["length"], more="longer", less="shorter")
+            return f"lateral force builds up over a distance {over} than in the simulation, where it is late as well"
         return f"lateral force builds up over {amount(p['length'], one_sided=True)} of travel"
 
     def fastest_rate(self, speed: float) -> float:
-        """v_x over the length; what follows at once is not stepped."""
-        length = self.parameters["length"]
-        return 0.0 if length < _SHORTEST_LENGTH else speed / length
+        """v_x over the length, of the quicker response."""
+        return self.quickest(lambda length: _rolling_rate(length, speed))
 
     def lateral(self, flow: Flow) -> None:
         """Let each axle's force follow its steady value."""
-        length = self.parameters["length"]
-        at_once = isinstance(length, int | float) and length < _SHORTEST_LENGTH
-        rate = math.inf if at_once else flow.vx / length
         for name, axle in (("front", flow.front), ("rear", flow.rear)):
-            axle.lateral_force = self.first_order(flow, name, axle.lateral_force, rate)
+            axle.lateral_force = self.arrived(
+                flow, name, axle.lateral_force, lambda length: _rolling_rate(length, flow.vx)
+            )
+
+
+def _rolling_rate(length: Any, speed: Any) -> Any:
+    """Return v_x over a relaxation length [1/s]; infinite where forces build up at once."""
+    return math.inf if isinstance(length, int | float) and length < _SHORTEST_LENGTH else speed / length
 
 
 class LoadTransfer(Term):
