@@ -8,11 +8,12 @@ import pytest
 from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
+from split_cli.diagnosis.remainder.structure import term_allowances
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.form_error import form_error_columns, saved_beside_form_error
 from split_cli.diagnosis.search.selection import explaining_as_well, rivals_of
-from split_cli.diagnosis.search.term_tests import is_form_error, term_p, term_size
+from split_cli.diagnosis.search.term_tests import is_form_error, over_form_error, term_p, term_size
 from tests.diagnosis.recordings import INFLATION, NAMES, candidates_of, named, objective_with, planted, selected
 
 DISCREPANCY = "discrepancy to noise"
@@ -34,6 +35,21 @@ def test_a_further_term_no_larger_than_a_form_error_is_not_named():
     # Alone, as large as it is, it would be named.
     alone = objective_with(*planted(steer_offset=0.00035))
     assert named(selected(alone, "yaw_inertia", "steer_offset")) == {"steer_offset"}
+
+
+def test_beside_an_instrument_a_term_of_the_car_needs_what_a_first_one_needs(pair):
+    """A displaced sensor is no physics of which a single track could get a tenth wrong."""
+    quiet = replace(pair, posterior=ignorant(pair), memo={DISCREPANCY: np.zeros(3)})
+    allowed, further = STANDARD.allowances.term, STANDARD.allowances.unnamed
+    size, some = np.array([1.0, 0.0, 0.0]), np.full(3, 0.01)
+    assert term_allowances(quiet) == pytest.approx(np.full(3, allowed)) and allowed < 0.9 * further
+    for share, alone in ((0.9, True), (1.1, False)):
+        assert (over_form_error(quiet, share * allowed * size, np.zeros(3)) < 1.0) is alone
+        assert over_form_error(quiet, share * allowed * size, some) < 1.0
+    assert over_form_error(quiet, 1.1 * further * size, some) > 1.0
+    # Against the bare nominal model nobody knows what the file gets wrong.
+    bare = replace(quiet, posterior=None)
+    assert over_form_error(bare, 0.9 * further * size, np.zeros(3)) < 1.0
 
 
 def test_evidence_for_a_further_term_is_what_it_saves_beyond_a_form_error_of_the_shared_discrepancy(pair):

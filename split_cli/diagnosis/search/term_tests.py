@@ -208,6 +208,8 @@ def over_form_error(
 ) -> float:
     """Return sizes (3,) over the model-form error of terms with sizes `of` (3,), in the channel where most [1].
 
+    Instruments have none: beside them alone a term of the car needs what a first one needs.
+
     Parameters
     ----------
     across : ndarray, shape (3,)
@@ -215,7 +217,9 @@ def over_form_error(
     """
     rules = objective.policy.selection
     across = np.full(len(size), rules.form_error_across) if across is None else across
-    least = np.maximum(objective.policy.allowances.unnamed, rules.form_error_share * of)
+    unnamed = objective.policy.allowances.unnamed
+    first = np.full(len(size), unnamed) if of.any() else np.minimum(unnamed, term_allowances(objective))
+    least = np.maximum(first, rules.form_error_share * of)
     return float(np.max(size / np.maximum(least, across * of.max())))
 
 
