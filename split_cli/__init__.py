@@ -29,6 +29,7 @@ _API = (
     "read_drive",
     "read_set",
     "read_vehicle",
+    "rows_table",
     "steering_response",
     "train",
     "understeer",

@@ -53,6 +53,7 @@ __all__ = [
     "read_drive",
     "read_set",
     "read_vehicle",
+    "rows_table",
     "steering_response",
     "train",
     "understeer",
@@ -72,6 +73,27 @@ def _by_state(name: str, values: Sequence[float]) -> dict[str, float]:
     """Return values of v_x, v_y, r (and their norm, where there are four) as columns of a row."""
     states = ("vx", "vy", "r", "norm")[: len(values)]
     return {f"{name}_{state}": float(value) for state, value in zip(states, values, strict=True)}
+
+
+def rows_table(rows: Sequence[Any]) -> Any:
+    """Return the rows of any result as a DataFrame: laps of a race or a training, candidates of a selection.
+
+    Parameters
+    ----------
+    rows : sequence of dataclass
+        Such as ``RaceResult.laps``, ``TrainResult.laps``, ``SetSelection.candidates``, ``ManeuverResult.runs`` or
+        the drives that a calibration used. Fields keep their names and units. A field with several values becomes
+        a column for each, ``rmse_0``, ``rmse_1`` and so on, in the order that the class documents.
+    """
+
+    def columns(row: Any) -> dict[str, Any]:
+        out = {}
+        for name, value in asdict(row).items():
+            several = isinstance(value, tuple | list) or getattr(value, "ndim", 0) == 1
+            out |= {f"{name}_{k}": one for k, one in enumerate(value)} if several else {name: value}
+        return out
+
+    return _frame([columns(row) for row in rows])
 
 
 def drive_table(drive: Drive) -> Any:
