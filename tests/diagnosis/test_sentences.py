@@ -14,7 +14,13 @@ from split_cli.diagnosis.statement.sentences import (
     summarise,
     unexplained_part,
 )
-from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking, separation
+from split_cli.diagnosis.statement.separation import (
+    exact_mimics,
+    look_alike,
+    separable_by_lacking,
+    separation,
+    without_doubles,
+)
 from split_cli.diagnosis.statement.wording import amount, number, percent, term_name
 from split_cli.vehicle.effects import CATALOGUE
 from tests.factories import road_car
@@ -159,6 +165,11 @@ def test_exactness_depends_on_the_variant():
     assert "accelerometer" in separation("road_grade", "", "rolling_resistance").hint
     assert "other direction" in separation("road_grade", "stretch", "rolling_resistance").hint
     assert exact_mimics("friction_scale", "") == () != exact_mimics("friction_scale", "curve")
+
+
+def test_one_force_under_two_names_is_one_alternative():
+    assert without_doubles(["mass", "road_grade", "rolling_resistance"]) == ["mass", "rolling_resistance"]
+    assert without_doubles(["mass", "road_grade", "a+b"]) == ["mass", "road_grade", "a+b"]
 
 
 def test_what_a_missing_channel_alone_would_tell_apart_is_declared_by_either():

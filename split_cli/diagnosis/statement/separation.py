@@ -29,6 +29,12 @@ def exact_mimics(term: str, variant: str) -> tuple[str, ...]:
     return tuple(one.terms for one in mimics if one.exact and one.holds(variant) and one.terms != term)
 
 
+def without_doubles(terms: Sequence[str]) -> list[str]:
+    """Return terms without those that are the same force as another of them, as a constant grade and rolling are."""
+    same = {other for one in terms if one in CATALOGUE for other in exact_mimics(one, "")}
+    return [one for one in terms if one not in same]
+
+
 def separable_by_lacking(term: str, variant: str, measured: Container[str]) -> tuple[str, ...]:
     """Return what only channels tell from a term of which one was not measured, by declaration of either."""
 

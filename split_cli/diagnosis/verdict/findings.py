@@ -20,7 +20,7 @@ from split_cli.diagnosis.search.selection import Rival, Selection, explaining_as
 from split_cli.diagnosis.search.term_tests import term_size
 from split_cli.diagnosis.statement.result import Combination, Finding, ParameterEstimate, RemainderTest, RivalSummary
 from split_cli.diagnosis.statement.sentences import sentence_for, separations
-from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking
+from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking, without_doubles
 from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error
 from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
 from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along
@@ -213,7 +213,8 @@ def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequen
         term, parameters = one.finding.term, one.finding.parameters
         if parts[term].candidate.at_limit(parts[term].values):
             out.add(term)
-        if sum(name not in one.declared for name in one.finding.alternatives) > rules.most_alternatives:
+        others = without_doubles([name for name in one.finding.alternatives if name not in one.declared])
+        if len(others) > rules.most_alternatives:
             out.add(term)
         if not excludes_no_effect(one.finding):
             out.add(term)
