@@ -47,8 +47,9 @@ def test_a_moment_written_as_in_names_of_files_is_a_time(cell):
     assert np.isnan(seconds_of("2024_13_23_13_15_46_619"))
 
 
-def test_columns_without_names_are_known_by_the_motion_that_ties_them(tmp_path):
-    """States of a driven car as a bare matrix, as AutoRally's data sets have them; the end explodes."""
+@pytest.mark.parametrize("lost", ["explodes", "wanders"])
+def test_columns_without_names_are_known_by_the_motion_that_ties_them(lost, tmp_path):
+    """States of a driven car as a bare matrix, as AutoRally's data sets have them; at the end the filter is lost."""
     c = cornering(300.0, 0.02)
     vy = -0.3 * c["r"] * np.cos(0.1 * c["t"])
     mid = c["yaw"] - 0.01 * c["r"]  # in the middle of each step
@@ -56,12 +57,13 @@ def test_columns_without_names_are_known_by_the_motion_that_ties_them(tmp_path):
     y = np.cumsum(c["v"] * np.sin(mid) + vy * np.cos(mid)) * 0.02
     other = np.cos(3.1 * c["t"])
     rows = np.column_stack([c["v"], vy, c["r"], other, c["yaw"], x, y])
-    rows[-40:] *= 1e9
+    if lost == "explodes":
+        rows[-40:] *= 1e9
+    else:
+        rows[-40:, 4:] += np.linspace(0.0, 1.0, 40)[:, None] * np.array([-60.0, 200.0, 250.0])
     np.savez(tmp_path / "a.npz", states=rows, inputs=np.column_stack([np.sin(c["t"]), c["r"] / c["v"]]))
     draft = draft_map(open_recording(tmp_path / "a.npz"))
-    assert float(draft.time.split("period: ")[1].split("}")[0]) == pytest.approx(0.02, rel=0.01)
-    found = {s.channel: s.sources[0] for s in draft.suggestions if s.channel != "delta"}
-    assert found == {
+    names = {
         "vx": "states[0]",
         "vy": "states[1]",
         "r": "states[2]",
@@ -69,6 +71,13 @@ def test_columns_without_names_are_known_by_the_motion_that_ties_them(tmp_path):
         "X": "states[5]",
         "Y": "states[6]",
     }
+    found = {s.channel: s.sources[0] for s in draft.suggestions if s.channel != "delta"}
+    if lost == "wanders":
+        # The checks of yaw fail at such an end, which no bound tells from motion: yaw and the clock are asked for.
+        assert found.items() <= names.items() and found.keys() >= {"vx", "r", "X", "Y"}
+        return
+    assert float(draft.time.split("period: ")[1].split("}")[0]) == pytest.approx(0.02, rel=0.01)
+    assert found == names
     assert draft.of("delta").sources == ("inputs[1]",)
 
 

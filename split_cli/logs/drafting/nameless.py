@@ -31,6 +31,8 @@ _HALF = 0.5
 """Of what the bend of the path leaves of a column, below which what the yaw rate leaves makes it one too [1]."""
 _SAME_STEP = 1.2
 """Ratio of the steps between rows that yaw and the path tell, up to which they tell the same [1]."""
+_SUDDEN = 5.0
+"""Of the change that one in twenty of a column exceeds, beyond which one is left out [1]: cars reach twice that."""
 _MOVES = 0.2
 """Of the changes of place that one in twenty exceeds, below which a direction of travel is noise [1]."""
 _ALONG = 0.8
@@ -110,6 +112,11 @@ def _tied(columns: Mapping[str, np.ndarray], rows: int) -> _Found | None:
     change = values[:, begin + rows] - values[:, begin]
     summed = np.concatenate([np.zeros((len(names), 1)), np.cumsum(values, axis=1)], axis=1)
     mean = (summed[:, begin + rows] - summed[:, begin]) / rows
+    # What an estimator that loses itself does for a moment is no motion.
+    steady = (np.abs(change) <= _SUDDEN * np.quantile(np.abs(change), 0.95, axis=1, keepdims=True)).all(axis=0)
+    change, mean = change[:, steady], mean[:, steady]
+    if change.shape[1] < _FEWEST_CHANGES:
+        return None
     pairs = list(itertools.combinations(range(len(names)), 2))
     lengths = np.stack([np.hypot(change[i], change[j]) for i, j in pairs])
     of_yaw, of_path = _correlations(change, mean), _correlations(lengths, np.abs(mean))
