@@ -19,6 +19,7 @@ from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of
 from split_cli.vehicle.effects import Term
+from split_cli.vehicle.effects.tires import CombinedSlip
 from split_cli.vehicle.parameters import Vehicle
 
 _ROWS_AT_ONCE = 512  # [rows] of all parts' columns that are whitened at a time; decides memory alone
@@ -34,7 +35,7 @@ class _FormError:
     basis: np.ndarray  # of the objective whose rows these are
     columns: np.ndarray  # (R, Q): M as in `costs_beside_form_error`, the shared discrepancy's columns last
     own: int  # how many of them are of the explanation's terms
-    laws: np.ndarray  # (R, V): of `_other_load_laws`
+    laws: np.ndarray  # (R, V): of `_other_load_laws` and `_other_ellipse`
 
     @cached_property
     def normal(self) -> np.ndarray:
@@ -52,7 +53,8 @@ def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
     known = objective.memo.get(_ASKED)
     if known is None or known.fit is not fit or known.basis is not objective.basis:
         forget_form_error(objective)  # before the next is made: both may be large
-        laws, shared = _other_load_laws(objective, fit), _columns_of_discrepancy(objective)
+        laws = np.hstack([_other_load_laws(objective, fit), _other_ellipse(objective, fit)])
+        shared = _columns_of_discrepancy(objective)
         columns = form_error_columns(objective, fit) if laws.shape[1] or shared.shape[1] else shared
         own = columns.shape[1]
         if shared.shape[1]:
@@ -318,6 +320,25 @@ def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
         return np.empty((len(here), 0))
     columns = objective.whiten(np.stack(columns, axis=1))
     return columns[:, np.linalg.norm(columns, axis=0) > 0.0]
+
+
+def _other_ellipse(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
+    """Return what another grip makes of a friction ellipse that simulation and reality share, shape (R, V).
+
+    The shared discrepancy holds what driving forces take from the lateral ones at the grip of the simulation. With
+    less grip they take more: F_y sqrt(1 - (F_x/D)^2) with another D. A column is that difference of differences, of
+    each term that states the peak, with an ellipse of equal axes; real tyres lie between none and it.
+    """
+    if objective.posterior is None or any(isinstance(term, CombinedSlip) for term in fit.terms):
+        return np.empty((len(objective.weight), 0))
+    ellipse, here, columns = CombinedSlip({"strength": 1.0}), None, []
+    for k, term in enumerate(fit.terms):
+        if term.states_peak:
+            others = (*fit.terms[:k], *fit.terms[k + 1 :])
+            if here is None:
+                here = objective.left_by(fit.terms) - objective.left_by((*fit.terms, ellipse))
+            columns.append(here - objective.left_by(others) + objective.left_by((*others, ellipse)))
+    return objective.whiten(np.stack(columns, axis=1)) if columns else np.empty((len(objective.weight), 0))
 
 
 def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:

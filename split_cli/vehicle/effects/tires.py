@@ -324,9 +324,8 @@ class TireRelaxation(BuildsUp):
     def lateral(self, flow: Flow) -> None:
         """Let each axle's force follow its steady value."""
         for name, axle in (("front", flow.front), ("rear", flow.rear)):
-            axle.lateral_force = self.arrived(
-                flow, name, axle.lateral_force, lambda length: _rolling_rate(length, flow.vx)
-            )
+            force = axle.lateral_force
+            axle.lateral_force = self.arrived(flow, name, force, lambda length: _rolling_rate(length, flow.vx))
 
 
 def _rolling_rate(length: Any, speed: Any) -> Any:
