@@ -79,25 +79,25 @@ int main(int argc, char **argv)
     const int certain = argc > 3 && atoi(argv[3]);
     @NAME@_real *z = malloc((size_t)count * 3 * sizeof *z);
     @NAME@_real out[15];
-    double empty[1001];
-    for (int k = 0; k < 1001; ++k) {
-        struct timespec a, b;
-        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &a);
-        clock_gettime(CLOCK_THREAD_CPUTIME_ID, &b);
-        empty[k] = 1e9 * (double)(b.tv_sec - a.tv_sec) + (double)(b.tv_nsec - a.tv_nsec);
-    }
-    qsort(empty, 1001, sizeof *empty, ascending);
+    double *empty = malloc((size_t)count * sizeof *empty), *all = malloc((size_t)count * sizeof *all);
+    @NAME@_real first = 0;
     if (fread(z, sizeof *z, (size_t)count * 3, stdin) == 0) { return 1; }
     for (int round = 0; round < 5; ++round) {
         for (long k = 0; k < count; ++k) {
-            struct timespec a, b;
+            struct timespec a, b, c;
             clock_gettime(CLOCK_THREAD_CPUTIME_ID, &a);
-            @NAME@_evaluate(z + 3 * k, out, certain ? NULL : out + 3, slopes ? out + 6 : NULL);
             clock_gettime(CLOCK_THREAD_CPUTIME_ID, &b);
-            const double all = 1e9 * (double)(b.tv_sec - a.tv_sec) + (double)(b.tv_nsec - a.tv_nsec);
-            printf("%.0f %.3g\\n", all - empty[500], (double)out[0]);
+            @NAME@_evaluate(z + 3 * k, out, certain ? NULL : out + 3, slopes ? out + 6 : NULL);
+            clock_gettime(CLOCK_THREAD_CPUTIME_ID, &c);
+            empty[k] = 1e9 * (double)(b.tv_sec - a.tv_sec) + (double)(b.tv_nsec - a.tv_nsec);
+            all[k] = 1e9 * (double)(c.tv_sec - b.tv_sec) + (double)(c.tv_nsec - b.tv_nsec);
+            first += out[0];
         }
+        qsort(empty, (size_t)count, sizeof *empty, ascending);
+        for (long k = 0; k < count; ++k) { printf("%.0f %.3g\\n", all[k] - empty[count / 2], (double)first); }
     }
+    free(empty);
+    free(all);
     free(z);
     return 0;
 }
