@@ -1,13 +1,13 @@
 """Rows of any result as a DataFrame, checked against the rows themselves."""
 
 import numpy as np
-import pytest
 
 import split_cli
 from split_cli.scoring.selection import SetCandidate
 from split_cli.workflows.racing.result import Lap
+from tests.optional import needed
 
-pytest.importorskip("pandas")
+needed("pandas")
 
 
 def test_candidates_of_a_selection_become_rows_with_a_column_for_each_state():
