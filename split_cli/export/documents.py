@@ -262,7 +262,7 @@ def relearned_error(document: Document, queries: np.ndarray) -> float | None:
     """Return how far a projected process is from one that learns the document's points again.
 
     That is the largest error of the mean in signal deviations, and of the variance in signal variances, at the
-    points and at `queries`, shape (N, D). None where nothing is to be learned, or the order is not told.
+    points and at `queries`, shape (N, D). None where nothing is to be learned, or the order is not known.
     """
     a = document.arrays
     if _ORDER not in a:

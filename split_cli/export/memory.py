@@ -150,7 +150,7 @@ def _rates(model: SingleTrack, step: float, where: str) -> tuple[float, float]:
             continue
         slow, fast = term.fastest_rate(0.0), term.fastest_rate(_TOP_SPEED)
         usual = term.fastest_rate(_USUAL_SPEEDS * model.vehicle.minimum_speed)
-        # What no step resolves is told before the controller finds not-a-number.
+        # What no step resolves is reported before the controller finds not-a-number.
         if usual * step > _FASTEST:
             what = f"{term.id} reacts within {1.0 / usual:.2g} s, too fast for a step of {step:g} s"
             advice = "Leave out a lag or a relaxation this short, or export for a shorter --step."

@@ -21,11 +21,11 @@ from split_cli.proof.tracks import random_track
 from split_cli.proof.truth import (
     ExactDrive,
     Unreachable,
+    error_to_noise,
     exact_drive,
     fit_effective,
     removed_share,
     search_size,
-    severity,
 )
 from split_cli.proof.windows import errors_of_terms
 from split_cli.proof.world import ProofWorld, Trip, drive, effect_error
@@ -51,13 +51,14 @@ class ConcealedEffect:
 
     term: str
     size: float
-    severity: float
+    effect_to_noise: float
     # True values: physical where the term has such, else those that fit noise-free paired runs.
     parameters: dict[str, float] = field(default_factory=dict)
     scored: tuple[str, ...] = ()  # the parameters whose intervals are scored; stretches and wave lengths are not
     variant: str = ""  # with which the term fits best; empty for its default
     removed: float = 0.0  # share of the effect's own squared error that the term with these parameters removes [1]
-    beyond: float = 0.0  # of an effect outside the catalogue: severity of what the two best terms leave of it
+    # beyond: of an effect outside the catalogue, the effect-to-noise ratio of what the two best terms leave of it.
+    beyond: float = 0.0
     absorbed_by: tuple[str, ...] = ()  # those two terms
 
 
@@ -73,8 +74,8 @@ class Answer:
     car: str
     base: str
     simulation: str  # ``plant`` (a drive without the effect is given) or ``nominal``
-    base_severity: float  # severity of what the nominal model gets wrong of the car without the effect
-    total_severity: float  # of all effects together
+    base_effect_to_noise: float  # of what the nominal model gets wrong of the car without the effect
+    total_effect_to_noise: float  # of all effects together
     removed: float  # share of the held-out gap that the true terms remove [1]; 0 where there are none
     # lap_length, lap_driven, s_origin: of the track's centreline and of the real drive's first lap [m], and where
     # on the track that drive begins [m]: places of an answer are on the centreline, those a diagnosis finds along
@@ -112,8 +113,8 @@ def build_case(plan: CasePlan) -> Case:
     Raises
     ------
     SplitError
-        If twenty-four drawings of surroundings and drivers did not give one that can be driven at that severity,
-        nor any for the terms to take instead.
+        If twenty-four drawings of surroundings and drivers did not give one that can be driven at that
+        effect-to-noise ratio, nor any for the terms to take instead.
     """
     choices = (plan.terms, *plan.instead)
     for attempt in range(_DRAWS * len(choices)):
@@ -142,7 +143,7 @@ class _CaseSetting:
     without: ProofWorld
     concealed: tuple[Concealed, ...]
     trips: tuple[Trip, Trip, Trip]
-    base_severity: float
+    base_effect_to_noise: float
 
 
 def _setting(plan: CasePlan, rng: np.random.Generator) -> _CaseSetting:
@@ -165,10 +166,10 @@ def _setting(plan: CasePlan, rng: np.random.Generator) -> _CaseSetting:
         source = build_car(without.car, plan.seed % 10_000 + plan.number)
     seconds = 60.0 + 30.0 * rng.random() if name == "f1tenth_car" else 70.0 + 60.0 * rng.random()
     trips = (draw_trip(rng, seconds), draw_trip(rng, seconds), draw_trip(rng, seconds))
-    base_severity = _base_severity(without, trips[0], source)
-    if base_severity > _BARE_ENOUGH:
+    base_effect_to_noise = _base_effect_to_noise(without, trips[0], source)
+    if base_effect_to_noise > _BARE_ENOUGH:
         simulation = "plant"
-    return _CaseSetting(source, base, simulation, without, concealed, trips, base_severity)
+    return _CaseSetting(source, base, simulation, without, concealed, trips, base_effect_to_noise)
 
 
 def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
@@ -180,9 +181,10 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
         effects.append((effect, found))
         world = effect.apply(world, found[0])
     run = drive(world, trips[0])
-    total = severity(effect_error(run, world, without), source.noise) if effects else 0.0
+    total = error_to_noise(effect_error(run, world, without), source.noise) if effects else 0.0
     if plan.kind == "single" and not plan.low <= total <= plan.high:
-        raise Unreachable(f"severity {total:.3g} over the whole drive is not within {plan.low:g} to {plan.high:g}")
+        wanted = f"{plan.low:g} to {plan.high:g}"
+        raise Unreachable(f"effect-to-noise ratio {total:.3g} over the whole drive is not within {wanted}")
     real = record(run, source.alignment, "real", rng, world.sensor)
     sim = None
     if setting.simulation == "plant":
@@ -199,8 +201,8 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
         car=source.car.name,
         base=setting.base,
         simulation=setting.simulation,
-        base_severity=setting.base_severity,
-        total_severity=total,
+        base_effect_to_noise=setting.base_effect_to_noise,
+        total_effect_to_noise=total,
         removed=removed,
         **_places(run),
     )
@@ -209,10 +211,10 @@ def _build(plan: CasePlan, rng: np.random.Generator) -> Case:
 
 def _require_named(heldout: ExactDrive, removed: float, source: CarOfProof) -> None:
     """Refuse a case whose true terms leave much: it would conceal more than its name."""
-    there = severity(heldout.error, source.noise)
+    there = error_to_noise(heldout.error, source.noise)
     left = there * float(np.sqrt(max(1.0 - removed, 0.0)))
     if left > max(_LEFT[0], _LEFT[1] * there):
-        raise Unreachable(f"the true terms leave a severity of {left:.3g} of {there:.3g}")
+        raise Unreachable(f"the true terms leave a effect-to-noise ratio of {left:.3g} of {there:.3g}")
 
 
 def _draw(plan: CasePlan, term: str, rng: np.random.Generator, world: ProofWorld) -> Concealed:
@@ -225,17 +227,17 @@ def draw_trip(rng: np.random.Generator, seconds: float) -> Trip:
     return Trip(style, rng.uniform(0.55, 0.8), seconds, int(rng.integers(2**31)))
 
 
-def _base_severity(without: ProofWorld, trip: Trip, source: CarOfProof) -> float:
+def _base_effect_to_noise(without: ProofWorld, trip: Trip, source: CarOfProof) -> float:
     run = drive(without, trip, duration=_SEARCH_SECONDS, sample_period=1e-2)
     nothing = np.zeros((0, 3))
     columns = exact_drive(run, source.alignment, without.sensor, nothing).columns
-    return severity(errors_of_terms(columns, source.vehicle, ()), source.noise)
+    return error_to_noise(errors_of_terms(columns, source.vehicle, ()), source.noise)
 
 
 def _sized(
     effect: Concealed, without: ProofWorld, trip: Trip, plan: CasePlan, rng: np.random.Generator, source: CarOfProof
 ) -> tuple[float, float]:
-    """Return the size of an effect with a severity drawn for the plan, and that severity."""
+    """Return the size of an effect with a effect-to-noise ratio drawn for the plan, and that effect-to-noise ratio."""
 
     def measure(size: float) -> float:
         world = effect.apply(without, size)
@@ -243,12 +245,12 @@ def _sized(
         error = effect_error(run, world, without)
         if plan.kind == "strange":
             error, _ = _beyond(run, world, error, source)
-        return severity(error, source.noise)
+        return error_to_noise(error, source.noise)
 
     span = np.log(plan.high / plan.low)
     target = plan.low * float(np.exp(span * rng.uniform(0.1, 0.9)))
     found = search_size(measure, effect.start, effect.most, target, tolerance=0.15)
-    return float(found.size), found.severity
+    return float(found.size), found.effect_to_noise
 
 
 def _beyond(run: Trajectory, world: ProofWorld, error: np.ndarray, source: CarOfProof):
@@ -272,9 +274,9 @@ def _concealed(
     heldout = _exact(world, without, replace(trips[2], duration=60.0), source)
     if plan.kind == "strange":
         left, names = beyond_catalogue(heldout.error, heldout.columns, source.vehicle, world.track.length, source.noise)
-        beyond = severity(left, source.noise)
+        beyond = error_to_noise(left, source.noise)
         ((effect, (size, found)),) = effects
-        total = severity(heldout.error, source.noise)
+        total = error_to_noise(heldout.error, source.noise)
         return (ConcealedEffect(effect.term, size, total, beyond=beyond, absorbed_by=names),), heldout, 0.0
     concealed, terms = [], []
     for effect, (size, found) in effects:

@@ -1,4 +1,4 @@
-"""How cases conceal each term of the catalogue in the plant: one shape drawn, one size found by its severity."""
+"""How cases conceal each term of the catalogue in the plant: one shape drawn, one size found by its noise ratio."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

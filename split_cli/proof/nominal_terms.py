@@ -26,5 +26,5 @@ NOMINAL_TERMS: dict[str, tuple[dict[str, float], bool]] = {
     "sensor_misalignment": ({"angle": 0.01}, True),
     "sensor_delay": ({"delay": 0.03}, False),
 }
-"""By id: a step from neutral in each parameter [its unit], scaled until it has the wanted severity, and whether
-its sign is drawn. Terms of place and time are left out: a scripted drive has no laps."""
+"""By id: a step from neutral in each parameter [its unit], scaled until it has the wanted effect-to-noise ratio, and
+whether its sign is drawn. Terms of place and time are left out: a scripted drive has no laps."""

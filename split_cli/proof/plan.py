@@ -40,8 +40,8 @@ class CasePlan:
     # Ids of the catalogue; or kinds outside it, of which the first that can be built is taken.
     terms: tuple[str, ...]
     tier: str  # easy, realistic or hard for singles, else empty
-    # low, high: between which the severity of each effect lies; of an effect outside the catalogue, the severity
-    # of what the two best terms leave of it.
+    # low, high: between which the effect-to-noise ratio of each effect lies; of an effect outside the catalogue,
+    # that of what the two best terms leave of it.
     low: float
     high: float
     # Terms to take in turn where no car, track and driver can be drawn that shows the first ones.

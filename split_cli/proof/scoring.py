@@ -42,7 +42,7 @@ def score_case(
     truth, judged = [effect.term for effect in answer.effects], said
     if answer.kind == "whole-car":
         # What is there and small may be named; it is not asked for.
-        small = {effect.term for effect in answer.effects if effect.severity < TIERS["realistic"][0]}
+        small = {effect.term for effect in answer.effects if effect.effect_to_noise < TIERS["realistic"][0]}
         truth = [term for term in truth if term not in small]
         judged = replace(said, findings=tuple(one for one in said.findings if one.term not in small))
     strange = answer.kind == "strange"
@@ -219,7 +219,7 @@ def _recall(sets: Sequence[CaseScore]) -> Rate:
             any(effect.term == one.term or effect.term in one.alternatives for one in score.said.findings)
             for score in sets
             for effect in score.answer.effects
-            if score.answer.kind != "whole-car" or effect.severity >= TIERS["realistic"][0]
+            if score.answer.kind != "whole-car" or effect.effect_to_noise >= TIERS["realistic"][0]
         ]
     )
 

@@ -17,7 +17,7 @@ from split_cli.proof.cases import Answer, Case, ConcealedEffect
 from split_cli.proof.nominal_terms import NOMINAL_TERMS
 from split_cli.proof.plan import CasePlan
 from split_cli.proof.recordings import RATE
-from split_cli.proof.truth import severity
+from split_cli.proof.truth import error_to_noise
 from split_cli.proof.windows import errors_of_terms
 from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.effects.recording import play_response
@@ -43,7 +43,7 @@ _ON_COMMANDS = (*_DELAYS, "steer_gain", "steer_backlash")
 
 
 def build_nominal_set(plan: CasePlan) -> Case:
-    """Return a case whose car is its nominal model with the plan's terms, their severities drawn for the plan.
+    """Return a case whose car is its nominal model with the plan's terms, their sizes drawn for the plan.
 
     Raises
     ------
@@ -83,8 +83,8 @@ def _drawn(plan: CasePlan, rng: np.random.Generator) -> Case:
         car=vehicle.name,
         base="nominal",
         simulation="nominal" if sim is None else "same equations",
-        base_severity=0.0,
-        total_severity=float(np.sqrt(sum(one.severity**2 for one in effects))),
+        base_effect_to_noise=0.0,
+        total_effect_to_noise=float(np.sqrt(sum(one.effect_to_noise**2 for one in effects))),
         removed=1.0,
     )
     return Case(real, sim, vehicle, answer, None, noise)
@@ -195,7 +195,7 @@ def _varied(rng: np.random.Generator) -> Vehicle:
 
 
 def _sized(vehicle: Vehicle, term: str, plan: CasePlan, rng: np.random.Generator) -> tuple[Term, float]:
-    """Return a term whose severity, alone, is drawn for the plan, and that severity."""
+    """Return a term whose effect-to-noise ratio, alone, is drawn for the plan, and that effect-to-noise ratio."""
     directions, both = NOMINAL_TERMS[term]
     sign = float(rng.choice((-1.0, 1.0))) if both else 1.0
     kind, seed = CATALOGUE[term], int(rng.integers(2**31))
@@ -206,7 +206,7 @@ def _sized(vehicle: Vehicle, term: str, plan: CasePlan, rng: np.random.Generator
         if term in _DELAYS:
             parameters = {name: round(value / _STEP) * _STEP for name, value in parameters.items()}
         built = kind(parameters, kind.variants[0])
-        found = _severity(vehicle, built, seed)
+        found = _effect_to_noise(vehicle, built, seed)
         if best is None or abs(np.log(found / target)) < abs(np.log(best[1] / target)):
             best = built, found
         if abs(np.log(found / target)) < 0.1:
@@ -228,13 +228,13 @@ def _is_possible(vehicle: Vehicle, term: Term) -> bool:
     return all(limit.lower <= term.parameters[name] <= limit.upper for name, limit in ranges.items())
 
 
-def _severity(vehicle: Vehicle, term: Term, seed: int) -> float:
+def _effect_to_noise(vehicle: Vehicle, term: Term, seed: int) -> float:
     noise = _SIGMA * np.sqrt(vehicle.wheelbase / 2.7) * np.array([1.0, 1.0, 2.7 / vehicle.wheelbase])
     columns = scripted_drive(vehicle, [term], seed, runs=8, seconds=4.0)
     columns = {**columns, "s": np.zeros(len(columns["t"]))}
     runs = [{name: values[columns["segment"] == k] for name, values in columns.items()} for k in range(8)]
     errors = [errors_of_terms(run, vehicle, (), held=("T", "delta")) for run in runs]
-    return severity(np.concatenate(errors), noise)
+    return error_to_noise(np.concatenate(errors), noise)
 
 
 def _recorded(columns: Mapping[str, np.ndarray], name: str, noise: np.ndarray, rng: np.random.Generator) -> Drive:

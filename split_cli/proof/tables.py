@@ -50,7 +50,7 @@ def markdown_of(result) -> str:
             [
                 [
                     s.answer.effects[0].term,
-                    f"{s.answer.total_severity:.2f}",
+                    f"{s.answer.total_effect_to_noise:.2f}",
                     f"{s.answer.effects[0].beyond:.2f}",
                     " + ".join(s.answer.effects[0].absorbed_by),
                     in_short(s.said),

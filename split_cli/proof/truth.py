@@ -29,10 +29,10 @@ GUESSES = {
 
 
 class Unreachable(SplitError):
-    """No sensible size of an effect has the severity that was asked for."""
+    """No sensible size of an effect has the effect-to-noise ratio that was asked for."""
 
 
-def severity(error: np.ndarray, noise: np.ndarray) -> float:
+def error_to_noise(error: np.ndarray, noise: np.ndarray) -> float:
     """Return the rms of an effect's 0.05 s prediction error over the noise's, where it is largest [1].
 
     Parameters
@@ -47,26 +47,26 @@ def severity(error: np.ndarray, noise: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class SizeFound:
-    """A size, the severity it has, and how many paired runs it took."""
+    """A size, the effect-to-noise ratio it has, and how many paired runs it took."""
 
     size: float
-    severity: float
+    effect_to_noise: float
     trials: int
 
 
 def search_size(
     measure: Callable[[float], float], start: float, most: float, target: float, *, tolerance: float = 0.08
 ) -> SizeFound:
-    """Return the size of an effect that has a given severity, by secants in logarithms.
+    """Return the size of an effect that has a given effect-to-noise ratio, by secants in logarithms.
 
     Parameters
     ----------
     measure : callable
-        size -> severity; may raise SplitError where the car cannot be driven any more.
+        size -> effect-to-noise ratio; may raise SplitError where the car cannot be driven any more.
     start, most : float
         First trial, and the largest size allowed.
     tolerance : float
-        Relative error of the severity that is accepted [1].
+        Relative error of the effect-to-noise ratio that is accepted [1].
 
     Raises
     ------
@@ -91,12 +91,13 @@ def search_size(
             size = min(4.0 * size, limit)
             continue
         if size >= limit and found < target:
-            raise Unreachable(f"the largest size {limit:.3g} has severity {found:.3g}, {target:.3g} was asked for")
+            reached = f"effect-to-noise ratio {found:.3g}, {target:.3g} was asked for"
+            raise Unreachable(f"the largest size {limit:.3g} has {reached}")
         if last is not None and last[0] != size and last[1] != found:
             slope = float(np.clip(np.log(found / last[1]) / np.log(size / last[0]), 0.4, 4.0))
         last = (size, found)
         size = min(size * float(np.clip((target / found) ** (1.0 / slope), 0.05, 20.0)), limit)
-    raise Unreachable(f"no size with severity {target:.3g} was found in eight trials")
+    raise Unreachable(f"no size with effect-to-noise ratio {target:.3g} was found in eight trials")
 
 
 @dataclass(frozen=True)

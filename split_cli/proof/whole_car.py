@@ -17,7 +17,7 @@ from split_cli.proof.cases import LAP_LENGTH, Answer, Case, ConcealedEffect, dra
 from split_cli.proof.plan import CasePlan
 from split_cli.proof.recordings import record
 from split_cli.proof.tracks import random_track
-from split_cli.proof.truth import severity
+from split_cli.proof.truth import error_to_noise
 from split_cli.proof.world import ProofWorld, drive, effect_error
 
 _DRAWS = 6
@@ -106,7 +106,7 @@ def _drawn(plan: CasePlan, rng: np.random.Generator, draws: int) -> Case:
     run = drive(world, trip)
 
     def size(other: CarParameters) -> float:
-        return severity(effect_error(run, world, replace(world, car=other)), source.noise)
+        return error_to_noise(effect_error(run, world, replace(world, car=other)), source.noise)
 
     effects = []
     for piece in PIECES:
@@ -121,8 +121,8 @@ def _drawn(plan: CasePlan, rng: np.random.Generator, draws: int) -> Case:
         car=name,
         base="own",
         simulation="nominal",
-        base_severity=0.0,
-        total_severity=size(bare(car)),
+        base_effect_to_noise=0.0,
+        total_effect_to_noise=size(bare(car)),
         removed=1.0,
         draws=draws,
     )

@@ -18,8 +18,8 @@ _RESAMPLES = 2000
 _INTERVAL = (2.5, 97.5)
 _FEWEST_BLOCKS = 4
 _VISIBLE = 5e-4
-"""Of the ratio to the nominal error, from which on a change is told [1]; judgement: below, three decimals read 1.000.
-Where the trust is small, a change of 0.003 % may be beyond chance, and means nothing."""
+"""Of the ratio to the nominal error, from which on a change is reported [1]; judgement: below, three decimals read
+1.000. Where the trust is small, a change of 0.003 % may be beyond chance, and means nothing."""
 
 
 @dataclass(frozen=True)

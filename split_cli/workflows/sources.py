@@ -58,7 +58,7 @@ class SourceFile:
         with _in_one_line(self.address):
             info = system.info(path)
         known = {key.lower(): str(info[key]) for key in sorted(info) if key.lower() in _IDENTITY}
-        if "etag" in known:  # times are told more finely by a listing than by the file itself
+        if "etag" in known:  # times are reported more finely by a listing than by the file itself
             known = {key: known[key] for key in ("etag", "size")}
         return "remote:" + hashlib.sha256(repr(known).encode()).hexdigest()
 
@@ -245,7 +245,7 @@ def _local(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     if not path.exists() and glob.has_magic(str(path)):
         base = _named_plainly(path)
         hits = sorted(base.glob(_pattern_below(path, base))) if base.is_dir() else []
-        found: list[SourceFile] = []  # a broken link, too: it is told
+        found: list[SourceFile] = []  # a broken link, too: it is reported
         for hit in (hit for hit in hits if not _hidden(hit.relative_to(base))):
             if not hit.is_dir() or _is_closed(hit) or _is_bag(hit):
                 found.append(SourceFile(str(hit), _place(hit, base)))

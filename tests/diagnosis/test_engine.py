@@ -125,7 +125,9 @@ def test_a_lag_longer_than_that_of_the_simulation_is_one_name(term, shared, more
     assert low <= more <= high and high - low < width
 
 
-@pytest.mark.parametrize(("shares", "names"), [(True, {"friction_scale"}), (False, {"friction_scale", "combined_slip"})])
+@pytest.mark.parametrize(
+    ("shares", "names"), [(True, {"friction_scale"}), (False, {"friction_scale", "combined_slip"})]
+)
 def test_what_less_grip_makes_of_an_ellipse_that_both_drives_share_is_no_other_name(shares, names):
     """F_y sqrt(1 - (F_x/D)^2): with a smaller D driving takes more, of a simulated car that has this as well."""
     ellipse, grip = CATALOGUE["combined_slip"]({"strength": 1.0}), CATALOGUE["friction_scale"]({"scale": 0.7})

@@ -45,7 +45,7 @@ def test_a_set_is_scored_by_effects_by_strange_names_and_whole():
     plan = CasePlan(9, 0, "nominal-set", ("aero_drag", "steer_offset", "mass"), "", 0.35, 1.0)
     case = sets.build_nominal_set(plan)
     assert {effect.term for effect in case.answer.effects} == set(plan.terms)
-    assert all(0.25 < effect.severity < 1.4 for effect in case.answer.effects)
+    assert all(0.25 < effect.effect_to_noise < 1.4 for effect in case.answer.effects)
     assert case.real.held == HELD
 
     def rates(*findings: Named) -> dict[str, float]:

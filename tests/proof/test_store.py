@@ -93,7 +93,7 @@ def test_what_is_shown_tells_nothing(made):
         assert names <= {"real.parquet", "sim.parquet", "vehicle.yaml"}
         answer = read_answer(root, case.name)
         content = case.real.read_bytes() + case.vehicle.read_bytes()
-        for word in ("severity", answer.kind, answer.car, *(effect.term for effect in answer.effects)):
+        for word in ("effect_to_noise", answer.kind, answer.car, *(effect.term for effect in answer.effects)):
             assert word.encode() not in content
 
 

@@ -30,7 +30,7 @@ def sentence_for(
     vehicle: Vehicle | None = None,
     combination: Combination | None = None,
 ) -> str:
-    """Return what a finding means, with what it cannot be told from and what would tell it.
+    """Return what a finding means, with what it cannot be distinguished from and what would tell it.
 
     Parameters
     ----------

@@ -86,17 +86,17 @@ def detection_limits(
         Returns what a term that alters commands saves of recordings that have it, beside others, and its size
         there: see `planted_saving`. Without, they are taken to be filtered as these are.
     named : sequence of Part
-        What is named of these recordings. A term that is among them is told beside the others.
+        What is named of these recordings. A term that is among them is reported beside the others.
 
     Notes
     -----
     Were an effect there, its term would save the squared length of what it moves in the whitened rows, less what
     the difference that is there already may take off: nobody knows the sign of an effect beforehand. A fault of
     one sign moves the rows as its term of the other does, and where much is curved not as far to either side; what
-    is told holds for both. Its size is searched where the test that is asked of every name is passed just so, and
+    is reported holds for both. Its size is searched where the test that is asked of every name is passed just so, and
     it grows until its 95 % interval leaves out no effect. A fault of the commands alters the filter of the rows
     too: it grows until the test is passed by recordings that have it. A size whose interval ends where no real
-    car lies beyond is not told: such a fault is taken for one beyond, which has no name. Chance makes it pass a
+    car lies beyond is not known: such a fault is taken for one beyond, which has no name. Chance makes it pass a
     little earlier or later; what looks the same may be named in its stead.
 
     Beside names it saves what these cannot take up with other values, it has to be more than their model-form

@@ -57,7 +57,7 @@ def hidden_effects(
     -----
     Simulation and reality may differ by no more than halves of the simulation do, and yet by as much as a big
     effect makes. An effect is big when it is a fair share of what a car can have; it counts when it is larger than
-    the noise on these drives. What differs has a shape of its own: an effect of another shape is told from it, and
+    the noise on these drives. What differs has a shape of its own: an effect of another shape differs from it, and
     hides only where even this size of it would not have been named.
     """
     smallest = {one.term: one.parameters for one in detectable}
@@ -124,7 +124,7 @@ def force_share(objective: MarginalLikelihood, term: Term) -> float:
     for one, keep in zip(objective.evidence, objective.keep, strict=True):
         series, inside = one.series, one.series.inside()
         at = one.at[keep]
-        at = at[inside[np.minimum(at, len(inside) - 1)] & inside[at - 1]]  # no motion is told across a gap
+        at = at[inside[np.minimum(at, len(inside) - 1)] & inside[at - 1]]  # no motion is reported across a gap
         inverse = np.linalg.inv(one.vehicle.force_matrix()).T
         rates = series.rates(extended_model(one.vehicle, (term,))) - series.rates(extended_model(one.vehicle))
         v_x, v_y, r = series.smooth.T

@@ -47,9 +47,9 @@ from split_cli.vehicle.parameters import Vehicle
 MOST_CHECKED = 2**20
 """Rows in the middle of a drive whose channels are checked against each other: hours show any wrong unit."""
 _MOST_BESIDE_A_CLOCK = 3
-"""Findings that are told beside a clock in another unit [1]: an error is a line."""
+"""Findings that are reported beside a clock in another unit [1]: an error is a line."""
 _SAME_START = 0.01
-"""Within which a drive begins with its recording: as exactly as times are told [s]."""
+"""Within which a drive begins with its recording: as exactly as times are reported [s]."""
 _DELAY_PASSES = 6
 """At most so many; identities of three channels are right only once all three are in time."""
 

@@ -27,7 +27,7 @@ def derivation_named(name: str) -> Derivation:
     Raises
     ------
     MapError
-        If there is none; the nearest are told.
+        If there is none; the nearest are reported.
     """
     spelled = name.replace("_", "-")
     if spelled not in DERIVATIONS:

@@ -79,7 +79,7 @@ def gather(
     Raises
     ------
     MapError
-        If a source does not exist (nearest names are told), or its unit does not fit the channel.
+        If a source does not exist (nearest names are reported), or its unit does not fit the channel.
     LogError
         If the recording is empty or has no usable time.
     """

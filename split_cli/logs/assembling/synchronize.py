@@ -34,7 +34,7 @@ BRIDGED_SAMPLES = 2.5
 _OF_THE_POSE = {"vx", "vy", "r", "ax", "ay"}
 """Channels that X, Y and yaw give by differentiation, or that a drive can do without."""
 _COSTLY = 0.05
-"""Share of what is recorded that one channel cuts off, from which on it is told [1]: judgement."""
+"""Share of what is recorded that one channel cuts off, from which on it is reported [1]: judgement."""
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ _BY_SLIP_SPEED = 0.5
 """Variance of v_y that forces by slip speed leave, of what those by slip angle leave, from which on they are by
 slip speed [1]: a car of MuJoCo leaves 0.26 to 0.43, tyres 0.9 to 1.6."""
 _LEAST_ARM = 0.15
-"""Of the wheelbase, below which a place is not told from the CG [1]."""
+"""Of the wheelbase, below which a place is not distinguished from the CG [1]."""
 _SIGN_ONLY = 5.0
 """Tolerance of a relation whose size says nothing."""
 _MOST_SIDEWAYS = 3.0
@@ -379,7 +379,7 @@ class Checks:
         seconds = float(np.count_nonzero(rows)) * k.period
         if seconds < _GRIP_SECONDS:
             return []
-        # What is reached for a second does not depend on the file: the next file is told nothing more.
+        # What is reached for a second does not depend on the file: the next file is reported nothing more.
         reached = float(np.sort(lateral[rows])[-round(_GRIP_SECONDS / k.period)])
         text = (
             f"the tyres of the vehicle file carry {carried:.2f} m/s^2, and the car corners at more for "

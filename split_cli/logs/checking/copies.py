@@ -16,7 +16,7 @@ _LEFT_BY_FORMULA = 2e-3
 _LONGEST = 0.5
 """Time over which a yaw rate that was computed is searched for [s]: filters and buses of cars delay less."""
 _MEASURED = ("vx", "r", "yaw", "X", "Y", "vy", "ax", "ay", "delta", "T")
-"""Of two the later is told; those that judge most others stand first."""
+"""Of two the later is reported; those that judge most others stand first."""
 
 
 def copied_channels(drive: Drive, kinds: Mapping[str, str]) -> list[ConsistencyFinding]:

@@ -23,7 +23,7 @@ from split_cli.vehicle.parameters import Vehicle
 _EDGE = 2.0
 """Cost of a ratio at the edge of its tolerance, two standard deviations; beyond it nothing is accounted for."""
 _RIVAL = 1.5
-"""Explanations less than this dearer than the best are told beside it: odds of less than 5 to 1."""
+"""Explanations less than this dearer than the best are reported beside it: odds of less than 5 to 1."""
 _SAME_UNIT = 1.0
 """Cost of v_y or a wheel speed in the wrong unit that v_x is in too, and of a_y in that of a_x: of one logger."""
 _ONE_MORE_WHEEL = 0.25
@@ -32,7 +32,7 @@ _SAME_AXES = 0.5
 _REVERSING = OVER_TIME[:2] + OVER_TIME[3:]
 """Of these the ones that change their sign where time runs backwards; a speed does not."""
 _LEAST_REVERSED = 3
-"""Relations with the opposite sign that are told as one mistake [1]: two may be two turned channels."""
+"""Relations with the opposite sign that are reported as one mistake [1]: two may be two turned channels."""
 
 
 @dataclass(frozen=True)

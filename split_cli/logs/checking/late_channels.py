@@ -17,11 +17,11 @@ from split_cli.logs.drive_metadata import is_derived
 from split_cli.vehicle.parameters import Vehicle
 
 _LATE = 0.08
-"""Delay from which on it is told [s]: twice what filters of usual sensors, and their clocks, differ by."""
+"""Delay from which on it is reported [s]: twice what filters of usual sensors, and their clocks, differ by."""
 _SURE = 6.0
-"""Of a delay, in its standard errors, from which on it is told: systematic errors are as large as several."""
+"""Of a delay, in its standard errors, from which on it is reported: systematic errors are as large as several."""
 _STEP = 0.04
-"""Between the rows that are looked at [s]: half of the shortest delay that is told."""
+"""Between the rows that are looked at [s]: half of the shortest delay that is reported."""
 _ROWS = 1500
 """Looked at, from the middle of the drive: a minute [1]."""
 _STEERED_ROWS = 6000
@@ -33,7 +33,7 @@ _BY_CHANCE = 3.0
 _MOVING = 0.3
 """Of the drive's highest speed, above which steering shows in the yaw rate [1]."""
 _MOST = 3
-"""Channels that are told [1]; with more than that something else is wrong."""
+"""Channels that are reported [1]; with more than that something else is wrong."""
 _HELD = 0.3
 """Share of rows that repeat the one before, from which on a channel is one of steps [1]."""
 _COMPARED = ("delta", "ax", "ay")
@@ -53,7 +53,7 @@ def late_channels(
     kinds : mapping of str to str
         Derived channels have no clock of their own; a command that the car precedes is one that came late.
     known : Consistency
-        A factor that it is sure of is taken out. A channel that is told wrong without one is not looked at, and
+        A factor that it is sure of is taken out. A channel that is reported wrong without one is not looked at, and
         nothing is where v_x, r or the place of v_y is.
     """
     wrong = {f.channel for f in known.findings if f.check in _UNTRUSTED}
@@ -198,7 +198,7 @@ def _latest(
     kinds: Mapping[str, str],
     holds: Mapping[str, float],
 ) -> tuple[DelayEstimate | None, set[str]]:
-    """Return the estimate that is the surest of those to be told, None where none is, and what has an estimate.
+    """Return the estimate that is the surest of those to be reported, None where none is, and what has an estimate.
 
     A value that is held shows half a hold late, and that is no clock: it is taken off.
     """

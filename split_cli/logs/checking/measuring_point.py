@@ -14,9 +14,9 @@ PLACE_IN_DOUBT = "place of v_y"
 _SURE = 4.0
 """Standard errors from which on a place differs from another [1]."""
 _FAR_BETTER = 0.5
-"""Of the variance that a place of v_y leaves, below which a factor is told in its stead, and the reverse [1]."""
+"""Of the variance that a place of v_y leaves, below which a factor is reported in its stead, and the reverse [1]."""
 _LEAST_FACTOR = 0.15
-"""Natural logarithm of a factor of v_y that is told [1]: less is a place or tyres near their limit."""
+"""Natural logarithm of a factor of v_y that is reported [1]: less is a place or tyres near their limit."""
 _BETTER = 0.5
 """Variance that a place leaves, of what delays, gain and offset leave without it, from which on it is one [1]: a
 right log of brisk driving leaves 0.98 to 1.00, half the distance to the rear axle 0.02 to 0.35."""
@@ -73,8 +73,8 @@ def _by_the_sideslip(checks: Checks) -> list[ConsistencyFinding]:
     """Tell from the fit of the sideslip at which distance p ahead of the rear axle v_y is measured.
 
     The rear tyres need the slip m l_f a/(L C_r), so q > 0; at the CG p is l_r. Between the axle and the CG a place
-    is not told from tyres near their limit, and stands under what could not be judged, unless the accelerometer
-    is at the same place: it needs no tyre.
+    is not distinguished from tyres near their limit, and stands under what could not be judged, unless the
+    accelerometer is at the same place: it needs no tyre.
     """
     fit = checks.sideslip_fit()
     if fit is None:
@@ -151,7 +151,7 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     without = np.delete(design, 0, axis=1)
     rest_without = float(np.var(y - without @ np.linalg.lstsq(without, y, rcond=None)[0]))
     of_place = float(np.var(y - design @ fitted))
-    # The path across yaw needs no accelerometer: where it judges v_y, its size is told by it.
+    # The path across yaw needs no accelerometer: where it judges v_y, its size is known by it.
     sized_by_path = checks.of_pose or any(relation.name == ACROSS for relation in checks.relations)
     of_factor, factor = (np.inf, 1.0) if sized_by_path else _as_factor(k.rate("vy")[use], without, y)
     sized = f"v_y changes {factor:.2f} times as much as a_y - v_x r says: `scale: {1.0 / factor:.3f}` puts it right"

@@ -18,7 +18,7 @@ SHORTEST = 0.8
 LONGEST = 4.0
 """A longer straight is parted, so that a step within it can be placed [s]."""
 _FEWEST = 6
-"""Straights from which a course over time is told; with fewer only their mean."""
+"""Straights from which a course over time is reported; with fewer only their mean."""
 _SMALLEST = 2e-3
 """Change of direction that is worth telling [rad]: crossfall of 2.5 % tilts a car's path by about as much."""
 _WORTH = 10.0

@@ -13,9 +13,10 @@ from split_cli.vehicle.parameters import Vehicle
 _SURE = 3.0
 """Standard errors by which a share is beyond a bound, and the two shares differ [1]; judgement."""
 _OFF = 0.2
-"""Share by which T differs from what the motion takes, or its two sides differ, where that is told [1]. Sound drives
-of simulated cars read 0.94 to 1.11 (`tests.studies.torque_factors`); rotating masses and losses of real ones give as
-much. Judgement."""
+"""Share by which T differs from what the motion takes, or its two sides differ, where that is reported [1].
+
+Sound drives of simulated cars read 0.94 to 1.11 (`tests.studies.torque_factors`); rotating masses and losses of real
+ones give as much. Judgement."""
 _LIKE = 0.5 * _OFF
 """Distance of a share to that of a known cause, beside its error, within which it may be that [1]."""
 _DERIVE = "`--derive torque-from-acceleration`"
@@ -50,7 +51,7 @@ def torque_sides(checks: Checks, wrong: Collection[str], has_factor: bool = Fals
 
     Notes
     -----
-    What differs by 20 % and lies within the tolerance may be the car's, and is told as a remark.
+    What differs by 20 % and lies within the tolerance may be the car's, and is reported as a remark.
     """
     sides = _measure(checks, not {"delta", "r"} & set(wrong))
     if sides is None:

@@ -149,7 +149,7 @@ def doubt_of_height(
     across, third = (_lasting(signals[name], time, True) for name in three[1:])
     if third <= _CLEARLY * across:
         return list(suggestions)
-    remark = f"{three[2]} changes more than {three[1]}: one of them is the height, and which is not told"
+    remark = f"{three[2]} changes more than {three[1]}: one of them is the height, and which is not known"
     return [
         replace(s, status="assumed", reason=f"{remark}; {s.reason}") if s in pose.values() else s for s in suggestions
     ]

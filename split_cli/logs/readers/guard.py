@@ -16,7 +16,7 @@ def guarded(path: Path, step: Callable[[], _T]) -> _T:
     """Run one step of reading; whatever a format's library raises becomes an error of the recording.
 
     These libraries were written for sound files: on damaged or hostile ones they raise anything from KeyError to
-    RecursionError. None of that is known to be a fault of the file, so the type is told with it.
+    RecursionError. None of that is known to be a fault of the file, so the type is reported with it.
 
     Raises
     ------

@@ -275,7 +275,7 @@ def _into_folder(
 
 
 def _make_drive(job: _Job) -> IngestResult | IngestFailure:
-    """Read one recording and write its drive, whole or not at all; an error is returned, to be told in order."""
+    """Read one recording and write its drive, whole or not at all; an error is returned, to be reported in order."""
     try:
         with job.source.local() as path:
             with _unchanged([path]):

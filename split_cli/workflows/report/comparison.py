@@ -76,7 +76,7 @@ def _first_judged(compared: ModelComparison) -> list[tuple[str, str, str]]:
 
 
 def comparison_headline(compared: ModelComparison) -> str:
-    """Return which model is best at the longest horizon, and whether the others can be told from it."""
+    """Return which model is best at the longest horizon, and whether the others can be distinguished from it."""
     horizon = _longest(compared)
     last = _at(compared.scores, horizon)
     best = next(score for score in last if score.is_best)

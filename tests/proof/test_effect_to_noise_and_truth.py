@@ -1,4 +1,4 @@
-"""Sizes are found for a severity, truths by fitting paired runs, and cases lie in their tiers."""
+"""Sizes are found for a effect-to-noise ratio, truths by fitting paired runs, and cases lie in their tiers."""
 
 from dataclasses import replace
 
@@ -12,11 +12,11 @@ from split_cli.proof.plan import MIXED, TIERS, CasePlan, plan_case
 from split_cli.proof.truth import (
     ExactDrive,
     Unreachable,
+    error_to_noise,
     fit_effective,
     model_gain,
     removed_share,
     search_size,
-    severity,
 )
 from split_cli.proof.windows import FIRST, HORIZON, errors_of_terms
 from split_cli.vehicle.effects import CATALOGUE
@@ -27,19 +27,19 @@ def case():
     return build_case(CasePlan(3, 0, "single", ("steer_gain",), "realistic", *TIERS["realistic"]))
 
 
-def test_severity_of_an_error_is_its_rms_over_that_of_a_noise_difference():
+def test_effect_to_noise_of_an_error_is_its_rms_over_that_of_a_noise_difference():
     noise = np.array([0.01, 0.02, 0.001])
     error = np.zeros((4, 3))
     error[:, 1] = [0.03, -0.03, 0.03, -0.03]
     # rms 0.03 over sqrt(2) x 0.02; the other channels are silent.
-    assert severity(error, noise) == pytest.approx(0.03 / (np.sqrt(2.0) * 0.02))
+    assert error_to_noise(error, noise) == pytest.approx(0.03 / (np.sqrt(2.0) * 0.02))
 
 
 @pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
 def test_a_size_is_found_for_any_power_law(power):
     found = search_size(lambda size: 3.0 * size**power, 0.01, 10.0, 0.6)
-    assert found.severity == pytest.approx(0.6, rel=0.08)
-    assert 3.0 * found.size**power == pytest.approx(found.severity)
+    assert found.effect_to_noise == pytest.approx(0.6, rel=0.08)
+    assert 3.0 * found.size**power == pytest.approx(found.effect_to_noise)
 
 
 def test_a_dead_zone_and_a_lost_car_do_not_stop_the_search():
@@ -48,7 +48,7 @@ def test_a_dead_zone_and_a_lost_car_do_not_stop_the_search():
             raise SplitError("the car spun")
         return max(size - 0.1, 0.0)
 
-    assert search_size(measure, 0.02, 2.0, 0.3).severity == pytest.approx(0.3, rel=0.08)
+    assert search_size(measure, 0.02, 2.0, 0.3).effect_to_noise == pytest.approx(0.3, rel=0.08)
 
 
 def test_what_no_size_reaches_is_said_to_be_unreachable():
@@ -58,7 +58,7 @@ def test_what_no_size_reaches_is_said_to_be_unreachable():
 
 def test_a_case_lies_in_its_tier_and_its_truth_explains_it(case):
     low, high = TIERS["realistic"]
-    assert low <= case.answer.total_severity <= high
+    assert low <= case.answer.total_effect_to_noise <= high
     (effect,) = case.answer.effects
     # A gain of the steering is the same physics in both models: the term must remove all but the tyre's build-up.
     assert case.answer.removed > 0.97
@@ -72,7 +72,7 @@ def test_drives_of_a_case_hide_what_is_in_them(case):
     assert case.vehicle.name == "car" and not case.vehicle.effects
 
 
-def test_the_real_drive_holds_the_noise_that_severity_is_measured_by(case):
+def test_the_real_drive_holds_the_noise_that_effects_are_measured_by(case):
     from split_cli.logs.assembling.noise import difference_noise
 
     for name, sigma in zip(("vx", "vy", "r"), case.noise, strict=True):
