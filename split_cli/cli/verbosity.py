@@ -89,7 +89,7 @@ class Quiet(Shown):
 
 
 class Loud(Shown):
-    """A stderr that is reported every step, though nobody may watch it: for logs of long runs."""
+    """A stderr on which every step is printed, though nobody may watch it: for logs of long runs."""
 
     def isatty(self) -> bool:
         return True

@@ -53,8 +53,8 @@ class ControlModel:
     step : float
         h [s].
     compile_c : bool
-        Whether the model's functions become compiled C where a compiler is present; why they did not is known by
-        ``not_compiled``. Both ways give the same numbers but for rounding.
+        Whether the model's functions become compiled C where a compiler is present. ``not_compiled`` says
+        why they did not. Both ways give the same numbers but for rounding.
 
     Raises
     ------

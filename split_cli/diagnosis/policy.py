@@ -243,10 +243,10 @@ class Allowances:
     unnamed: float = number(
         0.10,
         "effect-to-noise ratio",
-        "size below which a difference without a name is none, a further term is not named, nor any against the "
-        "bare nominal model; twice that, from which on a remainder is unexplained whatever its share, an effect "
-        "that the names may hide is a lead, and in what a recording knows twice, a sensor's fault is no "
-        "model-form error",
+        "size below which a difference without a name is none, a term beside another of the car has no name, "
+        "nor any against the bare nominal model; twice that, from which on a remainder is unexplained whatever its "
+        "share, an effect that the names may hide is a lead, and in what a recording knows twice, a sensor's fault "
+        "is no model-form error",
         CHOSEN,
     )
     discrepancy_share: float = number(

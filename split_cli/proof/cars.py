@@ -60,7 +60,7 @@ def bare(car: CarParameters) -> CarParameters:
 
     No combined slip, load transfer, lift, toe or Ackermann; narrow tracks, light wheels, prompt actuators, short
     relaxation, and a tyre whose steady curve has the nominal's form and grows in proportion to load. What remains
-    is known by an answer's `base_effect_to_noise`.
+    is stated by an answer's `base_effect_to_noise`.
     """
 
     def tire(source: TireParameters, load: float) -> TireParameters:

@@ -214,7 +214,7 @@ def _require_named(heldout: ExactDrive, removed: float, source: CarOfProof) -> N
     there = error_to_noise(heldout.error, source.noise)
     left = there * float(np.sqrt(max(1.0 - removed, 0.0)))
     if left > max(_LEFT[0], _LEFT[1] * there):
-        raise Unreachable(f"the true terms leave a effect-to-noise ratio of {left:.3g} of {there:.3g}")
+        raise Unreachable(f"the true terms leave an effect-to-noise ratio of {left:.3g} of {there:.3g}")
 
 
 def _draw(plan: CasePlan, term: str, rng: np.random.Generator, world: ProofWorld) -> Concealed:
@@ -237,7 +237,7 @@ def _base_effect_to_noise(without: ProofWorld, trip: Trip, source: CarOfProof) -
 def _sized(
     effect: Concealed, without: ProofWorld, trip: Trip, plan: CasePlan, rng: np.random.Generator, source: CarOfProof
 ) -> tuple[float, float]:
-    """Return the size of an effect with a effect-to-noise ratio drawn for the plan, and that effect-to-noise ratio."""
+    """Return the size of an effect with an effect-to-noise ratio drawn for the plan, and that ratio."""
 
     def measure(size: float) -> float:
         world = effect.apply(without, size)

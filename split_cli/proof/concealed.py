@@ -1,4 +1,4 @@
-"""How cases conceal each term of the catalogue in the plant: one shape drawn, one size found by its noise ratio."""
+"""How cases conceal each term of the catalogue in the plant: one shape drawn, one size found by effect over noise."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

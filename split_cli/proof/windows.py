@@ -32,7 +32,7 @@ def errors_of_terms(
     """
     recording = Recording.single(1.0 / RATE, len(columns["t"]))
     for term in terms:
-        # A late sensor is known by the commands' clock, see the term.
+        # A late sensor is described by the commands' clock, see the term.
         if term.corrects:
             columns = term.correct(columns, recording)
     velocity = np.stack([columns["vx"], columns["vy"], columns["r"]], axis=1)

@@ -58,7 +58,7 @@ class SourceFile:
         with _in_one_line(self.address):
             info = system.info(path)
         known = {key.lower(): str(info[key]) for key in sorted(info) if key.lower() in _IDENTITY}
-        if "etag" in known:  # times are reported more finely by a listing than by the file itself
+        if "etag" in known:  # times are finer in a listing than by the file itself
             known = {key: known[key] for key in ("etag", "size")}
         return "remote:" + hashlib.sha256(repr(known).encode()).hexdigest()
 

@@ -1,4 +1,4 @@
-"""Sizes are found for a effect-to-noise ratio, truths by fitting paired runs, and cases lie in their tiers."""
+"""Sizes are found for an effect-to-noise ratio, truths by fitting paired runs, and cases lie in their tiers."""
 
 from dataclasses import replace
 

@@ -208,7 +208,7 @@ def _blocks(line: Line, asked: _Remainder) -> tuple[np.ndarray, np.ndarray]:
 
     Notes
     -----
-    Blocks hold as many used samples each, in order of time: of a few samples no amplitude is reported. The squares are
+    Blocks hold as many used samples each, in order of time: of a few samples no amplitude is known. The squares are
     those at the share of the frequency where their mean is largest, less what frequencies around it have by noise.
     """
     series, used = asked.one.series, int(asked.used.sum())

@@ -329,16 +329,19 @@ def _other_ellipse(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     less grip they take more: F_y sqrt(1 - (F_x/D)^2) with another D. A column is that difference of differences, of
     each term that states the peak, with an ellipse of equal axes; real tyres lie between none and it.
     """
-    if objective.posterior is None or any(isinstance(term, CombinedSlip) for term in fit.terms):
+    states_it = any(isinstance(term, CombinedSlip) for term in fit.terms)
+    peaks = (
+        [] if objective.posterior is None or states_it else [k for k, one in enumerate(fit.terms) if one.states_peak]
+    )
+    if not peaks:
         return np.empty((len(objective.weight), 0))
-    ellipse, here, columns = CombinedSlip({"strength": 1.0}), None, []
-    for k, term in enumerate(fit.terms):
-        if term.states_peak:
-            others = (*fit.terms[:k], *fit.terms[k + 1 :])
-            if here is None:
-                here = objective.left_by(fit.terms) - objective.left_by((*fit.terms, ellipse))
-            columns.append(here - objective.left_by(others) + objective.left_by((*others, ellipse)))
-    return objective.whiten(np.stack(columns, axis=1)) if columns else np.empty((len(objective.weight), 0))
+    ellipse = CombinedSlip({"strength": 1.0})
+
+    def taken(terms: tuple[Term, ...]) -> np.ndarray:
+        return objective.left_by(terms) - objective.left_by((*terms, ellipse))
+
+    here = taken(fit.terms)
+    return objective.whiten(np.stack([here - taken(fit.terms[:k] + fit.terms[k + 1 :]) for k in peaks], axis=1))
 
 
 def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:

@@ -94,7 +94,7 @@ def search_forward(
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
             if reason == _ONCE and nuisances < rules.most_nuisances:
-                # What else is missing bends what it saves block by block: it may be reported beside a further one.
+                # What else is missing bends what it saves block by block: it may be identified beside a further one.
                 alone = alone or (chosen, nuisances, len(history), fits[0])
                 history.append(f"{label} saves {saved:.0f}, {reason}")
                 chosen, nuisances = fits[0], nuisances + 1

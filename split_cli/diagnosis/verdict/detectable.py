@@ -96,7 +96,7 @@ def detection_limits(
     is reported holds for both. Its size is searched where the test that is asked of every name is passed just so, and
     it grows until its 95 % interval leaves out no effect. A fault of the commands alters the filter of the rows
     too: it grows until the test is passed by recordings that have it. A size whose interval ends where no real
-    car lies beyond is not known: such a fault is taken for one beyond, which has no name. Chance makes it pass a
+    car lies beyond is not reported: such a fault is taken for one beyond, which has no name. Chance makes it pass a
     little earlier or later; what looks the same may be named in its stead.
 
     Beside names it saves what these cannot take up with other values, it has to be more than their model-form

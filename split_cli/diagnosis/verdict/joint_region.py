@@ -1,7 +1,7 @@
 """Joint confidence regions of the parameters of one term: what is known of them together.
 
 Front and rear downforce may each have an interval that holds no effect, while that of their sum does not. Whether
-an effect is there is known by the region of all of a term's parameters, not by the interval of each.
+an effect is there is decided by the region of all of a term's parameters, not by the interval of each.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ def force_share(objective: MarginalLikelihood, term: Term) -> float:
     for one, keep in zip(objective.evidence, objective.keep, strict=True):
         series, inside = one.series, one.series.inside()
         at = one.at[keep]
-        at = at[inside[np.minimum(at, len(inside) - 1)] & inside[at - 1]]  # no motion is reported across a gap
+        at = at[inside[np.minimum(at, len(inside) - 1)] & inside[at - 1]]  # no motion is known across a gap
         inverse = np.linalg.inv(one.vehicle.force_matrix()).T
         rates = series.rates(extended_model(one.vehicle, (term,))) - series.rates(extended_model(one.vehicle))
         v_x, v_y, r = series.smooth.T

@@ -49,7 +49,7 @@ MOST_CHECKED = 2**20
 _MOST_BESIDE_A_CLOCK = 3
 """Findings that are reported beside a clock in another unit [1]: an error is a line."""
 _SAME_START = 0.01
-"""Within which a drive begins with its recording: as exactly as times are reported [s]."""
+"""Within which a drive begins with its recording: as exactly as times are known [s]."""
 _DELAY_PASSES = 6
 """At most so many; identities of three channels are right only once all three are in time."""
 

@@ -181,7 +181,7 @@ def _smoother(
     slipping: np.ndarray,
     variance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return mean (K, 4) of e, b, g, s, the standard deviation (K,) of e, and what share is reported and unused.
+    """Return mean (K, 4) of e, b, g, s, the standard deviation (K,) of e, and what share is measured and unused.
 
     Parameters
     ----------

@@ -379,7 +379,7 @@ class Checks:
         seconds = float(np.count_nonzero(rows)) * k.period
         if seconds < _GRIP_SECONDS:
             return []
-        # What is reached for a second does not depend on the file: the next file is reported nothing more.
+        # What is reached for a second does not depend on the file: the next file changes nothing.
         reached = float(np.sort(lateral[rows])[-round(_GRIP_SECONDS / k.period)])
         text = (
             f"the tyres of the vehicle file carry {carried:.2f} m/s^2, and the car corners at more for "

@@ -67,7 +67,7 @@ def check_consistency(
         checks.measure_relations()
         spoilt = changed_clock(checks)
     if spoilt:
-        # Of exchanged channels, velocities along the world and a clock that is off nothing else can be reported.
+        # Of exchanged channels, velocities along the world and a clock that is off nothing else can be judged.
         return Consistency((*constant, *spoilt), (), tuple(checks.unjudged))
     explanation = explain(checks.relations, vehicle, checks.magnitudes())
     found = [or_its_place(finding, checks) for finding in explanation.findings]
@@ -147,7 +147,7 @@ def _fine(
         placed = place_of_lateral_velocity(finer, across_is_right)
         if as_it_is is not None and placed:
             placed = place_of_lateral_velocity(as_it_is, across_is_right) and placed
-        # Of a v_y that is off by what nothing tells, neither bias nor grip can be reported.
+        # Of a v_y that is off by what nothing tells, neither bias nor grip can be judged.
         findings += [f for f in finer.straight_line() if f.channel != "vy" or "vy" not in wrong]
         findings += [*placed, *(finer.grip() if "vy" not in wrong else ())]
     if "r" not in wrong:

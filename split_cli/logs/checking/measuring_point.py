@@ -151,7 +151,7 @@ def behind_the_accelerometer(checks: Checks) -> list[ConsistencyFinding]:
     without = np.delete(design, 0, axis=1)
     rest_without = float(np.var(y - without @ np.linalg.lstsq(without, y, rcond=None)[0]))
     of_place = float(np.var(y - design @ fitted))
-    # The path across yaw needs no accelerometer: where it judges v_y, its size is known by it.
+    # The path across yaw needs no accelerometer: where it judges v_y, its size is judged by it.
     sized_by_path = checks.of_pose or any(relation.name == ACROSS for relation in checks.relations)
     of_factor, factor = (np.inf, 1.0) if sized_by_path else _as_factor(k.rate("vy")[use], without, y)
     sized = f"v_y changes {factor:.2f} times as much as a_y - v_x r says: `scale: {1.0 / factor:.3f}` puts it right"

@@ -113,7 +113,7 @@ def render_draft(draft: Draft, name: str) -> str:
     if not draft.left:
         lines += [f"# {line}" for line in (*_NO_LEFT, draft.by_gravity) if line]
     elif draft.left != NO_SIDE:
-        lines.append(f"# Left and right are known by {draft.left}.")
+        lines.append(f"# Left and right are determined by {draft.left}.")
     mapped = {s.channel for s in draft.suggestions if s.status != "open"}
     missing = [channel for channel in REQUIRED_CHANNELS if channel not in mapped]
     if missing:

@@ -101,7 +101,7 @@ def without_a_side(s: Suggestion) -> Suggestion:
 
 
 def channels_with_a_side(chosen: Mapping[str, Suggestion], relations: Sequence[Relation], by_wheels: bool) -> set[str]:
-    """Return the channels whose side is reported: related, directly or by steps, to what knows left from right.
+    """Return the channels whose side is known: related, directly or by steps, to what knows left from right.
 
     East and north say nothing of a yaw rate that does not follow the turning of X, Y.
     """

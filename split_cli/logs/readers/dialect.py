@@ -165,7 +165,7 @@ def _candidates(lines: list[str]) -> list[tuple[str, str]]:
     tail = [line for line in lines if line.strip()][-_CHECKED_ROWS:]
     scored = []
     for separator in (*_SEPARATORS, _BLANKS):
-        # A decimal comma between commas can be reported only where cells stand in quotes.
+        # A decimal comma between commas can be recognised only where cells stand in quotes.
         quoted = any('"' in line for line in tail)
         for decimal in (".",) if separator == "," and not quoted else (".", ","):
             rows = [_split(line, separator) for line in tail]

@@ -92,7 +92,7 @@ class RollingResistance(Term):
         return f"there is {amount(p['force'], more='more resistance', less='less resistance')} to rolling"
 
     def external(self, flow: Flow) -> None:
-        """Add the resistance to the axles; what tyres spend sideways has been known by then."""
+        """Add the resistance to the axles; what tyres spend sideways is known by then."""
         car = flow.vehicle
         for axle, lever in ((flow.front, car.cg_to_rear_axle), (flow.rear, car.cg_to_front_axle)):
             axle.longitudinal_force = axle.longitudinal_force - self.parameters["force"] * lever / car.wheelbase

@@ -1,6 +1,6 @@
 """Terms of single instruments: direction and scale of the recorded velocity, biases, a channel that is late.
 
-They are known by what the recording knows twice: position and yaw, accelerations, velocities.
+They show in what the recording knows twice: position and yaw, accelerations, velocities.
 """
 
 from collections.abc import Callable, Mapping

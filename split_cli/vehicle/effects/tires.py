@@ -30,7 +30,7 @@ __all__ = [
 _LEAST_CAPACITY = 1e-3
 # Relaxation length below which forces build up at once [m]; the shortest of a model car is 30 times that.
 _SHORTEST_LENGTH = 1e-3
-_SOME_BRAKING = 0.6  # share of the largest braking torque that lost grip is reported at
+_SOME_BRAKING = 0.6  # share of the largest braking torque at which lost grip is stated
 _LONG_AGAINST = 0.5  # relative error of a time constant beyond which only its ratio to the loss is known
 
 _ELLIPSE = "judgement: grip along the car is more than half of that across it, which would be 4"
