@@ -48,9 +48,9 @@ def weighted_functions(
         Scaled features and steer angle.
     even, odd : ndarray of int64, shape (F, 4) and (G, 4)
         Powers of the features.
-    of_even, of_odd, of_sizes, of_memory : ndarray, shape (F,), (2, G), (9,) and (3, 14)
+    of_even, of_odd, of_sizes, of_memory : ndarray, shape (F,), (2, G), (9,) and (3, 5)
         Weights: of the powers; of |c|, and of a |c|, b |c|, |a| a, |b| b at the front and at the rear; and for
-        each time, of the slow parts of c and a^2, and of a, b, steer, c a, c b, a v at the front and at the rear.
+        each time, of the slow parts of c and a^2 along the car, of steer and c a at the front, of c b at the rear.
     starts : ndarray of int64
         Rows at which memory starts anew, steady.
     kept, mean : ndarray, shape (3,)
@@ -73,32 +73,26 @@ def weighted_functions(
         for i in range(3):
             for s in range(count):
                 out[i, first + s] = total[i, s]
-    slow, before, here = np.zeros((3, 5)), np.zeros(5), np.zeros(5)
+    slow, before, here = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     upcoming = 0
     for s in range(n):
-        a, b, c, v = z[0, s], z[1, s], z[2, s], z[3, s]
+        a, b, c = z[0, s], z[1, s], z[2, s]
         size = abs(c)
         out[0, s] += of_sizes[0] * size
         for side in range(2):
             k = 1 + 4 * side
             out[1 + side, s] += (of_sizes[k] * a + of_sizes[k + 1] * b) * size
             out[1 + side, s] += of_sizes[k + 2] * abs(a) * a + of_sizes[k + 3] * abs(b) * b
-        here[0], here[1], here[2], here[3], here[4] = a, b, c, steer[s], a * a
+        here[0], here[1], here[2] = c, a * a, steer[s]
         anew = upcoming < len(starts) and starts[upcoming] == s
         upcoming += anew
         for t in range(3):
-            for i in range(5):
+            for i in range(3):
                 drive = (1.0 - kept[t]) * before[i] + (1.0 - mean[t]) * (here[i] - before[i])
                 slow[t, i] = here[i] if anew else kept[t] * slow[t, i] + drive
-            late_a, late_b, late_c = slow[t, 0] - a, slow[t, 1] - b, slow[t, 2] - c
-            out[0, s] += of_memory[t, 0] * late_c + of_memory[t, 1] * (slow[t, 4] - here[4])
-            for side in range(2):
-                k = 2 + 6 * side
-                out[1 + side, s] += (
-                    (of_memory[t, k] + of_memory[t, k + 5] * v) * late_a
-                    + of_memory[t, k + 1] * late_b
-                    + of_memory[t, k + 2] * (slow[t, 3] - here[3])
-                    + (of_memory[t, k + 3] * a + of_memory[t, k + 4] * b) * late_c
-                )
+            late = slow[t, 0] - c
+            out[0, s] += of_memory[t, 0] * late + of_memory[t, 1] * (slow[t, 1] - here[1])
+            out[1, s] += of_memory[t, 2] * (slow[t, 2] - here[2]) + of_memory[t, 3] * late * a
+            out[2, s] += of_memory[t, 4] * late * b
         before[:] = here
     return out

@@ -67,7 +67,7 @@ class SharedDiscrepancy:
 
     def size(self, series: Series) -> int:
         """Return how large the columns are at once [bytes]."""
-        functions = len(_EVEN) + 1 + 2 * (len(_ODD) + 4) + 14 * len(_MEMORY_SECONDS)
+        functions = len(_EVEN) + 1 + 2 * (len(_ODD) + 4) + 5 * len(_MEMORY_SECONDS)
         return 24 * len(series) * (len(self._altered) + functions)
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
@@ -111,10 +111,11 @@ class SharedDiscrepancy:
 
     def _weighted(self, series: Series, weights: np.ndarray) -> np.ndarray:
         """Return the sum of the smooth functions times weights by force, shape (3, N), without making each."""
-        ends = np.cumsum([len(_EVEN), 1, *2 * (len(_ODD), 4), *(count * len(_MEMORY_SECONDS) for count in (2, 6))])
+        times = len(_MEMORY_SECONDS)
+        ends = np.cumsum([len(_EVEN), 1, *2 * (len(_ODD), 4), 2 * times, 2 * times])
         even, size, front, front_sizes, rear, rear_sizes, along, by_front, by_rear = np.split(weights, ends)
         z = self._scaled(series)
-        by_time = [part.reshape(len(_MEMORY_SECONDS), -1) for part in (along, by_front, by_rear)]
+        by_time = [part.reshape(times, -1) for part in (along, by_front, by_rear)]
         q = series.period / self._memory_seconds()
         return weighted_functions(
             z,
@@ -177,15 +178,21 @@ class SharedDiscrepancy:
         return [(0, even), (1, odd), (2, odd)]
 
     def _memory(self, z: np.ndarray, series: Series) -> list[tuple[int, np.ndarray]]:
-        """Slow parts of steering, torque and slip: suspension, actuators and tyres answer late in any real car."""
-        a, b, c, v = z
-        delta, along, side = _scaled_steer(series), [], []
+        """Slow parts of what is commanded: actuators and suspension answer late in any real car.
+
+        Slow parts of the slip angles are left to tyre relaxation, a tangent. They hold the rates of the slip angles,
+        and with the rate of steering these hold r' itself, v_x (delta' - alpha_f' + alpha_r')/L at a steady speed,
+        whatever moment turns the car. A discrepancy that has learned a part of r' from r' hides as much of another
+        yaw inertia.
+        """
+        a, b, c, _ = z
+        delta, along, front, rear = _scaled_steer(series), [], [], []
         for tau in self._memory_seconds().tolist():
-            late = [first_order_response(x, 1.0 / tau, series.recording) - x for x in (a, b, c, delta, a * a)]
-            along += [late[2], late[4]]
-            side += [late[0], late[1], late[3], late[2] * a, late[2] * b, late[0] * v]
-        both = np.array(side)
-        return [(0, np.array(along)), (1, both), (2, both)]
+            torque, steer, slip = (first_order_response(x, 1.0 / tau, series.recording) - x for x in (c, delta, a * a))
+            along += [torque, slip]
+            front += [steer, torque * a]
+            rear.append(torque * b)
+        return [(0, np.array(along)), (1, np.array(front)), (2, np.array(rear))]
 
 
 def _scaled_steer(series: Series) -> np.ndarray:
