@@ -45,6 +45,9 @@ class SharedDiscrepancy:
     # center, width: (4,): of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
     center: np.ndarray
     width: np.ndarray
+    # Actuators and tyres that answer late in simulation and reality. Tangents are taken beside them, and smooth functions
+    # are those of the slips and the torque that arrive; what they change is the first column.
+    lags: tuple[Term, ...] = ()
     # Made anew for a copy with another vehicle.
     _ratios_before: Recent[tuple[Ratios, Series]] = field(
         default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
@@ -60,15 +63,17 @@ class SharedDiscrepancy:
 
     def blocks(self, series: Series) -> Iterator[np.ndarray]:
         """Yield the columns a few at a time, shape (N, 3, c): all of them at once fill memory."""
-        plain = series.rates(extended_model(self.vehicle))
+        beside = series.rates(self._late)
+        if self.lags:
+            yield (beside - series.rates(extended_model(self.vehicle)))[:, :, None]
         for some in _few_of(self._altered):
-            yield np.stack([series.rates(model) - plain for model in some], axis=2)
+            yield np.stack([series.rates(model) - beside for model in some], axis=2)
         yield from spread(self._functions(series), self._directions())
 
     def size(self, series: Series) -> int:
         """Return how large the columns are at once [bytes]."""
         functions = len(_EVEN) + 1 + 2 * (len(_ODD) + 4) + 5 * len(_MEMORY_SECONDS)
-        return 24 * len(series) * (len(self._altered) + functions)
+        return 24 * len(series) * (bool(self.lags) + len(self._altered) + functions)
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors, tyres
@@ -85,8 +90,12 @@ class SharedDiscrepancy:
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), predicted)
         actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle)
-        of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
-        flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
+        first = int(bool(self.lags))
+        of_lags, of_tangents, others = np.split(np.asarray(weights, dtype=float), [first, first + len(self._altered)])
+        # Tangents change what the lags leave, so that these have the rest of the weights.
+        beside = [(float(of_lags[0] - of_tangents.sum()), self._late)] if self.lags else []
+        weighted = [*beside, *zip(of_tangents.tolist(), self._altered, strict=True)]
+        flows = ((weight, actual.flow(model)) for weight, model in weighted)
         out = SingleTrack.weighted_changes(actual.flow(extended_model(self.vehicle)), flows)
         rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
         return self.at_another_car(rates, actual, terms)
@@ -141,20 +150,25 @@ class SharedDiscrepancy:
 
     def _scaled(self, series: Series) -> np.ndarray:
         """Return the features, scaled and within bounds, shape (4, N)."""
-        return np.ascontiguousarray(_squash(features(series, self.vehicle), self.center, self.width).T)
+        return np.ascontiguousarray(_squash(features(series, self.vehicle, self.lags), self.center, self.width).T)
 
     def _memory_seconds(self) -> np.ndarray:
         return np.array(_MEMORY_SECONDS) * np.sqrt(self.vehicle.wheelbase / 2.7)
 
     @cached_property
+    def _late(self) -> SingleTrack:
+        """Return the nominal model with the lags."""
+        return extended_model(self.vehicle, self.lags)
+
+    @cached_property
     def _altered(self) -> tuple[SingleTrack, ...]:
-        """Return the model that is a step away from the nominal one along each tangent."""
+        """Return the model that is a step away from the nominal one with the lags, along each tangent."""
         out, car = [], self.vehicle
         for kind, variant, parameter, step in tangents():
             scaled = step * kind.sizes(car).get(parameter, 1.0)
             neutral = {key: kind.neutral[key] for key in kind.units}
             term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
-            out.append(extended_model(car, (term,)))
+            out.append(extended_model(car, (*self.lags, term)))
         return tuple(out)
 
     @staticmethod
@@ -228,10 +242,13 @@ def build_shared_discrepancy(vehicle: Vehicle, series: Series) -> SharedDiscrepa
     return SharedDiscrepancy(vehicle, center, np.array([*width, *np.maximum(0.5 * (high - low), 1e-3)]))
 
 
-def features(series: Series, vehicle: Vehicle) -> np.ndarray:
-    """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the predicted states, shape (N, 4)."""
-    flow = series.flow(extended_model(vehicle))
-    ratio = series.torque / vehicle.max_torque
+def features(series: Series, vehicle: Vehicle, lags: Sequence[Term] = ()) -> np.ndarray:
+    """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the predicted states, shape (N, 4).
+
+    With `lags`, steer angle and torque are those that arrive.
+    """
+    flow = series.flow(extended_model(vehicle, lags))
+    ratio = (flow.T if lags else series.torque) / vehicle.max_torque
     return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, series.predicted[:, 0]], axis=1)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy
 from split_cli.diagnosis.innovations.comparable import comparable
 from split_cli.diagnosis.innovations.evidence import Evidence, gather_evidence, rewhitened_with_noise
+from split_cli.diagnosis.innovations.lags import lags_of_simulation
 from split_cli.diagnosis.innovations.objective import DiscrepancyPosterior, learn_discrepancy
 from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
@@ -18,6 +20,10 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_parts
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
+
+_LAG_PASSES = 2
+"""How often the lags of a simulation are found [1]. Judgement: a third pass moves none by more than 5 % in four
+simulators of other equations."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,13 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     rules = policy.believing
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
     discrepancy = build_shared_discrepancy(vehicle, (by_role["sim"] or by_role["real"])[0])
-    simulated = map_in_threads(lambda one: gather_evidence(vehicle, one, discrepancy, rules=rules), by_role["sim"])
+    simulated = map_in_threads(partial(gather_evidence, vehicle, discrepancy=discrepancy, rules=rules), by_role["sim"])
+    # The second time beside functions of what arrives with the lags of the first.
+    for _ in range(_LAG_PASSES if simulated else 0):
+        discrepancy = replace(discrepancy, lags=lags_of_simulation(simulated, discrepancy))
+        simulated = map_in_threads(
+            partial(gather_evidence, vehicle, discrepancy=discrepancy, rules=rules), by_role["sim"]
+        )
     real, holdout = (
         map_in_threads(lambda one: _gathered(vehicle, one, discrepancy, simulated, rules), by_role[role])
         for role in ("real", "holdout")
