@@ -19,6 +19,7 @@ from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_rati
 from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, values_of
 from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.effects.late import BuildsUp
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -45,8 +46,8 @@ class SharedDiscrepancy:
     # center, width: (4,): of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
     center: np.ndarray
     width: np.ndarray
-    # Actuators and tyres that answer late in simulation and reality. Tangents are taken beside them, and smooth functions
-    # are those of the slips and the torque that arrive; what they change is the first column.
+    # Actuators and tyres that answer late in simulation and reality; what they change is the first column. Tangents
+    # are taken beside them, and smooth functions are those of the slips and the torque that arrive.
     lags: tuple[Term, ...] = ()
     # Made anew for a copy with another vehicle.
     _ratios_before: Recent[tuple[Ratios, Series]] = field(
@@ -72,8 +73,13 @@ class SharedDiscrepancy:
 
     def size(self, series: Series) -> int:
         """Return how large the columns are at once [bytes]."""
-        functions = len(_EVEN) + 1 + 2 * (len(_ODD) + 4) + 5 * len(_MEMORY_SECONDS)
-        return 24 * len(series) * (bool(self.lags) + len(self._altered) + functions)
+        return 24 * len(series) * len(self.of_the_moment())
+
+    def of_the_moment(self) -> np.ndarray:
+        """Return which columns know nothing of what was before, bool, shape (C,)."""
+        late = [issubclass(kind, BuildsUp) for kind, *_ in tangents()]
+        smooth, slow = len(_EVEN) + 1 + 2 * (len(_ODD) + 4), 5 * len(_MEMORY_SECONDS)
+        return np.array([*[False] * bool(self.lags), *(not one for one in late), *[True] * smooth, *[False] * slow])
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors, tyres

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
-from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, tangents
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.late import BuildsUp
@@ -34,11 +34,9 @@ def lags_of_simulation(simulated: Sequence[Evidence], discrepancy: SharedDiscrep
     course = Course(max(float(simulated[0].series.t[-1]), 1.0), float(simulated[0].series.s.max()))
     most = [kind.search(vehicle, course).times(kind.sizes(vehicle)).ranges[kind.slow].upper for kind in _LATE]
     unit = np.array([kind.sizes(vehicle)[kind.slow] for kind in _LATE])
-    # Tangents of the lags would take what is searched for.
-    others = np.ones(simulated[0].discrepancy.shape[2], dtype=bool)
-    first = [False] * bool(discrepancy.lags) + [kind not in _LATE for kind, *_ in tangents()]
-    others[: len(first)] = first
-    columns = _stacked(simulated, [one.discrepancy[:, :, others] for one in simulated])
+    # Those that are late themselves would take what is searched for.
+    beside = discrepancy.of_the_moment()
+    columns = _stacked(simulated, [one.discrepancy[:, :, beside] for one in simulated])
     inverse = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T)
 
     def left(values: np.ndarray) -> np.ndarray:

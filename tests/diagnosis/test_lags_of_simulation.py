@@ -1,0 +1,85 @@
+"""Lags that simulation and reality share: found on the simulation, and what a yaw inertia is without them."""
+
+import numpy as np
+import pytest
+
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy, features
+from split_cli.diagnosis.innovations.case import gather_case
+from split_cli.diagnosis.innovations.evidence import gather_evidence
+from split_cli.diagnosis.innovations.lags import lags_of_simulation
+from split_cli.diagnosis.innovations.objective import build_objective, learn_discrepancy
+from split_cli.diagnosis.recording.series import Series, build_series
+from split_cli.logs.drive import Drive
+from split_cli.proof.sets import scripted_drive
+from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.effects.recording import first_order_response
+from split_cli.vehicle.library import library_path
+from split_cli.vehicle.parameters import read_vehicle
+from tests.diagnosis.recordings import SIGMA
+
+CAR = read_vehicle(library_path("av21"))
+LATE = {"drive_lag": {"tau": 0.08}, "steer_lag": {"tau": 0.06}, "tire_relaxation": {"length": 0.5}}
+
+
+@pytest.fixture(scope="module")
+def late_pair() -> tuple[Series, Series]:
+    """Two cars that answer late, the second with 15 % more yaw inertia, both with sensor noise."""
+    out, shared = [], [CATALOGUE[term](values) for term, values in LATE.items()]
+    for seed, own in ((31, ()), (32, (CATALOGUE["yaw_inertia"]({"scale": 1.15}),))):
+        columns, rng = dict(scripted_drive(CAR, (*shared, *own), seed, runs=8)), np.random.default_rng(seed)
+        segment = columns.pop("segment")
+        for name, sigma in zip(("vx", "vy", "r"), SIGMA, strict=True):
+            columns[name] = columns[name] + rng.normal(0.0, sigma, len(segment))
+        drive = Drive("late.parquet", columns, segment, 0.01).with_held(("T", "delta"))
+        out.append(build_series(drive, "real" if own else "sim", np.cumsum(0.01 * columns["vx"])))
+    return tuple(out)
+
+
+def yaw_inertia_found(discrepancy: SharedDiscrepancy, sim: Series, real: Series) -> float:
+    taught, seen = (gather_evidence(CAR, one, discrepancy) for one in (sim, real))
+    objective = build_objective([seen], learn_discrepancy([taught]), discrepancy, [np.ones(len(seen.at), dtype=bool)])
+    scales = np.linspace(0.9, 1.4, 101)
+    costs = [objective.cost((CATALOGUE["yaw_inertia"]({"scale": scale}),)) for scale in scales]
+    return float(scales[int(np.argmin(costs))])
+
+
+def test_lags_of_a_simulation_are_found(late_pair):
+    found = {one.id: dict(one.parameters) for one in gather_case(CAR, late_pair).discrepancy.lags}
+    for term, values in LATE.items():
+        assert found[term] == pytest.approx(values, rel=0.1), term
+
+
+def test_a_nominal_car_has_no_lags():
+    columns = dict(scripted_drive(CAR, (), 33, runs=8))
+    drive = Drive("nominal.parquet", columns, columns.pop("segment"), 0.01).with_held(("T", "delta"))
+    series = build_series(drive, "sim", np.cumsum(0.01 * columns["vx"]))
+    discrepancy = build_shared_discrepancy(CAR, series)
+    (torque, steer, relaxation) = lags_of_simulation([gather_evidence(CAR, series, discrepancy)], discrepancy)
+    assert torque.parameters["tau"] < 1e-3 and steer.parameters["tau"] < 1e-3
+    assert relaxation.parameters["length"] < 0.01
+
+
+def test_a_yaw_inertia_is_found_behind_lags_that_both_cars_have(late_pair):
+    discrepancy = gather_case(CAR, late_pair).discrepancy
+    assert yaw_inertia_found(discrepancy, *late_pair) == pytest.approx(1.15, abs=0.02)
+
+
+def explained(columns: np.ndarray, target: np.ndarray) -> float:
+    """Return the share of a target (N,) that columns (N, C) explain."""
+    left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+    return 1.0 - float(left @ left) / float(target @ target)
+
+
+def test_slow_parts_hold_no_yaw_acceleration(nominal_series):
+    """Those of slip angles would: with the steer angle's they know how the yaw rate has just changed."""
+    series, discrepancy = nominal_series, build_shared_discrepancy(CAR, nominal_series)
+    inside = series.inside()
+    turning = (np.diff(series.smooth[:, 2]) / series.period)[inside]
+    slow = discrepancy.columns(series)[:-1, 2, -5 * 3 :][inside]
+    slips, angle = features(series, CAR)[:, :2].T, series.steer_angle
+    late = [
+        first_order_response(x, 1.0 / tau, series.recording) - x for x in (*slips, angle) for tau in (0.03, 0.1, 0.35)
+    ]
+    ratio = explained(slow, turning), explained(np.stack(late, axis=1)[:-1][inside], turning)
+    print(ratio)
+    assert ratio[0] < 0.5 and ratio[1] > 0.9
