@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy, features
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.innovations.lags import lags_of_simulation
@@ -12,7 +12,6 @@ from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.logs.drive import Drive
 from split_cli.proof.sets import scripted_drive
 from split_cli.vehicle.effects import CATALOGUE
-from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import read_vehicle
 from tests.diagnosis.recordings import SIGMA
@@ -62,24 +61,3 @@ def test_a_nominal_car_has_no_lags():
 def test_a_yaw_inertia_is_found_behind_lags_that_both_cars_have(late_pair):
     discrepancy = gather_case(CAR, late_pair).discrepancy
     assert yaw_inertia_found(discrepancy, *late_pair) == pytest.approx(1.15, abs=0.02)
-
-
-def explained(columns: np.ndarray, target: np.ndarray) -> float:
-    """Return the share of a target (N,) that columns (N, C) explain."""
-    left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
-    return 1.0 - float(left @ left) / float(target @ target)
-
-
-def test_slow_parts_hold_no_yaw_acceleration(nominal_series):
-    """Those of slip angles would: with the steer angle's they know how the yaw rate has just changed."""
-    series, discrepancy = nominal_series, build_shared_discrepancy(CAR, nominal_series)
-    inside = series.inside()
-    turning = (np.diff(series.smooth[:, 2]) / series.period)[inside]
-    slow = discrepancy.columns(series)[:-1, 2, -5 * 3 :][inside]
-    slips, angle = features(series, CAR)[:, :2].T, series.steer_angle
-    late = [
-        first_order_response(x, 1.0 / tau, series.recording) - x for x in (*slips, angle) for tau in (0.03, 0.1, 0.35)
-    ]
-    ratio = explained(slow, turning), explained(np.stack(late, axis=1)[:-1][inside], turning)
-    print(ratio)
-    assert ratio[0] < 0.5 and ratio[1] > 0.9

@@ -46,8 +46,8 @@ class SharedDiscrepancy:
     # center, width: (4,): of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
     center: np.ndarray
     width: np.ndarray
-    # Actuators and tyres that answer late in simulation and reality; what they change is the first column. Tangents
-    # are taken beside them, and smooth functions are those of the slips and the torque that arrive.
+    # Actuators and tyres that answer late in simulation and reality. They belong to the model that entries are added
+    # to: tangents are taken beside them, and smooth functions are those of the slips and the torque that arrive.
     lags: tuple[Term, ...] = ()
     # Made anew for a copy with another vehicle.
     _ratios_before: Recent[tuple[Ratios, Series]] = field(
@@ -65,8 +65,6 @@ class SharedDiscrepancy:
     def blocks(self, series: Series) -> Iterator[np.ndarray]:
         """Yield the columns a few at a time, shape (N, 3, c): all of them at once fill memory."""
         beside = series.rates(self._late)
-        if self.lags:
-            yield (beside - series.rates(extended_model(self.vehicle)))[:, :, None]
         for some in _few_of(self._altered):
             yield np.stack([series.rates(model) - beside for model in some], axis=2)
         yield from spread(self._functions(series), self._directions())
@@ -79,11 +77,12 @@ class SharedDiscrepancy:
         """Return which columns know nothing of what was before, bool, shape (C,)."""
         late = [issubclass(kind, BuildsUp) for kind, *_ in tangents()]
         smooth, slow = len(_EVEN) + 1 + 2 * (len(_ODD) + 4), 5 * len(_MEMORY_SECONDS)
-        return np.array([*[False] * bool(self.lags), *(not one for one in late), *[True] * smooth, *[False] * slow])
+        return np.array([*(not one for one in late), *[True] * smooth, *[False] * slow])
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what weights add in the middle of samples, shape (N, 3); terms alter inputs, sensors, tyres
-        or body.
+        """Return what weights add beside the lags, in the middle of samples, shape (N, 3).
+
+        Terms alter inputs, sensors, tyres or body.
 
         What the actuators really did, and where the car really was, is what the shared discrepancy answers to; its
         forces are those of the tyres that are there, at the slips they have, and move the body that is there.
@@ -96,15 +95,22 @@ class SharedDiscrepancy:
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), predicted)
         actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle)
-        first = int(bool(self.lags))
-        of_lags, of_tangents, others = np.split(np.asarray(weights, dtype=float), [first, first + len(self._altered)])
-        # Tangents change what the lags leave, so that these have the rest of the weights.
-        beside = [(float(of_lags[0] - of_tangents.sum()), self._late)] if self.lags else []
-        weighted = [*beside, *zip(of_tangents.tolist(), self._altered, strict=True)]
-        flows = ((weight, actual.flow(model)) for weight, model in weighted)
-        out = SingleTrack.weighted_changes(actual.flow(extended_model(self.vehicle)), flows)
+        of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
+        flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
+        out = SingleTrack.weighted_changes(actual.flow(self._late), flows)
         rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
         return self.at_another_car(rates, actual, terms)
+
+    def rates_and_lags(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
+        """Return what weights and lags add to a model with terms in the middle of samples, shape (N, 3)."""
+        added = self.rates(series, weights, terms)
+        if not self.lags:
+            return added
+        predicted = series.evaluated(terms)[1]
+        late, prompt = (
+            series.rates(extended_model(self.vehicle, model), predicted) for model in ((*terms, *self.lags), terms)
+        )
+        return added + late - prompt
 
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
         """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.

@@ -7,6 +7,7 @@ comes out too small. So lags are found first, by least squares beside the functi
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -41,7 +42,7 @@ def lags_of_simulation(simulated: Sequence[Evidence], discrepancy: SharedDiscrep
 
     def left(values: np.ndarray) -> np.ndarray:
         terms = _terms(values * unit)
-        rows = _stacked(simulated, [one.rows(terms) for one in simulated])
+        rows = _stacked(simulated, [replace(one, lags=terms).rows(()) for one in simulated])
         weights = inverse @ rows
         return np.concatenate([rows - columns @ weights, weights])
 
