@@ -157,7 +157,7 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
     from split_cli.vehicle.parameters import read_vehicle
 
     drives = [result.drive_path for result in run.results]
-    faulty = [str(result.drive_path) for result in run.results if result.faults]
+    faulty = [str(result.drive_path) for result in run.results if result.contradictions]
     if faulty:
         names = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
         shared.tell_next(before=f"correct the map as `does not fit together` says of {names}, and ingest again")
@@ -174,7 +174,8 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
         before = "see to what does not fit together, then: " if doubtful else ""
         before += "" if vehicle_path else "describe the car in VEHICLE.yaml (`split init` drafts one), then: "
         taken = drives if len(drives) < 4 else [output]
-        if car is not None and car.has_assumed_tires:
+        assumed = any(one.metadata.sideslip_is_of_tires for one in run.results)
+        if car is not None and car.has_assumed_tires and not assumed:
             before += f"the tyres of {vehicle.name} are assumed, fit them first: "
             known = ["--fit", "tires"] if any(one.metadata.torque_follows_motion for one in run.results) else []
             made = shared.named_after(drives[0], "calibrated.yaml")
