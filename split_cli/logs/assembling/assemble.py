@@ -253,7 +253,10 @@ def _checked(
     found = consistency.findings
     if yaw_rate_is_of_acceleration(kinds):
         also = " r was derived from a_y, so the mistake may be one of a_y instead."
-        found = tuple(replace(f, text=f.text + also) if f.channel == "delta" else f for f in found)
+        found = tuple(
+            replace(f, text=f.text + also) if f.channel == "delta" and f.check in ("scale", "sign") else f
+            for f in found
+        )
     consistency = replace(consistency, findings=(*copied, *found))
     if settings.estimate_delays:
         return consistency
