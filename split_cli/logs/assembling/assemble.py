@@ -17,6 +17,7 @@ from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.kinds import between_of, kinds_of, unlike_a_sensor
 from split_cli.logs.assembling.moving_to_cg import move_to_cg
 from split_cli.logs.assembling.quality import EARLIER, UNSTATED, QualityReport
+from split_cli.logs.assembling.repeated_rows import without_repeated_rows
 from split_cli.logs.assembling.resample import SampleClock
 from split_cli.logs.assembling.standstills import standstills_of, stopped
 from split_cli.logs.assembling.synchronize import (
@@ -149,7 +150,7 @@ def _assemble(
         gap=gap,
     )
     _check_required(gathered, derivations, signal_map, recording.name)
-    delayed = _with_delays(gathered, settings)
+    delayed, twice = without_repeated_rows(_with_delays(gathered, settings), gap)
     series, joined = join_clock_resets(delayed, gap)
     paused = _pauses(delayed, series) if joined else 0.0
     del delayed
@@ -171,7 +172,7 @@ def _assemble(
     columns, noise, qualities = bring_to_clock(channels, grid)
     grid, columns, dropped = without_missing(grid, columns, needed)
     unusable += without_absent(channels, columns, grid, recording.clocks)
-    conversions = [*gathered.conversions, *joined, *trimmed]
+    conversions = [*gathered.conversions, *twice, *joined, *trimmed]
     made, grid = _place_and_derive(derivations, columns, grid, vehicle, signal_map, gathered, noise, conversions)
     before = metadata_of_drive(recording.path)
     kinds, warnings = kinds_of(gathered, made, columns, before, noise)
