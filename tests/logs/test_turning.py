@@ -192,3 +192,16 @@ def test_the_page_calls_derived_motion_derived():
     assert "derived from it" in rear.note and not front.note
     text = recording_page(drive, drive.metadata.quality, ())
     assert "No yaw rate was recorded" in text.split("Length")[0]
+
+
+def test_a_log_of_a_satellite_receiver_alone_becomes_a_drive():
+    """Course over ground is no yaw, but it is a lateral acceleration, and the rear tyres do the rest."""
+    planted = PlantedDrive(seconds=90.0)
+    channels = ("X", "Y", "vx", "delta", "T")
+    recording = planted.recording(channels, rate=20.0, noise={"X": 0.02, "Y": 0.02, "vx": 0.02})
+    settings = IngestSettings(derive=("lateral-acceleration-from-path", NAME))
+    made = assemble_drive(recording, planted_map(channels), planted.vehicle, settings)
+    assert not made.quality.consistency.findings and len(made.drive) > 0.9 * 90.0 * 20.0
+    t = made.drive["t"] + made.quality.origin
+    r, vy = planted.at("r", t), planted.at("vy", t)
+    assert _rms(made.drive["r"] - r) < 0.1 * _rms(r) and _rms(made.drive["vy"] - vy) < 0.25 * _rms(vy)
