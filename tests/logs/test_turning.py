@@ -16,6 +16,7 @@ from split_cli.logs.drive import write_drive
 from split_cli.plots.charts.tires import tire_charts
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.calibrate import calibrate_files
+from split_cli.workflows.evaluation_notes import derived_states
 from split_cli.workflows.report.recording import recording_page
 from tests.factories import road_car
 from tests.logs.planted import PlantedDrive, planted_map
@@ -156,6 +157,8 @@ def test_a_drive_without_a_gyro_says_so_and_is_neither_diagnosed_nor_calibrated(
     # r is of a_y, so that these two agree says nothing.
     assert not any(relation.name.startswith("a_y against") for relation in made.quality.consistency.relations)
     assert "Record a gyro or a heading" in unfit(drive, CAR)[0]
+    # v_y is of the model that is judged: no headline of an evaluation may be of it.
+    assert "nothing of sideslip" in derived_states([drive.metadata])["v_y"]
     write_drive(drive, tmp_path / "d.parquet")
     write_vehicle(CAR, tmp_path / "car.yaml")
     with pytest.raises(DriveError, match="cannot determine tyres"):
@@ -165,6 +168,7 @@ def test_a_drive_without_a_gyro_says_so_and_is_neither_diagnosed_nor_calibrated(
 def test_a_measured_lateral_velocity_makes_the_yaw_rate_a_remark_and_no_fault():
     metadata = _ingested(("vx", "vy", "ay", "delta", "T")).drive.metadata
     assert metadata.is_derived("r") and not metadata.is_derived("vy")
+    assert not derived_states([metadata])
     assert not metadata.faults and metadata.remarks[-1] == "no yaw rate was recorded: r follows from a_y and v_y"
 
 

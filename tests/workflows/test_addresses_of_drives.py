@@ -72,14 +72,14 @@ def test_a_diagnosis_is_given_the_same_drives_in_the_same_order(garage, tmp_path
 def test_a_remote_drive_that_cannot_be_copied_is_left_out_and_named(garage, tmp_path, monkeypatch, command):
     """It ended the run, though --keep-going leaves out a drive that cannot be read."""
     system = fsspec.filesystem("memory")
-    opened = type(system)._open
+    opened = type(system).open
 
     def lost(self, path, *given, **more):
         if path.endswith("d0.parquet"):
             raise OSError("connection lost")
         return opened(self, path, *given, **more)
 
-    monkeypatch.setattr(type(system), "_open", lost)
+    monkeypatch.setattr(type(system), "open", lost)
     made = tmp_path / "made"
     words = [command, "memory://garage", "--vehicle", str(garage / "car.yaml"), "-o", str(made)]
     with pytest.raises(SplitError, match="connection lost"):
