@@ -81,7 +81,7 @@ def test_threads_read_what_one_stream_reads(tmp_path, planted, monkeypatch, endi
     """Wherever a long text is parted between threads: also a part of blank lines, and a last line without its end."""
     path = tmp_path / "drive.csv"
     path.write_text("t(s),vx(m/s),vy(m/s),r(rad/s)\n" + text_of(planted) + ending)
-    monkeypatch.setattr(delimited, "_TABLE_BYTES", part)
+    monkeypatch.setattr(delimited, "TABLE_BYTES", part)
     found = []
     for processors in (1, 2):
         monkeypatch.setattr(pyarrow, "cpu_count", lambda count=processors: count)

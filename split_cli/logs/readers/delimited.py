@@ -31,8 +31,8 @@ _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 #: What is parsed at once [bytes]; with 4 MB a plain file takes a tenth more processor time. A row must fit into
 #: it, so a wide table gets as much for each column: the widest that is read has 4 MB.
 _BLOCK_BYTES, _BLOCK_BYTES_A_COLUMN = 1 << 20, 200
-#: What threads parse together [bytes]; judgement: blocks for all of them, and a third of it as numbers in memory.
-_TABLE_BYTES = 1 << 24
+TABLE_BYTES = 1 << 24
+"""What threads parse together [bytes]; judgement: blocks for all of them, and little of a long text in memory."""
 #: What is looked through at once [bytes]: it stays in the processor's cache.
 _LOOKED_AT_BYTES = 1 << 18
 
@@ -419,7 +419,7 @@ def _parts(path: Path, first: int, end: int) -> Iterator[tuple[int, int]]:
     """Yield the bytes [first, last) of parts of a text that hold whole lines."""
     with path.open("rb") as lines:
         while first < end:
-            lines.seek(min(first + _TABLE_BYTES, end))
+            lines.seek(min(first + TABLE_BYTES, end))
             lines.readline()
             last = min(lines.tell(), end)
             yield first, last
