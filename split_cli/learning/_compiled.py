@@ -199,7 +199,7 @@ def update_cells(
     outcome = np.zeros(len(samples), dtype=np.int8)
     # Only triangles that were written are read; filling the rest costs more than a small cell's update.
     low, inverse = np.empty((capacity, capacity)), np.empty((capacity, capacity))
-    k = np.empty((3, max(capacity, z.shape[2])))
+    k, absorbs = np.empty((3, max(capacity, z.shape[2]))), sums.shape[1] > 0
     repairs = 0
     for group in range(len(cell_of_group)):
         c = cell_of_group[group]
@@ -207,13 +207,25 @@ def update_cells(
         weakest = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
         for position in range(groups[group], groups[group + 1]):
             sample = order[position]
-            became, slot, jitter = _offer(
-                c, sample, clock_new[sample], samples, inverse_scales, threshold, forgetting, weakest,
+            n = count[c]
+            slot, least = weakest
+            if forgetting > 0.0:
+                slot, least = _least(gamma[c], clock[c], n, clock_new[sample], forgetting)
+                # A cell with room whose points grow old must let them go too, or they never leave.
+                bound = least if n == capacity else min(threshold, least)
+            else:
+                bound = least if n == capacity else threshold
+            # Here and not in a call, which would count references to ten arrays for each sample.
+            spans = _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, bound)
+            if spans <= n:
+                if absorbs:
+                    _span(spans, inverse, k)
+                    _absorb(spans, k, sample, samples, c, sums)
+                continue
+            outcome[sample], slot, jitter = _take(
+                c, sample, clock_new[sample], samples, inverse_scales, threshold, forgetting, slot,
                 jitter, low, inverse, k, count, z, gamma, clock, sums,
             )  # fmt: skip
-            if became == 0:
-                continue
-            outcome[sample] = became
             origin[c, slot] = sample
             if jitter < 0:
                 return outcome, repairs, c
@@ -248,17 +260,24 @@ def update_cell(
     low, inverse = np.empty((room, room)), np.empty((room, room))
     k = np.empty((3, max(room, z.shape[2])))
     jitter = _refresh(z[cell], n, 0, inverse_scales, low, inverse, gamma[cell])
-    weakest = _least(gamma[cell], clock[cell], n, 0.0, 0.0)
-    became, slot, jitter = _offer(
-        cell, sample, time, samples, inverse_scales, threshold, forgetting, weakest,
+    slot, least = _least(gamma[cell], clock[cell], n, time, forgetting)
+    full = n == z.shape[1]
+    bound = least if full else min(threshold, least) if forgetting > 0.0 else threshold
+    spans = _spanned_by(samples[sample], z[cell], n, inverse_scales, inverse, k, bound)
+    if spans <= n:
+        if sums.shape[1] > 0:
+            _span(spans, inverse, k)
+            _absorb(spans, k, sample, samples, cell, sums)
+        return 0, 0, 0
+    became, slot, jitter = _take(
+        cell, sample, time, samples, inverse_scales, threshold, forgetting, slot,
         jitter, low, inverse, k, count, z, gamma, clock, sums,
     )  # fmt: skip
-    repairs = 0 if became == 0 else -1 if jitter < 0 else int(jitter > 0)
-    return became, slot, repairs
+    return became, slot, -1 if jitter < 0 else int(jitter > 0)
 
 
 @compiled(cache=True)
-def _offer(
+def _take(
     c: int,
     sample: int,
     now: float,
@@ -266,7 +285,7 @@ def _offer(
     inverse_scales: ndarray,
     threshold: float,
     forgetting: float,
-    weakest: tuple[int, float],
+    slot: int,
     jitter: int,
     low: ndarray,
     inverse: ndarray,
@@ -277,24 +296,11 @@ def _offer(
     clock: ndarray,
     sums: ndarray,
 ) -> tuple[int, int, int]:
-    """Offer one sample to cell `c`, whose factors and jitter are those of `_refresh`; `weakest` is of `_least`.
+    """Take a sample into cell `c`, whose factors and jitter are those of `_refresh`, in place of `slot` without room.
 
-    Returns what became of it (0, `_INSERTED`, `_REPLACED`), its slot, and the jitter that the cell needs then.
+    Returns what became of it (`_INSERTED`, `_REPLACED`), its slot, and the jitter that the cell needs then.
     """
     capacity, n, absorbs = z.shape[1], count[c], sums.shape[1] > 0
-    slot, least = weakest
-    if forgetting > 0.0:
-        slot, least = _least(gamma[c], clock[c], n, now, forgetting)
-        # A cell with room whose points grow old must let them go too, or they never leave.
-        bound = least if n == capacity else min(threshold, least)
-    else:
-        bound = least if n == capacity else threshold
-    spans = _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, bound)
-    if spans <= n:
-        if absorbs:
-            _span(spans, inverse, k)
-            _absorb(spans, k, sample, samples, c, sums)
-        return 0, 0, jitter
     if n < capacity and (
         forgetting <= 0.0 or _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
     ):
