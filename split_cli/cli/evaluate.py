@@ -129,16 +129,17 @@ def command(
         raise click.UsageError("--select works in this process: leave out --engine and --jobs")
     if select and keep_going:
         raise click.UsageError("--select takes no --keep-going")
-    failed = False
-    with local_drives(drives) as paths:
+    failed, absent = False, []
+    with local_drives(drives, absent if keep_going else None) as paths:
         if select:
             _select(paths, vehicle_path, set_path, output, as_json, tried, settings)
         else:
             worked = engine, scheduler, jobs, keep_going
             learned, failed = _evaluate(paths, vehicle_path, set_path, output, as_json, worked, settings)
+    shared.tell_left_out(tuple(map(str, absent)))
     if not as_json and not select:
         _tell_what_follows(drives, vehicle_path, set_path, learned)
-    return 1 if failed else 0
+    return 1 if failed or absent else 0
 
 
 def _evaluate(drives, vehicle_path, set_path, output, as_json, worked: tuple, settings: dict) -> tuple[bool, bool]:

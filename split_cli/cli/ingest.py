@@ -157,10 +157,12 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
     from split_cli.vehicle.parameters import read_vehicle
 
     drives = [result.drive_path for result in run.results]
-    faulty = [str(result.drive_path) for result in run.results if result.faults]
+    again = _command_with_what_is_named(run)
+    faulty = [str(result.drive_path) for result in run.results if result.contradictions]
     if faulty:
         names = f"{', '.join(faulty[:3])}{' ...' if len(faulty) > 3 else ''}"
-        shared.tell_next(before=f"correct the map as `does not fit together` says of {names}, and ingest again")
+        before = f"correct the map as `does not fit together` says of {names}, and ingest again"
+        shared.tell_next(again, before=f"{before}: " if again else before)
     elif drives:
         vehicle = vehicle_path or Path("VEHICLE.yaml")
         car = read_vehicle(vehicle_path) if vehicle_path else None
@@ -170,17 +172,30 @@ def _tell_what_follows(run, output: Path, vehicle_path: Path | None) -> None:
                 f"angles tell of the tyres of {vehicle.name}, so nothing can be learned from it"
             )
             return
+        if again:
+            shared.tell_next(again, before="to correct what does not fit together, ingest again: ")
         doubtful = any(result.quality.consistency.findings for result in run.results)
         before = "see to what does not fit together, then: " if doubtful else ""
         before += "" if vehicle_path else "describe the car in VEHICLE.yaml (`split init` drafts one), then: "
         taken = drives if len(drives) < 4 else [output]
-        if car is not None and car.has_assumed_tires:
+        assumed = any(one.metadata.sideslip_is_of_tires for one in run.results)
+        if car is not None and car.has_assumed_tires and not assumed:
             before += f"the tyres of {vehicle.name} are assumed, fit them first: "
             known = ["--fit", "tires"] if any(one.metadata.torque_follows_motion for one in run.results) else []
             made = shared.named_after(drives[0], "calibrated.yaml")
             shared.tell_next(["split", "calibrate", *drives, "--vehicle", vehicle, *known, "-o", made], before=before)
         else:
             shared.tell_to_train(taken, vehicle, before=before)
+
+
+def _command_with_what_is_named(run) -> list[str]:
+    """Return this command with the derivations that its findings name, to run again; empty where they name none."""
+    findings = [finding.text for result in run.results for finding in result.quality.consistency.findings]
+    named = [name for text in findings for name in re.findall(r"--derive ([a-z-]+[a-z])", text)]
+    context = click.get_current_context()
+    asked = {name.replace("_", "-") for name in context.params["derive"]}
+    more = [word for name in dict.fromkeys(named) if name not in asked for word in ("--derive", name)]
+    return [*shared.given_words(context), *more] if more else []
 
 
 def _write_report(run, vehicle_path, path: Path) -> None:

@@ -328,6 +328,30 @@ def tell_left_out(failures: Sequence[str]) -> None:
         click.echo(f"split: left out: {text}", err=True)
 
 
+def given_words(context: click.Context) -> list[str]:
+    """Return the words of the command that runs, with the options that were given on its command line."""
+    words = ["split", str(context.command.name)]
+    for parameter in context.command.params:
+        source = context.get_parameter_source(str(parameter.name))
+        if source is not ParameterSource.COMMANDLINE:
+            continue
+        value = context.params[parameter.name]
+        several = parameter.multiple if isinstance(parameter, click.Option) else parameter.nargs != 1
+        for one in (value.items() if isinstance(value, dict) else value) if several else (value,):
+            if isinstance(parameter, click.Option):
+                words.append(parameter.opts[0])
+                if parameter.is_flag:
+                    continue
+            text = one if isinstance(one, str) else typed_path(one) if isinstance(one, Path) else None
+            joint = "=" if isinstance(value, dict) else ":"
+            words.append(text or (joint.join(map(_plain, one)) if isinstance(one, tuple) else _plain(one)))
+    return words
+
+
+def _plain(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def tell_next(words: Sequence[str | Path] = (), *, before: str = "") -> None:
     """Print the command to run next on stderr, as a line to copy; `before` says what has to be done first."""
     line = before + " ".join(shlex.quote(typed_path(w) if isinstance(w, Path) else w) for w in words)

@@ -204,50 +204,34 @@ def update_cells(
     for group in range(len(cell_of_group)):
         c = cell_of_group[group]
         jitter = _refresh(z[c], count[c], 0, inverse_scales, low, inverse, gamma[c])
-        slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
+        weakest = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
         for position in range(groups[group], groups[group + 1]):
             sample = order[position]
             n = count[c]
+            slot, least = weakest
             if forgetting > 0.0:
                 slot, least = _least(gamma[c], clock[c], n, clock_new[sample], forgetting)
                 # A cell with room whose points grow old must let them go too, or they never leave.
                 bound = least if n == capacity else min(threshold, least)
             else:
                 bound = least if n == capacity else threshold
+            # Here and not in a call, which would count references to ten arrays for each sample.
             spans = _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, bound)
             if spans <= n:
                 if absorbs:
                     _span(spans, inverse, k)
                     _absorb(spans, k, sample, samples, c, sums)
                 continue
-            if n < capacity and (
-                forgetting <= 0.0 or _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
-            ):
-                slot = n
-                count[c] = n + 1
-                outcome[sample] = _INSERTED
-            else:
-                outcome[sample] = _REPLACED
-            for feature in range(z.shape[2]):  # a row put into another would compile the words of an error
-                k[2, feature] = z[c, slot, feature]
-                z[c, slot, feature] = samples[sample, feature]
-            clock[c, slot] = clock_new[sample]
+            outcome[sample], slot, jitter = _take(
+                c, sample, clock_new[sample], samples, inverse_scales, threshold, forgetting, slot,
+                jitter, low, inverse, k, count, z, gamma, clock, sums,
+            )  # fmt: skip
             origin[c, slot] = sample
-            same = slot if jitter == 0 else 0
-            jitter = _refresh(z[c], count[c], same, inverse_scales, low, inverse, gamma[c])
             if jitter < 0:
                 return outcome, repairs, c
             if jitter > 0:
                 repairs += 1
-            if absorbs:
-                if outcome[sample] == _REPLACED:
-                    _spanned_by(k[2], z[c], n, inverse_scales, inverse, k, -1.0)
-                    _span(n, inverse, k)
-                    _hand_over(slot, n, k, sums[c])
-                sums[c, slot, slot] += 1.0
-                for output in range(3):
-                    sums[c, slot, capacity + output] += samples[sample, z.shape[2] + output]
-            slot, least = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
+            weakest = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
     return outcome, repairs, -1
 
 
@@ -268,30 +252,77 @@ def update_cell(
 ) -> tuple[int, int, int]:
     """Offer row `sample` of `samples` to one cell: `update_cells` for a label alone, to the bit.
 
-    Every array that Python hands over costs some 50 ns, as much as a sixth of the update. So those that only sort
-    samples into cells are made here. Returns what became of the sample, the slot of one that was taken, and the
-    repairs by jitter, -1 when none sufficed.
+    Every array that Python hands over costs some 50 ns, and so do two that are made here: none only sorts. Returns
+    what became of the sample, the slot of one that was taken, and the repairs by jitter, -1 when none sufficed.
     """
-    first = np.zeros(1, dtype=np.int64)
-    origin = np.full((1, z.shape[1]), -1, dtype=np.int64)
-    one = slice(cell, cell + 1)
-    outcome, repairs, broken = update_cells(
-        np.arange(2),
-        first,
-        first,
-        samples[sample : sample + 1],
-        np.full(1, time),
-        inverse_scales,
-        threshold,
-        forgetting,
-        count[one],
-        z[one],
-        gamma[one],
-        clock[one],
-        sums[one],
-        origin,
-    )
-    return outcome[0], int(np.argmax(origin[0])), repairs if broken < 0 else -1
+    n = count[cell]
+    room = min(n + 1, z.shape[1])  # short rows lie together in memory
+    low, inverse = np.empty((room, room)), np.empty((room, room))
+    k = np.empty((3, max(room, z.shape[2])))
+    jitter = _refresh(z[cell], n, 0, inverse_scales, low, inverse, gamma[cell])
+    slot, least = _least(gamma[cell], clock[cell], n, time, forgetting)
+    full = n == z.shape[1]
+    bound = least if full else min(threshold, least) if forgetting > 0.0 else threshold
+    spans = _spanned_by(samples[sample], z[cell], n, inverse_scales, inverse, k, bound)
+    if spans <= n:
+        if sums.shape[1] > 0:
+            _span(spans, inverse, k)
+            _absorb(spans, k, sample, samples, cell, sums)
+        return 0, 0, 0
+    became, slot, jitter = _take(
+        cell, sample, time, samples, inverse_scales, threshold, forgetting, slot,
+        jitter, low, inverse, k, count, z, gamma, clock, sums,
+    )  # fmt: skip
+    return became, slot, -1 if jitter < 0 else int(jitter > 0)
+
+
+@compiled(cache=True)
+def _take(
+    c: int,
+    sample: int,
+    now: float,
+    samples: ndarray,
+    inverse_scales: ndarray,
+    threshold: float,
+    forgetting: float,
+    slot: int,
+    jitter: int,
+    low: ndarray,
+    inverse: ndarray,
+    k: ndarray,
+    count: ndarray,
+    z: ndarray,
+    gamma: ndarray,
+    clock: ndarray,
+    sums: ndarray,
+) -> tuple[int, int, int]:
+    """Take a sample into cell `c`, whose factors and jitter are those of `_refresh`, in place of `slot` without room.
+
+    Returns what became of it (`_INSERTED`, `_REPLACED`), its slot, and the jitter that the cell needs then.
+    """
+    capacity, n, absorbs = z.shape[1], count[c], sums.shape[1] > 0
+    if n < capacity and (
+        forgetting <= 0.0 or _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
+    ):
+        slot, became = n, _INSERTED
+        count[c] = n + 1
+    else:
+        became = _REPLACED
+    for feature in range(z.shape[2]):  # a row put into another would compile the words of an error
+        k[2, feature] = z[c, slot, feature]
+        z[c, slot, feature] = samples[sample, feature]
+    clock[c, slot] = now
+    same = slot if jitter == 0 else 0
+    jitter = _refresh(z[c], count[c], same, inverse_scales, low, inverse, gamma[c])
+    if absorbs and jitter >= 0:
+        if became == _REPLACED:
+            _spanned_by(k[2], z[c], n, inverse_scales, inverse, k, -1.0)
+            _span(n, inverse, k)
+            _hand_over(slot, n, k, sums[c])
+        sums[c, slot, slot] += 1.0
+        for output in range(3):
+            sums[c, slot, capacity + output] += samples[sample, z.shape[2] + output]
+    return became, slot, jitter
 
 
 @compiled(cache=True)

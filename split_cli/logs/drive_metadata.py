@@ -22,6 +22,11 @@ MEASURED_SIDESLIP = "the measured sideslip angle"
 OF_POSE = "from X, Y, yaw"
 #: Words of a v_x that wheel speeds give.
 OF_WHEELS = "speed of the"
+#: Words of a yaw rate that the lateral acceleration gives, and of the v_y beside it where the rear tyres give that.
+WITHOUT_GYRO = "from a_y"
+OF_REAR_TIRES = "and the slip of the vehicle file's rear tyres"
+_ASSUMED_SIDESLIP = "no yaw rate was recorded: r and v_y follow from a_y and the rear tyres of the vehicle file"
+_DERIVED_YAW_RATE = "no yaw rate was recorded: r follows from a_y and v_y"
 #: Words of a torque that was derived from what was asked of the drive train.
 _ASKED = ("throttle", "pedal", "brake", "current", "N m/A")
 
@@ -29,6 +34,11 @@ _ASKED = ("throttle", "pedal", "brake", "current", "N m/A")
 def is_derived(kind: object) -> bool:
     """Tell whether a kind of channel, see `DriveMetadata.kinds`, is that of one computed from others."""
     return isinstance(kind, str) and kind.startswith("derived")
+
+
+def yaw_rate_is_of_acceleration(kinds: Mapping[str, str]) -> bool:
+    """Tell whether r was derived from a_y: neither judges the other, and a mistake of a_y is in both."""
+    return is_derived(kinds.get("r", "")) and WITHOUT_GYRO in kinds["r"]
 
 
 @dataclass(frozen=True)
@@ -72,14 +82,21 @@ class DriveMetadata:
     between: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def faults(self) -> tuple[str, ...]:
-        """What ingest found that makes what is learned wrong: a unit, a sign, a swap, a dead channel."""
+    def contradictions(self) -> tuple[str, ...]:
+        """What the checks found that makes what is learned wrong: a unit, a sign, a swap, a dead channel."""
         return tuple(_clause(f) for f in self._findings if _is_fault(f))
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Why a controller should not use what is learned: contradictions, and a sideslip that was assumed."""
+        return (*self.contradictions, *((_ASSUMED_SIDESLIP,) if self.sideslip_is_of_tires else ()))
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """What else the checks at ingest found, one clause each."""
-        return tuple(_clause(f) for f in self._findings if not _is_fault(f))
+        found = tuple(_clause(f) for f in self._findings if not _is_fault(f))
+        only_r = yaw_rate_is_of_acceleration(self.kinds) and not self.sideslip_is_of_tires
+        return (*found, _DERIVED_YAW_RATE) if only_r else found
 
     @property
     def _findings(self) -> list[Mapping[str, Any]]:
@@ -103,7 +120,12 @@ class DriveMetadata:
     @property
     def lateral_velocity_is_integrated(self) -> bool:
         """Whether v_y was integrated from a_y: no sensor of velocity shows in it, and what a_y reads does."""
-        return self.is_derived("vy") and "a_y" in self.kinds["vy"]
+        return self.is_derived("vy") and "a_y" in self.kinds["vy"] and not self.sideslip_is_of_tires
+
+    @property
+    def sideslip_is_of_tires(self) -> bool:
+        """Whether r and v_y are what the rear tyres of the vehicle file need for a_y: no recording contradicts them."""
+        return self.is_derived("vy") and OF_REAR_TIRES in self.kinds["vy"]
 
     @property
     def torque_follows_motion(self) -> bool:

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from split_cli.plots.chart import Chart, ChartLine
-from split_cli.plots.palette import DASHED, LIGHT
+from split_cli.plots.palette import DASHED, DOTS, LIGHT
 from split_cli.plots.style import quiet, save
 
 #: Names of charts that a report may have. A report takes away those of an earlier one that it has not itself.
@@ -82,7 +82,7 @@ def _draw(axes: Axes, one: ChartLine, chart: Chart, other_x: bool) -> None:
             axes.errorbar(x, one.y, xerr=np.abs([x - one.low, one.high - x]), fmt="none", ecolor="0.2", capsize=3)
         return
     if one.kind == "points":
-        axes.plot(x, one.y, ".", color=colour, markersize=3, alpha=0.5, label=one.name)
+        axes.plot(x, one.y, ".", color=colour, markersize=3, alpha=DOTS.get(one.role, 1.0), label=one.name)
         return
     dashes = [float(part) / 2.0 for part in DASHED[one.role].split()] if one.role in DASHED else None
     style = (0, tuple(dashes)) if dashes else "-"

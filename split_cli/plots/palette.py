@@ -9,5 +9,7 @@ LIGHT = dict(zip(ROLES, ("#1b1f27", "#169ae9", "#ba7c3b", "#167b52", "#6d26eb", 
 DARK = dict(zip(ROLES, ("#f2f3f5", "#2b89a7", "#b56a34", "#2eea79", "#984ccb", "#d01453"), strict=True))
 #: The grounds that charts are drawn on.
 PAPER = {"light": "#ffffff", "dark": "#171a20"}
+#: Opacity of dots, 1 for roles that are not named: at half of it only the measured ones keep a contrast of 3.
+DOTS = {"measured": 0.5}
 #: Roles whose lines are dashed as well, for print in grey.
 DASHED = {"nominal": "6 3", "corrected": "10 3", "other": "2 3"}

@@ -9,7 +9,7 @@ from scipy.special import ndtri, stdtrit
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust, kept_share
-from split_cli.scoring.evidence import FEWEST_BLOCKS, TrainingDrive, TrustEvidence, held_out_evidence
+from split_cli.scoring.evidence import FEWEST_BLOCKS, HORIZONS, TrainingDrive, TrustEvidence, held_out_evidence
 
 #: One-sided level of 95 %: a gain within chance is not believed. Of Student's t with many blocks; with few blocks
 #: the quantile of their own degrees of freedom is taken.
@@ -23,6 +23,8 @@ _NEGLIGIBLE_MOVEMENT = 0.01
 #: Trust must do no harm in any third even if the correction were this many times as strong: the next drive's gain
 #: differs from this one's. docs/decisions/0032 has what other factors gave.
 _MARGIN = 1.5
+#: Horizon at which blocks are compared [s]: the shortest rollout, which a running trust judges by as well.
+_STRETCH = HORIZONS[0]
 #: Of the driving there is: what would take more is called no gain. It decides what is said, not what is trusted.
 _MOST_TIMES = 10
 _LEVELS_OF_INTERVALS = (0.5, 0.9, 0.95)
@@ -108,10 +110,21 @@ def best_trust(
 
     Two cautions are for the next drive, which is driven otherwise. No third may be made worse even by 1.5 times
     the correction. And no output is trusted beyond its `own_shares`: what a late torque or the speed explains as
-    well goes with slip and torque in one style of driving only.
+    well goes with slip and torque in one style of driving only. If a new stretch of driving does not bear what was
+    found so, the trust is found once more within the `harmless_shares`.
     """
+    limits = np.minimum(own_shares(evidence), most)
+    share, gain = _largest_gain(evidence, limits, times)
+    borne = harmless_shares(evidence, share)
+    if (share <= borne + 1e-9).all():
+        return share, gain
+    return _largest_gain(evidence, np.minimum(limits, borne), times)
+
+
+def _largest_gain(evidence: Sequence[TrustEvidence], limits: np.ndarray, times: int) -> tuple[np.ndarray, float]:
+    """Return the trust within limits, shape (3,), that gains most of those that do no harm, and its gain."""
     shares = np.stack(np.meshgrid(_GRID, _GRID, _GRID, indexing="ij"), axis=-1).reshape(-1, 3)
-    shares = shares[(shares <= np.minimum(own_shares(evidence), most) + 1e-9).all(axis=1)]
+    shares = shares[(shares <= limits + 1e-9).all(axis=1)]
     gain = np.zeros(len(shares))
     for part in evidence:
         everything = np.ones(len(part.error), dtype=bool)
@@ -162,6 +175,41 @@ def own_shares(evidence: Sequence[TrustEvidence]) -> np.ndarray:
         scatter = count / max(count - 1, 1) * np.square(together - slope * power).sum()
         own[part.state] = np.clip(slope - np.sqrt(scatter) / power.sum(), 0.0, 1.0)
     return own
+
+
+def harmless_shares(evidence: Sequence[TrustEvidence], share: np.ndarray) -> np.ndarray:
+    """Return the share up to which each correction does no harm to its own state in a new block, 0 to 1, shape (3,).
+
+    Parameters
+    ----------
+    share : ndarray, shape (3,)
+        Trust of the outputs: the corrections of the other two are applied beside each.
+
+    Notes
+    -----
+    With error e of the others' corrections and change d, share tau changes a block's squared error by tau^2 d.d - 2
+    tau e.d. That is harm beyond twice the block's best share, e.d/d.d. Best shares differ from block to block (random
+    effects). Over blocks weighted by d.d they have the mean m and the standard deviation s. A new block's is
+    predicted to lie within s sqrt(1 + 1/n) of m, n the number of blocks of equal weight (Higgins, Thompson and
+    Spiegelhalter 2009), and the lower end counts. More blocks narrow the interval of m, and leave that of the next
+    block as it is. Errors count after `_STRETCH`.
+    """
+    most = np.ones(3)
+    for part in evidence:
+        if part.horizon != _STRETCH:
+            continue
+        member = np.unique(part.block, return_inverse=True)[1]
+        change = part.change[:, part.state]
+        error = part.error - part.change @ share + share[part.state] * change
+        together, power = (np.bincount(member, change * other) for other in (error, change))
+        together, power = together[power > 0.0], power[power > 0.0]
+        if (count := len(power)) < 2:
+            continue
+        best, weight = together / power, power / power.sum()
+        mean, equal = float(weight @ best), 1.0 / float(weight @ weight)
+        variance = count / (count - 1) * float(weight @ np.square(best - mean))
+        most[part.state] = np.clip(2.0 * (mean - np.sqrt(variance * (1.0 + 1.0 / equal))), 0.0, 1.0)
+    return most
 
 
 def doubt_from(evidence: Sequence[TrustEvidence], share: np.ndarray, kernel: Kernel) -> np.ndarray:

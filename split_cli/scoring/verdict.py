@@ -161,8 +161,8 @@ def verdict(comparisons: Sequence[Comparison], running: Sequence[Comparison] = (
     Parameters
     ----------
     comparisons, running : sequence of Comparison
-        With the stored trust, and the same with the running one. Where the stored one does harm, a second
-        sentence says what is left of it with the running one.
+        With the stored trust, and the same with the running one. Where the stored one does harm, further
+        sentences say what is left of it with the running one, and what to do without.
 
     Notes
     -----
@@ -197,18 +197,21 @@ def verdict(comparisons: Sequence[Comparison], running: Sequence[Comparison] = (
         if any("hardly" in part for part in parts)
         else "the correction changes nothing"
     )
-    return f"verdict: {head}: " + "; ".join(parts) + (_left_while_driving(running) if harm else "")
+    return f"verdict: {head}: " + "; ".join(parts) + (_way_out(running, gain) if harm else "")
 
 
-def _left_while_driving(running: Sequence[Comparison]) -> str:
-    """Return what harm a running trust leaves, as a sentence after another; nothing where there is none."""
+def _way_out(running: Sequence[Comparison], gain: bool) -> str:
+    """Return what to do on such driving, as sentences after another: a running trust first, where there is one."""
+    alone = "use the vehicle file alone"
+    if gain:
+        alone = f"weigh what is worse against what is better, or {alone}"
     if not running:
-        return ""
+        return f". On such driving {alone}"
     worst = max(filter(does_harm, running), key=lambda c: c.to_nominal[0], default=None)
     left = (
         f"{worst.state} is {_beside_one(worst.to_nominal[0])} times as wrong at most" if worst else "no state is worse"
     )
-    return f". With a running trust (NAME_observe in an export) {left}"
+    return f". With a running trust (NAME_observe in an export) {left}. Without it {alone}"
 
 
 def _span(ratios: Sequence[float]) -> str:

@@ -58,7 +58,7 @@ def calibrate_files(
     if output is not None:
         refuse_overwriting_inputs(drives, output)
     vehicle = read_vehicle(start)
-    runs, used, follows = [], [], set()
+    runs, used, follows, assumed = [], [], set(), set()
     for path in drives:
         drive = read_drive(path)
         found = motion_runs(drive, training_blocks, measured_lateral_acceleration)
@@ -66,6 +66,12 @@ def calibrate_files(
         used.append(DriveUse(drive.name, drive.sha256, sum(len(run.vx) * run.period for run in found)))
         if drive.metadata.torque_follows_motion:
             follows.add(drive.name)
+        if drive.metadata.sideslip_is_of_tires:
+            assumed.add(drive.name)
+    if assumed and "tires" in settings.parts:
+        what = "r and v_y were derived with the rear tyres of the vehicle file; they cannot determine tyres"
+        advice = "Take a drive with a gyro or a heading, and a recorded or integrated v_y."
+        raise DriveError(what, where=", ".join(sorted(assumed)), advice=advice)
     if follows and {"drag", "rolling"} & set(settings.parts):
         what = (
             "the torque was derived from the motion with drag and rolling resistance of the vehicle file, or the "

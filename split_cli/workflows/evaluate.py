@@ -103,9 +103,11 @@ def evaluate_files(
         what = trained_for_another(trained.nominal_vehicle, car)
         raise SetError(what, where=str(set_path), advice="Leave --vehicle out, the set carries its own.")
     failures: tuple[str, ...] = ()
+    known: dict[Path, Drive] = {}
+    paths = [Path(path) for path in drives]
     if keep_going:
-        drives, failures = usable_drives([Path(path) for path in drives], car, settings.held, settings.any_vehicle)
-    opened = [open_drive(path, settings.held, beside=len(drives)) for path in drives]
+        paths, failures = usable_drives(paths, car, settings.held, settings.any_vehicle, known)
+    opened = [known[p] if p in known else open_drive(p, settings.held, beside=len(paths)) for p in paths]
     return replace(evaluate(opened, car, settings, trained, progress, engine), failures=failures)
 
 

@@ -26,14 +26,21 @@ def same_interval(held: HeldOutSamples, first: HeldOutSamples) -> bool:
 
 
 def derived_states(drives: Iterable[DriveMetadata]) -> dict[str, str]:
-    """Return the states whose error says nothing, since an input was made of the motion itself, and why."""
-    if not any(one.torque_follows_motion for one in drives):
-        return {}
-    return {"v_x": "T was derived from the acceleration, so the error of v_x says nothing. The headline leaves it out"}
+    """Return the states whose error says nothing, since an input or they were made of the model itself, and why."""
+    said = {}
+    known = list(drives)
+    if any(one.torque_follows_motion for one in known):
+        said["v_x"] = (
+            "T was derived from the acceleration, so the error of v_x says nothing. The headline leaves it out"
+        )
+    if any(one.sideslip_is_of_tires for one in known):
+        tires = "v_y was derived with the rear tyres of the vehicle file"
+        said["v_y"] = f"{tires}, so its error says nothing of sideslip. The headline leaves it out"
+    return said
 
 
 def says_something(comparisons: Sequence[Comparison], drives: Sequence[Drive]) -> list[Comparison]:
-    """Return the comparisons without those of v_x where T was derived from its acceleration."""
+    """Return the comparisons of states whose error says something, see `derived_states`."""
     unsaid = derived_states(drive.metadata for drive in drives)
     return [c for c in comparisons if c.state not in unsaid]
 

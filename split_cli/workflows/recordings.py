@@ -66,11 +66,16 @@ class RecordingCorrection:
 
 
 def usable_drives(
-    paths: Sequence[Path], vehicle: Vehicle, held: Sequence[str] | None, any_vehicle: bool
+    paths: Sequence[Path],
+    vehicle: Vehicle,
+    held: Sequence[str] | None,
+    any_vehicle: bool,
+    opened: dict[Path, Drive] | None = None,
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Return the drives that can be read and are of the vehicle, and in words why the others are left out.
 
-    Files of labels are taken as they are; they are judged when they are learned.
+    Files of labels are taken as they are; they are judged when they are learned. `opened` takes the drives, for who
+    holds all of them anyway.
 
     Raises
     ------
@@ -83,7 +88,10 @@ def usable_drives(
     for path in paths:
         try:
             if ".labels" not in path.name:
-                vehicle_warnings([correct(open_drive(path, held, beside=len(paths)))], vehicle, any_vehicle)
+                drive = open_drive(path, held, beside=len(paths))
+                vehicle_warnings([correct(drive)], vehicle, any_vehicle)
+                if opened is not None:
+                    opened[path] = drive
         except SplitError as error:
             errors.append(error)
         else:

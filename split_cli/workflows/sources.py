@@ -178,8 +178,13 @@ def find_sources(
 
 
 @contextlib.contextmanager
-def local_drives(addresses: Sequence[str | Path]) -> Iterator[list[Path]]:
+def local_drives(addresses: Sequence[str | Path], failed: list[SplitError] | None = None) -> Iterator[list[Path]]:
     """Give paths to the drives that addresses stand for; remote ones are copied for as long as the body runs.
+
+    Parameters
+    ----------
+    failed : list of SplitError, optional
+        As for `enter_all`.
 
     Raises
     ------
@@ -187,12 +192,31 @@ def local_drives(addresses: Sequence[str | Path]) -> Iterator[list[Path]]:
         If an address stands for no drive.
     """
     with contextlib.ExitStack() as stack:
-        yield enter_all(find_sources(addresses, DRIVE_SUFFIXES, what="drive"), stack)
+        yield enter_all(find_sources(addresses, DRIVE_SUFFIXES, what="drive"), stack, failed)
 
 
-def enter_all(sources: Sequence[SourceFile], stack: contextlib.ExitStack) -> list[Path]:
-    """Return local paths to sources, which stay for as long as the stack is open."""
-    return [stack.enter_context(source.local()) for source in sources]
+def enter_all(
+    sources: Sequence[SourceFile], stack: contextlib.ExitStack, failed: list[SplitError] | None = None
+) -> list[Path]:
+    """Return local paths to sources, which stay for as long as the stack is open.
+
+    Parameters
+    ----------
+    failed : list of SplitError, optional
+        Takes the errors of sources that cannot be copied, which are left out; without it the first is raised. It is
+        raised too if no source is left.
+    """
+    paths = []
+    for source in sources:
+        try:
+            paths.append(stack.enter_context(source.local()))
+        except SplitError as error:
+            if failed is None:
+                raise
+            failed.append(error)
+    if failed and not paths:
+        raise failed[0]
+    return paths
 
 
 def _entry(address: str) -> str:

@@ -1,6 +1,7 @@
 """The recordings of others, each by one command with a map and a vehicle of the project."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ from click.testing import CliRunner
 
 from split_cli.cli.ingest import command
 from split_cli.logs.drive import Drive, read_drive
-from split_cli.vehicle.parameters import read_vehicle
+from split_cli.vehicle.parameters import read_vehicle, write_vehicle
+from split_cli.workflows.ingesting.init import init_project
+from tests.factories import road_car
 
 pytestmark = pytest.mark.foreign
 
@@ -114,3 +117,27 @@ def test_the_published_stiffness_of_the_genesis_is_kept():
     vehicle = read_vehicle("genesis")
     assert vehicle.front_tire.cornering_stiffness == pytest.approx(2 * 76419, rel=1e-3)
     assert vehicle.rear_tire.cornering_stiffness == pytest.approx(2 * 134851, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["aim_formula_ford/SummitPointFF.csv", "motec_simulated/blakelyauto.csv"])
+def test_logs_of_race_cars_without_a_gyro_become_drives_that_say_what_they_assume(tmp_path, datasets, name):
+    made = init_project([datasets / name], tmp_path / "car")
+    asked = ("yaw-rate-from-lateral-acceleration", "torque-from-acceleration")
+    assert " ".join(f"--derive {one}" for one in asked) in made.next_steps[-1]
+    assert "nothing of its sideslip" in made.next_steps[0]
+    text = made.map_path.read_text()
+    ratio = "  delta: {source: Steered Angle, unit: deg, scale: 0.08}"  # what a comment of the draft asks for
+    made.map_path.write_text("\n".join(ratio if "# open: delta" in line else line for line in text.splitlines()))
+    car = road_car()
+    grippy = replace(car, rear_tire=replace(car.rear_tire, D=2.0 * car.rear_tire.D))
+    write_vehicle(grippy, tmp_path / "car.yaml")
+    derive = [word for one in asked for word in ("--derive", one)]
+    drive, report = ingest(
+        tmp_path, datasets / name, "--map", str(made.map_path), "--vehicle", str(tmp_path / "car.yaml"), *derive
+    )
+    assert report["quality"]["duration"] > 150.0
+    assert drive.metadata.faults == (
+        "no yaw rate was recorded: r and v_y follow from a_y and the rear tyres of the vehicle file",
+    )
+    # A car on a circuit turns by less than a rad/s, and its body slips by less than the tyres do.
+    assert np.abs(drive["r"]).max() < 1.5 and np.abs(drive["vy"] / drive["vx"]).max() < 0.3

@@ -1,11 +1,14 @@
 """Cleaning: every kind of bad sample is dropped or moved, and counted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from split_cli.errors import LogError
 from split_cli.logs.assembling.clean import clean_series, join_clock_resets, longest_repeat
 from split_cli.logs.assembling.conversion import RawSeries
+from split_cli.logs.assembling.repeated_rows import without_repeated_rows
 from split_cli.logs.assembling.synchronize import clean_channels
 from tests.logs.planted import planted_map
 
@@ -176,3 +179,27 @@ def test_joined_runs_are_further_apart_than_any_source_is_bridged():
     ):
         joined, _ = join_clock_resets(sources, gap)
         assert all(np.max(np.diff(part.time)) > bridged for parts in joined.values() for part in parts)
+
+
+def test_a_block_that_a_file_holds_twice_is_counted_and_left_out():
+    """A duplicated block of 200 rows was taken for a clock that starts again, and learned twice."""
+    time = np.arange(1000) * 0.02
+    rows = np.concatenate([np.arange(600), np.arange(300, 600), np.arange(600, 1000)])
+    values = np.sin(time)
+    values[400] = np.nan
+    whole = series(time[rows], values[rows])
+    other = replace(whole, channel="r", values=np.cos(time)[rows])
+    kept, said = without_repeated_rows({"vx": (whole,), "r": (other,)}, 0.1)
+    assert said == ["300 rows repeat earlier ones, with their time: left out"]
+    np.testing.assert_array_equal(kept["vx"][0].time, time)
+    np.testing.assert_array_equal(kept["r"][0].values, np.cos(time))
+    assert join_clock_resets(kept, 0.1)[1] == ()
+
+
+def test_a_lap_that_starts_its_time_again_and_a_standing_car_are_no_repetition():
+    time = np.tile(np.arange(500) * 0.02, 2)
+    lap = series(time, np.sin(np.arange(1000) * 0.013))
+    gear = replace(lap, channel="gear", values=np.full(1000, 4.0))  # the same in both laps
+    for parts in ({"vx": (lap,), "gear": (gear,)}, {"gear": (gear,)}):
+        kept, said = without_repeated_rows(parts, 0.1)
+        assert said == [] and all(kept[channel] == list(parts[channel]) for channel in parts)

@@ -59,6 +59,8 @@ def test_structures_with_clocks_of_their_own_are_one_drive(tmp_path, kind):
     signal_map = map_from_mapping(yaml.safe_load(render_draft(draft, "log.mat")))
     made = assemble_drive(recording, signal_map, planted.vehicle, IngestSettings())
     assert made.drive.rate == pytest.approx(50.0)
+    # The clocks of the structures are no channels: each was kept as one beside those.
+    assert set(made.drive.columns) == {s.channel for s in draft.suggestions if s.status != "open"} | {"t"}
     t = made.drive["t"] + made.quality.origin
     for channel, most in (("vx", 0.02), ("r", 2e-3), ("delta", 2e-3), ("ay", 0.05), ("yaw", 2e-3)):
         np.testing.assert_allclose(made.drive[channel][50:-50], planted.at(channel, t[50:-50]), atol=most)

@@ -1,5 +1,6 @@
 """Mistakes in a log that units alone do not name: clocks, delays, exchanged wheels, places and crooked sensors."""
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,12 +10,14 @@ import pytest
 
 from split_cli.errors import LogError
 from split_cli.logs.assembling.assemble import assemble_drive
+from split_cli.logs.checking.copies import copied_channels
 from split_cli.logs.checking.measuring_point import or_its_place
 from split_cli.logs.checking.relations import ConsistencyFinding
 from split_cli.logs.raw import RawSignal, TableRecording
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping, read_map
 from split_cli.vehicle.parameters import read_vehicle
+from tests.factories import one_run
 from tests.logs.planted import UNITS, PlantedDrive
 
 CHANNELS = tuple(c for c in UNITS if not c.startswith("wheel"))
@@ -173,6 +176,19 @@ def test_a_computed_yaw_rate_that_comes_late_is_no_other_channels_fault(delay, p
 
 def test_a_measured_yaw_rate_is_not_taken_for_a_computed_one(planted):
     assert not [f for f in ingested(planted).findings if f.check == "copied"]
+
+
+def test_the_search_for_a_late_copy_holds_few_columns_at_a_time():
+    """A column for each of a hundred delays took a gigabyte of a million rows."""
+    t, rng = np.arange(0.0, 300.0, 0.01), np.random.default_rng(0)
+    columns = {"vx": 10.0 + np.sin(t), "delta": 0.05 * np.sin(2.0 * t), "r": rng.normal(size=len(t))}
+    drive = one_run(columns, 0.01)
+    copied_channels(drive, {})  # what is loaded at the first time
+    tracemalloc.start()
+    assert not copied_channels(drive, {})
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 15 * t.nbytes
 
 
 @pytest.mark.parametrize(("time", "unit"), [(1e3, "s"), (1.0, "ms")])

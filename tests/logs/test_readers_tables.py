@@ -6,11 +6,12 @@ import sys
 
 import numpy as np
 import pandas as pd
+import pyarrow
 import pytest
 
 import tests.logs.readers_support as support
 from split_cli.errors import LogError
-from split_cli.logs.readers import open_recording
+from split_cli.logs.readers import delimited, open_recording
 from tests.optional import needed
 
 COUNT = 400
@@ -72,6 +73,24 @@ def test_text_layouts(tmp_path, planted, layout):
         np.testing.assert_array_equal(signals[name].values, expected)
         assert signals[name].unit == UNITS[name]
     assert recording.notes == []
+
+
+@pytest.mark.parametrize("ending", ["1,2,3,4\n", "1,2,3,4", "1,2\n\n\n", "1,2,three,4\n5,6,7,8\n"])
+@pytest.mark.parametrize("part", [7, 1000, 1 << 24])
+def test_threads_read_what_one_stream_reads(tmp_path, planted, monkeypatch, ending, part):
+    """Wherever a long text is parted between threads: also a part of blank lines, and a last line without its end."""
+    path = tmp_path / "drive.csv"
+    path.write_text("t(s),vx(m/s),vy(m/s),r(rad/s)\n" + text_of(planted) + ending)
+    monkeypatch.setattr(delimited, "TABLE_BYTES", part)
+    found = []
+    for processors in (1, 2):
+        monkeypatch.setattr(pyarrow, "cpu_count", lambda count=processors: count)
+        recording = open_recording(path)
+        found.append((recording.read(list(UNITS)), recording.notes))
+    (one, notes), (other, same) = found
+    assert notes == same and len(one["t"].values) == COUNT + ending.count(",4") + ending.count(",8")
+    for name in UNITS:
+        np.testing.assert_array_equal(one[name].values, other[name].values)
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-8", "utf-16"])

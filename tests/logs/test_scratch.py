@@ -16,7 +16,7 @@ from split_cli.logs.assembling.clean import RawSeries, clean_series, resumptions
 from split_cli.logs.assembling.resample import Resampled, SampleClock
 from split_cli.logs.assembling.standstills import standstills_of
 from split_cli.logs.assembling.synchronize import Channels, judge_sources, without_absent, without_missing
-from split_cli.logs.readers import mcap, messages
+from split_cli.logs.readers import mcap, messages, open_recording
 from split_cli.logs.scratch import GrowingColumn, are_finite, equal, let_go, room, set_aside
 from split_cli.workflows.ingesting.ingest import IngestSettings, ingest_logs
 from tests.optional import needed
@@ -27,8 +27,8 @@ SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 @pytest.fixture
 def everything_is_long(monkeypatch):
-    monkeypatch.setattr(scratch, "LONG", 100)
-    monkeypatch.setattr(scratch, "PIECE", 64)
+    for name, value in (("LONG", 100), ("FORESEEN", 100), ("PIECE", 64)):
+        monkeypatch.setattr(scratch, name, value)
 
 
 def test_columns_come_back_as_they_went(everything_is_long):
@@ -48,6 +48,48 @@ def test_columns_come_back_as_they_went(everything_is_long):
     assert set(stamps.finished().tolist()) == {2**63 + 1}
     short = values[:99]
     assert set_aside(short) is short
+
+
+def test_a_column_of_foreseen_length_stays_in_memory_while_all_of_them_fit(monkeypatch):
+    for name, value in (("LONG", 100), ("FORESEEN", 400), ("FORESEEN_BYTES", 8 * 500)):
+        monkeypatch.setattr(scratch, name, value)
+    files = []
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda make=tempfile.TemporaryFile: files.append(1) or make())
+
+    def column(count: int, expected: int) -> np.ndarray:
+        growing = GrowingColumn(expected=expected)
+        for first in range(0, count, 30):
+            growing.append(np.arange(float(first), min(first + 30, count)))
+        found = growing.finished()
+        np.testing.assert_array_equal(found, np.arange(float(count)))
+        return found
+
+    column(100, 0)
+    first = column(300, 290)  # foreseen a little too short
+    assert not files
+    column(101, 0)  # not foreseen
+    column(401, 401)  # too long
+    column(150, 250)  # beside the first one more than all may hold
+    assert len(files) == 3
+    del first
+    column(150, 250)
+    assert len(files) == 3
+
+
+def test_a_plain_table_of_a_log_of_an_hour_and_a_half_needs_no_file(tmp_path, monkeypatch):
+    """Files took a sixth of the time in which it is read."""
+
+    def none_needed(*given, **named):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    rows = scratch.LONG + 20_000
+    path = tmp_path / "plain.csv"
+    values = np.arange(float(rows)).round(1)
+    pd.DataFrame({"t": values, "vx": 0.5 * values}).to_csv(path, index=False)
+    monkeypatch.setattr(tempfile, "TemporaryFile", none_needed)
+    found = open_recording(path).read(["t", "vx"])
+    np.testing.assert_array_equal(found["t"].values, values)
+    np.testing.assert_array_equal(found["vx"].values, 0.5 * values)
 
 
 def in_use(kind: str = "VmRSS") -> int:
@@ -171,6 +213,7 @@ def test_a_long_recording_makes_the_same_drive(tmp_path, monkeypatch, kind):
     for name in ("short", "long"):
         if name == "long":
             monkeypatch.setattr(scratch, "LONG", 100)
+            monkeypatch.setattr(scratch, "FORESEEN", 100)
             monkeypatch.setattr(scratch, "PIECE", 64)
         (result,) = ingest_logs([log], tmp_path / f"{name}.parquet", settings=settings, **given).results
         drives.append((tmp_path / f"{name}.parquet").read_bytes())
@@ -204,6 +247,7 @@ def test_a_long_log_of_any_format_makes_the_same_drive(tmp_path, monkeypatch, ki
         if name == "long":
             for module, bound, size in (
                 (scratch, "LONG", 100),
+                (scratch, "FORESEEN", 100),
                 (scratch, "PIECE", 64),
                 (messages, "_BATCH_BYTES", 5000),
                 (messages, "_FLUSH_BYTES", 20_000),

@@ -98,9 +98,9 @@ def test_what_nothing_in_a_log_gives_is_no_matter_of_the_map(planted, tmp_path):
     columns = {"time": t, "speed_mps": planted.at("vx", t), "lateral_acc": planted.at("ay", t)}
     write_table(tmp_path / "log.csv", columns)
     steps = "\n".join(init_project([tmp_path / "log.csv"], tmp_path / "car").next_steps)
-    # With r there, a_y and v_x give v_y.
-    assert "Nothing in this log gives r, delta, and" in steps and "Map vy" not in steps
-    assert "--derive lateral-velocity-from-accelerations" in steps
+    # Without a gyro a_y and v_x give r and v_y, and what that costs is said.
+    assert steps.startswith("Nothing in this log gives delta, and") and "Map vy" not in steps
+    assert "nothing of its sideslip" in steps and "--derive yaw-rate-from-lateral-acceleration" in steps
 
 
 def test_no_torque_is_made_of_an_acceleration_that_does_not_follow_the_velocity():

@@ -1,11 +1,15 @@
 """Colours of series stay apart for every common form of colour vision, and visible on their paper."""
 
 import itertools
+import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from split_cli.plots.palette import DARK, LIGHT, PAPER
+from split_cli.plots import palette
+from split_cli.plots.palette import DARK, DOTS, LIGHT, PAPER
 
 # Machado, Oliveira and Fernandes (2009), severity 1.0, on linear RGB.
 VISION = {
@@ -27,6 +31,12 @@ def linear(colour: str) -> np.ndarray:
     return np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
 
 
+def mixed(colour: str, paper: str, opacity: float) -> str:
+    """Return the colour that a translucent dot has on its paper."""
+    parts = ((int(colour[k : k + 2], 16), int(paper[k : k + 2], 16)) for k in (1, 3, 5))
+    return "#" + "".join(f"{round(opacity * a + (1.0 - opacity) * b):02x}" for a, b in parts)
+
+
 def lab(rgb: np.ndarray) -> np.ndarray:
     """Return CIE L*a*b* under D65."""
     ratio = TO_XYZ @ np.clip(rgb, 0.0, 1.0) / np.array([0.95047, 1.0, 1.08883])
@@ -44,11 +54,19 @@ def test_series_are_told_apart(colours, vision):
 
 @pytest.mark.parametrize(("colours", "paper"), [(LIGHT, PAPER["light"]), (DARK, PAPER["dark"])])
 def test_series_are_seen_on_their_paper(colours, paper):
-    """WCAG 2.2 asks graphics for a contrast of 3 with what is behind them."""
+    """WCAG 2.2 asks graphics for a contrast of 3 with what is behind them, dots of a cloud too."""
     behind = TO_XYZ[1] @ linear(paper)
     for role, colour in colours.items():
-        bright, dim = sorted([TO_XYZ[1] @ linear(colour), behind], reverse=True)
-        assert (bright + 0.05) / (dim + 0.05) >= 3.0, role
+        for shown in (colour, mixed(colour, paper, DOTS.get(role, 1.0))):
+            bright, dim = sorted([TO_XYZ[1] @ linear(shown), behind], reverse=True)
+            assert (bright + 0.05) / (dim + 0.05) >= 3.0, role
+
+
+def test_pages_take_dashes_and_opacities_from_the_palette():
+    script = (Path(palette.__file__).parents[1] / "workflows" / "report" / "views.js").read_text(encoding="utf-8")
+    for name, known in (("DOTS", DOTS), ("DASHES", palette.DASHED)):
+        written = re.search(rf"const {name} = (\{{.*?\}});", script)[1]
+        assert json.loads(re.sub(r"(\w+):", r'"\1":', written)) == known
 
 
 def test_the_measure_knows_confusable_colours():

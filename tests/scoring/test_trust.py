@@ -11,7 +11,14 @@ from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import compute_labels
 from split_cli.learning.region import z2_grid
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence, held_out_evidence, held_out_whole
-from split_cli.scoring.trust import best_trust, doubt_from, driving_needed, judge_correction, own_shares
+from split_cli.scoring.trust import (
+    best_trust,
+    doubt_from,
+    driving_needed,
+    harmless_shares,
+    judge_correction,
+    own_shares,
+)
 from tests.factories import MissingForce, make_drive, road_car
 
 BLOCKS, EACH = 20, 100
@@ -169,6 +176,29 @@ def test_what_a_rival_explains_as_well_is_not_credited_to_the_correction():
     # Alone the coefficient is 0.3 + 0.7/2 in the limit; the standard error of 0.3 is 0.2/sqrt(4000) = 0.003.
     np.testing.assert_allclose(own_shares([beside]), (0.3, 1.0, 1.0), atol=0.02)
     assert best_trust([alone])[0][0] >= 0.6 and best_trust([beside])[0][0] <= 0.3 + 1e-9
+
+
+def test_no_share_is_trusted_that_a_new_stretch_of_driving_does_not_bear():
+    """Best shares of blocks with mean 0.6 and deviation s: up to 2 (0.6 - s), however many blocks there are."""
+    rng, each = np.random.default_rng(6), 200
+
+    def found(deviation: float, blocks: int) -> tuple[float, float]:
+        block = np.repeat(np.arange(blocks), each)
+        share = rng.permutation(0.6 + deviation * np.where(np.arange(blocks) % 2, 1.0, -1.0))[block]
+        change = np.zeros((len(block), 3))
+        change[:, 1] = rng.normal(size=len(block))
+        error = share * change[:, 1] + 0.1 * rng.normal(size=len(block))
+        part = TrustEvidence(1, 0.5, error, change, np.zeros(len(block)), block, np.zeros((len(block), 7)))
+        return float(harmless_shares([part], np.zeros(3))[1]), float(best_trust([part])[0][1])
+
+    # A share of 200 samples has the standard error 0.1/sqrt(200) = 0.007, and the prediction 1/(2 n) more of s.
+    for blocks in (20, 80):
+        most, trust = found(0.5, blocks)
+        np.testing.assert_allclose(most, 0.2, atol=0.06)
+        assert 0.1 <= trust <= most
+    assert found(0.7, 40) == (0.0, 0.0)
+    most, trust = found(0.1, 20)
+    np.testing.assert_allclose((most, trust), (0.98, 0.6), atol=0.06)
 
 
 def test_drives_of_a_few_seconds_are_judged_on_shorter_blocks_and_shorter_ones_not_at_all():

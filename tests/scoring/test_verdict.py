@@ -41,12 +41,18 @@ def test_the_words_name_what_helps_what_harms_and_what_changes_nothing():
     said = verdict(found)
     assert said.startswith("verdict: the correction does harm: v_x better (0.")
     assert "v_y as the nominal model" in said and "r WORSE (" in said and "after 0.5 s" in said
-    # Harm is told beside what a running trust leaves of it.
-    assert said.endswith(")") and verdict(found, ()) == said
+    # Harm is said beside what to do, and what a running trust leaves of it.
+    judged, way_out = said.rsplit(". ", 1)
+    alone = "weigh what is worse against what is better, or use the vehicle file alone"
+    assert judged.endswith(")") and way_out == f"On such driving {alone}"
+    only_harm = comparisons_of("bcm", "z2", [errors((1.0, 1.0, 2.0), 3)])
+    assert verdict(only_harm).endswith("). On such driving use the vehicle file alone")
     running = comparisons_of("bcm, running trust", "z2", [errors((0.5, 1.0, 1.0), 3)])
-    assert verdict(found, running) == f"{said}. With a running trust (NAME_observe in an export) no state is worse"
+    instead = f"Without it {alone}"
+    left = "With a running trust (NAME_observe in an export) no state is worse"
+    assert verdict(found, running) == f"{judged}. {left}. {instead}"
     worst = [replace(c, to_nominal=(1.3, 1.2, 1.4)) if c.state == "v_y" else c for c in running]
-    assert verdict(found, worst).endswith("v_y is 1.30 times as wrong at most")
+    assert verdict(found, worst).endswith(f"v_y is 1.30 times as wrong at most. {instead}")
     assert verdict(running, worst) == verdict(running)  # where the stored trust does none, nothing is left to tell
     told = warnings_of(found)
     assert [line.split()[1] for line in told] == ["r", "r"]

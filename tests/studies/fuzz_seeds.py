@@ -371,7 +371,7 @@ def in_pieces(kinds: dict[str, tuple[Path, Callable[[Path], object]]], folder: P
 
     def long(read: Callable[[Path], object]) -> Callable[[Path], object]:
         def reads(path: Path) -> object:
-            with patch.object(scratch, "LONG", LONG_HERE):
+            with patch.multiple(scratch, LONG=LONG_HERE, FORESEEN=LONG_HERE):
                 return read(path)
 
         return reads

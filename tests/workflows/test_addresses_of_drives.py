@@ -66,3 +66,26 @@ def test_a_diagnosis_is_given_the_same_drives_in_the_same_order(garage, tmp_path
         assert str(CliRunner().invoke(group, words).exception).startswith("enough")
     assert [len(paths) for paths in given[0]] == [2, 0, 2]
     assert all(one == given[0] for one in given)
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate"])
+def test_a_remote_drive_that_cannot_be_copied_is_left_out_and_named(garage, tmp_path, monkeypatch, command):
+    """It ended the run, though --keep-going leaves out a drive that cannot be read."""
+    system = fsspec.filesystem("memory")
+    opened = type(system).open
+
+    def lost(self, path, *given, **more):
+        if path.endswith("d0.parquet"):
+            raise OSError("connection lost")
+        return opened(self, path, *given, **more)
+
+    monkeypatch.setattr(type(system), "open", lost)
+    made = tmp_path / "made"
+    words = [command, "memory://garage", "--vehicle", str(garage / "car.yaml"), "-o", str(made)]
+    with pytest.raises(SplitError, match="connection lost"):
+        CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False)
+    assert not made.exists()
+    done = CliRunner().invoke(group, [*words, "--keep-going"], standalone_mode=False, catch_exceptions=False)
+    assert done.return_value == 1 and made.exists()
+    (told,) = [line for line in done.stderr.splitlines() if "left out" in line]
+    assert "d0.parquet" in told and "connection lost" in told

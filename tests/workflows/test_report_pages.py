@@ -67,7 +67,7 @@ def test_a_recording_is_headed_by_what_is_wrong_with_it(drive, car):
     told = f"v_y {'and more of it ' * 9}is 1.58 +- 0.01 m off: set `position: rear_axle`"
     long = recording_page(drive, {"consistency": {"findings": [{"text": told.replace(": ", " ", 1)}]}}, ())
     assert '<h1 id="verdict">The channels do not fit together.</h1>' in long
-    assert "1.58 ± 0.01 m" in long and "<code>position: rear_axle</code>" in long
+    assert "1.58 ± 0.01\u00a0m" in long and "<code>position: rear_axle</code>" in long
     # A headline ends before a bracket, not within.
     told = "delta is the steering-wheel angle (delta against the steady steer angle: slope 16.9, correlation 1)."
     bracketed = recording_page(drive, {"consistency": {"findings": [{"text": told}]}}, ())

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from split_cli.cli.main import group
 from split_cli.errors import SetError, SplitError
-from split_cli.logs.drive import Drive, read_drive, write_drive
+from split_cli.logs.drive import Drive, open_drive, read_drive, write_drive
 from split_cli.scoring.report import EvaluationSettings
 from split_cli.vehicle.parameters import write_vehicle
 from split_cli.workflows.evaluate import evaluate_files
@@ -185,6 +185,21 @@ class TestDrivesThatFail:
             ran = CliRunner().invoke(group, [*map(str, words), "--keep-going"], standalone_mode=False)
             assert ran.exception is None and ran.return_value == 1
             assert "split: left out: " in ran.stderr and "aa.parquet" in ran.stderr
+
+    def test_an_evaluation_reads_each_drive_once(self, folder, tmp_path, monkeypatch):
+        train_set([folder / "in"], folder / "car.yaml", tmp_path / "all.split", DEFAULT)
+        read: list[str] = []
+
+        def counted(path, *given, **more):
+            read.append(path.name)
+            return open_drive(path, *given, **more)
+
+        for module in ("split_cli.workflows.recordings", "split_cli.workflows.evaluate"):
+            monkeypatch.setattr(f"{module}.open_drive", counted)
+        drives = sorted((folder / "in").glob("*.parquet"))
+        asked = EvaluationSettings(predictors=("projected",), rollout=())
+        evaluate_files(drives, None, asked, tmp_path / "all.split", keep_going=True)
+        assert sorted(read) == [path.name for path in drives]
 
     def test_where_all_fail_the_first_error_is_raised(self, folder, tmp_path):
         (tmp_path / "x.parquet").write_bytes(b"PAR1")

@@ -91,6 +91,11 @@ def unfit(
     simulated : sequence of Drive
         That the drive is compared with: what these have as well speaks of the vehicle file, not of another car.
     """
+    if drive.metadata.sideslip_is_of_tires:
+        return [
+            f"{drive.name} has no recorded yaw rate: r and v_y follow from a_y and the rear tyres of the vehicle file, "
+            "so a finding would be about this assumption. Record a gyro or a heading."
+        ]
     longest = max((run.stop - run.start for run in drive.segments()), default=0)
     seconds = longest * drive.period
     if seconds < rules.least_seconds:

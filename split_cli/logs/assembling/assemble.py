@@ -12,11 +12,12 @@ from split_cli.files import sha256_of_file
 from split_cli.logs.assembling.clean import USUAL_GAP, join_clock_resets, resumptions
 from split_cli.logs.assembling.conversion import RawSeries
 from split_cli.logs.assembling.derivation import DerivationInputs, Derived
-from split_cli.logs.assembling.derivations import DERIVATIONS, can_derive, derivation_named, reachable
+from split_cli.logs.assembling.derivations import DERIVATIONS, WITHOUT_RATE, can_derive, derivation_named, reachable
 from split_cli.logs.assembling.gather import Gathered, gather, topic_of
 from split_cli.logs.assembling.kinds import between_of, kinds_of, unlike_a_sensor
 from split_cli.logs.assembling.moving_to_cg import move_to_cg
 from split_cli.logs.assembling.quality import EARLIER, UNSTATED, QualityReport
+from split_cli.logs.assembling.repeated_rows import without_repeated_rows
 from split_cli.logs.assembling.resample import SampleClock
 from split_cli.logs.assembling.standstills import standstills_of, stopped
 from split_cli.logs.assembling.synchronize import (
@@ -38,6 +39,7 @@ from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.copies import copied_channels
 from split_cli.logs.checking.late_channels import late_channels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
+from split_cli.logs.drive_metadata import yaw_rate_is_of_acceleration
 from split_cli.logs.map_entries import SignalMap, TimeBase
 from split_cli.logs.raw import NO_CHECKSUMS, Clock, RawRecording
 from split_cli.logs.scratch import set_aside
@@ -148,7 +150,7 @@ def _assemble(
         gap=gap,
     )
     _check_required(gathered, derivations, signal_map, recording.name)
-    delayed = _with_delays(gathered, settings)
+    delayed, twice = without_repeated_rows(_with_delays(gathered, settings), gap)
     series, joined = join_clock_resets(delayed, gap)
     paused = _pauses(delayed, series) if joined else 0.0
     del delayed
@@ -170,7 +172,7 @@ def _assemble(
     columns, noise, qualities = bring_to_clock(channels, grid)
     grid, columns, dropped = without_missing(grid, columns, needed)
     unusable += without_absent(channels, columns, grid, recording.clocks)
-    conversions = [*gathered.conversions, *joined, *trimmed]
+    conversions = [*gathered.conversions, *twice, *joined, *trimmed]
     made, grid = _place_and_derive(derivations, columns, grid, vehicle, signal_map, gathered, noise, conversions)
     before = metadata_of_drive(recording.path)
     kinds, warnings = kinds_of(gathered, made, columns, before, noise)
@@ -249,7 +251,14 @@ def _checked(
     # A copy was not measured and contradicts nobody.
     measured = {**kinds, **{finding.channel: NOT_RECORDED for finding in copied}}
     consistency = check_consistency(checked, vehicle, measured, _certain(signal_map))
-    consistency = replace(consistency, findings=(*copied, *consistency.findings))
+    found = consistency.findings
+    if yaw_rate_is_of_acceleration(kinds):
+        also = " r was derived from a_y, so the mistake may be one of a_y instead."
+        found = tuple(
+            replace(f, text=f.text + also) if f.channel == "delta" and f.check in ("scale", "sign") else f
+            for f in found
+        )
+    consistency = replace(consistency, findings=(*copied, *found))
     if settings.estimate_delays:
         return consistency
     late, unseen = late_channels(checked, vehicle, measured, consistency)
@@ -349,6 +358,8 @@ def _way_to(channel: str, signal_map: SignalMap, reached: Collection[str]) -> st
     """Return how a required channel comes into the drive: as the map configures, or the recording allows."""
     ways = [name for name, entry in DERIVATIONS.items() if channel in entry.makes and channel not in entry.needs]
     ways = [name for name in ways if name.replace("-", "_") in signal_map.derivations] or ways
+    if channel == "vy":
+        ways = [name for name in ways if name != WITHOUT_RATE]  # named for r, of which it makes v_y as well
     possible = [name for name in ways if can_derive(name, channel, reached)]
     if channel == "delta" and "steering_wheel_angle" in reached:
         return "delta: map the steering wheel's angle once more, with `scale: 1/RATIO`."

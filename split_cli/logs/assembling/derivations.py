@@ -11,6 +11,9 @@ DERIVATIONS: dict[str, Derivation] = {entry.name: entry for entry in (*MOTIONS, 
 """In the order in which they run: velocities before what needs them."""
 
 _TORQUE_OF_MOTION = "torque-from-acceleration"
+_ACROSS_THE_PATH = "lateral-acceleration-from-path"
+WITHOUT_RATE = "yaw-rate-from-lateral-acceleration"
+"""What stands in for a gyro or a heading, where neither is recorded."""
 #: Derivations with what they are asked for, the most trustworthy first.
 _CHOICES = (
     ("lateral-velocity-from-sideslip", {"vy"}),
@@ -18,6 +21,7 @@ _CHOICES = (
     ("longitudinal-velocity-from-wheels", {"vx"}),
     ("yaw-rate-from-yaw", {"r"}),
     ("lateral-velocity-from-accelerations", {"vy"}),
+    (WITHOUT_RATE, {"r"}),
 )
 
 
@@ -59,12 +63,15 @@ def can_derive(name: str, channel: str, reached: Collection[str]) -> bool:
 def derivations_for(missing: Collection[str], mapped: Collection[str]) -> list[str]:
     """Return the derivations that a log asks for, in the order to run them.
 
-    A torque takes nothing that a drive may lack, and stands last.
+    A torque takes nothing that a drive may lack, and stands last. A lateral acceleration is made of a path only where
+    a yaw rate takes one.
     """
     there, chosen = set(mapped), []
     while name := next((n for n, wanted in _CHOICES if _serves(n, wanted & set(missing) - there, there)), ""):
         chosen.append(name)
         there |= set(DERIVATIONS[name].makes)
+    if "r" in set(missing) - there and "ay" not in there and _serves(_ACROSS_THE_PATH, {"ay"}, there):
+        return [*chosen, _ACROSS_THE_PATH, *derivations_for(set(missing) - there, there | {"ay"})]
     return [*chosen, _TORQUE_OF_MOTION] if "T" in missing else chosen
 
 

@@ -6,9 +6,10 @@ from split_cli.errors import MapError, nearest_names
 from split_cli.logs.assembling.dead_reckoning import TOLERANCE, lateral_velocity_from_accelerations
 from split_cli.logs.assembling.derivation import Derivation, DerivationInputs, Derived
 from split_cli.logs.assembling.smoothing import derivative, smooth
+from split_cli.logs.assembling.turning import turning_of_measured_lateral_velocity, turning_of_rear_tires
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
-from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, OF_WHEELS
+from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, OF_REAR_TIRES, OF_WHEELS, WITHOUT_GYRO
 
 
 def velocity_from_pose(
@@ -145,6 +146,60 @@ def _run_yaw_rate_from_yaw(situation: DerivationInputs) -> Derived:
     return Derived({"r": made}, "from smoothed yaw")
 
 
+def lateral_acceleration_of_path(X: np.ndarray, Y: np.ndarray, period: float, segments: list[slice]) -> np.ndarray:
+    """Return (X' Y'' - Y' X'')/|v| of a smoothed path [m/s^2], shape (N,): speed times the rate of its course.
+
+    It is across the path; across the car it differs by the sideslip angle times a_x.
+    """
+    made = np.empty(len(X))
+    for run in segments:
+        dX, dY = (derivative(smooth(channel[run]), period) for channel in (X, Y))
+        turned = dX * derivative(dY, period) - dY * derivative(dX, period)
+        made[run] = turned / np.maximum(np.hypot(dX, dY), _SLOWEST)
+    return made
+
+
+def _run_lateral_acceleration_from_path(situation: DerivationInputs) -> Derived:
+    c = situation.columns
+    made = lateral_acceleration_of_path(c["X"], c["Y"], situation.period, situation.segments)
+    return Derived({"ay": made}, "speed times the rate of the course over ground, from smoothed X, Y")
+
+
+def _run_yaw_rate_from_lateral_acceleration(situation: DerivationInputs) -> Derived:
+    name, c = "yaw-rate-from-lateral-acceleration", situation.columns
+    vehicle = situation.require_vehicle(name)
+    if "r" in c:
+        raise MapError(f"--derive {name}: r is recorded", advice="Leave the option out, or r out of the map.")
+    given = c, situation.period, situation.segments, vehicle
+    made = turning_of_measured_lateral_velocity(*given) if "vy" in c else turning_of_rear_tires(*given)
+    known = np.isfinite(made.r)
+    parts = {
+        f"slower than {vehicle.minimum_speed:.3g} m/s or with an a_y that no car reaches": made.slow,
+        f"near or above the peak of the rear tyres, which need {made.most:.0f} N and have D = "
+        f"{vehicle.rear_tire.D:.0f} N in the vehicle file": made.beyond,
+    }
+    shares = [f"{100.0 * share:.0f} % {what}" for what, share in parts.items() if share >= 0.005]
+    out = "; ".join(shares or ["the first moments of each run"])
+    if not known.any():
+        advice = "Check the units of v_x and a_y, and rear_tire of the vehicle file."
+        raise MapError(f"--derive {name} finds no row to use: {out}", advice=advice)
+    rest = f"; {100.0 * np.mean(~known):.0f} % of the rows left out: {out}" if np.mean(~known) >= 0.005 else ""
+    if "vy" in c:
+        return Derived(
+            {"r": made.r},
+            f"{WITHOUT_GYRO} and the change of v_y over v_x{rest}",
+            "r is derived from a_y: bias of a_y, bank and roll of the body stay in it, and its label repeats a_y",
+        )
+    return Derived(
+        {"r": made.r, "vy": made.vy},
+        f"{WITHOUT_GYRO} {OF_REAR_TIRES}{rest}",
+        "r and v_y are derived from a_y, and the rear tyres of the vehicle file are taken as right. The recording "
+        "cannot contradict them: their error appears as one of the front axle. So the labels tell whether the car "
+        "understeers more or less than the vehicle file says, and nothing of its sideslip. Bias of a_y, bank and roll "
+        "of the body stay in r. A gyro (`r`) or a heading (`yaw`) would do without all this",
+    )
+
+
 def _run_acceleration_from_velocity(situation: DerivationInputs) -> Derived:
     c = situation.columns
     made = {"ax": np.empty(len(c["vx"])), "ay": np.empty(len(c["vx"]))}
@@ -157,6 +212,8 @@ def _run_acceleration_from_velocity(situation: DerivationInputs) -> Derived:
     )
 
 
+_SLOWEST = 0.1
+"""Speed below which a path has no course [m/s]: position noise turns it."""
 MOTIONS = (
     Derivation("velocity-from-pose", ("vx", "vy", "r"), ("X", "Y", "yaw"), ("channels",), _run_velocity_from_pose),
     Derivation(
@@ -169,6 +226,10 @@ MOTIONS = (
     Derivation("lateral-velocity-from-sideslip", ("vy",), ("vx", "sideslip"), (), _run_lateral_velocity_from_sideslip),
     Derivation("lateral-velocity-from-straights", ("vy",), ("vx", "vy", "r"), (), _run_lateral_velocity_from_straights),
     Derivation("yaw-rate-from-yaw", ("r",), ("yaw",), (), _run_yaw_rate_from_yaw),
+    Derivation("lateral-acceleration-from-path", ("ay",), ("X", "Y"), (), _run_lateral_acceleration_from_path),
+    Derivation(
+        "yaw-rate-from-lateral-acceleration", ("r", "vy"), ("vx", "ay"), (), _run_yaw_rate_from_lateral_acceleration
+    ),
     Derivation(
         "lateral-velocity-from-accelerations", ("vy",), ("vx", "r", "ay"), (), _run_lateral_velocity_from_accelerations
     ),

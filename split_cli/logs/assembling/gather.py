@@ -26,6 +26,8 @@ _SLOWEST = 2.0
 """Step of a table's rows from which on a wrong unit of time is likelier than so slow a recording [s]."""
 _NUMBERS_RUNS = re.compile(r"(?i)(run|session|episode|trial|experiment|traj(ectory)?)([_ ]?(id|no|nr|num|number|idx))?")
 """Columns that number runs; a lap or a sector goes on where the one before ended."""
+_SAME_STAMP = 1e-6
+"""Up to which a stamp and a sample that repeats it differ by rounding [s]: no logger stamps more finely."""
 _MOST_CHANGES = 0.01
 """Of the rows, up to which a number is that of a run [1]; judgement."""
 _SUFFIXES = {
@@ -107,7 +109,7 @@ def gather(
         notes.conversions.append("rows in reverse order, the newest first: turned round")
     common = None if common is None else set_aside(_parted_by_runs(common, signals, notes, gap))
     converter = Converter(recording.name, signal_map, wheel_radius, notes)
-    others = [column for column in extras if column not in clocks]
+    others = [column for column in extras if column not in clocks and not _is_its_own_clock(signals.get(column))]
     maps, series = _converted(found, others, signals, Counter(extras) + Counter(clocks), converter, common)
     if chosen or recording.clocks:
         words = f"{chosen or recording.clocks[0]} time of the messages"
@@ -280,6 +282,18 @@ class _Resolver:
 
 def _type_name(name: str) -> str:
     return name.replace("/msg/", "/").replace("::msg::", "/").replace("::", "/").rstrip("_")
+
+
+def _is_its_own_clock(signal: RawSignal | None) -> bool:
+    """Tell whether a signal holds its own time stamps, as the clock of a MATLAB structure does: it is no channel."""
+    if signal is None or signal.time is None or signal.values.dtype.kind not in "fiu":
+        return False
+    values, time = signal.values, signal.time
+    if len(values) < 2 or not np.isfinite(values).all() or values[0] == values[-1]:
+        return False
+    second = float((values[-1] - values[0]) / (time[-1] - time[0])) if time[0] != time[-1] else 0.0
+    unit = next((one for one in (1.0, 1e3, 1e6, 1e9) if abs(second / one - 1.0) < 1e-3), None)
+    return unit is not None and float(np.ptp(values / unit - time)) <= _SAME_STAMP
 
 
 def _extra_columns(infos: Mapping, found: Mapping, signal_map: SignalMap) -> list[str]:

@@ -21,7 +21,7 @@ from split_cli.logs.checking.steering_zero import steering_zero
 from split_cli.logs.checking.straights import course_of, straight_rows, straight_stretches
 from split_cli.logs.checking.wheel_speeds import AXLES, outer_wheels, without_turning
 from split_cli.logs.drive import Drive
-from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived
+from split_cli.logs.drive_metadata import MEASURED_SIDESLIP, OF_POSE, is_derived, yaw_rate_is_of_acceleration
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import REQUIRED_CHANNELS, STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
@@ -80,6 +80,7 @@ class Checks:
         derived = {channel for channel, kind in kinds.items() if is_derived(kind)}
         self.of_sideslip = "vy" in derived and MEASURED_SIDESLIP in kinds["vy"]
         self.of_pose = "vy" in derived and OF_POSE in kinds["vy"]
+        self.of_acceleration = yaw_rate_is_of_acceleration(kinds)
         self.derived = derived - ({"vy"} if self.of_sideslip else set())
         self.absent = {channel for channel in self.derived if kinds[channel] == NOT_RECORDED}
         self.pose_fits = True
@@ -236,7 +237,7 @@ class Checks:
         if self.usable("ax"):
             inertial = k.rate("vx") - self.carried()
             self.relate("a_x against dv_x/dt - v_y r", k.signal("ax"), inertial, {"ax": 1, "vx": -1}, 0.12)
-        if self.usable("ay") and self.known("r"):
+        if self.usable("ay") and self.known("r") and not self.of_acceleration:
             turning = k.turning()
             name, lateral = "a_y against v_x r", k.signal("ay")
             if self.usable("vy"):
@@ -303,7 +304,7 @@ class Checks:
     def straight_line(self) -> list[ConsistencyFinding]:
         """Look for v_y and a_y that are not zero where the car goes straight."""
         k = self.k
-        if not self.usable("vx", "r"):
+        if not self.usable("vx") or not (self.usable("r") or self.of_acceleration):
             return []
         vx = k.signal("vx")
         straight = straight_rows(k)
@@ -316,7 +317,7 @@ class Checks:
             found += self._vy_on_straights(straight, float(np.nanmedian(vx[straight])))
         if steered:
             found += steering_zero(k, self.vehicle, straight)
-        if self.usable("ay"):
+        if self.usable("ay") and not self.of_acceleration:
             plain = float(np.nanmedian(k.signal("ay")[straight]))
             rest = k.signal("ay") - k.turning()
             bias, error = median_of(rest[straight])

@@ -87,12 +87,19 @@ def _late_factor(r: np.ndarray, computed: np.ndarray, drive: Drive) -> tuple[flo
     if len(row) < 50:
         return None, 0.0
     y = r[row]
-    shifted = {k: np.nan_to_num(computed[row - k]) for k in range(-most - 1, most + 2)}
+
+    def shifted(k: int) -> np.ndarray:
+        return np.nan_to_num(computed[row - k])
+
+    def goes_together(k: int) -> float:
+        moved = shifted(k)  # one at a time: a hundred of them take a gigabyte of a long drive
+        return abs(float(moved @ y)) / float(np.linalg.norm(moved) + 1e-12)
+
     if np.std(y) == 0.0 or not np.any(computed[row]):
         return None, 0.0
-    best = max(range(-most, most + 1), key=lambda k: abs(float(shifted[k] @ y)) / (np.linalg.norm(shifted[k]) + 1e-12))
+    best = max(range(-most, most + 1), key=goes_together)
     near = [best - 1, best, best + 1]
-    design = np.stack([shifted[k] for k in near], axis=1)
+    design = np.stack([shifted(k) for k in near], axis=1)
     weights, *_ = np.linalg.lstsq(design, y)
     factor = float(weights.sum())
     if factor == 0.0 or float(np.std(y - design @ weights)) >= _LEFT_BY_FORMULA * float(np.std(y)):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from split_cli.logs.assembling.conversion import expected_unit
-from split_cli.logs.assembling.derivations import DERIVATIONS, derivations_for
+from split_cli.logs.assembling.derivations import DERIVATIONS, WITHOUT_RATE, derivations_for
 from split_cli.signals import REQUIRED_CHANNELS
 
 UNITS_OF = {
@@ -86,8 +86,13 @@ class Draft:
 
 
 WHAT_GIVES_R = (
-    "a gyro or a heading will do; export it if the logger has one. a_y and a course over ground follow the path and "
-    "not the body, so a yaw rate from them would hide all sideslip."
+    "a gyro or a heading will do; export it if the logger has one. Where v_x with a_y or with X, Y is recorded, "
+    f"--derive {WITHOUT_RATE} stands in for it."
+)
+SIDESLIP_OF_TIRES = (
+    "No gyro or heading was found: r and v_y follow from a_y, and the rear tyres of the vehicle file are taken as "
+    "right. Such a drive shows how much the car understeers, and nothing of its sideslip; it is not diagnosed. "
+    "Export a gyro or a heading if the logger has one."
 )
 NO_SIDE = "no channel has a side"
 """Of `Draft.left`, where nothing of the recording has one."""
@@ -180,8 +185,11 @@ def _ways(missing: Sequence[str], mapped: set[str], opened: set[str]) -> list[st
     """Return how missing channels can be derived from what is mapped."""
     chosen = derivations_for(missing, mapped)
     made = {channel for name in chosen for channel in DERIVATIONS[name].makes}
-    makes = {name: ", ".join(c for c in DERIVATIONS[name].makes if c in missing) for name in chosen}
-    ways = [f"{makes[name]}: --derive {name}{_NOTES.get(name, '')}." for name in chosen]
+    makes = {name: DERIVATIONS[name].makes for name in chosen}
+    shown = {name: [c for c in made if c in missing] or made for name, made in makes.items()}
+    ways = [f"{', '.join(shown[name])}: --derive {name}{_NOTES.get(name, '')}." for name in chosen]
+    if "vy" in missing and WITHOUT_RATE in chosen:
+        ways.append(SIDESLIP_OF_TIRES)
     if "vy" in missing and "vy" not in made:
         ways.append("vy: neither lateral velocity, sideslip, pose nor yaw rate with a_y was found; it takes one.")
     if "r" in missing and "r" not in made:

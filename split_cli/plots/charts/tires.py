@@ -18,6 +18,10 @@ _MOST_DOTS = 1500
 _BINS = 28
 _FEWEST = 20
 _TWO_SIDED_95 = 1.959964
+_ON_THE_CURVE = (
+    "No yaw rate was recorded. The rear axle lies on its nominal curve since its slip was derived from it; an error of "
+    "this curve shows at the front axle."
+)
 
 
 @dataclass(frozen=True)
@@ -53,16 +57,19 @@ def tire_charts(
         return ()
     with_found = None if corrected is None else forces.measured - _left(forces, *corrected, vehicle)
     charts = []
+    of_tires = drive.metadata.sideslip_is_of_tires
     for name, title, x_title, y_title, x, column in _places(forces):
         width = max(float(np.ptp(np.quantile(x, [0.002, 0.998]))) / _BINS, 1e-9)
-        series = [_cloud(x, forces.measured[:, column]), _nominal(vehicle, column, x)]
+        cloud = _cloud(x, forces.measured[:, column], "derived" if of_tires and column > 0 else "measured")
+        series = [cloud, _nominal(vehicle, column, x)]
         if with_found is not None:
             centre, mean, _ = binned(x, with_found[:, column], width)
             series.append(ChartLine("with the identified effects", centre, mean, "corrected"))
         if learned is not None:
             base = forces.nominal if with_found is None else with_found
             series.append(_learned(learned, forces, base, vehicle, x, column, width, with_found is not None))
-        charts.append(Chart(name, title, x_title, y_title, tuple(series)))
+        note = _ON_THE_CURVE if of_tires and column == 2 else ""
+        charts.append(Chart(name, title, x_title, y_title, tuple(series), note))
     return tuple(charts)
 
 
@@ -104,9 +111,9 @@ def _places(forces: AxleForces) -> tuple[tuple[str, str, str, str, np.ndarray, i
     )
 
 
-def _cloud(x: np.ndarray, force: np.ndarray) -> ChartLine:
+def _cloud(x: np.ndarray, force: np.ndarray, name: str = "measured") -> ChartLine:
     part = thinned(len(x), _MOST_DOTS)
-    return ChartLine("measured", x[part], force[part], "measured", "points")
+    return ChartLine(name, x[part], force[part], "measured", "points")
 
 
 def _nominal(

@@ -56,9 +56,9 @@ class IngestResult:
         return read_drive(self.drive_path)
 
     @property
-    def faults(self) -> tuple[str, ...]:
-        """What the checks found that makes whatever is learned from the drive wrong."""
-        return self.metadata.faults
+    def contradictions(self) -> tuple[str, ...]:
+        """What the checks found that makes whatever is learned from the drive wrong, and the map can mend."""
+        return self.metadata.contradictions
 
     def reaches(self, speed: float) -> bool:
         """Whether v_x exceeds `speed` [m/s] anywhere in the drive."""

@@ -9,8 +9,8 @@ from typing import Any
 
 from split_cli.errors import SplitError
 from split_cli.files import atomic_directory
-from split_cli.logs.assembling.derivations import DERIVATIONS, derivations_for
-from split_cli.logs.drafting.draft import WHAT_GIVES_R, in_ranges, lines_on_presets, lines_on_runs
+from split_cli.logs.assembling.derivations import DERIVATIONS, WITHOUT_RATE, derivations_for
+from split_cli.logs.drafting.draft import SIDESLIP_OF_TIRES, WHAT_GIVES_R, in_ranges, lines_on_presets, lines_on_runs
 from split_cli.logs.drafting.nameless import has_no_name
 from split_cli.logs.drafting.several_logs import agreed_draft
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
@@ -80,9 +80,11 @@ class InitResult:
         derived = {channel for name in chosen for channel in DERIVATIONS[name].makes}
         left = [channel for channel in missing if channel not in derived]
         lost = [channel for channel in left if channel not in opened]
-        steps = [*self._to_fill_and_check(missing, opened)]
+        steps = [*self._to_fill_and_check(missing, opened, "a_y" if WITHOUT_RATE in chosen else "r")]
         if found := [channel for channel in left if channel in opened]:
             steps.append(f"Map {', '.join(found)} in {self.map_path}: its comments say what was found.")
+        if WITHOUT_RATE in chosen and "vy" in missing:
+            steps.insert(0, SIDESLIP_OF_TIRES)
         if lost:
             # What no step of the user's mends stands first, before values are looked up for nothing.
             steps = [self._what_is_missing(lost, bool(unread)), *steps]
@@ -96,8 +98,8 @@ class InitResult:
         steps.append(f"{run}: split ingest {self.log} --vehicle {vehicle} --map {maps}{derive} -o {self.result}")
         return tuple(steps)
 
-    def _to_fill_and_check(self, missing: Sequence[str], opened: Collection[str]) -> Iterator[str]:
-        """Yield what a user who knows the car and the logger has to write or to confirm."""
+    def _to_fill_and_check(self, missing: Sequence[str], opened: Collection[str], turning: str) -> Iterator[str]:
+        """Yield what a user who knows the car and the logger has to write or confirm; `turning` is recorded."""
         still = [c for c in missing if c in opened and all(s.never_changes for s in self.draft.all_of(c))]
         if "vx" in still:
             yield (
@@ -113,7 +115,7 @@ class InitResult:
         if not self.draft.left:
             by_gravity = f" {self.draft.by_gravity}" if self.draft.by_gravity else ""
             yield (
-                "Check in a left turn that r and delta are positive: nothing recorded tells left from right."
+                f"Check in a left turn that {turning} and delta are positive: nothing recorded tells left from right."
                 + by_gravity
             )
 

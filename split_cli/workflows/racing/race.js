@@ -82,11 +82,16 @@
     pen.fillStyle = named("soft");
     pen.textAlign = "center";
     pen.textBaseline = "middle";
+    const placed = [];
     for (let s = 0; s < race.length - 0.4 * step; s += step) {
       const i = Math.round((s / race.length) * race.left.length) % race.left.length;
       const [[x0, y0], [x1, y1]] = [onTrack(...race.left[i]), onTrack(...race.right[i])], far = (15 * grown) / Math.hypot(x1 - x0, y1 - y0);
       line(pen, [[x0, y0], [x1, y1]], named(s ? "soft" : "ink"), (s ? 0.7 : 3) * grown, false);
-      pen.fillText(s ? `${s}` : "0 m", x1 + far * (x1 - x0), y1 + far * (y1 - y0));
+      const [x, y] = [x1 + far * (x1 - x0), y1 + far * (y1 - y0)];
+      // Where the track comes near itself, or is small, a number gives way to one that stands already.
+      if (placed.some(([a, b]) => Math.abs(a - x) < 28 * grown && Math.abs(b - y) < 14 * grown)) continue;
+      placed.push([x, y]);
+      pen.fillText(s ? `${s}` : "0 m", x, y);
     }
   }
   function drawTrack() {
@@ -116,7 +121,7 @@
   function tell() {
     const shown = laps();
     status.textContent = shown.length
-      ? shown.map((k) => { const lap = race.laps[k], p = at(lap, now); return `${lap.name}: ${value(lap.s, p).toFixed(0)} m, ${value(lap.v, p).toFixed(1)} m/s`; }).join("; ")
+      ? shown.map((k) => { const lap = race.laps[k], p = at(lap, now); return `${lap.name}: ${value(lap.s, p).toFixed(0)}\u00a0m, ${value(lap.v, p).toFixed(1)}\u00a0m/s`; }).join("; ")
       : "No lap is chosen.";
   }
   function setTime(time) {

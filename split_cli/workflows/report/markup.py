@@ -24,7 +24,7 @@ def verdict_section(kind: str, said: str, body: str, before: str = "") -> str:
 def facts_list(facts: Iterable[tuple[str, str, str]]) -> str:
     """Return facts (what, value, note) as a list, escaped here."""
     entries = "".join(
-        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{escape(note)}</small></dd></div>"
+        f"<div><dt>{escape(what)}</dt><dd>{escape(value)}<small>{heading(note)}</small></dd></div>"
         for what, value, note in facts
     )
     return f'<dl class="facts">{entries}</dl>'
@@ -37,7 +37,8 @@ def items(texts: Iterable[str]) -> str:
 
 def notes_section(notes: Sequence[str], title: str) -> str:
     """Return the section of what a reader should know; empty where there is nothing."""
-    return section("notes", title, f'<ul class="advice">{items(notes)}</ul>') if notes else ""
+    ended = [text if text.endswith((".", ":", "!", "?")) else f"{text}." for text in notes]
+    return section("notes", title, f'<ul class="advice">{items(ended)}</ul>') if notes else ""
 
 
 def bar(share: float, *, kind: str = "") -> str:
@@ -99,7 +100,7 @@ def plain_table(heads: Sequence[str], rows: Sequence[Sequence[str]], name: str =
 
 def figure(chart: Chart) -> str:
     """Return the place a chart is drawn in, with its title and what a reader must know."""
-    note = f'<p class="note-line">{escape(chart.note)}</p>' if chart.note else ""
+    note = f'<p class="note-line">{prose(chart.note)}</p>' if chart.note else ""
     return (
         f'<figure class="plot{" wide" if chart.wide else ""}" id="chart-{escape(chart.name)}">'
         f"<figcaption><b>{escape(chart.title)}</b></figcaption>"
@@ -126,6 +127,6 @@ def charts_block(charts: Sequence[Chart], *, thirds: bool = False) -> str:
     # A third of the page is too narrow for sentences.
     noted = [chart for chart in charts if chart.note]
     titles = [f"<b>{escape(chart.title)}:</b> " if len(noted) > 1 else "" for chart in noted]
-    notes = [f'<p class="note-line wide">{t}{escape(c.note)}</p>' for t, c in zip(titles, noted, strict=True)]
+    notes = [f'<p class="note-line wide">{t}{prose(c.note)}</p>' for t, c in zip(titles, noted, strict=True)]
     drawn = "".join(figure(replace(chart, note="")) for chart in charts)
     return f'{choice}<div class="figures thirds">{drawn}{"".join(notes)}</div>'

@@ -26,7 +26,9 @@ def recording_page(drive: Drive, found: Mapping[str, Any], charts: Sequence[Char
     fits = "The channels fit together." if held else "The channels could not be checked against each other."
     headline = words[0] if words else fits
     kind = "mismatch" if words else "match" if held else "undecided"
-    more = "".join(f"<p>{prose(text)}</p>" for text in words[1:])
+    known = drive.metadata
+    assumed = [f"{text[0].upper()}{text[1:]}." for text in known.faults if text not in known.contradictions]
+    more = "".join(f"<p>{prose(text)}</p>" for text in (*words[1:], *assumed))
     seconds = len(drive) * drive.period
     facts = [
         ("Length", f"{number(seconds)} s", f"{len(drive):,} rows at {drive.rate:g} Hz"),

@@ -19,6 +19,7 @@ from split_cli.workflows.report.words import (
     escape,
     number,
     percent,
+    prose,
     quantity,
     span,
     term_title,
@@ -223,7 +224,7 @@ def _region_words(location: Location) -> str:
         stretches.append(f"track position {number(place.s_start)} to {number(place.s_end)} m{lap}{how}")
     if location.time is not None:
         stretches.append(f"time {number(location.time[0])} to {number(location.time[1])} s")
-    words = f"<p>The gap is largest at {escape('; '.join(stretches))}.</p>" if stretches else ""
+    words = f"<p>The gap is largest at {prose('; '.join(stretches))}.</p>" if stretches else ""
     if location.place is not None or location.time is not None:
         there = "on that stretch" if location.place is not None else "in that time"
         words += (

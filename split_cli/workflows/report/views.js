@@ -2,6 +2,8 @@
 (() => {
   const { Plot, shape, element, path, short, between, unpack, csv } = Charts;
   const charts = JSON.parse(document.getElementById("numbers").textContent).charts || [];
+  /* Dots let others through only where their colour bears it: `DOTS` of the palette. */
+  const DOTS = { measured: 0.5 };
   const DASHES = { nominal: "6 3", corrected: "10 3", other: "2 3" };
   const plots = {};
   const choice = document.getElementById("along");
@@ -79,13 +81,15 @@
       if (rows) return drawRows(layer, plot);
       if (plot.y[0] < 0 && plot.y[1] > 0) layer.append(shape("line", { x1: plot.left, x2: plot.left + plot.inner, y1: plot.sy(0), y2: plot.sy(0), stroke: "var(--frame)" }));
       const point = (x, y) => (Number.isFinite(x) && Number.isFinite(y) ? [plot.sx(x), plot.sy(y)] : null);
-      const order = [...visible()].sort((a, b) => (a.kind === "points" ? 0 : 1) - (b.kind === "points" ? 0 : 1));
+      // Dots below lines, and those that let others through above them.
+      const depth = (one) => (one.kind !== "points" ? 2 : one.role in DOTS ? 1 : 0);
+      const order = [...visible()].sort((a, b) => depth(a) - depth(b));
       for (const one of order) {
         const x = across(one);
         if (one.kind === "points") {
           let dots = "";
           one.y.forEach((y, i) => { const at = point(x[i], y); if (at) dots += `M${at[0].toFixed(1)} ${at[1].toFixed(1)}h0`; });
-          layer.append(shape("path", { d: dots, fill: "none", stroke: one.color, "stroke-opacity": 0.5, "stroke-width": 3.2, "stroke-linecap": "round" }));
+          layer.append(shape("path", { d: dots, fill: "none", stroke: one.color, "stroke-opacity": DOTS[one.role] || 1, "stroke-width": 3.2, "stroke-linecap": "round" }));
           continue;
         }
         if (one.low) {
@@ -174,7 +178,7 @@
     const drawn = series.length === 1 && series[0].kind === "bars" ? [] : series;
     const parts = drawn.map((one) => {
       const mark = one.kind === "points"
-        ? shape("circle", { cx: 11, cy: 6, r: 4, fill: one.color, "fill-opacity": spec.rows.length ? 1 : 0.5 })
+        ? shape("circle", { cx: 11, cy: 6, r: 4, fill: one.color, "fill-opacity": spec.rows.length ? 1 : DOTS[one.role] || 1 })
         : shape("line", { x1: 0, x2: 22, y1: 6, y2: 6, stroke: one.color, "stroke-width": one.kind === "bars" ? 8 : 3, "stroke-dasharray": DASHES[one.role] || "none" });
       const inside = [shape("svg", { width: 22, height: 12, "aria-hidden": "true" }, mark), one.name];
       if (series.length < 2) return element("span", { class: "key" }, ...inside);

@@ -27,13 +27,18 @@ def escape(text: object) -> str:
 
 
 def prose(text: object) -> str:
-    """Return a sentence of a command for HTML: what it quotes as code, and its +- as one sign."""
-    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text).replace("+-", "±"))
+    """Return a sentence of a command for HTML: typeset, what it quotes as code as it stands."""
+    parts = escape(text).split("`")
+    quoted = len(parts) % 2 == 1  # else a quotation does not end, and none is one
+    return "".join(
+        f"<code>{part}</code>" if quoted and k % 2 else typeset(part) if quoted else typeset(f"{'`' * (k > 0)}{part}")
+        for k, part in enumerate(parts)
+    )
 
 
 def heading(text: object) -> str:
-    """Return text for HTML in which no line ends before a per cent sign."""
-    return escape(text).replace("+-", "±").replace(" %", "\u00a0%")
+    """Return text for HTML, typeset."""
+    return typeset(escape(text))
 
 
 def term_title(term: str, variant: str = "") -> str:
@@ -101,8 +106,8 @@ def chance(p_value: float | None) -> str:
 
 def typeset(text: str) -> str:
     """Return a sentence with the signs of print: ``-1.8 m/s^2`` is ``−1.8 m/s²``; no line ends before a unit."""
-    signed = re.sub(r"(?<![\w.])-(?=\d)", "−", text).replace("^2", "²").replace(" N m", " N\u00a0m")
-    return re.sub(r"(?<=\d) (?=%|N\b|m\b|m/s|s\b|rad\b)", "\u00a0", signed)
+    signed = re.sub(r"(?<![\w.])-(?=\d)", "−", text.replace("+-", "±")).replace("^2", "²").replace(" N m", " N\u00a0m")
+    return re.sub(r"(?<=\d) (?=%|(?:N|m|m/s|s|ms|rad|deg|g|Hz|km/h)(?![\w-]))", "\u00a0", signed)
 
 
 def quantity(value: float, unit: str) -> str:

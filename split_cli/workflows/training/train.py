@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from split_cli.errors import SetError
+from split_cli.errors import SetError, SplitError
 from split_cli.files import exclusive_access, refuse_overwriting_inputs
 from split_cli.learning.cells import extend, warm_up
 from split_cli.learning.features import parse_features
@@ -23,7 +23,7 @@ from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.other_vehicle import trained_for_another
 from split_cli.workflows.recordings import usable_drives
-from split_cli.workflows.sources import DRIVE_SUFFIXES, find_sources
+from split_cli.workflows.sources import DRIVE_SUFFIXES, enter_all, find_sources
 from split_cli.workflows.training.labelled_drives import LabelledDrives, Labelling, drive_digest
 from split_cli.workflows.training.laps import LapRow, lap_rows
 from split_cli.workflows.training.new_set import create_set
@@ -116,7 +116,8 @@ def train_set(
     with contextlib.ExitStack() as stack:
         if append:
             stack.enter_context(exclusive_access(output))
-        paths = [stack.enter_context(source.local()) for source in sources]
+        absent: list[SplitError] = []
+        paths = enter_all(sources, stack, absent if keep_going else None)
         changed: tuple[str, ...] = ()
         if append and expanded:
             paths, changed = _not_learned(paths, read_set(output))
@@ -124,6 +125,7 @@ def train_set(
         if keep_going:
             paths, failures = usable_drives(paths, read_vehicle(vehicle_path), settings.held, settings.any_vehicle)
         result = _train_set(paths, vehicle_path, output, settings, append, rows, batch, per_lap, engine, progress)
+        failures = (*map(str, absent), *failures)
         return replace(result, notes=(*changed, *result.notes), failures=failures)
 
 
