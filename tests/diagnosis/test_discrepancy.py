@@ -110,31 +110,31 @@ def test_rates_of_weights_are_the_columns_times_them(discrepancy, nominal_series
     np.testing.assert_allclose(discrepancy.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
 
 
-def test_rates_of_weights_are_the_columns_times_them_beside_lags(discrepancy, nominal_series):
+def test_rates_of_weights_are_the_columns_times_them_beside_shared_terms(discrepancy, nominal_series):
     lags = CATALOGUE["steer_lag"]({"tau": 0.05}), CATALOGUE["tire_relaxation"]({"length": 0.4})
-    late = replace(discrepancy, lags=lags)
+    late = replace(discrepancy, shared_terms=lags)
     columns = late.columns(nominal_series)
-    assert columns.shape[2] == len(late.of_the_moment())
+    assert columns.shape[2] == len(late.unlike_shared_terms())
     weights = np.random.default_rng(3).standard_normal(columns.shape[2])
     np.testing.assert_allclose(late.rates(nominal_series, weights), columns @ weights, rtol=1e-9, atol=1e-9)
 
 
-def test_tangents_are_taken_beside_lags_which_are_added_to_any_model(discrepancy, nominal_series):
+def test_tangents_are_taken_beside_shared_terms_which_are_added_to_any_model(discrepancy, nominal_series):
     lag, heavy = CATALOGUE["steer_lag"]({"tau": 0.05}), CATALOGUE["yaw_inertia"]({"scale": 1.1})
-    late = replace(discrepancy, lags=(lag,))
+    late = replace(discrepancy, shared_terms=(lag,))
     rates = {
         terms: nominal_series.rates(extended_model(road_car(), terms)) for terms in ((), (lag,), (heavy,), (heavy, lag))
     }
     k = [(entry[0].id, entry[2]) for entry in tangents()].index(("yaw_inertia", "scale"))
     column = late.columns(nominal_series)[:, :, k]
     np.testing.assert_allclose(column, rates[heavy, lag] - rates[(lag,)], rtol=1e-9, atol=1e-9)
-    added = late.rates_and_lags(nominal_series, np.zeros(len(late.of_the_moment())), (heavy,))
+    added = late.rates_with_shared_terms(nominal_series, np.zeros(len(late.unlike_shared_terms())), (heavy,))
     np.testing.assert_allclose(added, rates[heavy, lag] - rates[(heavy,)], rtol=1e-9, atol=1e-9)
 
 
 def test_slips_of_before_change_no_lateral_force_of_the_functions(discrepancy, nominal_series):
     """With the rate of steering, slow parts of slips would hold how the yaw rate has just changed."""
-    weights = np.random.default_rng(5).standard_normal(len(discrepancy.of_the_moment()))
+    weights = np.random.default_rng(5).standard_normal(len(discrepancy.unlike_shared_terms()))
     weights[: len(tangents())] = 0.0
     before, row = nominal_series.predicted.copy(), 150
     before[:row, 1:] *= 1.2

@@ -19,7 +19,6 @@ from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_rati
 from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, values_of
 from split_cli.vehicle.effects import CATALOGUE, Term
-from split_cli.vehicle.effects.late import BuildsUp
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -34,6 +33,9 @@ _POWERS = [
 _EVEN, _ODD = ([powers for powers in _POWERS if (powers[0] + powers[1]) % 2 == odd] for odd in (0, 1))
 _SMOOTH_DEVIATION = 0.03  # prior deviation of a smooth function's weight, as a share of an axle's peak
 
+#: What a simulation may have beyond its vehicle file that is found as terms, with the parameter that says how much.
+SHARED_TERMS = {"drive_lag": "tau", "steer_lag": "tau", "tire_relaxation": "length", "combined_slip": "strength"}
+
 _AT_ONCE = 16  # columns whose rates are in memory at all samples
 _MEMORY_SECONDS = (0.03, 0.1, 0.35)  # for a full-size car; times shrink with the root of length
 
@@ -46,9 +48,9 @@ class SharedDiscrepancy:
     # center, width: (4,): of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
     center: np.ndarray
     width: np.ndarray
-    # Actuators and tyres that answer late in simulation and reality. They belong to the model that entries are added
-    # to: tangents are taken beside them, and smooth functions are those of the slips and the torque that arrive.
-    lags: tuple[Term, ...] = ()
+    # `SHARED_TERMS` with the simulation's values. They belong to the model that entries are added to: tangents are
+    # taken beside them, and smooth functions are those of the slips and the torque that arrive.
+    shared_terms: tuple[Term, ...] = ()
     # Made anew for a copy with another vehicle.
     _ratios_before: Recent[tuple[Ratios, Series]] = field(
         default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
@@ -64,23 +66,23 @@ class SharedDiscrepancy:
 
     def blocks(self, series: Series) -> Iterator[np.ndarray]:
         """Yield the columns a few at a time, shape (N, 3, c): all of them at once fill memory."""
-        beside = series.rates(self._late)
+        beside = series.rates(self._beside)
         for some in _few_of(self._altered):
             yield np.stack([series.rates(model) - beside for model in some], axis=2)
         yield from spread(self._functions(series), self._directions())
 
     def size(self, series: Series) -> int:
         """Return how large the columns are at once [bytes]."""
-        return 24 * len(series) * len(self.of_the_moment())
+        return 24 * len(series) * len(self.unlike_shared_terms())
 
-    def of_the_moment(self) -> np.ndarray:
-        """Return which columns know nothing of what was before, bool, shape (C,)."""
-        late = [issubclass(kind, BuildsUp) for kind, *_ in tangents()]
+    def unlike_shared_terms(self) -> np.ndarray:
+        """Return which columns would take nothing of `SHARED_TERMS`, bool, shape (C,): no tangents, no slow parts."""
+        others = [kind.id not in SHARED_TERMS for kind, *_ in tangents()]
         smooth, slow = len(_EVEN) + 1 + 2 * (len(_ODD) + 4), 5 * len(_MEMORY_SECONDS)
-        return np.array([*(not one for one in late), *[True] * smooth, *[False] * slow])
+        return np.array([*others, *[True] * smooth, *[False] * slow])
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what weights add beside the lags, in the middle of samples, shape (N, 3).
+        """Return what weights add beside the shared terms, in the middle of samples, shape (N, 3).
 
         Terms alter inputs, sensors, tyres or body.
 
@@ -97,20 +99,21 @@ class SharedDiscrepancy:
         actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle)
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
         flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
-        out = SingleTrack.weighted_changes(actual.flow(self._late), flows)
+        out = SingleTrack.weighted_changes(actual.flow(self._beside), flows)
         rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
         return self.at_another_car(rates, actual, terms)
 
-    def rates_and_lags(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what weights and lags add to a model with terms in the middle of samples, shape (N, 3)."""
+    def rates_with_shared_terms(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
+        """Return what weights and shared terms add to a model with terms in the middle of samples, shape (N, 3)."""
         added = self.rates(series, weights, terms)
-        if not self.lags:
+        if not self.shared_terms:
             return added
         predicted = series.evaluated(terms)[1]
-        late, prompt = (
-            series.rates(extended_model(self.vehicle, model), predicted) for model in ((*terms, *self.lags), terms)
+        with_them, without = (
+            series.rates(extended_model(self.vehicle, model), predicted)
+            for model in ((*terms, *self.shared_terms), terms)
         )
-        return added + late - prompt
+        return added + with_them - without
 
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
         """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.
@@ -162,25 +165,27 @@ class SharedDiscrepancy:
 
     def _scaled(self, series: Series) -> np.ndarray:
         """Return the features, scaled and within bounds, shape (4, N)."""
-        return np.ascontiguousarray(_squash(features(series, self.vehicle, self.lags), self.center, self.width).T)
+        return np.ascontiguousarray(
+            _squash(features(series, self.vehicle, self.shared_terms), self.center, self.width).T
+        )
 
     def _memory_seconds(self) -> np.ndarray:
         return np.array(_MEMORY_SECONDS) * np.sqrt(self.vehicle.wheelbase / 2.7)
 
     @cached_property
-    def _late(self) -> SingleTrack:
-        """Return the nominal model with the lags."""
-        return extended_model(self.vehicle, self.lags)
+    def _beside(self) -> SingleTrack:
+        """Return the nominal model with the shared terms."""
+        return extended_model(self.vehicle, self.shared_terms)
 
     @cached_property
     def _altered(self) -> tuple[SingleTrack, ...]:
-        """Return the model that is a step away from the nominal one with the lags, along each tangent."""
+        """Return the model that is a step away from the nominal one with the shared terms, along each tangent."""
         out, car = [], self.vehicle
         for kind, variant, parameter, step in tangents():
             scaled = step * kind.sizes(car).get(parameter, 1.0)
             neutral = {key: kind.neutral[key] for key in kind.units}
             term = kind({**neutral, parameter: kind.neutral[parameter] + scaled}, variant)
-            out.append(extended_model(car, (*self.lags, term)))
+            out.append(extended_model(car, (*self.shared_terms, term)))
         return tuple(out)
 
     @staticmethod
@@ -254,13 +259,13 @@ def build_shared_discrepancy(vehicle: Vehicle, series: Series) -> SharedDiscrepa
     return SharedDiscrepancy(vehicle, center, np.array([*width, *np.maximum(0.5 * (high - low), 1e-3)]))
 
 
-def features(series: Series, vehicle: Vehicle, lags: Sequence[Term] = ()) -> np.ndarray:
+def features(series: Series, vehicle: Vehicle, shared_terms: Sequence[Term] = ()) -> np.ndarray:
     """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the predicted states, shape (N, 4).
 
-    With `lags`, steer angle and torque are those that arrive.
+    With `shared_terms`, steer angle and torque are those that arrive.
     """
-    flow = series.flow(extended_model(vehicle, lags))
-    ratio = (flow.T if lags else series.torque) / vehicle.max_torque
+    flow = series.flow(extended_model(vehicle, shared_terms))
+    ratio = (flow.T if shared_terms else series.torque) / vehicle.max_torque
     return np.stack([flow.front.slip_angle, flow.rear.slip_angle, ratio, series.predicted[:, 0]], axis=1)
 
 

@@ -29,15 +29,15 @@ class Evidence:
     series: Series
     jacobian: np.ndarray  # (N, 3, 3): nominal velocity Jacobian at the predicted states
     whitener: Whitener
-    nominal_rows: np.ndarray  # (G, 3): whitened rows against the nominal model with the lags
+    nominal_rows: np.ndarray  # (G, 3): whitened rows against the nominal model with the shared terms
     discrepancy: np.ndarray  # (G, 3, C): whitened columns of the shared discrepancy
     at: np.ndarray  # int64 (G,): sample in the middle of each row
     disturbance: np.ndarray  # (3,)
     # (G,): root of the robust weight of a row, 0 where it is not compared: where wheels spin or lock.
     weight: np.ndarray
     rolls: np.ndarray  # bool (N,): where the wheels roll, see `rolling`
-    # What answers late in the simulation, too, beside what its file says: a part of the model, see `lags`.
-    lags: tuple[Term, ...] = ()
+    # What the simulation has, too, beyond the vehicle file: a part of the model, see `shared_terms_of`.
+    shared_terms: tuple[Term, ...] = ()
     # Made anew for a copy with other arrays.
     _moved_before: Recent[tuple[np.ndarray, ...]] = field(
         default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
@@ -57,15 +57,15 @@ class Evidence:
         return self.whitener(defects)
 
     def defects(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
-        """Return the defects that the nominal model with `terms` and lags leaves, shape (N - 1, 3); 0 over gaps.
+        """Return the defects that the nominal model with `terms` and the shared terms leaves, shape (N - 1, 3); 0 over gaps.
 
         Parameters
         ----------
         discrepancy_rates : ndarray, shape (N, 3), optional
-            What the shared discrepancy adds beside the lags to the model's rates [m/s^2], [m/s^2], [rad/s^2].
+            What the shared discrepancy adds beside the shared terms to the model's rates [m/s^2], [m/s^2], [rad/s^2].
         """
         measured, predicted = self.series.evaluated(terms)
-        rates = self.series.rates(extended_model(self.vehicle, (*terms, *self.lags)), predicted)
+        rates = self.series.rates(extended_model(self.vehicle, (*terms, *self.shared_terms)), predicted)
         if discrepancy_rates is not None:
             rates = rates + discrepancy_rates
         return self._moved(measured, predicted) - integrated(self.series, rates)
@@ -129,7 +129,7 @@ def gather_evidence(
     jacobian = extended_model(vehicle).velocity_jacobian(
         *rows, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
     )
-    rates = series.rates(extended_model(vehicle, discrepancy.lags))
+    rates = series.rates(extended_model(vehicle, discrepancy.shared_terms))
     plain = motion(series, jacobian, series.measured, series.predicted) - integrated(series, rates)
     group, at = _row_groups(series)
     rolls = rolling(series, vehicle, rules)
@@ -151,7 +151,9 @@ def gather_evidence(
     u, phi = whitener(plain), _whitened_blocks(whitener, held_blocks or _integrated_blocks(series, discrepancy))
     left = u - phi @ _discrepancy_weights(u, phi, kept)
     weight = _robust_weight(left, rules.huber) * kept
-    return Evidence(vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls, discrepancy.lags)
+    return Evidence(
+        vehicle, series, jacobian, whitener, u, phi, at, disturbance, weight, rolls, discrepancy.shared_terms
+    )
 
 
 def rewhitened_with_noise(

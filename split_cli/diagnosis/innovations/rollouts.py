@@ -73,12 +73,12 @@ def shared_rates(
     """
     if posterior is None:
         return None
-    base = discrepancy.rates_and_lags(series, posterior.weights, terms)
+    base = discrepancy.rates_with_shared_terms(series, posterior.weights, terms)
     slope = np.empty((*base.shape, 3))
     for k in range(3):
         step = 1e-3 * max(float(np.std(series.predicted[:, k])), 1e-6)
         moved = replace(series, predicted=series.predicted + step * np.eye(3)[k])
-        slope[:, :, k] = (discrepancy.rates_and_lags(moved, posterior.weights, terms) - base) / step
+        slope[:, :, k] = (discrepancy.rates_with_shared_terms(moved, posterior.weights, terms) - base) / step
     around = series.evaluated(terms)[1]
     jacobian = extended_model(discrepancy.vehicle).velocity_jacobian(
         *around.T, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s

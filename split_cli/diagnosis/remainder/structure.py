@@ -136,7 +136,9 @@ def _discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:
         sizes = [
             effects_to_noise(
                 one.series,
-                integrated(one.series, objective.discrepancy.rates_and_lags(one.series, objective.posterior.weights)),
+                integrated(
+                    one.series, objective.discrepancy.rates_with_shared_terms(one.series, objective.posterior.weights)
+                ),
                 one.at[mask],
             )
             for one, mask in zip(objective.evidence, objective.keep, strict=True)

@@ -19,7 +19,6 @@ from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters_inputs
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of
 from split_cli.vehicle.effects import Term
-from split_cli.vehicle.effects.tires import CombinedSlip
 from split_cli.vehicle.parameters import Vehicle
 
 _ROWS_AT_ONCE = 512  # [rows] of all parts' columns that are whitened at a time; decides memory alone
@@ -35,7 +34,7 @@ class _FormError:
     basis: np.ndarray  # of the objective whose rows these are
     columns: np.ndarray  # (R, Q): M as in `costs_beside_form_error`, the shared discrepancy's columns last
     own: int  # how many of them are of the explanation's terms
-    laws: np.ndarray  # (R, V): of `_other_load_laws` and `_other_ellipse`
+    laws: np.ndarray  # (R, V): of `_other_load_laws`
 
     @cached_property
     def normal(self) -> np.ndarray:
@@ -53,7 +52,7 @@ def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
     known = objective.memo.get(_ASKED)
     if known is None or known.fit is not fit or known.basis is not objective.basis:
         forget_form_error(objective)  # before the next is made: both may be large
-        laws = np.hstack([_other_load_laws(objective, fit), _other_ellipse(objective, fit)])
+        laws = _other_load_laws(objective, fit)
         shared = _columns_of_discrepancy(objective)
         columns = form_error_columns(objective, fit) if laws.shape[1] or shared.shape[1] else shared
         own = columns.shape[1]
@@ -322,28 +321,6 @@ def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     return columns[:, np.linalg.norm(columns, axis=0) > 0.0]
 
 
-def _other_ellipse(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
-    """Return what another grip makes of a friction ellipse that simulation and reality share, shape (R, V).
-
-    The shared discrepancy holds what driving forces take from the lateral ones at the grip of the simulation. With
-    less grip they take more: F_y sqrt(1 - (F_x/D)^2) with another D. A column is that difference of differences, of
-    each term that states the peak, with an ellipse of equal axes; real tyres lie between none and it.
-    """
-    states_it = any(isinstance(term, CombinedSlip) for term in fit.terms)
-    peaks = (
-        [] if objective.posterior is None or states_it else [k for k, one in enumerate(fit.terms) if one.states_peak]
-    )
-    if not peaks:
-        return np.empty((len(objective.weight), 0))
-    ellipse = CombinedSlip({"strength": 1.0})
-
-    def taken(terms: tuple[Term, ...]) -> np.ndarray:
-        return objective.left_by(terms) - objective.left_by((*terms, ellipse))
-
-    here = taken(fit.terms)
-    return objective.whiten(np.stack([here - taken(fit.terms[:k] + fit.terms[k + 1 :]) for k in peaks], axis=1))
-
-
 def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:
     """Return M, shape (R, 18 a part), of parts given as terms and the number of one of them."""
     share = objective.policy.selection.form_error_share
@@ -362,7 +339,7 @@ def _columns_of_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
     if _DISCREPANCY not in objective.memo:
         weights, rows = objective.posterior.weights, []
         for one in objective.evidence:
-            shared = integrated(one.series, objective.discrepancy.rates_and_lags(one.series, weights))
+            shared = integrated(one.series, objective.discrepancy.rates_with_shared_terms(one.series, weights))
             rows.append(one.whitener(_varied_by(one, shared, True, _functions(one))))
         objective.memo[_DISCREPANCY] = objective.stack(rows)
     return objective.policy.selection.form_error_share * objective.whiten(objective.memo[_DISCREPANCY])

@@ -1,4 +1,4 @@
-"""Lags that simulation and reality share: found on the simulation, and what a yaw inertia is without them."""
+"""Lags and combined slip that simulation and reality share: found on the simulation, and a yaw inertia beside."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ import pytest
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.evidence import gather_evidence
-from split_cli.diagnosis.innovations.lags import lags_of_simulation
 from split_cli.diagnosis.innovations.objective import build_objective, learn_discrepancy
+from split_cli.diagnosis.innovations.shared_terms import shared_terms_of
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.logs.drive import Drive
 from split_cli.proof.sets import scripted_drive
@@ -17,13 +17,18 @@ from split_cli.vehicle.parameters import read_vehicle
 from tests.diagnosis.recordings import SIGMA
 
 CAR = read_vehicle(library_path("av21"))
-LATE = {"drive_lag": {"tau": 0.08}, "steer_lag": {"tau": 0.06}, "tire_relaxation": {"length": 0.5}}
+SHARED = {
+    "drive_lag": {"tau": 0.08},
+    "steer_lag": {"tau": 0.06},
+    "tire_relaxation": {"length": 0.5},
+    "combined_slip": {"strength": 0.8},
+}
 
 
 @pytest.fixture(scope="module")
 def late_pair() -> tuple[Series, Series]:
-    """Two cars that answer late, the second with 15 % more yaw inertia, both with sensor noise."""
-    out, shared = [], [CATALOGUE[term](values) for term, values in LATE.items()]
+    """Two cars that answer late and share their grip, the second with 15 % more yaw inertia, both with sensor noise."""
+    out, shared = [], [CATALOGUE[term](values) for term, values in SHARED.items()]
     for seed, own in ((31, ()), (32, (CATALOGUE["yaw_inertia"]({"scale": 1.15}),))):
         columns, rng = dict(scripted_drive(CAR, (*shared, *own), seed, runs=8)), np.random.default_rng(seed)
         segment = columns.pop("segment")
@@ -42,22 +47,22 @@ def yaw_inertia_found(discrepancy: SharedDiscrepancy, sim: Series, real: Series)
     return float(scales[int(np.argmin(costs))])
 
 
-def test_lags_of_a_simulation_are_found(late_pair):
-    found = {one.id: dict(one.parameters) for one in gather_case(CAR, late_pair).discrepancy.lags}
-    for term, values in LATE.items():
-        assert found[term] == pytest.approx(values, rel=0.1), term
+def test_terms_of_a_simulation_are_found(late_pair):
+    found = {one.id: dict(one.parameters) for one in gather_case(CAR, late_pair).discrepancy.shared_terms}
+    for term, values in SHARED.items():
+        assert found[term] == pytest.approx(values, rel=0.15), term
 
 
-def test_a_nominal_car_has_no_lags():
+def test_a_nominal_car_has_none():
     columns = dict(scripted_drive(CAR, (), 33, runs=8))
     drive = Drive("nominal.parquet", columns, columns.pop("segment"), 0.01).with_held(("T", "delta"))
     series = build_series(drive, "sim", np.cumsum(0.01 * columns["vx"]))
     discrepancy = build_shared_discrepancy(CAR, series)
-    (torque, steer, relaxation) = lags_of_simulation([gather_evidence(CAR, series, discrepancy)], discrepancy)
+    torque, steer, relaxation, ellipse = shared_terms_of([gather_evidence(CAR, series, discrepancy)], discrepancy)
     assert torque.parameters["tau"] < 1e-3 and steer.parameters["tau"] < 1e-3
-    assert relaxation.parameters["length"] < 0.01
+    assert relaxation.parameters["length"] < 0.01 and ellipse.parameters["strength"] < 0.05
 
 
-def test_a_yaw_inertia_is_found_behind_lags_that_both_cars_have(late_pair):
+def test_a_yaw_inertia_is_found_beside_terms_that_both_cars_have(late_pair):
     discrepancy = gather_case(CAR, late_pair).discrepancy
     assert yaw_inertia_found(discrepancy, *late_pair) == pytest.approx(1.15, abs=0.02)

@@ -1,0 +1,66 @@
+"""Lags and combined slip of the simulation: found as terms, before what else it has beyond the nominal model.
+
+A lag is no function of the state, and its derivative stands for it only where it is short. A servo of 35 ms doubles
+the yaw moment that a model car seems to need. What a discrepancy of functions misses of that, it makes up for by
+weaker forces, since the rate of steering goes with the yaw acceleration in most driving. Another yaw inertia then
+comes out too small. And what tyres that drive or brake lose across depends on the grip that is there, so that less
+grip seems to bring combined slip of its own. As terms of the model both answer to what else differs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from split_cli.diagnosis.baseline.discrepancy import SHARED_TERMS, SharedDiscrepancy
+from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.effects.search import Course
+
+_BEGIN = 0.03
+"""Where the search begins, in units of `Term.sizes` [1]: a servo's 30 ms in a full-size car; decides time alone."""
+
+
+def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepancy) -> tuple[Term, ...]:
+    """Return the `SHARED_TERMS` with which simulations are explained best, by least squares.
+
+    Parameters
+    ----------
+    simulated : sequence of Evidence
+        At least one, whitened with `discrepancy`.
+    discrepancy : SharedDiscrepancy
+        Those of its columns that none of the terms is like are fitted with them.
+    """
+    vehicle, first = discrepancy.vehicle, simulated[0].series
+    course = Course(max(float(first.t[-1]), 1.0), float(first.s.max()))
+    kinds = [CATALOGUE[term] for term in SHARED_TERMS]
+    searches = [kind.search(vehicle, course).times(kind.sizes(vehicle)) for kind in kinds]
+    most = np.array([one.ranges[name].upper for one, name in zip(searches, SHARED_TERMS.values(), strict=True)])
+    unit = np.array(
+        [kind.sizes(vehicle).get(name, 1.0) for kind, name in zip(kinds, SHARED_TERMS.values(), strict=True)]
+    )
+    beside = discrepancy.unlike_shared_terms()
+    columns = _stacked(simulated, [one.discrepancy[:, :, beside] for one in simulated])
+    inverse = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T)
+
+    def terms_at(sizes: np.ndarray) -> tuple[Term, ...]:
+        values = dict(zip(SHARED_TERMS, (sizes * unit).tolist(), strict=True))
+        return tuple(CATALOGUE[term]({name: values[term]}) for term, name in SHARED_TERMS.items())
+
+    def left(sizes: np.ndarray) -> np.ndarray:
+        terms = terms_at(sizes)
+        rows = _stacked(simulated, [replace(one, shared_terms=terms).rows(()) for one in simulated])
+        weights = inverse @ rows
+        return np.concatenate([rows - columns @ weights, weights])
+
+    found = least_squares(left, np.full(len(unit), _BEGIN), bounds=(0.0, most / unit), diff_step=0.01)
+    return terms_at(found.x)
+
+
+def _stacked(simulated: Sequence[Evidence], rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Return rows (G, 3, ...) of all simulations, weighted as robustly as they are believed, shape (R, ...)."""
+    weighted = [
+        np.reshape(one.weight, (-1, *(1,) * (part.ndim - 1))) * part for one, part in zip(simulated, rows, strict=True)
+    ]
+    return np.concatenate([part.reshape(-1, *part.shape[2:]) for part in weighted])
