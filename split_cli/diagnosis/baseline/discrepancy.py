@@ -109,11 +109,8 @@ class SharedDiscrepancy:
         if not self.shared_terms:
             return added
         predicted = series.evaluated(terms)[1]
-        with_them, without = (
-            series.rates(extended_model(self.vehicle, model), predicted)
-            for model in ((*terms, *self.shared_terms), terms)
-        )
-        return added + with_them - without
+        both = extended_model(self.vehicle, (*terms, *self.shared_terms))
+        return added + series.rates(both, predicted) - series.rates(extended_model(self.vehicle, terms), predicted)
 
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
         """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.
@@ -165,9 +162,8 @@ class SharedDiscrepancy:
 
     def _scaled(self, series: Series) -> np.ndarray:
         """Return the features, scaled and within bounds, shape (4, N)."""
-        return np.ascontiguousarray(
-            _squash(features(series, self.vehicle, self.shared_terms), self.center, self.width).T
-        )
+        z = features(series, self.vehicle, self.shared_terms)
+        return np.ascontiguousarray(_squash(z, self.center, self.width).T)
 
     def _memory_seconds(self) -> np.ndarray:
         return np.array(_MEMORY_SECONDS) * np.sqrt(self.vehicle.wheelbase / 2.7)

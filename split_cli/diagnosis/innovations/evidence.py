@@ -57,7 +57,7 @@ class Evidence:
         return self.whitener(defects)
 
     def defects(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
-        """Return the defects that the nominal model with `terms` and the shared terms leaves, shape (N - 1, 3); 0 over gaps.
+        """Return the defects that a model of `terms` and the shared terms leaves, shape (N - 1, 3); 0 over gaps.
 
         Parameters
         ----------

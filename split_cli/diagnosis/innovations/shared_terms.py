@@ -34,19 +34,16 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
     """
     vehicle, first = discrepancy.vehicle, simulated[0].series
     course = Course(max(float(first.t[-1]), 1.0), float(first.s.max()))
-    kinds = [CATALOGUE[term] for term in SHARED_TERMS]
-    searches = [kind.search(vehicle, course).times(kind.sizes(vehicle)) for kind in kinds]
-    most = np.array([one.ranges[name].upper for one, name in zip(searches, SHARED_TERMS.values(), strict=True)])
-    unit = np.array(
-        [kind.sizes(vehicle).get(name, 1.0) for kind, name in zip(kinds, SHARED_TERMS.values(), strict=True)]
-    )
+    kinds = {CATALOGUE[term]: name for term, name in SHARED_TERMS.items()}
+    unit = np.array([kind.sizes(vehicle).get(name, 1.0) for kind, name in kinds.items()])
+    most = np.array([kind.search(vehicle, course).ranges[name].upper for kind, name in kinds.items()])  # in units
     beside = discrepancy.unlike_shared_terms()
     columns = _stacked(simulated, [one.discrepancy[:, :, beside] for one in simulated])
     inverse = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T)
 
     def terms_at(sizes: np.ndarray) -> tuple[Term, ...]:
-        values = dict(zip(SHARED_TERMS, (sizes * unit).tolist(), strict=True))
-        return tuple(CATALOGUE[term]({name: values[term]}) for term, name in SHARED_TERMS.items())
+        values = zip(kinds.items(), (sizes * unit).tolist(), strict=True)
+        return tuple(kind({name: value}) for (kind, name), value in values)
 
     def left(sizes: np.ndarray) -> np.ndarray:
         terms = terms_at(sizes)
@@ -54,7 +51,7 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
         weights = inverse @ rows
         return np.concatenate([rows - columns @ weights, weights])
 
-    found = least_squares(left, np.full(len(unit), _BEGIN), bounds=(0.0, most / unit), diff_step=0.01)
+    found = least_squares(left, np.full(len(unit), _BEGIN), bounds=(0.0, most), diff_step=0.01)
     return terms_at(found.x)
 
 

@@ -133,16 +133,10 @@ def _discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:
     if objective.posterior is None:
         return np.zeros(3)
     if "discrepancy to noise" not in objective.memo:
-        sizes = [
-            effects_to_noise(
-                one.series,
-                integrated(
-                    one.series, objective.discrepancy.rates_with_shared_terms(one.series, objective.posterior.weights)
-                ),
-                one.at[mask],
-            )
-            for one, mask in zip(objective.evidence, objective.keep, strict=True)
-        ]
+        weights, sizes = objective.posterior.weights, []
+        for one, mask in zip(objective.evidence, objective.keep, strict=True):
+            shared = objective.discrepancy.rates_with_shared_terms(one.series, weights)
+            sizes.append(effects_to_noise(one.series, integrated(one.series, shared), one.at[mask]))
         objective.memo["discrepancy to noise"] = np.max(sizes, axis=0)
     return objective.memo["discrepancy to noise"]
 
