@@ -63,14 +63,14 @@ def restless() -> SelfTest:
 def test_a_clean_simulation_shows_nothing_against_itself(clean):
     # The nominal model is exact here: what is left is its integration over a sample, far below noise.
     assert clean.rows > 300
-    assert clean.ratio == pytest.approx(1.0, abs=0.02)
+    assert clean.ratio == pytest.approx(1.0, abs=0.03)
     # Noise alone would save one for each of some 150 parameters.
     assert max(clean.unnamed, *clean.terms.values()) < 3.0
 
 
 def test_a_restless_recording_shows_what_is_to_be_forgiven(clean, restless):
     # Wandering of 0.1 m/s over 0.5 s is ten times the noise of a sample and slower than the rows.
-    assert restless.ratio > 3.0
+    assert restless.ratio > 1.5 > 1.2 * clean.ratio
     # The best of some fifty directions in white noise saves about 9.
     assert max(restless.terms.values()) > 15.0
     assert restless.unnamed > 100.0 * clean.unnamed
