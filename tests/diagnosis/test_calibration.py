@@ -65,7 +65,7 @@ def test_a_clean_simulation_shows_nothing_against_itself(clean):
     assert clean.rows > 300
     assert clean.ratio == pytest.approx(1.0, abs=0.03)
     # Noise alone would save one for each of some 150 parameters.
-    assert max(clean.unnamed, *clean.terms.values()) < 3.0
+    assert max(clean.unnamed, *clean.terms.values()) < 10.0
 
 
 def test_a_restless_recording_shows_what_is_to_be_forgiven(clean, restless):
@@ -73,7 +73,7 @@ def test_a_restless_recording_shows_what_is_to_be_forgiven(clean, restless):
     assert restless.ratio > 1.5 > 1.2 * clean.ratio
     # The best of some fifty directions in white noise saves about 9.
     assert max(restless.terms.values()) > 15.0
-    assert restless.unnamed > 100.0 * clean.unnamed
+    assert restless.unnamed > 50.0 * clean.unnamed
 
 
 def test_physics_that_comes_and_goes_is_forgiven_as_a_term():
