@@ -39,6 +39,13 @@ def commanded(drive: Drive, gain: float) -> Drive:
     return replace(drive, columns={**drive.columns, "delta": drive["delta"] / gain})
 
 
+def unsteady(seed: int) -> Drive:
+    """Return a drive of a car whose grip comes and goes, which no function of the moment holds."""
+    plain, slippery = drive(seed), drive(seed, (term("friction_scale", scale=0.5),))
+    columns = {name: np.where(plain.segment % 2, slippery[name], plain[name]) for name in plain.columns}
+    return replace(plain, columns=columns)
+
+
 #: Of every family one or two, so that a search is short; those that could stand for a steering are all there.
 TERMS = frozenset(
     """
@@ -60,8 +67,8 @@ def searched(reality: Drive, simulation: Drive) -> SearchOutcome:
 @pytest.fixture(scope="module")
 def restless() -> DiagnosisCase:
     """Two recordings of one restless car, the second with a steering of three quarters."""
-    reality = recorded(commanded(drive(2), 0.75), 2, restless=0.1)
-    return case_of(reality, recorded(drive(1), 1, restless=0.1))
+    reality = recorded(commanded(unsteady(2), 0.75), 2, restless=0.1)
+    return case_of(reality, recorded(unsteady(1), 1, restless=0.1))
 
 
 def fixed_objective(case: DiagnosisCase):
@@ -87,7 +94,7 @@ def test_with_a_fixed_baseline_a_fit_is_where_a_scan_finds_the_least(restless):
     best = min(scan, key=scan.get)
     assert fit.cost <= scan[best] + 1e-6
     assert fit.parts[0].values["gain"] == pytest.approx(best, abs=0.011)
-    assert best == pytest.approx(0.75, abs=0.03)
+    assert best == pytest.approx(0.75, abs=0.05)  # on tyres that are the nominal ones half of the time
 
 
 def test_beside_a_sensors_fault_a_fault_of_commands_promises_what_it_saves_there(restless):
@@ -112,10 +119,10 @@ def test_what_brings_reality_back_is_named_where_form_error_is_much(restless):
     """Without a fault the same recordings match: test_calibration."""
     steps: list[str] = []
     outcome = search(restless, candidates_of(restless), reach=0.35, progress=steps.append)
-    assert outcome.self_test.ratio > 3.0
+    assert outcome.self_test.ratio > STANDARD.selection.much_over_noise
     assert steps == ["comparing", "naming", "naming with a fixed baseline"] and len(outcome.objectives) == 2
     assert [term.id for term in outcome.selection.terms] == ["steer_gain"]
-    assert outcome.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.03)
+    assert outcome.selection.terms[0].parameters["gain"] == pytest.approx(0.75, abs=0.05)
 
 
 def test_without_form_error_the_simulation_is_searched_with_a_marginalised_baseline():
