@@ -59,10 +59,10 @@ def test_the_page_holds_the_laps_and_loads_nothing():
     gap = np.linalg.norm(np.array(numbers["left"]) - np.array(numbers["right"]), axis=1)
     assert gap == pytest.approx(np.full(len(gap), 8.0), abs=0.02)
     # Lap 0 alone is no rival, since the nominal model drives it carefully; a race without a learner is one.
-    assert "20.11 s (lap 1)." in page and "less than the best nominal" not in page
+    assert "20.11\u00a0s (lap 1)." in page and "less than the best nominal" not in page
     nominal = replace(result, learner="none", laps=result.laps[:1], traces=result.traces[:1])
     both = race_page([nominal, result], result.path)
-    assert "20.11 s (split, lap 1), 20.0\u00a0% less than the best nominal one" in both
+    assert "20.11\u00a0s (split, lap 1), 20.0\u00a0% less than the best nominal one" in both
     assert not re.search(r"""(src|href)=["']?(?!data:)[a-z]+:""", page)
 
 
@@ -83,7 +83,7 @@ def test_the_best_lap_is_compared_with_the_best_nominal_one():
     laps = learned.laps[0], replace(learned.laps[2], time=22.344)
     nobody = replace(learned, learner="none", laps=laps, traces=learned.traces[:2])
     page = race_page([nobody, learned], learned.path)
-    assert "20.11 s (split, lap 1), 10.0\u00a0% less than the best nominal one" in page
+    assert "20.11\u00a0s (split, lap 1), 10.0\u00a0% less than the best nominal one" in page
 
 
 def test_the_best_clean_lap_of_each_learner_is_shown_at_first():
