@@ -22,8 +22,10 @@ from split_cli.diagnosis.search.selection import Selection, select_terms
 from split_cli.diagnosis.statement.result import Diagnosis
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
+from split_cli.proof.sets import scripted_drive
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.integration import Situation, integrate_with_memory
+from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import make_drive, remembered, road_car
 
@@ -49,6 +51,16 @@ def recorded(seed: int, terms: Sequence[Term] = (), *, segments: int = 20, secon
     s = np.concatenate([[0.0], np.cumsum(0.01 * drive["vx"][1:])])
     series = build_series(drive, "real", s)
     return gather_evidence(car, series, build_shared_discrepancy(car, series))
+
+
+def noisy_series(car: Vehicle, terms: Sequence[Term], seed: int, role: str) -> Series:
+    """Return a scripted drive of a car with terms at 100 Hz, commands held, with white sensor noise."""
+    columns, rng = dict(scripted_drive(car, terms, seed, runs=8)), np.random.default_rng(seed)
+    segment = columns.pop("segment")
+    for name, sigma in zip(("vx", "vy", "r"), SIGMA, strict=True):
+        columns[name] = columns[name] + rng.normal(0.0, sigma, len(segment))
+    drive = Drive(f"{role}.parquet", columns, segment, 0.01).with_held(("T", "delta"))
+    return build_series(drive, role, np.cumsum(0.01 * columns["vx"]))
 
 
 def first_order(inputs: np.ndarray, tau: float, step: float) -> np.ndarray:

@@ -8,14 +8,12 @@ import pytest
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.innovations.objective import build_objective, learn_discrepancy
-from split_cli.diagnosis.recording.series import Series, build_series, predicted_by_model, predicted_from_the_past
-from split_cli.logs.drive import Drive
-from split_cli.proof.sets import scripted_drive
+from split_cli.diagnosis.recording.series import Series, predicted_by_model, predicted_from_the_past
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import read_vehicle
-from tests.diagnosis.recordings import SIGMA
+from tests.diagnosis.recordings import noisy_series
 
 ALL = Recording(0.01, ((0, 500), (500, 1000)))
 RNG = np.random.default_rng(8)
@@ -49,15 +47,8 @@ def test_where_a_prediction_errs_more_than_a_sample_the_smoothed_value_stays():
 @pytest.fixture(scope="module")
 def noisy_pair() -> tuple[Series, Series]:
     """A nominal car, and one of 15 % more yaw inertia, both with sensor noise."""
-    car, out = read_vehicle(library_path("av21")), []
-    for seed, terms in ((21, ()), (22, (CATALOGUE["yaw_inertia"]({"scale": 1.15}),))):
-        columns, rng = dict(scripted_drive(car, terms, seed, runs=8)), np.random.default_rng(seed)
-        segment = columns.pop("segment")
-        for name, sigma in zip(("vx", "vy", "r"), SIGMA, strict=True):
-            columns[name] = columns[name] + rng.normal(0.0, sigma, len(segment))
-        drive = Drive("noisy.parquet", columns, segment, 0.01).with_held(("T", "delta"))
-        out.append(build_series(drive, "real" if terms else "sim", np.cumsum(0.01 * columns["vx"])))
-    return tuple(out)
+    car, heavy = read_vehicle(library_path("av21")), CATALOGUE["yaw_inertia"]({"scale": 1.15})
+    return noisy_series(car, (), 21, "sim"), noisy_series(car, (heavy,), 22, "real")
 
 
 def test_predicting_again_changes_nothing(noisy_pair):

@@ -14,7 +14,7 @@ from split_cli.proof.sets import scripted_drive
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.library import library_path
 from split_cli.vehicle.parameters import read_vehicle
-from tests.diagnosis.recordings import SIGMA
+from tests.diagnosis.recordings import noisy_series
 
 CAR = read_vehicle(library_path("av21"))
 SHARED = {
@@ -28,15 +28,11 @@ SHARED = {
 @pytest.fixture(scope="module")
 def late_pair() -> tuple[Series, Series]:
     """Two cars that answer late and share their grip, the second with 15 % more yaw inertia, both with sensor noise."""
-    out, shared = [], [CATALOGUE[term](values) for term, values in SHARED.items()]
-    for seed, own in ((31, ()), (32, (CATALOGUE["yaw_inertia"]({"scale": 1.15}),))):
-        columns, rng = dict(scripted_drive(CAR, (*shared, *own), seed, runs=8)), np.random.default_rng(seed)
-        segment = columns.pop("segment")
-        for name, sigma in zip(("vx", "vy", "r"), SIGMA, strict=True):
-            columns[name] = columns[name] + rng.normal(0.0, sigma, len(segment))
-        drive = Drive("late.parquet", columns, segment, 0.01).with_held(("T", "delta"))
-        out.append(build_series(drive, "real" if own else "sim", np.cumsum(0.01 * columns["vx"])))
-    return tuple(out)
+    shared, heavy = (
+        [CATALOGUE[term](values) for term, values in SHARED.items()],
+        CATALOGUE["yaw_inertia"]({"scale": 1.15}),
+    )
+    return noisy_series(CAR, shared, 31, "sim"), noisy_series(CAR, (*shared, heavy), 32, "real")
 
 
 def yaw_inertia_found(discrepancy: SharedDiscrepancy, sim: Series, real: Series) -> float:
