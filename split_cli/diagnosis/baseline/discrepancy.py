@@ -33,8 +33,8 @@ _POWERS = [
 _EVEN, _ODD = ([powers for powers in _POWERS if (powers[0] + powers[1]) % 2 == odd] for odd in (0, 1))
 _SMOOTH_DEVIATION = 0.03  # prior deviation of a smooth function's weight, as a share of an axle's peak
 
-#: What a simulation may have beyond its vehicle file that is found as terms, with the parameter that says how much.
-SHARED_TERMS = {"drive_lag": "tau", "steer_lag": "tau", "tire_relaxation": "length", "combined_slip": "strength"}
+#: What a simulation may have beyond its vehicle file that is found as terms, each of one parameter.
+SHARED_TERMS = ("drive_lag", "steer_lag", "tire_relaxation", "combined_slip")
 
 _AT_ONCE = 16  # columns whose rates are in memory at all samples
 _MEMORY_SECONDS = (0.03, 0.1, 0.35)  # for a full-size car; times shrink with the root of length

@@ -221,6 +221,15 @@ def _discrepancy_weights(rows: np.ndarray, columns: np.ndarray, kept: np.ndarray
     return ridge(columns[kept].reshape(-1, columns.shape[2]), rows[kept].reshape(-1))
 
 
+def weighted_rows(several: Sequence[Evidence], rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Return rows (G, 3, ...) of several recordings times the roots of their robust weights, shape (R, ...)."""
+    flat = [part.reshape(-1, *part.shape[2:]) for part in rows]
+    roots = [
+        np.repeat(one.weight, 3).reshape(-1, *(1,) * (part.ndim - 1)) for one, part in zip(several, flat, strict=True)
+    ]
+    return np.concatenate([part * root for part, root in zip(flat, roots, strict=True)])
+
+
 def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return weights of standard normal priors from whitened rows (R, C) and (R,)."""
     precision = columns.T @ columns + np.eye(columns.shape[1])

@@ -18,7 +18,7 @@ from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.baseline.tires import alters_tires
 from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
-from split_cli.diagnosis.innovations.evidence import Evidence, integrated
+from split_cli.diagnosis.innovations.evidence import Evidence, integrated, weighted_rows
 from split_cli.diagnosis.innovations.projection import damped
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
@@ -63,10 +63,8 @@ def learn_discrepancy(
     holds the physics of a real car, and larger where the dictionary misses what rows have in common, up to a
     bound beyond which nothing would be known.
     """
-    columns = np.concatenate(
-        [one.discrepancy.reshape(-1, one.discrepancy.shape[2]) * _entry_weight(one) for one in simulations]
-    )
-    target = np.concatenate([one.nominal_rows.reshape(-1) * _entry_weight(one)[:, 0] for one in simulations])
+    columns = weighted_rows(simulations, [one.discrepancy for one in simulations])
+    target = weighted_rows(simulations, [one.nominal_rows for one in simulations])
     normal, score = columns.T @ columns, columns.T @ target
     prior = np.eye(len(score))
     noise = variance_inflation
@@ -77,10 +75,6 @@ def learn_discrepancy(
         noise = variance_inflation * float(np.clip(long_run, rules.least_noise, rules.most_noise))
     precision = prior + normal / noise
     return DiscrepancyPosterior(np.linalg.solve(precision, score / noise), precision)
-
-
-def _entry_weight(one: Evidence) -> np.ndarray:
-    return np.repeat(one.weight, 3)[:, None]
 
 
 def _long_run_variance(rows: np.ndarray) -> np.ndarray:

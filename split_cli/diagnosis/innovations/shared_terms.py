@@ -14,12 +14,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from split_cli.diagnosis.baseline.discrepancy import SHARED_TERMS, SharedDiscrepancy
-from split_cli.diagnosis.innovations.evidence import Evidence
+from split_cli.diagnosis.innovations.evidence import Evidence, weighted_rows
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.search import Course
 
 _BEGIN = 0.03
-"""Where the search begins, in units of `Term.sizes` [1]: a servo's 30 ms in a full-size car; decides time alone."""
+"""Where the search begins, in units of `Term.sizes` [1]. Judgement: a servo's 30 ms in a full-size car; from there
+least squares go to the nearest minimum."""
 
 
 def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepancy) -> tuple[Term, ...]:
@@ -34,11 +35,12 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
     """
     vehicle, first = discrepancy.vehicle, simulated[0].series
     course = Course(max(float(first.t[-1]), 1.0), float(first.s.max()))
-    kinds = {CATALOGUE[term]: name for term, name in SHARED_TERMS.items()}
+    kinds = {kind: name for kind in map(CATALOGUE.__getitem__, SHARED_TERMS) for name in kind.units}
     unit = np.array([kind.sizes(vehicle).get(name, 1.0) for kind, name in kinds.items()])
     most = np.array([kind.search(vehicle, course).ranges[name].upper for kind, name in kinds.items()])  # in units
     beside = discrepancy.unlike_shared_terms()
-    columns = _stacked(simulated, [one.discrepancy[:, :, beside] for one in simulated])
+    columns = weighted_rows(simulated, [one.discrepancy[:, :, beside] for one in simulated])
+    bare = [replace(one, shared_terms=()) for one in simulated]
     inverse = np.linalg.solve(columns.T @ columns + np.eye(columns.shape[1]), columns.T)
 
     def terms_at(sizes: np.ndarray) -> tuple[Term, ...]:
@@ -47,17 +49,9 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
 
     def left(sizes: np.ndarray) -> np.ndarray:
         terms = terms_at(sizes)
-        rows = _stacked(simulated, [replace(one, shared_terms=terms).rows(()) for one in simulated])
+        rows = weighted_rows(simulated, [one.rows(terms) for one in bare])
         weights = inverse @ rows
         return np.concatenate([rows - columns @ weights, weights])
 
     found = least_squares(left, np.full(len(unit), _BEGIN), bounds=(0.0, most), diff_step=0.01)
     return terms_at(found.x)
-
-
-def _stacked(simulated: Sequence[Evidence], rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Return rows (G, 3, ...) of all simulations, weighted as robustly as they are believed, shape (R, ...)."""
-    weighted = [
-        np.reshape(one.weight, (-1, *(1,) * (part.ndim - 1))) * part for one, part in zip(simulated, rows, strict=True)
-    ]
-    return np.concatenate([part.reshape(-1, *part.shape[2:]) for part in weighted])
