@@ -1,6 +1,6 @@
 """Data that pass through the stages of the single track: everything that a term may read or change."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -62,6 +62,11 @@ class Flow:
     values: dict[str, Any] = field(default_factory=dict)
     # Of states that are a play: where the source of this moment drags them at once, without the closing rate.
     pulled: dict[str, Any] = field(default_factory=dict)
+
+    def known(self, made: Callable[..., Any], *given: Any) -> Any:
+        """Return what is made of arrays: what another model left along the recording, if that keeps it, or anew."""
+        known = getattr(self.recording, "known", None)
+        return made(*given) if known is None else known(made, *given)
 
 
 class FlowTerm(Protocol):

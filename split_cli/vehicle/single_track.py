@@ -44,6 +44,10 @@ def slip_angles(vx: Any, vy: Any, r: Any, delta: Any, l_f: Any, l_r: Any, ops: O
     return delta - ops.atan2(vy + l_f * r, vx), -ops.atan2(vy - l_r * r, vx)
 
 
+def _turned_further(slip_angle: Any, delta: Any, before: Any) -> Any:
+    return slip_angle + (delta - before)
+
+
 def complete(axle: AxleFlow, ops: Operations) -> None:
     """Work out the lateral force of an axle where it was left open."""
     if axle.lateral_force is None:
@@ -125,7 +129,8 @@ class SingleTrack:
             front.longitudinal_force = bare.front.longitudinal_force
             rear.longitudinal_force = bare.rear.longitudinal_force
         else:
-            front.longitudinal_force, rear.longitudinal_force = self._longitudinal_forces(flow.T, ops)
+            forces = flow.known(self._longitudinal_forces, car, flow.T, ops)
+            front.longitudinal_force, rear.longitudinal_force = forces
         for term in self.terms:
             term.tire(flow)
         known_axles = (None, None) if bare is None else (bare.front, bare.rear)
@@ -135,7 +140,7 @@ class SingleTrack:
                 same_peak = _same(axle.D, known.D)
                 axle.lateral_force = known.lateral_force if same_peak else axle.D / known.D * known.lateral_force
             else:
-                axle.lateral_force = lateral_force(axle.B, axle.C, axle.D, axle.slip_angle, ops)
+                axle.lateral_force = flow.known(lateral_force, axle.B, axle.C, axle.D, axle.slip_angle, ops)
         for term in self.terms:
             term.lateral(flow)
         if nominal is not None and vx is nominal.vx:
@@ -208,7 +213,7 @@ class SingleTrack:
         if bare is not None and flow.delta is bare.delta:
             flow.sine, flow.cosine = bare.sine, bare.cosine
         else:
-            flow.sine, flow.cosine = ops.sin(flow.delta), ops.cos(flow.delta)
+            flow.sine, flow.cosine = flow.known(ops.sin, flow.delta), flow.known(ops.cos, flow.delta)
         alike = ("vx", "vy", "r", "l_f", "l_r")
         if bare is None or any(getattr(flow, name) is not getattr(bare, name) for name in alike):
             flow.front.slip_angle, flow.rear.slip_angle = slip_angles(
@@ -217,12 +222,15 @@ class SingleTrack:
             return
         # The axles move as they did: steering turns but the front one.
         turned = bare.front.slip_angle
-        flow.front.slip_angle = turned if flow.delta is bare.delta else turned + (flow.delta - bare.delta)
+        if flow.delta is bare.delta:
+            flow.front.slip_angle = turned
+        else:
+            flow.front.slip_angle = flow.known(_turned_further, turned, flow.delta, bare.delta)
         flow.rear.slip_angle = bare.rear.slip_angle
 
-    def _longitudinal_forces(self, T: Any, ops: Operations) -> tuple[Any, Any]:
+    @staticmethod
+    def _longitudinal_forces(car: Vehicle, T: Any, ops: Operations) -> tuple[Any, Any]:
         """Return F_fx and F_rx [N]: SPLIT paper, longitudinal tire forces, with a split of its own for T < 0."""
-        car = self.vehicle
         kappa = car.drive_split_front
         if car.brake_split_front != kappa:
             kappa = ops.where(T < 0.0, car.brake_split_front, kappa)

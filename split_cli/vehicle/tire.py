@@ -5,6 +5,9 @@ from typing import Any
 
 from split_cli.vehicle.operations import NUMPY, Operations
 
+# Below this share of its capacity an axle that brakes at its limit keeps lateral force [1]; it keeps roots smooth.
+LEAST_CAPACITY = 1e-3
+
 
 @dataclass(frozen=True)
 class MagicFormula:
@@ -41,3 +44,14 @@ def lateral_force_slope(B: Any, C: Any, D: Any, slip_angle: Any) -> Any:
     """Return dF_y/dalpha [N/rad] of `lateral_force`."""
     reduced = B * slip_angle
     return D * C * B * NUMPY.cos(C * NUMPY.atan(reduced)) / (1.0 + reduced * reduced)
+
+
+def share_beside_longitudinal(longitudinal_force: Any, D: Any, strength: Any, ops: Operations = NUMPY) -> Any:
+    """Return the share of an axle's lateral force that is left beside a longitudinal one [N], of the peak D [N].
+
+    Notes
+    -----
+    sqrt(1 - strength (F_x/D)^2): the friction ellipse for a strength of 1, Pacejka (2012), section 3.3.
+    """
+    used = longitudinal_force / D
+    return ops.sqrt(ops.maximum(1.0 - strength * used * used, LEAST_CAPACITY))

@@ -1,12 +1,20 @@
 """Terms with a memory: states and delays along a recording, in windows, and what sensors do to a recording."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from split_cli.errors import VehicleError
 from split_cli.vehicle.effects import CATALOGUE, Recording
-from split_cli.vehicle.effects.recording import first_order_response, phase_shifted, play_response, shifted
+from split_cli.vehicle.effects.recording import (
+    KnownResults,
+    first_order_response,
+    phase_shifted,
+    play_response,
+    shifted,
+)
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import recorded_inputs
@@ -314,3 +322,16 @@ def test_a_relaxation_of_no_length_is_the_nominal_model_at_every_rate():
         for track in (SingleTrack(CAR, [term("tire_relaxation", length=0.0)]), SingleTrack(CAR))
     ]
     np.testing.assert_allclose(*ends, rtol=1e-12)
+
+
+def test_what_is_known_of_arrays_is_of_these_very_arrays():
+    """Arrays that are made and let go of come to have ids of others; none may get another's result."""
+    known, rng = KnownResults(), np.random.default_rng(3)
+    clock = Recording(PERIOD, ((0, 40), (40, 100)), known=known)
+    for _ in range(50):
+        x = rng.normal(size=100)
+        expected = first_order_response(x, 4.0, replace(clock, known=None))
+        np.testing.assert_array_equal(first_order_response(x, 4.0, clock), expected)
+        assert first_order_response(x, 2.0 + 2.0, clock) is first_order_response(x, 4.0, clock)
+        assert not np.array_equal(first_order_response(x, 5.0, clock), expected)
+        del x

@@ -19,7 +19,7 @@ from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_rati
 from split_cli.diagnosis.cache import Recent
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, values_of
 from split_cli.vehicle.effects import CATALOGUE, Term
-from split_cli.vehicle.effects.recording import first_order_response
+from split_cli.vehicle.effects.recording import KnownResults, first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -96,7 +96,8 @@ class SharedDiscrepancy:
         _, predicted = series.evaluated(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), predicted)
-        actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle)
+        recording = replace(series.recording, known=KnownResults())
+        actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle, recording=recording)
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
         flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
         out = SingleTrack.weighted_changes(actual.flow(self._beside), flows)

@@ -7,7 +7,7 @@ comes out too small. And what tyres that drive or brake lose across depends on t
 grip seems to bring combined slip of its own. As terms of the model both answer to what else differs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from split_cli.diagnosis.baseline.discrepancy import SHARED_TERMS, SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence, weighted_rows
 from split_cli.vehicle.effects import CATALOGUE, Term
+from split_cli.vehicle.effects.late import BuildsUp
 from split_cli.vehicle.effects.search import Course
 
 _BEGIN = 0.03
@@ -53,5 +54,19 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
         weights = inverse @ rows
         return np.concatenate([rows - columns @ weights, weights])
 
-    found = least_squares(left, np.full(len(unit), _BEGIN), bounds=(0.0, most), diff_step=0.01)
-    return terms_at(found.x)
+    # Lags first: beside wrong ones a friction ellipse goes to another minimum, where it leaves tyres no force at all.
+    late = np.array([issubclass(kind, BuildsUp) for kind in kinds])
+
+    def left_by_lags(sizes: np.ndarray) -> np.ndarray:
+        out = np.zeros(len(late))
+        out[late] = sizes
+        return left(out)
+
+    begin = np.full(len(unit), _BEGIN)
+    begin[late] = _fitted(left_by_lags, begin[late], most[late])
+    return terms_at(_fitted(left, begin, most))
+
+
+def _fitted(left: Callable[[np.ndarray], np.ndarray], begin: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Return the sizes from 0 to the most, shape (P,), with the least sum of squares of what is left."""
+    return least_squares(left, begin, bounds=(0.0, most), diff_step=0.01).x

@@ -13,6 +13,7 @@ from split_cli.compiled_code import compiled
 
 __all__ = [
     "Handover",
+    "KnownResults",
     "Recording",
     "first_order_from_means",
     "first_order_response",
@@ -31,6 +32,24 @@ class Handover:
     leaving: dict[str, float] = field(default_factory=dict)  # states at `row`, filled while the piece is evaluated
 
 
+class KnownResults:
+    """Results for arrays that were given before: several models along one recording ask for much of the same.
+
+    It holds all arrays that it was given, so it is made for a few models and forgotten after them.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]] = {}
+
+    def __call__(self, made: Callable[..., Any], *given: Any) -> Any:
+        """Return what is made of these very objects, which are not altered: as it was before, or made now."""
+        key = (made, *(one if isinstance(one, float) else id(one) for one in given))
+        if key not in self._known:
+            # The objects are kept beside the result, so that no others can come to have their ids.
+            self._known[key] = given, made(*given)
+        return self._known[key][1]
+
+
 @dataclass(frozen=True)
 class Recording:
     """The clock of a recording that the model is evaluated along."""
@@ -43,6 +62,8 @@ class Recording:
     # Where the rows are a piece of a longer recording. The response is then the whole recording's, to the bit.
     # Shifts do not cross the piece's begin.
     memory: Handover | None = None
+    # While several models are evaluated at the same arrays: what one has worked out, the next takes from there.
+    known: KnownResults | None = field(default=None, compare=False)
 
     @classmethod
     def single(cls, period: float, length: int) -> Recording:
@@ -97,15 +118,27 @@ def first_order_response(target: Any, rate: Any, recording: Recording, name: str
     -----
     Over one sample with q = rate period: y+ = e^-q y + (1 - e^-q) u + (1 - (1 - e^-q)/q) (u+ - u).
     """
+    if recording.known is not None and recording.memory is None:
+        known: np.ndarray = recording.known(_response, target, rate, recording)
+        return known
+    return _response(target, rate, recording, name)
+
+
+def _response(target: Any, rate: Any, recording: Recording, name: str = "") -> np.ndarray:
     target = np.ascontiguousarray(target, dtype=float)
+    kept, mean = _weights(rate, recording) if recording.known is None else recording.known(_weights, rate, recording)
+    kept, mean = (np.broadcast_to(one, (max(len(target) - 1, 0),)) for one in (kept, mean))
+    return _recur(target, kept, mean, recording, _kept_as(name, recording))
+
+
+def _weights(rate: Any, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Return e^-q and (1 - e^-q)/q of each sample but the last, or of all together for one rate."""
     rate = np.asarray(rate, dtype=float)
     between = rate if rate.ndim == 0 else 0.5 * (rate[1:] + rate[:-1])
     q = np.maximum(between * recording.period, 0.0)
     kept = np.exp(-q)
     # (1 - e^-q)/q without cancellation at q near 0.
-    mean = np.where(q > 1e-8, -np.expm1(-q) / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
-    kept, mean = (np.broadcast_to(one, (max(len(target) - 1, 0),)) for one in (kept, mean))
-    return _recur(target, kept, mean, recording, _kept_as(name, recording))
+    return kept, np.where(q > 1e-8, -np.expm1(-q) / np.maximum(q, 1e-8), 1.0 - 0.5 * q)
 
 
 def first_order_from_means(target: Any, rate: Any, recording: Recording, name: str = "") -> np.ndarray:
@@ -175,15 +208,16 @@ def _kernels() -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
     @compiled(cache=True, nogil=True)
     def recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray, begin: float) -> np.ndarray:
         out = np.empty_like(target)
-        upcoming = 0
-        for k in range(len(target)):
-            if upcoming < len(starts) and starts[upcoming] == k:
-                out[k] = begin if k == 0 and not np.isnan(begin) else target[k]
-                upcoming += 1
-            else:
+        for number in range(len(starts)):
+            first = starts[number]
+            last = starts[number + 1] if number + 1 < len(starts) else len(target)
+            y = begin if first == 0 and not np.isnan(begin) else target[first]
+            out[first] = y
+            # Without a branch, all but one product and one sum of a row is worked out ahead of y.
+            for k in range(first + 1, last):
                 before, stays = target[k - 1], kept[k - 1]
-                drive = (1.0 - stays) * before + (1.0 - mean[k - 1]) * (target[k] - before)
-                out[k] = stays * out[k - 1] + drive
+                y = stays * y + ((1.0 - stays) * before + (1.0 - mean[k - 1]) * (target[k] - before))
+                out[k] = y
         return out
 
     @compiled(cache=True, nogil=True)

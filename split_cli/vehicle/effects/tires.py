@@ -1,6 +1,7 @@
 """Terms of the tyres: grip of road, place and time, axle loads, combined slip, build-up over distance."""
 
 import math
+import operator
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -12,7 +13,7 @@ from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number, percent, scaled
 from split_cli.vehicle.flow import AxleFlow, Flow
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.tire import lateral_force
+from split_cli.vehicle.tire import LEAST_CAPACITY, lateral_force, share_beside_longitudinal
 
 # What the catalogue is made of: every name here is a term.
 __all__ = [
@@ -26,8 +27,6 @@ __all__ = [
     "TireStiffness",
 ]
 
-# Below this share of its capacity an axle that brakes at its limit keeps lateral force; it keeps roots smooth.
-_LEAST_CAPACITY = 1e-3
 # Relaxation length below which forces build up at once [m]; the shortest of a model car is 30 times that.
 _SHORTEST_LENGTH = 1e-3
 _SOME_BRAKING = 0.6  # share of the largest braking torque at which lost grip is stated
@@ -124,11 +123,11 @@ class CombinedSlip(Term):
 
     def lateral(self, flow: Flow) -> None:
         """Take from the lateral force what the longitudinal uses."""
-        ops, strength = flow.ops, self.parameters["strength"]
         for axle in (flow.front, flow.rear):
-            used = axle.longitudinal_force / axle.D
-            left = ops.maximum(1.0 - strength * used * used, _LEAST_CAPACITY)
-            axle.lateral_force = axle.lateral_force * ops.sqrt(left)
+            left = flow.known(
+                share_beside_longitudinal, axle.longitudinal_force, axle.D, self.parameters["strength"], flow.ops
+            )
+            axle.lateral_force = flow.known(operator.mul, axle.lateral_force, left)
 
 
 class FrictionScale(Term):
@@ -324,8 +323,9 @@ class TireRelaxation(BuildsUp):
     def lateral(self, flow: Flow) -> None:
         """Let each axle's force follow its steady value."""
         for name, axle in (("front", flow.front), ("rear", flow.rear)):
-            force = axle.lateral_force
-            axle.lateral_force = self.arrived(flow, name, force, lambda length: _rolling_rate(length, flow.vx))
+            axle.lateral_force = self.arrived(
+                flow, name, axle.lateral_force, lambda length: flow.known(_rolling_rate, length, flow.vx)
+            )
 
 
 def _rolling_rate(length: Any, speed: Any) -> Any:
@@ -412,7 +412,7 @@ class LoadTransfer(Term):
         if "tau" in self.parameters:
             moved = self.first_order(flow, "moved", moved, self.rate)
         for axle, change in ((front, -moved / car.static_load_front), (rear, moved / car.static_load_rear)):
-            scale_load(axle, ops.maximum(1.0 + change, _LEAST_CAPACITY), self.variant)
+            scale_load(axle, ops.maximum(1.0 + change, LEAST_CAPACITY), self.variant)
 
 
 class TireStiffness(Term):
@@ -495,6 +495,6 @@ class AeroDownforce(Term):
             (flow.front, "front", car.static_load_front, car.rolling_resistance_front),
             (flow.rear, "rear", car.static_load_rear, car.rolling_resistance_rear),
         ):
-            gain = flow.ops.maximum(1.0 + self.parameters[name] * speed2 / load, _LEAST_CAPACITY)
+            gain = flow.ops.maximum(1.0 + self.parameters[name] * speed2 / load, LEAST_CAPACITY)
             scale_load(axle, gain, self.variant)
             axle.longitudinal_force = axle.longitudinal_force - (gain - 1.0) * resistance
