@@ -10,7 +10,7 @@ _POINTS = 1600
 
 
 @dataclass(frozen=True)
-class Course:
+class ClosedCourse:
     """A closed path in equal steps of its length.
 
     Attributes
@@ -60,7 +60,7 @@ class Course:
         return allowed
 
 
-def draw_course(rng: np.random.Generator, style: str, room: float) -> Course:
+def draw_course(rng: np.random.Generator, style: str, room: float) -> ClosedCourse:
     """Return a course of one of `STYLES` with a mean radius of about `room` [m]."""
     angle = np.linspace(0.0, 2.0 * np.pi, 20 * _POINTS, endpoint=False)
     if style == "figure eight":
@@ -87,7 +87,7 @@ def draw_course(rng: np.random.Generator, style: str, room: float) -> Course:
     return _evenly(style, x, y)
 
 
-def _evenly(style: str, x: np.ndarray, y: np.ndarray) -> Course:
+def _evenly(style: str, x: np.ndarray, y: np.ndarray) -> ClosedCourse:
     closed_x, closed_y = np.append(x, x[0]), np.append(y, y[0])
     place = np.append(0.0, np.cumsum(np.hypot(np.diff(closed_x), np.diff(closed_y))))
     at = np.linspace(0.0, place[-1], _POINTS, endpoint=False)
@@ -96,4 +96,4 @@ def _evenly(style: str, x: np.ndarray, y: np.ndarray) -> Course:
     heading = np.unwrap(np.arctan2(next_y, next_x))
     turned = np.roll(heading, -1) - np.roll(heading, 1)
     turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
-    return Course(style, x, y, heading, turned / (2.0 * place[-1] / _POINTS), float(place[-1]))
+    return ClosedCourse(style, x, y, heading, turned / (2.0 * place[-1] / _POINTS), float(place[-1]))

@@ -6,7 +6,7 @@ from math import atan2, cos, exp, pi, sin, sqrt
 import numpy as np
 
 from tests.studies.other_cars.cars import Car, CarKind
-from tests.studies.other_cars.course import Course
+from tests.studies.other_cars.course import ClosedCourse
 from tests.studies.other_cars.integration import advance_car
 
 _HANDS = 0.08
@@ -18,7 +18,7 @@ class LostCar(Exception):
 
 
 @dataclass(frozen=True)
-class Driver:
+class LateDriver:
     """One driver.
 
     Attributes
@@ -65,7 +65,7 @@ class Driven:
     """
 
     car: Car
-    course: Course
+    course: ClosedCourse
     states: np.ndarray
     felt: np.ndarray
     steer: np.ndarray
@@ -74,9 +74,9 @@ class Driven:
     period: float
 
 
-def draw_driver(rng: np.random.Generator, style: str) -> Driver:
+def draw_driver(rng: np.random.Generator, style: str) -> LateDriver:
     """Return a driver for a style of course."""
-    return Driver(
+    return LateDriver(
         pace=rng.uniform(0.42, 0.70),
         delay=rng.uniform(0.08, 0.16),
         preview=rng.uniform(0.55, 0.80) * (0.85 if style == "slalom" else 1.0),
@@ -87,7 +87,9 @@ def draw_driver(rng: np.random.Generator, style: str) -> Driver:
     )
 
 
-def drive(kind: CarKind, car: Car, course: Course, driver: Driver, duration: float, rng: np.random.Generator) -> Driven:
+def drive(
+    kind: CarKind, car: Car, course: ClosedCourse, driver: LateDriver, duration: float, rng: np.random.Generator
+) -> Driven:
     """Return what a driver makes of a car on a course in a time [s].
 
     Raises

@@ -1,4 +1,4 @@
-"""Effects that are put in: changes of a car's or its sensors' parameters, with their catalogue names and true values."""
+"""Effects that are put in: changes of parameters of a car or its sensors, with catalogue names and true values."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tests.studies.other_cars.cars import Car, CarKind
-from tests.studies.other_cars.course import Course
+from tests.studies.other_cars.course import ClosedCourse
 from tests.studies.other_cars.recording import SensorFaults
 
 
@@ -54,7 +54,7 @@ class PlantedEffect:
         return sensors._replace(**{name: getattr(sensors, name) + more for name, more in self.sensors.items()})
 
 
-Drawn = Callable[[np.random.Generator, CarKind, Car, Course], PlantedEffect]
+Drawn = Callable[[np.random.Generator, CarKind, Car, ClosedCourse], PlantedEffect]
 
 
 def _either(rng: np.random.Generator, low: float, high: float) -> float:
@@ -74,7 +74,7 @@ def _pace(kind: CarKind) -> float:
 def _factor(name: str, term: str, parameter: str, fields: str, *ranges: tuple[float, float]) -> Drawn:
     """Return an effect that scales fields of the car by one factor, from one of several ranges."""
 
-    def drawn(rng: np.random.Generator, kind: CarKind, car: Car, course: Course) -> PlantedEffect:
+    def drawn(rng: np.random.Generator, kind: CarKind, car: Car, course: ClosedCourse) -> PlantedEffect:
         size = float(rng.uniform(*ranges[rng.integers(len(ranges))]))
         return PlantedEffect(name, term, {parameter: size}, scaled=dict.fromkeys(fields.split(), size))
 
@@ -84,7 +84,7 @@ def _factor(name: str, term: str, parameter: str, fields: str, *ranges: tuple[fl
 def _time(name: str, term: str, parameter: str, changed: str, low: float, high: float) -> Drawn:
     """Return an effect that adds a time to a delay or a lag, in whole milliseconds; shorter in a small car [s]."""
 
-    def drawn(rng: np.random.Generator, kind: CarKind, car: Car, course: Course) -> PlantedEffect:
+    def drawn(rng: np.random.Generator, kind: CarKind, car: Car, course: ClosedCourse) -> PlantedEffect:
         size = round(float(rng.uniform(low, high)) * _pace(kind) ** 0.5, 3)
         return PlantedEffect(name, term, {parameter: size}, added={changed: size})
 
@@ -171,7 +171,7 @@ def _lever(rng, kind, car, course) -> PlantedEffect:
 def _sensor(name: str, term: str, parameter: str, changed: str, low: float, high: float, power: float = 0.0) -> Drawn:
     """Return a fault of the sensors of either sign, for a small car times its time scale to a power."""
 
-    def drawn(rng: np.random.Generator, kind: CarKind, car: Car, course: Course) -> PlantedEffect:
+    def drawn(rng: np.random.Generator, kind: CarKind, car: Car, course: ClosedCourse) -> PlantedEffect:
         size = _either(rng, low, high) * _pace(kind) ** power
         return PlantedEffect(name, term, {parameter: size}, sensors={changed: size})
 

@@ -13,8 +13,8 @@ from split_cli.vehicle.calibration.calibrate import CalibrationSettings
 from split_cli.workflows.calibrate import calibrate_files
 from split_cli.workflows.ingesting.ingest import ingest_logs
 from tests.studies.other_cars.cars import KINDS, Car, CarKind
-from tests.studies.other_cars.course import STYLES, Course, draw_course
-from tests.studies.other_cars.driver import Driven, Driver, LostCar, draw_driver, drive
+from tests.studies.other_cars.course import STYLES, draw_course
+from tests.studies.other_cars.driver import Driven, LostCar, draw_driver, drive
 from tests.studies.other_cars.effects import EFFECTS, STRANGE, PlantedEffect, may_join
 from tests.studies.other_cars.recording import SensorFaults, recorded, signal_map, vehicle_text, write_log
 from tests.studies.other_cars.sizes import LEAST_VISIBLE, effect_over_noise
@@ -99,10 +99,21 @@ def truth_from(entry: dict) -> PairTruth:
     return PairTruth(**{**entry, "effects": effects, "sizes": tuple(entry["sizes"])})
 
 
-def write_pair(root: Path, seed: int, number: int) -> PairTruth:
-    """Draw one pair, write its folder, and return its truth; equal seeds give equal files."""
+def write_pair(
+    root: Path, seed: int, number: int, planted: Sequence[PlantedEffect] | None = None, car_name: str = ""
+) -> PairTruth:
+    """Draw one pair, write its folder, and return its truth; equal seeds give equal files.
+
+    Parameters
+    ----------
+    planted : sequence of PlantedEffect, optional
+        Put in instead of effects that are drawn, whatever their size.
+    car_name : str, optional
+        Of `KINDS`, instead of one that is drawn.
+    """
     rng = np.random.default_rng([seed, number])
     kind = list(KINDS.values())[rng.integers(len(KINDS))]
+    kind = KINDS[car_name] if car_name else kind
     car = kind.varied(rng)
     period = float(rng.choice(kind.periods))
     position, acceleration = bool(rng.random() < 0.6), bool(rng.random() < 0.75)
@@ -119,7 +130,11 @@ def write_pair(root: Path, seed: int, number: int) -> PairTruth:
         hands = int(rng.integers(2**31))
         try:
             probe = drive(kind, car, course, driver, duration, np.random.default_rng(hands))
-            effects, sizes = _drawn_effects(kind, probe, STRANGE if is_strange else EFFECTS, int(count), rng)
+            if planted is None:
+                effects, sizes = _drawn_effects(kind, probe, STRANGE if is_strange else EFFECTS, int(count), rng)
+            else:
+                effects = tuple(planted)
+                sizes = tuple(effect_over_noise(kind, probe, effect) for effect in effects)
             changed, sensors = _with_effects(car, effects)
             real = drive(kind, changed, course, driver, duration, np.random.default_rng(hands))
             break

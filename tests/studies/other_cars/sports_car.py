@@ -42,7 +42,9 @@ class SportsCar(NamedTuple):
     rolling: float = 190.0  # [N], of all wheels
     lift_front: float = 0.35  # downforce [N/(m/s)^2]
     lift_rear: float = 0.55
-    lock: float = 30.0  # torque between the driven wheels over the difference of their speeds [N m s/rad]
+    lock: float = (
+        30.0  # between the driven wheels: twice the torque on either, over their speeds' difference [N m s/rad]
+    )
     drive_front: float = 0.0
     brake_front: float = 0.62
     grade: float = 0.0

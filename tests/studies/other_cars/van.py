@@ -42,7 +42,7 @@ class Van(NamedTuple):
     rolling: float = 310.0
     lift_front: float = 0.0
     lift_rear: float = 0.0
-    lock: float = 8.0  # between the front wheels
+    lock: float = 8.0  # as the sports car's, between the front wheels
     drive_front: float = 1.0
     brake_front: float = 0.68
     grade: float = 0.0
@@ -60,6 +60,7 @@ class Van(NamedTuple):
     loose_frequency: float = 0.6
     peak_ratio: float = 1.9  # TMeasy: slip of the peak over peak/slope; sliding is reached at 3.5 times it
     sliding: float = 0.88  # force of full sliding over the peak
+    stiffness_along: float = 14.0  # slope along over load [1]
     load_softening: float = 0.20
     load_greasing: float = 0.05
     sprung: float = 0.88  # share of the mass that rolls
@@ -90,7 +91,7 @@ def van_rates(t, x, steer, torque, place, p, out):
 
     `steer` [rad] and `torque` [N m] are the commands that have arrived, `place` the distance along the course [m].
     Wheels do not spin: the torque is the force along, and turning parts add to the mass that it accelerates. A viscous
-    coupling of the driven wheels acts by the difference of their speeds over ground.
+    coupling of the driven wheels acts by the difference of their speeds, of which the tyres' slip takes its part.
     """
     vx, vy, r = x[3], x[4], x[5]
     wheelbase = p.front + p.rear
@@ -102,7 +103,9 @@ def van_rates(t, x, steer, torque, place, p, out):
     moved = (p.roll_stiffness * x[6] + p.roll_damping * x[7] + through_links) / p.track
     gripping = p.grip * grip_at(place, p.patch, p.patch_start, p.patch_end, p.lap)
     arrived = x[14] * (p.drive_gain if x[14] > 0.0 else p.brake_gain)
-    coupled = p.lock * r * p.track / p.radius
+    # In series with the slip of both tyres, by which wheels of unlike speeds push at all.
+    slipping = p.lock * max(vx, 1.0) / (p.stiffness_along * mean_load * p.radius * p.radius)
+    coupled = p.lock * r * p.track / p.radius / (1.0 + slipping)
     along_sum = across_sum = moment = 0.0
     power_front = power_rear = 0.0
     for i in range(4):
