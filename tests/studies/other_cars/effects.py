@@ -86,7 +86,9 @@ def _time(name: str, term: str, parameter: str, changed: str, low: float, high: 
 
     def drawn(rng: np.random.Generator, kind: CarKind, car: Car, course: ClosedCourse) -> PlantedEffect:
         size = round(float(rng.uniform(low, high)) * _pace(kind) ** 0.5, 3)
-        return PlantedEffect(name, term, {parameter: size}, added={changed: size})
+        # A servo of second order has no time constant of a first-order lag.
+        is_servo = changed == "steer_lag" and "servo_rate" in car._fields
+        return PlantedEffect(name, term, {} if is_servo else {parameter: size}, added={changed: size})
 
     return drawn
 
@@ -118,6 +120,16 @@ def _relaxation(rng, kind, car, course) -> PlantedEffect:
 def _steer_offset(rng, kind, car, course) -> PlantedEffect:
     size = _either(rng, 0.004, 0.014) / _pace(kind) ** 0.5
     return PlantedEffect("steering offset", "steer_offset", {"offset": size}, added={"steer_offset": size})
+
+
+def _drive_gain(rng, kind, car, course) -> PlantedEffect:
+    values = {"drive_gain": float(rng.uniform(0.75, 0.93)), "brake_gain": 1.0}
+    return PlantedEffect("drive gain", "drive_gain", values, scaled=values)
+
+
+def _brake_gain(rng, kind, car, course) -> PlantedEffect:
+    values = {"drive_gain": 1.0, "brake_gain": float(rng.uniform(0.70, 0.90))}
+    return PlantedEffect("brake gain", "drive_gain", values, scaled=values)
 
 
 def _drag(rng, kind, car, course) -> PlantedEffect:
@@ -205,8 +217,8 @@ EFFECTS: dict[str, Drawn] = {
     "steering offset": _steer_offset,
     "torque late": _time("torque late", "drive_delay", "delay", "torque_delay", 0.04, 0.15),
     "torque lags": _time("torque lags", "drive_lag", "tau", "torque_lag", 0.05, 0.20),
-    "drive gain": _factor("drive gain", "drive_gain", "drive_gain", "drive_gain", (0.75, 0.93)),
-    "brake gain": _factor("brake gain", "drive_gain", "brake_gain", "brake_gain", (0.70, 0.90)),
+    "drive gain": _drive_gain,
+    "brake gain": _brake_gain,
     "more drag": _drag,
     "more rolling resistance": _rolling,
     "downforce": _downforce,

@@ -22,6 +22,8 @@ from tests.studies.other_cars.sizes import LEAST_VISIBLE, effect_over_noise
 #: Shares of pairs without an effect, with one, with two to four, and with a strange one.
 _SHARES = (0.15, 0.30, 0.45, 0.10)
 _TRIALS = 60
+#: Courses on which the engineer fits tyres: turns of every size, with little done at once.
+_FOR_TYRES = ("closed course", "figure eight")
 #: By which the engineer's drag and rolling resistance are wrong, relative standard deviation [1].
 _RESISTANCE = 0.08
 
@@ -118,7 +120,8 @@ def write_pair(
     period = float(rng.choice(kind.periods))
     position, acceleration = bool(rng.random() < 0.6), bool(rng.random() < 0.75)
     duration = float(rng.uniform(70.0, 100.0)) * (0.7 if kind.name == "model car" else 1.0)
-    sim_style, real_style, tyre_style = (str(rng.choice(STYLES)) for _ in range(3))
+    sim_style, real_style = (str(rng.choice(STYLES)) for _ in range(2))
+    tyre_style = str(rng.choice(_FOR_TYRES))
     share = rng.random()
     is_strange = share > 1.0 - _SHARES[3]
     count = 0 if share < _SHARES[0] else 1 if share < _SHARES[0] + _SHARES[1] or is_strange else rng.integers(2, 5)
