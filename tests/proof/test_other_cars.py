@@ -245,3 +245,48 @@ def test_a_coupling_resists_turning_until_the_tyres_slip_takes_it_all():
     locked = 0.5 * kind.base.track**2 * stiffness * state[5] / state[3]
     assert moments[0] - moments[1] == pytest.approx(weak, rel=2e-3)
     assert moments[0] - moments[2] == pytest.approx(locked, rel=1e-6)
+
+
+@pytest.mark.parametrize("more", [{}, {"steer_lag": 0.04}])
+def test_steering_follows_a_ramp_late_by_its_lag(kind, more):
+    """First order or second, the wheels are late by the lag behind a ramp, and by half a period in which it is held."""
+    car = kind.base._replace(**{name: getattr(kind.base, name) + value for name, value in more.items()})
+    rate, period = 0.1, 0.001
+    ramp = rate * period * np.arange(800)
+    state = np.array(kind.start(car, middle(kind), (0.0, 0.0, 0.0)))
+    advance_car(state, 0.0, 0.8, kind.step, car, ramp, np.zeros(800), 0.0, period)
+    angle = state[{"sports car": 16, "van": 13, "model car": 13}[kind.name]]
+    assert (0.8 * rate - angle) / rate == pytest.approx(car.steer_lag + 0.5 * period, rel=0.01)
+
+
+def model_car_on_rear_slip(**changes):
+    """Return the lateral force of a model car whose rear tyres alone slip, at a forward acceleration of 2 m/s^2."""
+    kind = KINDS["model car"]
+    car = kind.base._replace(**FREE | {"load_greasing": 0.0} | changes)
+    state = np.array(kind.start(car, 4.0, (0.0, 0.0, 0.0)))
+    state[11:13], state[20] = 0.04, 2.0
+    _, felt = rates_of(car, state)
+    return car.mass * felt[1]
+
+
+def test_a_higher_cg_and_downforce_load_the_rear_axle_by_their_closed_forms():
+    """Force is in proportion to load here: m a_x h/L more by acceleration, lift v_x^2 more by downforce."""
+    base = KINDS["model car"].base
+    wheelbase, rear = base.front + base.rear, base.mass * GRAVITY * base.front / (base.front + base.rear)
+    flat = model_car_on_rear_slip(height=0.0)
+    high = model_car_on_rear_slip(height=0.08)
+    assert high / flat == pytest.approx(1.0 + base.mass * 2.0 * 0.08 / wheelbase / rear)
+    winged = model_car_on_rear_slip(height=0.0, lift_rear=0.05)
+    assert winged / flat == pytest.approx(1.0 + 0.05 * 4.0**2 / rear)
+
+
+def test_grip_scales_the_slip_at_which_a_tyre_peaks_and_keeps_its_stiffness(kind):
+    """With the limit times q, the force at q times the slip is q times as large: the catalogue's `friction_scale`."""
+    laws = {
+        "sports car": lambda slip, limit: brush_force(0.0, slip, 8e4, 6e4, limit)[1],
+        "van": lambda slip, limit: tmeasy_force(slip, 6e4, limit, 1.9 * limit / 6e4, 0.88 * limit, 6.65 * limit / 6e4),
+        "model car": lambda slip, limit: magic_force(0.0, slip, 6e4, 1.45, limit)[1],
+    }
+    law = laws[kind.name]
+    for slip in (0.02, 0.08, 0.3):
+        assert law(0.8 * slip, 0.8 * 5000.0) == pytest.approx(0.8 * law(slip, 5000.0))
