@@ -1,6 +1,7 @@
 """The study's cars of other equations obey closed forms, limits and conservation laws of vehicle dynamics."""
 
 import ast
+import os
 from pathlib import Path
 
 import numpy as np
@@ -290,3 +291,32 @@ def test_grip_scales_the_slip_at_which_a_tyre_peaks_and_keeps_its_stiffness(kind
     law = laws[kind.name]
     for slip in (0.02, 0.08, 0.3):
         assert law(0.8 * slip, 0.8 * 5000.0) == pytest.approx(0.8 * law(slip, 5000.0))
+
+
+def test_compiled_code_that_is_older_than_a_source_is_forgotten(tmp_path):
+    for name, time in (("old.nbi", 100), ("new.nbi", 300)):
+        path = tmp_path / "__pycache__" / name
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+        os.utime(path, (time, time))
+    (tmp_path / "tyres.py").touch()
+    os.utime(tmp_path / "tyres.py", (200, 200))
+    other_cars.forget_outdated_code(tmp_path)
+    assert [path.name for path in (tmp_path / "__pycache__").iterdir()] == ["new.nbi"]
+
+
+def test_compiled_steps_are_those_of_the_plain_equations(kind):
+    """One compiled step of a car against Runge and Kutta's formula with the equations as Python runs them."""
+    generator = np.random.default_rng(2)
+    start = np.array(kind.start(kind.base, middle(kind), (1.0, 2.0, 0.3)))
+    start, _ = advanced(kind, kind.base, start, 0.3, steer=0.03)
+    steer, torque = 0.02 * generator.standard_normal(), 0.2 * kind.torques[0]
+    h = kind.step
+    stages = [np.zeros_like(start)]
+    for share in (0.0, 0.5, 0.5, 1.0):
+        out, _ = rates_of(kind.base, start + share * h * stages[-1], steer, torque)
+        stages.append(out)
+    _, a, b, c, d = stages
+    expected = start + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+    compiled, _ = advanced(kind, kind.base, start, h, steer=steer, torque=torque)
+    np.testing.assert_allclose(compiled, expected, rtol=1e-12, atol=1e-13)
