@@ -24,6 +24,8 @@ CROSSFALL = 0.025 * 9.81  # [m/s^2] gravity across a road that sheds water (AASH
 # [1] judgement: a body that leans by some 4.6 degrees at 1 g, more than most cars do; g sin(roll) is felt across.
 _ROLLS = 0.08
 _GYRO = "judgement: three degrees a second, beyond any gyroscope that was switched on at rest"
+# Yaw rate that a gyroscope may read at rest [rad/s]: judgement, a degree a second, where nobody set it to zero.
+_COLD = 0.0175
 _WORN = "judgement: wheels wear and gyroscopes age by a few per cent, 15 % is another unit"
 _UNALIGNED = "judgement: filters, buses and clocks that nobody aligned make a channel late by up to 0.6 s"
 _WORDS = {
@@ -179,19 +181,23 @@ class AccelerationBias(_Instrument):
 class YawRateBias(_Instrument):
     """The gyroscope has a zero offset: recorded yaw rate r + r_0, with r_0 the parameter `r`.
 
-    Source: the usual model of a rate gyroscope. Witness: the rate of the recorded yaw angle.
+    Source: the usual model of a rate gyroscope. Witness: the rate of the recorded yaw angle, or a_y, which follows
+    v_x r. A bank of the road moves a_y as well, at all speeds alike.
     """
 
     id = "yaw_rate_bias"
     titles: ClassVar = {"": "Yaw rate biased"}
     units: ClassVar = {"r": "rad/s"}
     neutral: ClassVar = {"r": 0.0}
-    needs: ClassVar = frozenset({"measured position"})
-    mimics: ClassVar = (Mimic("steer_offset", "one speed, without yaw", "yaw, or turns to both sides at two speeds"),)
+    needs: ClassVar = frozenset({"witness"})
+    mimics: ClassVar = (
+        Mimic("steer_offset", "one speed, without yaw", "yaw, or turns to both sides at two speeds"),
+        Mimic("road_bank", "one speed, without yaw", "yaw, or the same road at two speeds"),
+    )
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"r": Range(-0.05, 0.05, 1e-4, _GYRO)}, ({"r": 0.001},))
+        return Search({"r": Range(-0.05, 0.05, 1e-4, _GYRO, unwitnessed=_COLD)}, ({"r": 0.001},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:

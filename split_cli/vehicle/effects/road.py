@@ -142,6 +142,7 @@ class RoadBank(_Incline):
         Mimic("steer_offset", "little change of speed", "curves to both sides: an offset also turns the car"),
         Mimic("wind", "a straight road in one direction", "the same road in the opposite direction"),
         Mimic("sensor_misalignment", "constant speed on a straight", "position and yaw, or changes of speed"),
+        Mimic("yaw_rate_bias", "one speed, without yaw", "yaw, or the same road at two speeds"),
     )
 
     def external(self, flow: Flow) -> None:
