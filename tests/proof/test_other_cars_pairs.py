@@ -12,8 +12,8 @@ from tests.studies.other_cars.cars import KINDS
 from tests.studies.other_cars.course import STYLES, draw_course
 from tests.studies.other_cars.driver import LostCar, draw_driver, drive
 from tests.studies.other_cars.effects import EFFECTS, STRANGE, PlantedEffect, may_join
-from tests.studies.other_cars.generate import PairTruth, generate_pairs, truth_from, write_pair
-from tests.studies.other_cars.judging import DiagnosedPairs, judged_pair, summary_lines
+from tests.studies.other_cars.generate import PairTruth, generate_pairs, pair_name, truth_from, write_pair
+from tests.studies.other_cars.judging import PairAnswer, PairAnswers, judged_pair, summary_lines
 from tests.studies.other_cars.recording import SensorFaults, recorded, sensed
 from tests.studies.other_cars.sizes import effect_over_noise
 
@@ -185,20 +185,27 @@ def found(term: str, *alternatives: str, **values: tuple[float, float, float]) -
 
 def judged(truth: PairTruth, *findings: Named, unexplained: bool = False):
     verdict = "mismatch" if findings or unexplained else "match"
-    return judged_pair(truth, Statement(verdict, findings, unexplained), "", 1.0, True)
+    return judged_pair(truth, Statement(verdict, findings, unexplained))
 
 
 def test_names_alternatives_and_lost_effects_are_counted_apart():
-    truth = truth_of("mass", "steering late", "bank")
+    truth = truth_of("mass", "steering late", "bank", "grip")
     row = judged(
         truth,
         found("drive_gain", "mass+friction_scale"),
         found("steer_delay"),
         found("aero_drag", "rolling_resistance"),
     )
-    assert (row.named, row.by_alternative, row.lost) == (("steer_delay",), ("mass",), ("road_bank",))
+    assert row.named == ("steer_delay",)
+    assert row.by_alternative == ("mass", "friction_scale")
+    assert row.lost == ("road_bank",)
     assert row.wrong == ("aero_drag",)
     assert row.outcome == "wrong"
+
+
+def test_an_alternative_of_several_terms_counts_only_if_all_are_there():
+    row = judged(truth_of("mass"), found("drive_gain", "mass+friction_scale"))
+    assert (row.by_alternative, row.lost, row.wrong, row.outcome) == ((), ("mass",), ("drive_gain",), "wrong")
 
 
 def test_two_axles_of_less_grip_are_one_name():
@@ -227,7 +234,11 @@ def test_strange_effects_and_equal_pairs_are_judged_by_what_is_unexplained_or_ca
     assert judged(strange, unexplained=True).outcome == "exact"
     assert judged(strange, found("road_bank")).outcome == "wrong"
     assert judged(equal).outcome == "exact"
-    rows = [(strange, judged(strange, unexplained=True)), (equal, judged(equal)), (equal, judged(equal, found("mass")))]
+    rows = [
+        (strange, Statement("mismatch", unexplained=True)),
+        (equal, Statement("match")),
+        (equal, Statement("mismatch", (found("mass"),))),
+    ]
     text = "\n".join(summary_lines(rows))
     assert "equal pairs called different: 50.0 % (1/2" in text
     assert "strange effects called unexplained: 100.0 % (1/1" in text
@@ -238,12 +249,13 @@ def test_a_truth_comes_back_from_its_file():
     assert truth_from(json.loads(json.dumps(asdict(truth)))) == truth
 
 
-def test_rows_are_kept_between_runs_and_seeds_are_not_mixed(tmp_path):
+def test_answers_are_kept_between_runs_and_seeds_are_not_mixed(tmp_path):
     truth = truth_of("mass")
-    row = judged(truth, found("mass", scale=(1.0, 0.9, 1.1)))
-    DiagnosedPairs(tmp_path, True).keep(row)
-    assert DiagnosedPairs(tmp_path, True).row(truth) == row
-    assert not DiagnosedPairs(tmp_path, False).has(truth)  # without held-out time it is another study
+    said = Statement("mismatch", (found("mass", "drive_gain", scale=(1.0, 0.9, 1.1)),), True)
+    answer = PairAnswer(pair_name(truth.number), said, "in words", 3.0)
+    PairAnswers(tmp_path, True).keep(answer)
+    assert PairAnswers(tmp_path, True).answer(truth) == answer
+    assert not PairAnswers(tmp_path, False).has(truth)  # without held-out time it is another study
     (tmp_path / "truth.json").write_text(json.dumps({"seed": 700, "pairs": []}))
     with pytest.raises(ValueError, match="seed 700, not 701"):
         generate_pairs(tmp_path, 701, [0])

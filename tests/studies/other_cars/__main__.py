@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.studies.other_cars import __doc__ as about
 from tests.studies.other_cars.generate import PairTruth, generate_pairs
-from tests.studies.other_cars.judging import DiagnosedPair, DiagnosedPairs, diagnosed, row_line, summary_lines
+from tests.studies.other_cars.judging import PairAnswers, diagnosed, row_line, summary_lines
 
 
 def main() -> None:
@@ -28,26 +28,16 @@ def main() -> None:
 
 
 def _report(root: Path, truths: list[PairTruth], improved: bool, jobs: int) -> None:
-    kept = DiagnosedPairs(root, improved)
-    if jobs == 1:
-        rows = []
-        for truth in truths:
-            rows.append(kept.row(truth))
-            print(row_line(truth, rows[-1]), flush=True)
-    else:
-        rows = _in_parallel(kept, truths, jobs)
-    for line in summary_lines(list(zip(truths, rows, strict=True))):
+    kept = PairAnswers(root, improved)
+    if jobs > 1:
+        missing = [truth for truth in truths if not kept.has(truth)]
+        with ProcessPoolExecutor(jobs) as pool:
+            for answer in pool.map(diagnosed, [root] * len(missing), missing, [improved] * len(missing)):
+                kept.keep(answer)
+    for truth in truths:
+        print(row_line(truth, kept.answer(truth)), flush=True)
+    for line in summary_lines([(truth, kept.answer(truth).said) for truth in truths]):
         print(line)
-
-
-def _in_parallel(kept: DiagnosedPairs, truths: list[PairTruth], jobs: int) -> list[DiagnosedPair]:
-    missing = [truth for truth in truths if not kept.has(truth)]
-    with ProcessPoolExecutor(jobs) as pool:
-        found = pool.map(diagnosed, [kept.root] * len(missing), missing, [kept.improved] * len(missing))
-        for truth, row in zip(missing, found, strict=True):
-            kept.keep(row)
-            print(row_line(truth, row), flush=True)
-    return [kept.row(truth) for truth in truths]
 
 
 if __name__ == "__main__":

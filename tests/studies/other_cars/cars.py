@@ -62,7 +62,7 @@ class CarKind:
 
 
 _ROAD_NOISE = {
-    **{"vx": 0.03, "vy": 0.02, "r": 0.003, "ax": 0.08, "ay": 0.08, "X": 0.02, "Y": 0.02, "yaw": 0.001},
+    **{"vx": 0.015, "vy": 0.015, "r": 0.003, "ax": 0.08, "ay": 0.08, "X": 0.02, "Y": 0.02, "yaw": 0.001},
     **{"delta": 0.0004, "T": 6.0},
 }
 KINDS: dict[str, CarKind] = {
@@ -87,7 +87,7 @@ KINDS: dict[str, CarKind] = {
         start=van.at_rest_of_turning,
         gradient=van.understeer_gradient,
         step=van.STEP,
-        noise=_ROAD_NOISE | {"vx": 0.025, "T": 8.0},
+        noise=_ROAD_NOISE | {"vx": 0.018, "T": 8.0},
         speeds=(7.5, 25.0),
         torques=(2400.0, 6500.0),
         room=80.0,

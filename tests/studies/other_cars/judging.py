@@ -11,7 +11,7 @@ from split_cli.diagnosis.engine import diagnose
 from split_cli.diagnosis.statement.document import diagnosis_to_mapping
 from split_cli.errors import SplitError
 from split_cli.logs.drive import read_drive
-from split_cli.proof.outcome import Statement, judge, share_of_true
+from split_cli.proof.outcome import Named, Statement, judge, share_of_true
 from split_cli.proof.scoring import statement_of
 from split_cli.vehicle.parameters import read_vehicle
 from tests.studies.other_cars.generate import PairTruth, case_folder, pair_name
@@ -19,8 +19,28 @@ from tests.studies.recorded_faults import in_words
 
 
 @dataclass(frozen=True)
-class DiagnosedPair:
-    """What was said of one pair, and how it fares.
+class PairAnswer:
+    """What a diagnosis said of one pair, as it is kept: rows are judged when they are printed.
+
+    Attributes
+    ----------
+    name : str
+        Of the pair.
+    words : str
+        Verdict, names with values, alternatives and leads.
+    seconds : float
+        Processor time [s].
+    """
+
+    name: str
+    said: Statement
+    words: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class JudgedPair:
+    """How what was said of one pair fares.
 
     Attributes
     ----------
@@ -34,8 +54,6 @@ class DiagnosedPair:
         For ``term.parameter`` of each named term with a true value, whether the 95 % interval holds it.
     """
 
-    name: str
-    car: str
     outcome: str
     verdict: str
     unexplained: bool
@@ -44,43 +62,35 @@ class DiagnosedPair:
     lost: tuple[str, ...]
     wrong: tuple[str, ...]
     intervals: dict[str, bool]
-    words: str
-    seconds: float
-    improved: bool
 
 
-def judged_pair(truth: PairTruth, said: Statement, words: str, seconds: float, improved: bool) -> DiagnosedPair:
+def judged_pair(truth: PairTruth, said: Statement) -> JudgedPair:
     """Return how a statement about a pair fares.
 
-    The rules are those of `split_cli.proof`: an alternative ``a+b`` stands for both terms, and the grip of either axle
-    is a variant of `friction_scale`, so that two findings of one term count as one name.
+    The rules are those of `split_cli.proof`: an alternative ``a+b`` stands for both terms, and for neither alone. The
+    grip of either axle is a variant of `friction_scale`, so that two findings of one term count as one name.
     """
     terms = [effect.term for effect in truth.effects if effect.term]
     once = tuple({finding.term: finding for finding in reversed(said.findings)}.values())
-    judged = replace(said, findings=once)
-    outcome = judge(["strange"] if truth.is_strange else terms, judged, in_catalogue=not truth.is_strange)
-    reached = {one for finding in once for option in finding.alternatives for one in option.split("+")}
+    asked = ["strange"] if truth.is_strange else terms
+    reached = {one for finding in once for one in _reached(finding, terms)}
     names = {finding.term for finding in once}
-    return DiagnosedPair(
-        name=pair_name(truth.number),
-        car=truth.car,
-        outcome=outcome,
+    return JudgedPair(
+        outcome=judge(asked, replace(said, findings=once), in_catalogue=not truth.is_strange),
         verdict=said.verdict,
         unexplained=said.unexplained,
         named=tuple(term for term in terms if term in names),
         by_alternative=tuple(term for term in terms if term not in names and term in reached),
         lost=tuple(term for term in terms if term not in names | reached),
-        wrong=tuple(finding.term for finding in once if not _reaches(finding, terms)),
+        wrong=tuple(finding.term for finding in once if not _reached(finding, terms)),
         intervals=_intervals(truth, said),
-        words=words,
-        seconds=seconds,
-        improved=improved,
     )
 
 
-def _reaches(finding, terms: Sequence[str]) -> bool:
-    options = {one for option in finding.alternatives for one in option.split("+")}
-    return bool(({finding.term} | options) & set(terms))
+def _reached(finding: Named, terms: Sequence[str]) -> set[str]:
+    """Return the terms that a finding or one of its alternatives stands for, where it needs no other beside them."""
+    options = [{finding.term}, *({*option.split("+")} for option in finding.alternatives)]
+    return {one for option in options if option <= set(terms) for one in option}
 
 
 def _intervals(truth: PairTruth, said: Statement) -> dict[str, bool]:
@@ -96,61 +106,74 @@ def _intervals(truth: PairTruth, said: Statement) -> dict[str, bool]:
     return held
 
 
-class DiagnosedPairs:
-    """Pairs of one folder, each diagnosed once and kept in ``rows.jsonl``."""
+class PairAnswers:
+    """Answers of one folder, each diagnosed once and kept in ``rows.jsonl``, without held-out time in another file."""
 
     def __init__(self, root: Path, improved: bool) -> None:
         self.root, self.improved, self.path = root, improved, root / ("rows.jsonl" if improved else "rows_fast.jsonl")
         lines = self.path.read_text(encoding="utf-8").splitlines() if self.path.exists() else []
-        self.rows = {row.name: row for row in (row_from(json.loads(line)) for line in lines)}
+        self.answers = {answer.name: answer for answer in (answer_from(json.loads(line)) for line in lines)}
 
-    def row(self, truth: PairTruth) -> DiagnosedPair:
-        """Return the row of a pair, from the file or computed now."""
+    def answer(self, truth: PairTruth) -> PairAnswer:
+        """Return the answer of a pair, from the file or computed now."""
         if not self.has(truth):
             self.keep(diagnosed(self.root, truth, self.improved))
-        return self.rows[pair_name(truth.number)]
+        return self.answers[pair_name(truth.number)]
 
     def has(self, truth: PairTruth) -> bool:
-        """Tell whether a pair has its row."""
-        return pair_name(truth.number) in self.rows
+        """Tell whether a pair has its answer."""
+        return pair_name(truth.number) in self.answers
 
-    def keep(self, row: DiagnosedPair) -> None:
-        """Add a row to those that are kept."""
+    def keep(self, answer: PairAnswer) -> None:
+        """Add an answer to those that are kept."""
         with self.path.open("a", encoding="utf-8") as out:
-            out.write(json.dumps(asdict(row)) + "\n")
-        self.rows[row.name] = row
+            out.write(json.dumps(asdict(answer)) + "\n")
+        self.answers[answer.name] = answer
 
 
-def row_from(entry: dict[str, Any]) -> DiagnosedPair:
-    """Return a row from its JSON."""
-    return DiagnosedPair(**{name: tuple(one) if isinstance(one, list) else one for name, one in entry.items()})
+def answer_from(entry: dict[str, Any]) -> PairAnswer:
+    """Return an answer from its JSON."""
+    findings = tuple(
+        Named(
+            one["term"],
+            {name: tuple(values) for name, values in one["parameters"].items()},
+            tuple(one["alternatives"]),
+            one["variant"],
+        )
+        for one in entry["said"]["findings"]
+    )
+    return PairAnswer(**{**entry, "said": Statement(**{**entry["said"], "findings": findings})})
 
 
-def diagnosed(root: Path, truth: PairTruth, improved: bool) -> DiagnosedPair:
-    """Diagnose one pair and judge what is said; `improved` takes held-out time, as the command does."""
+def diagnosed(root: Path, truth: PairTruth, improved: bool) -> PairAnswer:
+    """Diagnose one pair; `improved` takes held-out time, as the command does."""
     folder, begun = case_folder(root, truth.number), time.process_time()
     try:
         real, simulated = read_drive(folder / "real.parquet"), read_drive(folder / "sim.parquet")
         found = diagnose([real], read_vehicle(folder / "vehicle.yaml"), [simulated], improved=improved)
         mapping = diagnosis_to_mapping(found)
         said, words = statement_of(mapping), in_words(mapping)
-        words += "".join(f"; {reason}" for reason in mapping.get("reasons", ())) if said.verdict == "undecided" else ""
+        words += f"; {found.summary}" if said.verdict == "undecided" else ""
     except SplitError as error:
         said, words = Statement("undecided"), f"refused: {error}"
-    return judged_pair(truth, said, words, time.process_time() - begun, improved)
+    return PairAnswer(pair_name(truth.number), said, words, time.process_time() - begun)
 
 
-def row_line(truth: PairTruth, row: DiagnosedPair) -> str:
+def row_line(truth: PairTruth, answer: PairAnswer) -> str:
     """Return a line of the table: pair, what was put in, outcome, answer."""
     put_in = "; ".join(
         f"{effect.name} {', '.join(f'{value:.4g}' for value in effect.values.values())} ({size:.2f})"
         for effect, size in zip(truth.effects, truth.sizes, strict=True)
     )
-    return f"| {row.name} | {row.car} | {put_in or 'nothing'} | {row.outcome} | {row.words} | {row.seconds:.0f} s |"
+    outcome = judged_pair(truth, answer.said).outcome
+    return (
+        f"| {answer.name} | {truth.car} | {put_in or 'nothing'} | {outcome} | {answer.words} | {answer.seconds:.0f} s |"
+    )
 
 
-def summary_lines(pairs: Sequence[tuple[PairTruth, DiagnosedPair]]) -> list[str]:
-    """Return the counts of all pairs, each with its 95 % Wilson interval."""
+def summary_lines(answered: Sequence[tuple[PairTruth, Statement]]) -> list[str]:
+    """Return the counts of all pairs, each share with its 95 % Wilson interval."""
+    pairs = [(truth, judged_pair(truth, said)) for truth, said in answered]
     known = [(truth, row) for truth, row in pairs if truth.effects and not truth.is_strange]
     effects = [term for truth, _ in known for term in (effect.term for effect in truth.effects)]
     named, others = sum(len(row.named) for _, row in known), sum(len(row.by_alternative) for _, row in known)
