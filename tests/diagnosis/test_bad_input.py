@@ -317,6 +317,7 @@ def test_scales_are_told_without_position_where_both_recordings_have_a_y(real, s
     here, there = (without(one, "X", "Y") for one in (real, simulated))
     felt, also = (altered(one, ay=one["vx"] * one["r"]) for one in (here, there))
     assert scales <= names_of(felt, also)
+    assert "yaw_rate_bias" in names_of(felt)
     for pair in ((felt,), (felt, there), (here, also)):
         assert not scales & names_of(*pair)
 

@@ -318,6 +318,18 @@ def test_what_witnesses_see_has_no_systematic_error_of_the_car(late_yaw_rate):
     assert systematic_error(wide, small, 0) > 10.0 * systematic_error(late_yaw_rate, small, 0)
 
 
+def test_without_yaw_a_y_separates_a_biased_yaw_rate_from_a_banked_road():
+    """The bias moves a_y by v_x times it, and a bank moves a_y by the same at every speed."""
+    faulty = recording(48, fault("yaw_rate_bias", "", {"r": 0.03}))
+    series = prepared(replace(faulty, columns={k: v for k, v in faulty.columns.items() if k not in ("X", "Y", "yaw")}))
+    objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series))
+    every = identifiable(build_candidates(road_car(), series), [series], road_car())
+    bias, bank = (next(one for one in every if one.term == term) for term in ("yaw_rate_bias", "road_bank"))
+    biased, banked = (fit_parts(objective, (Part(one, dict(one.starts[0])),)) for one in (bias, bank))
+    assert biased.parts[0].values["r"] == pytest.approx(0.03, abs=0.003)
+    assert banked.cost > biased.cost + 50.0
+
+
 def test_witnesses_alone_tell_how_late_a_channel_is(late_yaw_rate):
     every = tuple(candidates_of(late_yaw_rate, "channel_delay", "yaw_rate_scale", "yaw_rate_bias", "speed_scale"))
     part = late_by_witnesses(late_yaw_rate, every)
