@@ -23,6 +23,9 @@ _TILTED = "judgement: an accelerometer tilted by eleven degrees measures a fifth
 CROSSFALL = 0.025 * 9.81  # [m/s^2] gravity across a road that sheds water (AASHTO, 1.5 to 2.5 %): any road does
 # [1] judgement: a body that leans by some 4.6 degrees at 1 g, more than most cars do; g sin(roll) is felt across.
 _ROLLS = 0.08
+# A body that leans follows its acceleration late, as an oscillator of 1.6 Hz at half the critical damping by 2 zeta/w,
+# 0.1 s. What is felt of that makes the whole acceleration late by the share of it [s].
+_LEANS_LATE = 0.1 * _ROLLS
 _GYRO = "judgement: three degrees a second, beyond any gyroscope that was switched on at rest"
 # Yaw rate that a gyroscope may read at rest [rad/s]: judgement, a degree a second, where nobody set it to zero.
 _COLD = 0.0175
@@ -321,7 +324,7 @@ class ChannelDelay(_Instrument):
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts [s]: clocks do not run faster in smaller cars."""
         names = cls.parameter_units(variant)
-        limits = Range(0.0, 0.6, 0.001, _UNALIGNED)
+        limits = Range(0.0, 0.6, 0.001, _UNALIGNED, everyday=_LEANS_LATE if variant in ("ax", "ay") else 0.0)
         starts = tuple(dict.fromkeys(names, value) for value in DELAYS)
         return Search(dict.fromkeys(names, limits), starts)
 
