@@ -42,7 +42,6 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import supported_variance
 from split_cli.prediction import Predictor, make_predictor
 from split_cli.prediction.projected import ProjectedPredictor
-from split_cli.prediction.supported import believed
 from split_cli.prediction.table import TablePredictor
 from split_cli.prediction.trusted import untrusted
 from split_cli.vehicle.single_track import SingleTrack
@@ -134,7 +133,6 @@ def write_export(
     if graph.memory is not None:
         provenance = replace(provenance, memory=graph.memory.to_mapping())
     require_usable(training_set)
-    training_set = believed(training_set)
     if plan.predictor == "table":
         progress("filling the table")
     predictor = make_predictor(plan.predictor, training_set)

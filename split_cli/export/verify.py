@@ -21,7 +21,6 @@ from split_cli.export.verified import VerifiedItem
 from split_cli.files import ScratchFolder, parse_json, sha256_of_file
 from split_cli.learning.training_set import TrainingSet
 from split_cli.prediction import make_predictor
-from split_cli.prediction.supported import believed
 
 RELEARNED = 1e-6
 """Of means in signal deviations and variances in signal variances [1]: sums of thousands of labels are rounded
@@ -184,7 +183,7 @@ def _verify_document(target: str, folder: Path, name: str) -> VerifiedItem:
 def verify_against_set(folder: Path, training_set: TrainingSet) -> tuple[VerifiedItem, ...]:
     """Compare an export with the set that it was made of: its points number by number, and its stored answers."""
     manifest = read_manifest(folder)
-    name, items, training_set = manifest["name"], [], believed(training_set)
+    name, items = manifest["name"], []
     for target in (one for one in _READERS if one in manifest["targets"]):
         others = other_than_set(_READERS[target](folder / f"{name}.{target}"), training_set)
         text = f"{', '.join(others)} differ from those of the set" if others else "those of the set, bit for bit"

@@ -105,8 +105,6 @@ def _check_trust(trust: Mapping[str, Any]) -> None:
         if trust.get(name) is not None:
             _numbers(f"trust.{name}", trust[name], 3, LARGEST_OF_KERNEL)
     _whole("trust.blocks", trust.get("blocks", 0), 0, np.inf)
-    if not isinstance(trust.get("by_cell", False), bool):
-        raise ValueError(f"trust.by_cell is {trust['by_cell']!r}, true or false was expected")
 
 
 def _check_source(of: str, source: Mapping[str, Any]) -> None:

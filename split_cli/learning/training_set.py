@@ -385,7 +385,7 @@ def _describe(training_set: TrainingSet) -> dict[str, Any]:
         "horizon": s.horizon,
         "plain": s.plain,
         "trust": {
-            **{name: value for name, value in asdict(s.trust).items() if name != "by_cell" or value},
+            **asdict(s.trust),
             "share": list(s.trust.share),
             "doubt": None if s.trust.doubt is None else list(s.trust.doubt),
         },

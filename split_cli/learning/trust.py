@@ -60,8 +60,6 @@ class Trust:
     # Variance of what remains wrong beyond the process's own and the label noise, measured on held-out blocks
     # [m^2/s^4, m^2/s^4, rad^2/s^4]; None where it was not measured.
     doubt: tuple[float, float, float] | None = None
-    # Whether the labels of each cell count only as far as they support a correction (prediction/supported.py).
-    by_cell: bool = False
 
     def __post_init__(self) -> None:
         share = tuple(float(value) for value in self.share)
@@ -89,7 +87,7 @@ class Trust:
     @property
     def is_full(self) -> bool:
         """Whether every output is trusted fully, so that nothing changes."""
-        return self.share == (1.0, 1.0, 1.0) and not any(self.doubt or ()) and not self.by_cell
+        return self.share == (1.0, 1.0, 1.0) and not any(self.doubt or ())
 
     def apply(
         self, mean: np.ndarray, variance: np.ndarray, signal_variance: np.ndarray, share: np.ndarray | None = None
@@ -118,8 +116,7 @@ class Trust:
         how = {
             "full": "the plain method, not judged on held-out driving",
             "given": "as given",
-            "held-out": f"found on {self.blocks} held-out blocks of time"
-            + (", and in each cell what its labels support" if self.by_cell else ""),
+            "held-out": f"found on {self.blocks} held-out blocks of time",
             "unjudged": "the drives are too short to judge it on held-out blocks, so none is applied",
         }
         return f"{shares} ({how[self.origin]})"

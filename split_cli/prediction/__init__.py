@@ -54,7 +54,5 @@ def make_predictor(name: str, training_set: TrainingSet, **options: Any) -> Pred
     """
     refuse_unknown(name)
     module, attribute = PREDICTORS[name]
-    if training_set.trust.by_cell:
-        training_set = importlib.import_module("split_cli.prediction.supported").supported(training_set)
-    predictor: Predictor = getattr(importlib.import_module(module), attribute)(training_set, **options)
+    predictor = getattr(importlib.import_module(module), attribute)(training_set, **options)
     return predictor if training_set.trust.is_full else TrustedPredictor(predictor)

@@ -60,7 +60,7 @@ def judge_correction(
     -------
     Judgement
         With the trust ``unjudged`` and 0 when the drives are too short for five blocks: what no held-out driving
-        speaks for is not applied. Otherwise by cell: the shares that cells support come on top, and only take away.
+        speaks for is not applied.
     """
     # Not with the default predictor: the trust it finds of itself did more harm on other drives (decision 0030).
     evidence, blocks = held_out_evidence(drives, empty, "rbcm", progress)
@@ -69,8 +69,7 @@ def judge_correction(
     share, gain = best_trust(evidence, most)
     doubt = doubt_from(evidence, share, empty.kernel)
     needed = None if share.any() else driving_needed(evidence, most)
-    trust = Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist()), by_cell=True)
-    return Judgement(trust, gain, needed)
+    return Judgement(Trust(tuple(share.tolist()), "held-out", blocks, tuple(doubt.tolist())), gain, needed)
 
 
 def driving_needed(evidence: Sequence[TrustEvidence], most: Sequence[float] = (1.0, 1.0, 1.0)) -> int | None:
