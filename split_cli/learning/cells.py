@@ -10,6 +10,7 @@ from split_cli.errors import NumericalRepairWarning, SetError
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.kernel import Kernel
 from split_cli.learning.labels import Labels, Reason
+from split_cli.learning.late_labels import freed_of_late_torque
 from split_cli.learning.region import Grid, Region
 from split_cli.learning.set_limits import LARGEST_CELL
 from split_cli.learning.training_set import SetSource, TrainingSet
@@ -165,6 +166,7 @@ def extend(training_set: TrainingSet, labels: Iterable[Labels], *, batch: int | 
     sources = list(training_set.sources)
     for drive in labels:
         _check_belongs(training_set, drive)
+        drive = freed_of_late_torque(training_set, drive)
         if len(sources) > np.iinfo(np.int16).max:
             raise SetError(f"holds {len(sources)} drives already, a set can list no more")
         sources.append(cells.offer(drive, len(sources), batch or PIECE))

@@ -9,6 +9,7 @@ import pytest
 from split_cli.errors import SetError
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
+from split_cli.learning.late_labels import freed_of_late_torque
 from split_cli.learning.training_set import read_set, write_set
 from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, DriveMetadata, write_drive
@@ -173,7 +174,7 @@ def test_going_on_labels_with_the_lag_and_refuses_another(trained, tmp_path):
     train_set([tmp_path / "fresh.parquet"], folder / "car.yaml", tmp_path / "car.split", append=True)
     grown = read_set(tmp_path / "car.split")
     new = grown.source == 1
-    with_lag = compute_labels(fresh, grown.vehicle, Z2)
+    with_lag = freed_of_late_torque(grown, compute_labels(fresh, grown.vehicle, Z2))
     of_row = dict(zip(with_lag.row.tolist(), with_lag.y, strict=True))
     assert new.any()
     np.testing.assert_array_equal(grown.y[new], [of_row[row] for row in grown.row[new].tolist()])

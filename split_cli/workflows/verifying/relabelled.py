@@ -4,7 +4,7 @@ import contextlib
 import os
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from split_cli.files import sha256_of_file
 from split_cli.learning.cells import extend, without_points
 from split_cli.learning.features import FeatureSet
 from split_cli.learning.labels import Labels, compute_labels
+from split_cli.learning.late_labels import freed_of_late_torque
 from split_cli.learning.region import Region
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import open_drive
@@ -64,6 +65,9 @@ def set_against_drives(trained: TrainingSet, path: Path) -> tuple[VerifiedItem, 
                     apart = not np.isin(stored.row, labels.row).all()
                     all_rows = _labels_of(drive, stored, trained.vehicle, correct, held, 1) if apart else labels
                     errors[number] = min(errors[number], _largest_error(all_rows, stored))
+                    if trained.found_effects:
+                        freed = _error_beside_a_lag(trained, source.samples, labels, all_rows, stored)
+                        errors[number] = min(errors[number], freed)
             except SplitError:
                 continue
             yield labels
@@ -168,6 +172,19 @@ def _largest_error(again: Labels, stored: _StoredLabels) -> float:
     ]
     worst = max(float(error.max()) for error in errors)
     return worst if np.isfinite(worst) else np.inf
+
+
+def _error_beside_a_lag(
+    trained: TrainingSet, samples: int, labels: Labels, all_rows: Labels, stored: _StoredLabels
+) -> float:
+    """Return the largest error of points whose labels of v_x are freed of the torque's lag.
+
+    That depends on all labels that were learned together. Where others were than are here, v_x is not compared.
+    """
+    if len(labels) == samples:
+        return _largest_error(freed_of_late_torque(trained, labels), stored)
+    known = np.array([False, True, True])
+    return _largest_error(replace(all_rows, y=all_rows.y[:, known]), replace(stored, y=stored.y[:, known]))
 
 
 def _comparison(check: str, count: int, worst: float) -> VerifiedItem:
