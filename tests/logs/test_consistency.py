@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.checking.consistency import Consistency, check_consistency
-from split_cli.logs.checking.kinematics import block_interval, fit_linear, fit_slope
+from split_cli.logs.checking.kinematics import Kinematics, block_interval, fit_linear, fit_slope
 from tests.factories import one_run, road_car
 from tests.logs.planted import UNITS, PlantedDrive, planted_map
 
@@ -403,3 +404,22 @@ def test_coefficients_and_errors_are_those_of_least_squares_with_a_block_left_ou
     expected = block_interval(lambda rows: np.linalg.lstsq(design[rows], y[rows], rcond=None)[0], count)
     for found, known in zip(fit_linear(design, y), expected, strict=True):
         np.testing.assert_allclose(found, known, rtol=1e-9)
+
+
+def test_sideslip_and_turning_go_with_the_path_where_speed_and_direction_change_together():
+    """A model car that brakes into its turns: smoothing moves its direction of travel by as much as its sideslip."""
+    period = 0.01
+    t = np.arange(0.0, 40.0, period)
+    vx, r = 3.0 + 1.2 * np.sin(2.0 * t), 1.5 * np.cos(2.0 * t) + 0.4 * np.sin(3.1 * t)
+    vy = 0.03 * vx * np.sin(3.1 * t)
+    yaw = 0.75 * np.sin(2.0 * t) - 0.4 / 3.1 * np.cos(3.1 * t)
+    X, Y = (
+        cumulative_trapezoid(vx * np.cos(yaw) - vy * np.sin(yaw), t, initial=0.0),
+        cumulative_trapezoid(vx * np.sin(yaw) + vy * np.cos(yaw), t, initial=0.0),
+    )
+    columns = {"t": t, "vx": vx, "vy": vy, "r": r, "yaw": yaw, "X": X, "Y": Y}
+    k = Kinematics(columns, period, [slice(0, len(t))])
+    across = fit_slope(k.sideslip(), k.path_across(), k.moving)
+    assert across.slope == pytest.approx(1.0, abs=0.03) and across.correlation > 0.995
+    plain, without_that = (fit_slope(k.signal("r"), rate, k.moving) for rate in k.course_rates())
+    assert abs(without_that.slope - 1.0) < 0.5 * abs(plain.slope - 1.0) and without_that.correlation > 0.995

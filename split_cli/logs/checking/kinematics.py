@@ -99,8 +99,24 @@ class Kinematics:
         ddY = self._filtered("Y", self.columns["Y"], 2)
         squared = dX * dX + dY * dY
         fast = np.nanquantile(squared, 0.95) if np.isfinite(squared).any() else 0.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(squared > 0.04 * fast, (dX * ddY - dY * ddX) / squared, np.nan)
+        return np.where(squared > 0.04 * fast, _turning(dX, dY, ddX, ddY), np.nan)
+
+    def course_rates(self) -> list[np.ndarray]:
+        """Return the same, and where yaw is known less what `travel_from_yaw` takes off, which a wrong yaw spoils."""
+        plain = self.course_rate()
+        if not self._knows_yaw():
+            return [plain]
+        (x, y), (dx, dy) = self._along_yaw(0), self._along_yaw(1)
+        return [plain, plain - (_turning(x, y, dx, dy) - self.rate("yaw"))]
+
+    def _knows_yaw(self) -> bool:
+        return "yaw" in self.columns and "vx" in self.columns
+
+    def _along_yaw(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the smoothed velocity [m/s] in X, Y of a car that travels along its yaw, or its derivative."""
+        speed, yaw = np.abs(self.columns["vx"]), self.columns["yaw"]
+        ahead = self.of("speed along yaw in X", lambda: speed * np.cos(yaw), order)
+        return ahead, self.of("speed along yaw in Y", lambda: speed * np.sin(yaw), order)
 
     def sideslip(self) -> np.ndarray:
         """Return v_y/v_x [1], shape (N,); NaN where nearly at rest."""
@@ -108,8 +124,20 @@ class Kinematics:
             return np.where(self.moving, self.signal("vy") / self.signal("vx"), np.nan)
 
     def travel_from_yaw(self) -> np.ndarray:
-        """Return the angle from yaw to the travel of X, Y [rad], not wrapped, shape (N,); NaN nearly at rest."""
-        return np.where(self.moving, np.arctan2(self.rate("Y"), self.rate("X")) - self.signal("yaw"), np.nan)
+        """Return the angle from yaw to the travel of X, Y [rad], not wrapped, shape (N,); NaN nearly at rest.
+
+        Notes
+        -----
+        Smoothing weighs directions of travel by speed, and yaw alike at all speeds. Where speed and direction change
+        together, travel is ahead of yaw by about width^2 (v_x'/v_x) r. A car that travels along its yaw shows the
+        same, and that is taken off: of a model car it is as large as its sideslip.
+        """
+        yaw = self.signal("yaw")
+        angle = np.arctan2(self.rate("Y"), self.rate("X")) - yaw
+        if self._knows_yaw():
+            x, y = self._along_yaw(0)
+            angle = angle - np.angle(np.exp(1j * (np.arctan2(y, x) - yaw)))
+        return np.where(self.moving, angle, np.nan)
 
     def path_across(self) -> np.ndarray:
         """Return the same, its mean taken off and wrapped [rad], shape (N,)."""
@@ -144,6 +172,12 @@ class Kinematics:
         return self._known[key]
 
 
+def _turning(x: np.ndarray, y: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
+    """Return the rate of the direction of (x, y) [rad/s], whose derivative is (dx, dy)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return (x * dy - y * dx) / (x * x + y * y)
+
+
 def beside_path(k: Kinematics, channel: str, order: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a channel, or its rate, and the turning of X, Y, smoothed so that they go together best.
 
@@ -158,8 +192,9 @@ def beside_path(k: Kinematics, channel: str, order: int) -> tuple[np.ndarray, np
     options = []
     for smoothed in (k, Kinematics(k.columns, k.period, k.segments, _WIDER * k.width)):
         own = smoothed.rate(channel) if order else smoothed.signal(channel)
-        slope = fit_slope(own, smoothed.course_rate(), k.moving)
-        options.append((-1.0 if slope is None else abs(slope.correlation), (own, smoothed.course_rate())))
+        for turning in smoothed.course_rates():
+            slope = fit_slope(own, turning, k.moving)
+            options.append((-1.0 if slope is None else abs(slope.correlation), (own, turning)))
     return max(options, key=lambda option: option[0])[1]
 
 
