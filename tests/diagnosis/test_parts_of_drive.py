@@ -1,12 +1,21 @@
 """A term that acts in a part of the drive only: found where it acts, and nowhere where nothing does."""
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.recording.witnesses import build_witnesses
-from split_cli.diagnosis.search.parts_of_drive import most_saved, parts_of_drive, strongest_part
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.parts_of_drive import (
+    most_saved,
+    parts_of_drive,
+    strongest_beside_everyday,
+    strongest_part,
+)
 from split_cli.diagnosis.search.selection import nothing
 from tests.diagnosis.recordings import (
     INFLATION,
@@ -132,3 +141,21 @@ def test_a_late_channel_is_asked_of_a_part_only_where_nothing_witnesses_it(recor
         assert found is None
     else:
         assert found.part.candidate.term == "channel_delay" and found.p_value < STANDARD.comparison.level
+
+
+def test_what_a_sound_gyroscope_reads_at_rest_acts_in_no_part():
+    """Its bias is within what any may have, and is taken off before parts are asked; a late channel is not."""
+    shifted = prepared(noisy(driven(44), 10))
+    drive = replace(shifted.drive, columns={**shifted.drive.columns, "r": shifted.drive["r"] + 0.015})
+    columns = {name: values for name, values in drive.columns.items() if name not in ("X", "Y", "yaw")}
+    series = prepared(replace(drive, columns=columns))
+    objective = bare_objective(light_evidence(series))
+    explore = explorer(objective, "yaw_rate_bias", "road_bank")
+    (bias,) = (one.without_witness() for one in explore.candidates if one.term == "yaw_rate_bias")
+    base = nothing(objective)
+    chosen = fit_parts(objective, (Part(bias, {"r": 0.01}),))
+    asked = partial(strongest_beside_everyday, objective, explore.tangents, INFLATION, base)
+    assert chosen.parts[0].values["r"] == pytest.approx(0.015, abs=0.003)
+    assert asked(base).p_value < 1e-6
+    beside = asked(chosen)
+    assert beside is None or beside.p_value > STANDARD.comparison.level

@@ -5,7 +5,7 @@ as a drive has to be is asked what a drive is asked: whether what a term saves t
 than what is allowed, and whether the moments of that part agree.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.remainder.structure import minimum_effect_p, term_allowances
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.fitting import Part, Tangent
+from split_cli.diagnosis.search.fitting import Fit, Part, Tangent, fit_parts
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.vehicle.effects import CATALOGUE
 
@@ -120,6 +120,22 @@ def _blocks(objective: MarginalLikelihood) -> tuple[np.ndarray, int]:
 def most_saved(objective: MarginalLikelihood, columns: np.ndarray, residuals: np.ndarray) -> float:
     """Return the cost that the best of some directions saves in the best part of the drive."""
     return float(parts_of_drive(objective, columns, residuals).saved.max(initial=0.0))
+
+
+def strongest_beside_everyday(
+    objective: MarginalLikelihood,
+    lines: Callable[[], Sequence[Tangent]],
+    variance_inflation: float,
+    base: Fit,
+    chosen: Fit,
+) -> ActingPart | None:
+    """Return `strongest_part` beside what any sound recording may have of an explanation, refitted alone.
+
+    A gyroscope that nobody set to zero acts all along a drive, and no more in a part of it than elsewhere.
+    """
+    everyday = [part for part in chosen.parts if part.candidate.is_everyday(part.values)]
+    fit = fit_parts(objective, everyday, known=chosen) if everyday else base
+    return strongest_part(objective, lines(), fit.residuals, variance_inflation)
 
 
 def strongest_part(

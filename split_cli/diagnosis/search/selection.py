@@ -32,7 +32,7 @@ from split_cli.diagnosis.search.forward import (
     sizes_with_form_error,
 )
 from split_cli.diagnosis.search.joint import all_at_once, at_its_least, cheapest_first, promised_by_all
-from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_part
+from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_beside_everyday
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     exceeds_simulation_scatter,
@@ -128,7 +128,7 @@ def select_terms(
     def score(found: Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
-    partly = cache(lambda: strongest_part(objective, explore.tangents(), base.residuals, variance_inflation))
+    partly = partial(strongest_beside_everyday, objective, explore.tangents, variance_inflation, base)
     physics = cache(lambda: physics_of_every_car(explore, base))
 
     def as_every_car(found: Fit) -> Selection | None:
@@ -137,7 +137,8 @@ def select_terms(
 
     if (whole := as_every_car(found.with_what_matters(base, rules))) is not None:
         explore.close()
-        return replace(whole, first_p=found.first_p, first=tuple(first), beside=explore, partly=partly)
+        acting = cache(partial(partly, whole.chosen))
+        return replace(whole, first_p=found.first_p, first=tuple(first), beside=explore, partly=acting)
     jointly = None
     many = found.names > rules.few_names
     if many or (found.left_something and leaves_structure(found.with_what_matters(base, rules))):
@@ -180,7 +181,8 @@ def select_terms(
     # What the search gave up on its way may have been all that cost less than what every car has.
     selection = as_every_car(selection.chosen) or replace(selection, history=tuple(history))
     explore.close()
-    return replace(selection, first_p=found.first_p, first=tuple(first), beside=explore, partly=partly)
+    acting = cache(partial(partly, selection.chosen))
+    return replace(selection, first_p=found.first_p, first=tuple(first), beside=explore, partly=acting)
 
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
