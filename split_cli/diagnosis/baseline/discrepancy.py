@@ -96,13 +96,16 @@ class SharedDiscrepancy:
         _, predicted = series.evaluated(terms)
         # The vehicle file's own effects act when the rates are taken below, and must not twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), predicted)
-        recording = replace(series.recording, known=KnownResults())
+        known = KnownResults()
+        recording = replace(series.recording, known=known)
         actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle, recording=recording)
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
         flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
         out = SingleTrack.weighted_changes(actual.flow(self._beside), flows)
         rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
-        return self.at_another_car(rates, actual, terms)
+        rates = self.at_another_car(rates, actual, terms)
+        known.clear()
+        return rates
 
     def rates_with_shared_terms(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return what weights and shared terms add to a model with terms in the middle of samples, shape (N, 3)."""

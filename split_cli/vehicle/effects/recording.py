@@ -35,11 +35,15 @@ class Handover:
 class KnownResults:
     """Results for arrays that were given before: several models along one recording ask for much of the same.
 
-    It holds all arrays that it was given, so it is made for a few models and forgotten after them.
+    It holds all arrays that it was given, so it is made for a few models and cleared after them.
     """
 
     def __init__(self) -> None:
         self._known: dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]] = {}
+
+    def clear(self) -> None:
+        """Let go of all: a recording that is among what was given holds these results in turn."""
+        self._known.clear()
 
     def __call__(self, made: Callable[..., Any], *given: Any) -> Any:
         """Return what is made of these very objects, which are not altered: as it was before, or made now."""
