@@ -1,6 +1,5 @@
 """Terms with a memory: states and delays along a recording, in windows, and what sensors do to a recording."""
 
-import weakref
 from dataclasses import replace
 
 import numpy as np
