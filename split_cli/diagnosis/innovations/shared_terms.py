@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from split_cli.diagnosis.baseline.discrepancy import SHARED_TERMS, SharedDiscrepancy
 from split_cli.diagnosis.innovations.evidence import Evidence, weighted_rows
@@ -54,7 +54,8 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
         weights = inverse @ rows
         return np.concatenate([rows - columns @ weights, weights])
 
-    # Lags first: beside wrong ones a friction ellipse goes to another minimum, where it leaves tyres no force at all.
+    # Beside wrong lags a friction ellipse may go to another minimum, where it leaves tyres no force at all. So it is
+    # begun anew from lags that were found without it.
     late = np.array([issubclass(kind, BuildsUp) for kind in kinds])
 
     def left_by_lags(sizes: np.ndarray) -> np.ndarray:
@@ -63,10 +64,13 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
         return left(out)
 
     begin = np.full(len(unit), _BEGIN)
-    begin[late] = _fitted(left_by_lags, begin[late], most[late])
-    return terms_at(_fitted(left, begin, most))
+    found = _fitted(left, begin, most)
+    begin[late] = _fitted(left_by_lags, begin[late], most[late]).x
+    again = _fitted(left, begin, most)
+    deeper = again.cost < found.cost and not np.isclose(again.cost, found.cost)
+    return terms_at(again.x if deeper else found.x)
 
 
-def _fitted(left: Callable[[np.ndarray], np.ndarray], begin: np.ndarray, most: np.ndarray) -> np.ndarray:
-    """Return the sizes from 0 to the most, shape (P,), with the least sum of squares of what is left."""
-    return least_squares(left, begin, bounds=(0.0, most), diff_step=0.01).x
+def _fitted(left: Callable[[np.ndarray], np.ndarray], begin: np.ndarray, most: np.ndarray) -> OptimizeResult:
+    """Return the nearest minimum of the sum of squares of what is left, over sizes from 0 to the most, (P,)."""
+    return least_squares(left, begin, bounds=(0.0, most), diff_step=0.01)
