@@ -134,7 +134,7 @@ def test_a_bearing_of_a_satellite_receiver_is_no_yaw_where_nothing_measured_turn
     }
     write(tmp_path / "lap.csv", columns)
     draft = draft_map(open_recording(tmp_path / "lap.csv"))
-    assert draft.of("yaw").status == "open" and "would be zero" in draft.of("yaw").reason
+    assert draft.of("yaw").status == "open" and "derived from a course is zero" in draft.of("yaw").reason
     # A gyro beside it judges: the same column is a yaw, or shows no slip of tyres and is none.
     columns |= {"YAW_RATE_DPS": c["r"] * DEG, "HEADING_DEG": np.mod(90.0 - c["yaw"] * DEG, 360.0)}
     write(tmp_path / "lap.csv", columns)

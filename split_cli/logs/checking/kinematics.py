@@ -107,7 +107,9 @@ class Kinematics:
         if not self._knows_yaw():
             return [plain]
         (x, y), (dx, dy) = self._along_yaw(0), self._along_yaw(1)
-        return [plain, plain - (_turning(x, y, dx, dy) - self.rate("yaw"))]
+        off = _turning(x, y, dx, dy) - self.rate("yaw")
+        # It is less than the turning itself, but of a yaw in a wrong unit.
+        return [plain, plain - off] if _spread(off) < _spread(plain) else [plain]
 
     def _knows_yaw(self) -> bool:
         return "yaw" in self.columns and "vx" in self.columns
@@ -170,6 +172,11 @@ class Kinematics:
             result.flags.writeable = False  # as what is set aside is
             self._known[key] = set_aside(result)
         return self._known[key]
+
+
+def _spread(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.std(known)) if len(known) else 0.0
 
 
 def _turning(x: np.ndarray, y: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
