@@ -8,8 +8,8 @@ both drives. FOLDER/cases/NNN holds what a diagnosis may read: ``real.parquet``,
 FOLDER/truth.json holds what was put in. Rows of diagnosed pairs are kept in FOLDER/rows.jsonl, so that a run that was
 stopped goes on. Seeds below 1,000 are for development, those from 7001 on for reports; a reported seed is run once.
 
-The simulators (`tyres`, `surroundings`, `sports_car`, `van`, `model_car`, `integration`, `cars`, `course`, `driver`,
-`recording`, `effects`, `sizes`) import nothing of `split_cli`. Their equations are the author's own.
+The simulators (`tyres`, `wheels`, `surroundings`, `sports_car`, `van`, `model_car`, `integration`, `cars`, `course`,
+`driver`, `recording`, `effects`, `sizes`) import nothing of `split_cli`. Their equations are the author's own.
 
 - `sports_car`: rear-driven, four spinning wheels, brush tyres that share their grip, load by roll stiffness.
 - `van`: front-driven, TMeasy tyres with relaxed forces, a body that rolls, and roll steer.

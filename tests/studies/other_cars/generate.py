@@ -146,7 +146,6 @@ def write_pair(
     else:
         raise RuntimeError(f"pair {number} of seed {seed} has no drive on its course")
     position = position or any(effect.needs_position for effect in effects)
-    truth = PairTruth(number, kind.name, sim_style, real_style, period, position, acceleration, effects, sizes)
     given = {"position": position, "acceleration": acceleration}
     recordings = {
         "real": recorded(kind, real, sensors, period, rng, **given),
@@ -156,8 +155,8 @@ def write_pair(
     wrong = np.exp(_RESISTANCE * rng.standard_normal(2))
     file = vehicle_text(kind, car._replace(drag=car.drag * wrong[0], rolling=car.rolling * wrong[1]))
     _write_case(kind, recordings, file, case_folder(root, number))
-    paces = {"sim": sim_pace, "real": driver.pace}
-    return PairTruth(**{**{name: getattr(truth, name) for name in truth.__dataclass_fields__}, "paces": paces})
+    styles, paces = (sim_style, real_style), {"sim": sim_pace, "real": driver.pace}
+    return PairTruth(number, kind.name, *styles, period, position, acceleration, effects, sizes, paces)
 
 
 def _any_drive(kind: CarKind, car: Car, style: str, duration: float, rng: np.random.Generator) -> tuple[Driven, float]:

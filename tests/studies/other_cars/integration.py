@@ -29,7 +29,7 @@ def _rates_of(t, x, steer, torque, place, p, out):
 
 @njit(cache=True)
 def _held_at(commands, time, period):
-    """Return a command [N] that keeps its value from one period's begin to the next's; the first before the begin."""
+    """Return a command that keeps its value from one period's begin to the next's; before the begin, the first."""
     index = int(np.floor(time / period + 1e-6))
     return commands[min(max(index, 0), len(commands) - 1)]
 

@@ -13,6 +13,7 @@ from numba import njit
 
 from tests.studies.other_cars.surroundings import GRAVITY, grip_at, grip_of_heat, gust, heating, slosh_spring
 from tests.studies.other_cars.tyres import magic_force
+from tests.studies.other_cars.wheels import wheel_load, wheel_place, wheel_travel, write_pose_rates
 
 
 class ModelCar(NamedTuple):
@@ -102,19 +103,11 @@ def model_car_rates(t, x, steer, torque, place, p, out):
     load_on_shaft = unequal_front = unequal_rear = 0.0
     for i in range(4):
         is_front, is_left = i < 2, i % 2 == 0
-        arm = p.front if is_front else -p.rear
-        side = 0.5 * p.track if is_left else -0.5 * p.track
-        static = 0.5 * weight * (p.rear if is_front else p.front) / wheelbase
-        lift = 0.5 * (p.lift_front if is_front else p.lift_rear) * vx * vx
-        share = p.roll_front if is_front else 1.0 - p.roll_front
-        load = static + lift + (-pitch if is_front else pitch) + (-share * roll if is_left else share * roll)
-        if load < 0.2:
-            load = 0.2
+        arm, side = wheel_place(is_front, is_left, p)
+        load = max(wheel_load(is_front, is_left, vx, pitch, roll, p), 0.2)
         turned = angle if is_front else 0.0
         c, s = cos(turned), sin(turned)
-        travel_x, travel_y = vx - r * side, vy + r * arm
-        rolls = travel_x * c + travel_y * s
-        slides = -travel_x * s + travel_y * c
+        rolls, slides = wheel_travel(vx, vy, r, arm, side, c, s)
         speed = rolls if rolls > 0.2 else 0.2
         differs = x[7] if is_front else x[8]
         spin = x[6] - differs if is_left else x[6] + differs
@@ -145,9 +138,7 @@ def model_car_rates(t, x, steer, torque, place, p, out):
     loose = slosh_spring(x[18], x[19], p.loose_mass, p.loose_frequency, 0.08)
     felt_x = (along_sum - p.drag * vx * abs(vx)) / p.mass
     felt_y = (across_sum + blown + loose) / (p.mass - p.loose_mass)
-    out[0] = vx * cos(x[2]) - vy * sin(x[2])
-    out[1] = vx * sin(x[2]) + vy * cos(x[2])
-    out[2] = r
+    write_pose_rates(x, out)
     out[3] = felt_x - GRAVITY * sin(p.grade) + vy * r
     out[4] = felt_y - GRAVITY * sin(p.bank) - vx * r
     out[5] = (moment + blown * p.gust_arm) / p.yaw_inertia

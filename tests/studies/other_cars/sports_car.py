@@ -12,6 +12,14 @@ from numba import njit
 
 from tests.studies.other_cars.surroundings import GRAVITY, grip_at, grip_of_heat, gust, heating, slosh_spring
 from tests.studies.other_cars.tyres import brush_force
+from tests.studies.other_cars.wheels import (
+    softened,
+    wheel_load,
+    wheel_place,
+    wheel_torque,
+    wheel_travel,
+    write_pose_rates,
+)
 
 
 class SportsCar(NamedTuple):
@@ -42,9 +50,8 @@ class SportsCar(NamedTuple):
     rolling: float = 190.0  # [N], of all wheels
     lift_front: float = 0.35  # downforce [N/(m/s)^2]
     lift_rear: float = 0.55
-    lock: float = (
-        30.0  # between the driven wheels: twice the torque on either, over their speeds' difference [N m s/rad]
-    )
+    # Between the driven wheels: twice the torque on either, over the difference of their speeds [N m s/rad].
+    lock: float = 30.0
     drive_front: float = 0.0
     brake_front: float = 0.62
     grade: float = 0.0
@@ -98,19 +105,11 @@ def sports_car_rates(t, x, steer, torque, place, p, out):
     power_front = power_rear = 0.0
     for i in range(4):
         is_front, is_left = i < 2, i % 2 == 0
-        arm = p.front if is_front else -p.rear
-        side = 0.5 * p.track if is_left else -0.5 * p.track
-        static = 0.5 * weight * (p.rear if is_front else p.front) / wheelbase
-        lift = 0.5 * (p.lift_front if is_front else p.lift_rear) * vx * vx
-        share = p.roll_front if is_front else 1.0 - p.roll_front
-        load = static + lift + (-pitch if is_front else pitch) + (-share * roll if is_left else share * roll)
-        if load < 20.0:
-            load = 20.0
+        arm, side = wheel_place(is_front, is_left, p)
+        load = max(wheel_load(is_front, is_left, vx, pitch, roll, p), 20.0)
         turned = angle if is_front else 0.0
         c, s = cos(turned), sin(turned)
-        travel_x, travel_y = vx - r * side, vy + r * arm
-        rolls = travel_x * c + travel_y * s
-        slides = -travel_x * s + travel_y * c
+        rolls, slides = wheel_travel(vx, vy, r, arm, side, c, s)
         speed = rolls if rolls > 0.5 else 0.5
         along = (x[6 + i] * p.radius - rolls) / speed
         across = x[10 + i]
@@ -119,16 +118,11 @@ def sports_car_rates(t, x, steer, torque, place, p, out):
         axle_grip = p.grip_front if is_front else p.grip_rear
         hot = grip_of_heat(x[18] if is_front else x[19], p.heat_loss)
         limit = gripping * axle_grip * hot * load * (1.0 - p.load_greasing * over)
-        softer = load * (1.0 - p.load_softening * over)
-        if softer < 0.2 * load:
-            softer = 0.2 * load
+        softer = softened(load, over, p)
         stiffness = (p.stiffness_front if is_front else p.stiffness_rear) * softer
         fx, fy = brush_force(along, across, p.stiffness_along * softer, stiffness, limit)
         resistance = 0.25 * p.rolling * p.radius
-        if arrived >= 0.0:
-            pushed = 0.5 * arrived * (p.drive_front if is_front else 1.0 - p.drive_front)
-        else:
-            pushed = 0.5 * arrived * (p.brake_front if is_front else 1.0 - p.brake_front)
+        pushed = wheel_torque(arrived, is_front, p)
         if not is_front:
             pushed += 0.5 * coupled if is_left else -0.5 * coupled
         out[6 + i] = (pushed - resistance - p.radius * fx) / p.wheel_inertia
@@ -145,9 +139,7 @@ def sports_car_rates(t, x, steer, torque, place, p, out):
     loose = slosh_spring(x[20], x[21], p.loose_mass, p.loose_frequency, 0.08)
     felt_x = (along_sum - p.drag * vx * abs(vx)) / p.mass
     felt_y = (across_sum + blown + loose) / (p.mass - p.loose_mass)
-    out[0] = vx * cos(x[2]) - vy * sin(x[2])
-    out[1] = vx * sin(x[2]) + vy * cos(x[2])
-    out[2] = r
+    write_pose_rates(x, out)
     out[3] = felt_x - GRAVITY * sin(p.grade) + vy * r
     out[4] = felt_y - GRAVITY * sin(p.bank) - vx * r
     out[5] = (moment + blown * p.gust_arm) / p.yaw_inertia

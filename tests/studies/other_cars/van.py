@@ -12,6 +12,14 @@ from numba import njit
 
 from tests.studies.other_cars.surroundings import GRAVITY, grip_at, grip_of_heat, gust, heating, slosh_spring
 from tests.studies.other_cars.tyres import tmeasy_force
+from tests.studies.other_cars.wheels import (
+    softened,
+    wheel_load,
+    wheel_place,
+    wheel_torque,
+    wheel_travel,
+    write_pose_rates,
+)
 
 
 class Van(NamedTuple):
@@ -110,33 +118,20 @@ def van_rates(t, x, steer, torque, place, p, out):
     power_front = power_rear = 0.0
     for i in range(4):
         is_front, is_left = i < 2, i % 2 == 0
-        arm = p.front if is_front else -p.rear
-        side = 0.5 * p.track if is_left else -0.5 * p.track
-        static = 0.5 * weight * (p.rear if is_front else p.front) / wheelbase
-        lift = 0.5 * (p.lift_front if is_front else p.lift_rear) * vx * vx
-        share = p.roll_front if is_front else 1.0 - p.roll_front
-        load = static + lift + (-pitch if is_front else pitch) + (-share * moved if is_left else share * moved)
-        if load < 20.0:
-            load = 20.0
+        arm, side = wheel_place(is_front, is_left, p)
+        load = max(wheel_load(is_front, is_left, vx, pitch, moved, p), 20.0)
         turned = x[13] + p.steer_offset - p.roll_steer_front * x[6] if is_front else p.roll_steer_rear * x[6]
         c, s = cos(turned), sin(turned)
-        travel_x, travel_y = vx - r * side, vy + r * arm
-        rolls = travel_x * c + travel_y * s
-        slides = -travel_x * s + travel_y * c
+        rolls, slides = wheel_travel(vx, vy, r, arm, side, c, s)
         speed = rolls if rolls > 0.5 else 0.5
         slip = -slides / speed
         over = load / mean_load - 1.0
         axle_grip = p.grip_front if is_front else p.grip_rear
         hot = grip_of_heat(x[15] if is_front else x[16], p.heat_loss)
         limit = gripping * axle_grip * hot * load * (1.0 - p.load_greasing * over)
-        softer = load * (1.0 - p.load_softening * over)
-        if softer < 0.2 * load:
-            softer = 0.2 * load
+        softer = softened(load, over, p)
         slope = (p.stiffness_front if is_front else p.stiffness_rear) * softer
-        if arrived >= 0.0:
-            pushed = 0.5 * arrived * (p.drive_front if is_front else 1.0 - p.drive_front)
-        else:
-            pushed = 0.5 * arrived * (p.brake_front if is_front else 1.0 - p.brake_front)
+        pushed = wheel_torque(arrived, is_front, p)
         if is_front:
             pushed += 0.5 * coupled if is_left else -0.5 * coupled
         fx = pushed / p.radius - 0.25 * p.rolling
@@ -174,9 +169,7 @@ def van_rates(t, x, steer, torque, place, p, out):
     out[7] = (rolling * pushes / inert + held) / inertia
     felt_y = (pushes + rolling * out[7]) / inert
     out[6] = x[7]
-    out[0] = vx * cos(x[2]) - vy * sin(x[2])
-    out[1] = vx * sin(x[2]) + vy * cos(x[2])
-    out[2] = r
+    write_pose_rates(x, out)
     out[4] = felt_y - GRAVITY * sin(p.bank) - vx * r
     out[5] = (moment + blown * p.gust_arm) / p.yaw_inertia
     out[12] = (felt_x - x[12]) / p.load_lag
