@@ -108,8 +108,9 @@ class Kinematics:
             return [plain]
         (x, y), (dx, dy) = self._along_yaw(0), self._along_yaw(1)
         off = _turning(x, y, dx, dy) - self.rate("yaw")
+        known = np.isfinite(plain) & np.isfinite(off)  # at rest no direction is known, and its rate is any
         # It is less than the turning itself, but of a yaw in a wrong unit.
-        return [plain, plain - off] if _spread(off) < _spread(plain) else [plain]
+        return [plain, plain - off] if known.any() and np.std(off[known]) < np.std(plain[known]) else [plain]
 
     def _knows_yaw(self) -> bool:
         return "yaw" in self.columns and "vx" in self.columns
@@ -172,11 +173,6 @@ class Kinematics:
             result.flags.writeable = False  # as what is set aside is
             self._known[key] = set_aside(result)
         return self._known[key]
-
-
-def _spread(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.std(known)) if len(known) else 0.0
 
 
 def _turning(x: np.ndarray, y: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
