@@ -32,6 +32,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, float]] = {
     ("wind", "broadside"): {"wx": 6.0, "wy": -3.0},
     ("yaw_moment_differential", ""): {"yaw_damping": 900.0},
     ("yaw_moment_differential", "driven"): {"yaw_damping": 900.0},
+    ("yaw_moment_differential", "slip"): {"yaw_damping": 4000.0},
     ("road_bank", ""): {"angle": 0.04},
     ("road_bank", "wave"): {"amplitude": 0.04, "wavelength": 60.0, "phase": 0.4},
     ("road_bank", "stretch"): {"angle": 0.05, "s_start": 25.0, "s_end": 8.0},
