@@ -16,6 +16,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, float]] = {
     ("load_transfer", ""): {"cg_height": 0.5},
     ("load_transfer", "peak"): {"cg_height": 0.5},
     ("load_transfer", "degressive"): {"cg_height": 0.5},
+    ("load_transfer", "higher"): {"cg_height": 0.2},
     ("load_transfer", "late"): {"cg_height": 0.5, "tau": 0.08},
     ("load_transfer", "degressive late"): {"cg_height": 0.5, "tau": 0.08},
     ("aero_downforce", "degressive"): {"front": 0.9, "rear": 1.2},

@@ -272,3 +272,14 @@ def test_a_differential_that_makes_tyres_slip_is_named_alone(tmp_path):
     # slip more under the same force, which the term does not have: that takes about half of the damping.
     own = 0.5 * lock * (car.track / car.radius) ** 2
     assert 0.3 * own < found.parameters["yaw_damping"][0] < 1.2 * own
+
+
+def test_a_higher_centre_of_gravity_is_named_alone_with_its_height(tmp_path):
+    """What more load that moves across takes of the tyres was named as less grip beside a third less height."""
+    truth = write_pair(tmp_path, 701, 10)
+    (planted,) = truth.effects
+    assert planted.name == "CG higher"
+    (found,) = diagnosed(tmp_path, truth, False).said.findings
+    assert found.term == "load_transfer"
+    _, low, high = found.parameters["cg_height"]
+    assert 0.5 * planted.values["cg_height"] < low < planted.values["cg_height"] < high

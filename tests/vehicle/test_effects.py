@@ -206,6 +206,34 @@ def test_axle_terms_scale_what_they_name():
     check(at, expected, term("aero_downforce", front=0.8, rear=1.1))
 
 
+def test_a_higher_centre_of_gravity_takes_force_in_turns_as_well():
+    """Beside the degressive law, each axle loses what (h^2 - h_0^2) makes of two unequal loads; none without height."""
+    at = driving()
+    f = forces(at)
+    higher, pitching = (term("load_transfer", variant, cg_height=0.2) for variant in ("higher", "degressive"))
+    lost = 4.0 * (0.75**2 - 0.55**2) / (0.58 * 2.7) ** 2 * ((f["fyf"] + f["fyr"]) / (1500.0 * G)) ** 2
+    peak, slope = 1.0 - 0.1 * lost, 1.0 - 0.25 * lost
+    moved = pitching_loads(at, 0.2)
+    expected = [
+        D * load**0.9 * peak * np.sin(1.45 * np.arctan(B_ * load**-0.4 * slope / peak * alpha)) - plain
+        for D, B_, load, alpha, plain in (
+            (7900.0, 11.0, 1.0 - moved / (1500.0 * G * B / 2.7), f["alpha_f"], f["fyf"]),
+            (6800.0, 12.5, 1.0 + moved / (1500.0 * G * A / 2.7), f["alpha_r"], f["fyr"]),
+        )
+    ]
+    check(at, change(at, *expected), higher)
+    # Straight on, only the load along the car moves.
+    straight = {**at, "vy": 0.0 * at["vy"], "r": 0.0 * at["r"], "delta": 0.0 * at["delta"]}
+    np.testing.assert_allclose(rates(straight, higher), rates(straight, pitching), rtol=1e-12, atol=1e-12)
+
+
+def pitching_loads(at, height):
+    """Return m a_x h/L by the plain forces [N]."""
+    f = forces(at)
+    along = f["fxr"] + f["fxf"] * np.cos(at["delta"]) - f["fyf"] * np.sin(at["delta"]) - 0.42 * at["vx"] ** 2
+    return along * height / 2.7
+
+
 def test_forces_at_the_centre_of_gravity():
     at = driving()
     zero = 0.0 * at["vx"]

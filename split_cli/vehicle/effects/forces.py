@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from split_cli.signals import STANDARD_GRAVITY
-from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit
+from split_cli.vehicle.effects.search import Course, Range, Search, cg_height, speed_unit
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount
 from split_cli.vehicle.flow import Flow
@@ -26,8 +26,6 @@ _STORM = "judgement: 30 m/s for a full-size car, a violent storm, in which nobod
 _SLIP_OVER_CORNERING = 0.1
 # By which power a tyre's slip stiffness grows with its load [1]: between the laws of `scale_load`, 0.5 and 1.
 _STIFFER_WITH_LOAD = 0.75
-# Height of the CG over the wheelbase where the file has none [1]: Heydinger et al. (1999), SAE 1999-01-1336.
-_USUAL_HEIGHT = 0.2
 _AS_LOCKED = 20.0  # stiffness of a coupling over that of its tyres at a brisk speed [1], see `_SPOOL`
 
 
@@ -197,10 +195,9 @@ class YawMomentDifferential(Term):
         A wheel's share is that of its load, which the lateral acceleration moves by h a_y/(g w) of the axle's.
         """
         car = flow.vehicle
-        height = _USUAL_HEIGHT * car.wheelbase if car.cg_height is None else car.cg_height
         axles = (flow.front, flow.rear)
         force = sum(axle.longitudinal_force for axle, on in zip(axles, cls._driven(car), strict=True) if on)
-        return force * _STIFFER_WITH_LOAD * height * cls._side(flow)
+        return force * _STIFFER_WITH_LOAD * cg_height(car) * cls._side(flow)
 
     @staticmethod
     def _side(flow: Flow) -> Any:
