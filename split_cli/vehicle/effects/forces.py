@@ -116,8 +116,8 @@ class YawMomentDifferential(Term):
     Variant ``slip``: the tyres' slip limits the moment. A coupling that is not weak makes the wheels slip, and acts
     in series with this slip: M_z gains -(r - r_0)/(1/yaw_damping + v_x/K). Here K = w^2 C_x/4, and C_x is the slip
     stiffness of the driven axles. At low speed this is the default. An axle that is locked, of infinite damping,
-    leaves -(r - r_0) K/v_x: its slips are -+ r w/(2 v_x). The second part r_0 = v_x F_x h' a_y/(g K) is the yaw
-    rate at which the wheels are equally fast: the inner wheel carries less load and slips more under the same
+    leaves -(r - r_0) K/v_x: its slips are -+ r w/(2 v_x). At the yaw rate r_0 = v_x F_x h' a_y/(g K) the wheels
+    are equally fast. The reason is that the inner wheel carries less load and slips more under the same
     force. F_x is the force of the driven axles; h' is 3/4 of the CG height, since a tyre's stiffness grows less than
     its load. A vehicle file has neither w nor C_x. So K = 0.1 L^2 C_F is assumed, with the wheelbase L and the
     cornering stiffness C_F of the driven axles. Without `cg_height` in the file, 0.2 L is assumed.
