@@ -12,7 +12,7 @@ import numpy as np
 
 from split_cli.learning.training_set import TrainingSet
 from split_cli.scoring.evidence import TrainingDrive
-from split_cli.scoring.steer_lag import fit_steer_lag
+from split_cli.scoring.likeliest_lag import likeliest_lag
 from split_cli.scoring.torque_lag import fit_torque_lag
 from split_cli.scoring.trust import judge_correction
 from split_cli.vehicle.parameters import Vehicle
@@ -73,8 +73,13 @@ def decide(
     # more cautious of two judgements of them counts.
     chosen, gain = _with_lag(chosen, gain, late, relabel, _FREED_BY_TORQUE, progress)
     progress("looking for a steering that arrives late")
-    late = fit_steer_lag(chosen.drives, chosen.empty)
-    return _with_lag(chosen, gain, late, relabel, _FREED_BY_STEERING, progress)[0]
+    late = likeliest_lag(chosen.drives, chosen.empty, "delta")
+    chosen, gain = _with_lag(chosen, gain, late, relabel, _FREED_BY_STEERING, progress)
+    if [effect.term for effect in chosen.empty.found] == ["steer_lag"]:
+        # Without the torque's the steering's makes v_y worse (decision 0032), and labels alone may have hidden it.
+        late = likeliest_lag(chosen.drives, chosen.empty, "T")
+        chosen, gain = _with_lag(chosen, gain, late, relabel, _FREED_BY_TORQUE, progress)
+    return chosen
 
 
 def _with_lag(

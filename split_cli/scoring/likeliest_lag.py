@@ -1,6 +1,6 @@
-"""First-order lag of the steering, found together with the correction that would stand in for it.
+"""First-order lag of an input, found together with the correction that would stand in for it.
 
-The labels alone do not show it: in hard bends what the tyres' curve gets wrong goes with ddelta/dt as well, and is
+The labels alone may not show it: in hard bends what the tyres' curve gets wrong goes with ddelta/dt as well, and is
 the larger part. So each time constant is judged by what it leaves to the correction to explain.
 """
 
@@ -13,7 +13,7 @@ from split_cli.learning.hyperparameters import FEWEST_TO_FIT, MOST_TO_FIT, likel
 from split_cli.learning.labels import nominal_errors
 from split_cli.learning.training_set import TrainingSet
 from split_cli.scoring.evidence import TrainingDrive
-from split_cli.scoring.torque_lag import may_show_a_lag
+from split_cli.scoring.torque_lag import lagging, may_show_a_lag
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -26,8 +26,8 @@ _ACCURACY = 5e-4  # [s]; judgement: what a front wheel turns in this time is wit
 _CLEAR = 4.0
 
 
-def fit_steer_lag(drives: Sequence[TrainingDrive], empty: TrainingSet) -> Vehicle | None:
-    """Return the vehicle with the steering lag that explains the labels best, or None where none does clearly.
+def likeliest_lag(drives: Sequence[TrainingDrive], empty: TrainingSet, channel: str) -> Vehicle | None:
+    """Return the vehicle with the lag of an input that explains the labels best, or None where none does clearly.
 
     Parameters
     ----------
@@ -35,22 +35,24 @@ def fit_steer_lag(drives: Sequence[TrainingDrive], empty: TrainingSet) -> Vehicl
         With labels of the set's vehicle.
     empty : TrainingSet
         Whose vehicle, grid and kernel count.
+    channel : str
+        The input: ``T`` or ``delta``.
 
     Returns
     -------
     Vehicle or None
-        With ``steer_lag`` as its last effect; None where the steer angle is no command, the file has an effect that
-        delays it, or no lag is four standard errors from none.
+        With ``drive_lag``, of the force along the car, or ``steer_lag`` as its last effect. None where the input is no
+        command, the file has an effect that delays it, or no lag is four standard errors from none.
 
     Notes
     -----
-    With the time constant tau the model leaves the labels y(tau) at the features z(tau), whose slip angle is that of
-    the wheel that has turned. tau maximises the likelihood of y(tau) as a Gaussian process over z(tau) with the
-    set's kernel: of what is left, a function of the features costs little, and what is none costs as noise does.
-    All three outputs count, in the blocks of neighbouring cells that `fit_kernel` takes. Whether the lag is used
-    is decided on held-out blocks, against the file without it.
+    With the time constant tau the model leaves the labels y(tau) at the features z(tau). With a lag of the steering
+    their slip angle is that of the wheel that has turned. tau maximises the likelihood of y(tau) as a Gaussian
+    process over z(tau) with the set's kernel: of what is left, a function of the features costs little, and what is
+    none costs as noise does. All three outputs count, in the blocks of neighbouring cells that `fit_kernel` takes.
+    Whether the lag is used is decided on held-out blocks, against the file without it.
     """
-    if not drives or not may_show_a_lag(drives, empty.vehicle, "delta"):
+    if not drives or not may_show_a_lag(drives, empty.vehicle, channel):
         return None
     inside = [part.labels.inside(empty.grid) for part in drives]
     parts = [labels.take(labels.accepted) for labels in inside]
@@ -64,7 +66,7 @@ def fit_steer_lag(drives: Sequence[TrainingDrive], empty: TrainingSet) -> Vehicl
     blocks = likelihood_blocks(z, empty.grid)
 
     def cost(tau: float) -> float:
-        model = SingleTrack(with_steer_lag(empty.vehicle, tau) if tau else empty.vehicle)
+        model = SingleTrack(_LAGGING[channel](empty.vehicle, tau) if tau else empty.vehicle)
         z, y = [], []
         for part, these in zip(drives, rows, strict=True):
             how = part.labels
@@ -76,9 +78,13 @@ def fit_steer_lag(drives: Sequence[TrainingDrive], empty: TrainingSet) -> Vehicl
     start = _TRIED[int(np.argmin(tried))]
     best = minimize_scalar(cost, bounds=(0.5 * start, 2.0 * start), method="bounded", options={"xatol": _ACCURACY})
     clear = 2.0 * (cost(0.0) - best.fun) > _CLEAR**2
-    return with_steer_lag(empty.vehicle, round(float(best.x), 4)) if clear else None
+    return _LAGGING[channel](empty.vehicle, round(float(best.x), 4)) if clear else None
 
 
 def with_steer_lag(vehicle: Vehicle, tau: float) -> Vehicle:
     """Return a vehicle whose steer angle follows its command with the time constant `tau` [s]."""
     return vehicle.with_effects(EffectSpec("steer_lag", {"tau": tau}))
+
+
+#: A vehicle whose input follows its command with a time constant [s], by channel.
+_LAGGING = {"T": lagging, "delta": with_steer_lag}
