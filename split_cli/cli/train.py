@@ -60,7 +60,7 @@ from split_cli.cli.verbosity import StepBar, print_notes
 @click.option(
     "--lag",
     type=click.Choice(["held-out", "none"]),
-    help="Model a lag of the torque if held-out blocks improve by it (held-out, the default), or never (none).",
+    help="Model lags of torque and steering if held-out blocks improve (held-out, the default), or never (none).",
 )
 @click.option("--any-vehicle", is_flag=True, help="Warn instead of stopping when a drive contradicts the vehicle file.")
 @click.option(

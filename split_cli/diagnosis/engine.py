@@ -28,6 +28,7 @@ from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.detectable import detection_limits
+from split_cli.diagnosis.verdict.everyday import everyday_leads, named_or_everyday
 from split_cli.diagnosis.verdict.findings import Description, confirmed_by_witnesses, describe, is_autocorrelated
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.planted import planted_saving
@@ -264,6 +265,7 @@ def _match(
         found.p_value,
         share,
         (*not_judged, *reasons),
+        leads=everyday_leads(objective, found.outcome.selection, found.outcome.variance_inflation),
         history=found.outcome.selection.history,
         sentences=summarise("match", reasons=reasons),
         gaps=_gaps(case),
@@ -353,7 +355,7 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
     if improved:
         objective = found.outcome.structure.objective
         fit = fit_without_held_out(case, objective, selection.chosen, policy)
-        worth = judge_names(fit, selection.named, findings, remainder)
+        worth = judge_names(fit, named_or_everyday(selection), findings, remainder)
         gone, reason = (), ""
         # What the simulation shows against itself is called unexplained of no drive: where that is much, much hides.
         if structured or found.outcome.self_test.ratio > policy.selection.much_over_noise:
@@ -363,8 +365,8 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
             structured = unexplained = True
             leads = as_leads(gone, reason, case.vehicle)
             selection, *reported = without_names(selection, findings, remainder, gone)
-            worth = judge_names(fit, selection.named, *reported)
-        worth = with_nameless_parts(fit, selection.named, worth)
+            worth = judge_names(fit, named_or_everyday(selection), *reported)
+        worth = with_nameless_parts(fit, named_or_everyday(selection), worth)
     findings, remainder = worth.findings, worth.remainder
     improvement, corrected = worth.improvement, worth.corrected
     forces, after = (
@@ -377,6 +379,7 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         line = found.line.in_words() if found.line else ""
         remainder = replace(remainder, formula="; and ".join(filter(None, (smooth, line))))
     location = locate(case.real, forces, after, case.keep, policy.reporting)
+    searched = found.outcome.structure.objective, found.outcome.selection, found.outcome.variance_inflation
     return Diagnosis(
         "mismatch",
         found.p_value,
@@ -387,10 +390,7 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         remainder=remainder,
         improvement=improvement,
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
-        leads=(
-            *leads,
-            *find_leads(found.outcome.structure.objective, found.outcome.selection, found.outcome.variance_inflation),
-        ),
+        leads=(*leads, *find_leads(*searched), *everyday_leads(*searched)),
         history=selection.history,
         sentences=summarise(
             "mismatch",

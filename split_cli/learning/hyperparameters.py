@@ -24,7 +24,7 @@ NOISE_BOUNDS = (1e-5, 1e1)
 BLOCK_POINTS = 60
 MAXIMUM_BLOCKS = 100
 FEWEST_TO_FIT = 60
-_AT_MOST = 6000
+MOST_TO_FIT = 6000
 
 
 @dataclass(frozen=True)
@@ -147,6 +147,36 @@ def fit_kernel(
     )
 
 
+def likelihood_blocks(z: np.ndarray, grid: Grid) -> list[np.ndarray]:
+    """Return rows of labels grouped into blocks of neighbouring cells, as `fit_kernel` takes them.
+
+    Parameters
+    ----------
+    z : ndarray, shape (N, D)
+        Features of labels inside the grid.
+    """
+    blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)
+    return [blocks[i] for i in _evenly(len(blocks), MAXIMUM_BLOCKS)]
+
+
+def negative_log_likelihood(z: np.ndarray, y: np.ndarray, kernel: Kernel, blocks: Sequence[np.ndarray]) -> float:
+    """Return the negative log likelihood of labels, summed over blocks and outputs; infinite where it has no value.
+
+    Parameters
+    ----------
+    z, y : ndarray, shape (N, D), (N, 3)
+    blocks : sequence of ndarray
+        Rows of each block, as of `likelihood_blocks`: each is a Gaussian process of its own.
+    """
+    from split_cli.learning._compiled import blocks_likelihood
+
+    rows = np.concatenate(blocks)
+    offsets = np.concatenate([[0], np.cumsum([len(block) for block in blocks])])
+    parts = (kernel.length_scales, kernel.signal_variance, kernel.noise_variance)
+    value = float(blocks_likelihood(z[rows], y[rows], offsets, *parts)[0])
+    return value if np.isfinite(value) else np.inf
+
+
 def _searched(
     objective: Callable[[np.ndarray], tuple[float, np.ndarray]],
     begins: Sequence[np.ndarray],
@@ -173,13 +203,12 @@ def _blocks_to_fit(z: np.ndarray, y: np.ndarray, grid: Grid) -> tuple[np.ndarray
         raise SetError(what, advice="Use --hyperparameters default.")
     thinned = labels_to_fit(len(z))
     z, y = z[thinned], y[thinned]
-    blocks = neighbour_blocks(grid.index(z)[0], BLOCK_POINTS)
-    return z, y, [blocks[i] for i in _evenly(len(blocks), MAXIMUM_BLOCKS)]
+    return z, y, likelihood_blocks(z, grid)
 
 
 def labels_to_fit(count: int) -> np.ndarray:
     """Return the numbers of those of `count` labels within the grid that `fit_kernel` looks at, ascending."""
-    return _evenly(count, _AT_MOST)
+    return _evenly(count, MOST_TO_FIT)
 
 
 def _evenly(count: int, most: int) -> np.ndarray:

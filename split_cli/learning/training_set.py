@@ -113,7 +113,7 @@ class TrainingSet:
     trust : Trust
         The share of each output's correction that is applied, by every predictor and every export.
     found_effects : int
-        How many effects, the last of `vehicle`, training found beyond the vehicle file (scoring/torque_lag.py).
+        How many effects, the last of `vehicle`, training found beyond the vehicle file (scoring/found_lags.py).
     information : ndarray, shape (sum of n^2,), or None
         Sums of e e^T over the labels of each cell of n points, the matrices of its cells one after another: a
         label at z observes e.f, with f the process at the points and e = K^-1 k(z) [1]. None where a set absorbs

@@ -3,7 +3,7 @@
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive_metadata import ingest_found
 from split_cli.scoring.evidence import WHOLE_DRIVES
-from split_cli.scoring.torque_lag import found_lag, lag_note
+from split_cli.scoring.found_lags import lag_notes
 
 
 def reservations(training_set: TrainingSet) -> tuple[str, ...]:
@@ -21,6 +21,4 @@ def reservations(training_set: TrainingSet) -> tuple[str, ...]:
             f"trust and intervals hold for {driving} only. On another surface, at other speeds or with other "
             "tyres the correction may do harm. A running trust avoids most of it"
         )
-    if found_lag(training_set) is not None:
-        notes.append(lag_note(training_set))
-    return tuple(notes)
+    return (*notes, *lag_notes(training_set))

@@ -32,13 +32,13 @@ from split_cli.scoring.evaluation import (
 )
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
 from split_cli.scoring.feature_sets import DEFAULT_SIZES, PAPER_SIZE, informative_sets
+from split_cli.scoring.found_lags import Prepared, decide, lag_notes
 from split_cli.scoring.intervals import interval_shares, interval_warnings
 from split_cli.scoring.report import Evaluation, EvaluationSettings, RolloutScore, SetFacts, SizeScore
 from split_cli.scoring.rollouts import RolloutSums, score_rollouts
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.running_trust_on_drive import FollowedPredictor
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
-from split_cli.scoring.torque_lag import Prepared, decide, found_lag, lag_note
 from split_cli.scoring.verdict import (
     BlockErrors,
     Comparison,
@@ -181,7 +181,7 @@ def evaluate(
             *_notes_of_sets(labelled_sets, settings, trained is None),
             *correct.notes,
             *(text for s in _not_judged(trained, drives) for text in ingest_found(s.name, (*s.faults, *s.remarks))),
-            *(lag_note(own) for *_, own in labelled_sets if found_lag(own) is not None),
+            *(note for *_, own in labelled_sets for note in lag_notes(own)),
             *warnings_of(says_something([c for c in comparisons if c.name in settings.predictors], drives)),
             *(interval_warnings(shown, intervals) if trained else ()),
         ),

@@ -10,10 +10,10 @@ from split_cli.cli.ingest import command
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.objective import learn_discrepancy
-from split_cli.diagnosis.innovations.rollouts import HORIZONS, SharedRates, _that_returns, shared_rates
+from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, SharedRates, _that_returns, shared_rates
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.verdict.improvement import measure_improvement
-from split_cli.diagnosis.verdict.simulation_part import SimulationPart, chosen_simulation_parts, part_of
+from split_cli.diagnosis.verdict.simulation_part import SimulationPart, best_part, chosen_simulation_parts, part_of
 from split_cli.logs.drive import read_drive
 from split_cli.logs.track_position import places_of
 from split_cli.proof.injection import split_in_blocks
@@ -49,6 +49,17 @@ def test_a_part_that_fails_on_the_simulation_itself_is_not_believed():
     known = shared_rates(real.series, discrepancy, learn_discrepancy([noise]))
     parts = chosen_simulation_parts([(real, held_last_quarter(real))], [noise], discrepancy, [known], [known])
     assert parts == (SimulationPart(), SimulationPart())
+
+
+@pytest.mark.parametrize("costs_v_y", [True, False])
+def test_beside_a_usual_part_another_is_taken_only_where_no_velocity_pays_for_it(costs_v_y):
+    """The nominal lateral model halves the error of v_x; where that of v_y grows by a tenth, it is not taken."""
+    usual, other, bare = SimulationPart("taught", "taught"), SimulationPart("taught"), SimulationPart()
+    squared = {usual: (1.0, 1.0, 1.0), other: (0.25, 1.21 if costs_v_y else 1.0, 1.0), bare: (4.0, 4.0, 4.0)}
+    stages = {str(part): np.tile(values, (5, 2, 1)) for part, values in squared.items()}
+    errors = [RolloutErrors((0.05, 0.5), np.arange(5.0), stages, np.full((5, 2, 3), 1e-6))]
+    assert best_part(errors, list(squared)) == other
+    assert best_part(errors, list(squared), usual) == (usual if costs_v_y else other)
 
 
 def test_a_part_acts_in_its_outputs_alone():

@@ -78,6 +78,25 @@ def test_one_value_a_row_is_a_signal_for_each_name_with_its_own_clock(form, rows
         ]
 
 
+def test_a_race_of_two_cars_in_one_table_keeps_them_apart(rows, tmp_path):
+    """Titles of one beginning name a signal and its value; the clock is the only column that holds a time."""
+    lines = ["meta_time,lap,meta_source,telemetry_name,telemetry_value,vehicle_id"]
+    for t, name, value, _ in rows:
+        stamp = f"2026-05-18T10:{int(t // 60):02}:{t % 60:09.6f}Z"
+        lines += [f"{stamp},1,live,{name},{factor * value:.7g},{car}" for car, factor in (("GT-7", 1.0), ("GT-9", 0.9))]
+    (tmp_path / "race.csv").write_text("\n".join(lines) + "\n")
+    recording = open_recording(tmp_path / "race.csv")
+    assert len(recording.channels()) == 10
+    truth = np.array([v for _, name, v, _ in rows if name == "yaw_rate"])
+    for car, factor in (("GT-7", 1.0), ("GT-9", 0.9)):
+        read = recording.read([f"{car}.yaw_rate"])[f"{car}.yaw_rate"]
+        assert np.allclose(read.values, factor * truth, atol=1e-5) and np.allclose(np.diff(read.time), 0.02, atol=1e-5)
+    one = [line for line in lines if not line.endswith("GT-9")]
+    (tmp_path / "race.csv").write_text("\n".join(one) + "\n")
+    draft = draft_map(open_recording(tmp_path / "race.csv"))
+    assert draft.of("vx").unit == "km/h" and draft.of("r").unit == "deg/s"
+
+
 def test_labview_writes_its_units_above_the_titles(tmp_path):
     rows = "\n".join(f"{0.01 * n:.2f}\t{30 + np.sin(n / 9):.3f}\t{np.cos(n / 9):.3f}" for n in range(300))
     (tmp_path / "a.lvm").write_text(

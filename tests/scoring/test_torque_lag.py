@@ -16,8 +16,9 @@ from split_cli.logs.drive import Drive, DriveMetadata, write_drive
 from split_cli.scoring.evaluation import NOMINAL
 from split_cli.scoring.evidence import TrainingDrive, TrustEvidence
 from split_cli.scoring.export_warnings import reservations
+from split_cli.scoring.found_lags import Prepared, decide, lag_notes
 from split_cli.scoring.report import EvaluationSettings
-from split_cli.scoring.torque_lag import Prepared, decide, fit_torque_lag, lag_note
+from split_cli.scoring.torque_lag import fit_torque_lag
 from split_cli.scoring.trust import best_trust
 from split_cli.vehicle.parameters import EffectSpec, write_vehicle
 from split_cli.workflows.evaluate import evaluate
@@ -95,7 +96,7 @@ def test_no_trust_without_the_lag_bounds_that_with_it_only_where_something_was_f
         found = by_file if len(asked) == 1 else (1.0, min(0.8, most[1]), 0.0)
         return Trust(found, "held-out", 5), gain if len(asked) == 1 else 0.5, None
 
-    monkeypatch.setattr("split_cli.scoring.torque_lag.judge_correction", judged)
+    monkeypatch.setattr("split_cli.scoring.found_lags.judge_correction", judged)
     drives, empty = [part_of(late)], make_training_set(points=10)
     chosen = decide(Prepared(empty, drives, None), lambda vehicle: Prepared(empty, drives, None))
     assert asked[1][1] == most and chosen.empty.trust.share == (1.0, min(0.8, most), 0.0)
@@ -131,7 +132,7 @@ def test_training_puts_the_lag_into_the_set_and_says_so(trained):
     assert made.trust.share[0] <= 0.1
     facts = dict(describe_file(folder / "car.split").facts)
     assert facts["intervals"].startswith("hold for other stretches of the same driving")
-    assert [lag_note(made)] == list(reservations(replace(made, trust=Trust((0.0, 0.0, 0.0), "held-out", 9))))
+    assert lag_notes(made) == (reservations(replace(made, trust=Trust((0.0, 0.0, 0.0), "held-out", 9))))
     for trust, words in ((Trust((1.0, 0.5, 0.0), "held-out", 9), "same driving"), (Trust.full(), "not judged")):
         assert words in reservations(replace(made, trust=trust))[0]
     often = replace(made, trust=Trust((1.0, 0.5, 0.0), "held-out", 9), sources=3 * made.sources)

@@ -284,8 +284,9 @@ def natural_pairs(datasets: Path, folder: Path) -> Iterator[Pair]:
 
 
 def trust_of(facts: dict) -> str:
-    """Return 1, 0.8, 0.65; lag 54 ms: the trust of a set, and what it found beyond the vehicle file."""
-    lags = [f"; lag {1e3 * effect['parameters']['tau']:.0f} ms" for effect in facts["found"]]
+    """Return 1, 0.8, 0.65; lag 54 ms; steering 30 ms: trust of a set, and what it found beyond the vehicle file."""
+    words = {"drive_lag": "lag", "steer_lag": "steering"}
+    lags = [f"; {words[effect['term']]} {1e3 * effect['parameters']['tau']:.0f} ms" for effect in facts["found"]]
     return ", ".join(f"{share:.2g}" for share in facts["trust"]["share"]) + "".join(lags)
 
 

@@ -188,7 +188,7 @@ def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
         own = fit.parts[-1]
         if base.cost - fit.cost < enough or own.candidate.term in taken or fit.complexity >= chosen.complexity:
             continue
-        if own.candidate.at_limit(own.values) or own.candidate.is_everyday(own.values):
+        if own.candidate.at_limit(own.values) or own.is_everyday:
             continue
         here, there = costs_beside_form_error(explore.objective, [chosen, fit])
         if there <= here and there - here < least:

@@ -38,6 +38,11 @@ class Part:
         """The term with these values."""
         return self.candidate.build(self.values)
 
+    @property
+    def is_everyday(self) -> bool:
+        """Whether any sound recording may have these values: a bias of sensors that no witness tells from the car."""
+        return self.candidate.is_everyday(self.values)
+
 
 @dataclass(frozen=True)
 class Prior:

@@ -107,7 +107,7 @@ def search_forward(
         witnessed = witnessed_p(objective, best, len(best.parts) - 1, chosen, rules)
         p_value = min(p_value, witnessed) * len(explore.candidates)
         last = best.parts[-1]
-        small = p_value >= rules.level or last.candidate.is_everyday(last.values)
+        small = p_value >= rules.level or last.is_everyday
         small |= witnessed > p_value and not exceeds_simulation_scatter(
             objective, last.candidate, chosen.cost - best.cost
         )
@@ -118,7 +118,7 @@ def search_forward(
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
             nuisances += 1
             # What any sound recording has is no guess, and takes no guess's place.
-            guesses = nuisances - sum(part.candidate.is_everyday(part.values) for part in best.parts)
+            guesses = nuisances - sum(part.is_everyday for part in best.parts)
             if guesses > rules.most_nuisances:
                 break
             chosen = best

@@ -133,7 +133,7 @@ def strongest_beside_everyday(
 
     A gyroscope that nobody set to zero acts all along a drive, and no more in a part of it than elsewhere.
     """
-    everyday = [part for part in chosen.parts if part.candidate.is_everyday(part.values)]
+    everyday = [part for part in chosen.parts if part.is_everyday]
     fit = fit_parts(objective, everyday, known=chosen) if everyday else base
     return strongest_part(objective, lines(), fit.residuals, variance_inflation)
 

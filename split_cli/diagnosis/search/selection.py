@@ -312,7 +312,7 @@ def _lends(explore: Explorer, selection: Selection, k: int) -> bool:
     """Return whether a nuisance is refused beside others, saves little and is no bias that all sensors have."""
     chosen, without, own = selection.chosen, selection.without[k], selection.chosen.parts[k]
     much = explore.rules.form_error_cost * (selection.base.cost - chosen.cost)
-    if own.candidate.is_everyday(own.values) or without.cost - chosen.cost > much:
+    if own.is_everyday or without.cost - chosen.cost > much:
         return False
     return _refused_last(explore, without, chosen, k)
 
@@ -350,7 +350,7 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
             or witnessed_p(objective, chosen, k, one, rules) < level
         )
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
-        and not chosen.parts[k].candidate.is_everyday(chosen.parts[k].values)
+        and not chosen.parts[k].is_everyday
         and not is_denied(objective, chosen, k)
         for k, one in enumerate(without)
     ]

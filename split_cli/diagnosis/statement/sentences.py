@@ -122,6 +122,13 @@ def hidden_sentence(
     return _stated_as_lead(term, variant, parameters, reasons, vehicle)
 
 
+def everyday_sentence(term: str, variant: str, parameters: Parameters, limits: Mapping[str, float]) -> str:
+    """Return what a sensor does that any sound recording may have, and up to which value of each parameter."""
+    most = " and ".join(f"{number(limit)} {parameters[name].unit}".strip() for name, limit in limits.items())
+    reasons = f"Sound recordings have up to {most} of it, and these show no cause, so it is no fault."
+    return _stated_as_lead(term, variant, parameters, reasons, None)
+
+
 def _stated_as_lead(term: str, variant: str, parameters: Parameters, reasons: str, vehicle: Vehicle | None) -> str:
     statement = statement_for(term, variant, parameters, vehicle)
     return f"A lead, not a finding: {statement[:1].lower()}{statement[1:]}. {reasons}"

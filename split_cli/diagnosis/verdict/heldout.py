@@ -71,17 +71,17 @@ def hold_out(
 
 
 def fitted_alone(
-    objective: MarginalLikelihood, fit: Fit, named: Sequence[bool], findings: Sequence[Finding]
+    objective: MarginalLikelihood, fit: Fit, known: Sequence[bool], findings: Sequence[Finding]
 ) -> tuple[Part, ...]:
-    """Return the named parts of a fit as they explain most without the others, within what is known of them.
+    """Return the known parts of a fit as they explain most without the others, within what is known of them.
 
     Parameters
     ----------
     objective : MarginalLikelihood
     fit : Fit
-        Of which the parts that are not named leave.
-    named : sequence of bool
-        Of every part.
+        Of which the parts that are not known leave.
+    known : sequence of bool
+        Of every part: whether it has a name, or is what any sound recording may have.
     findings : sequence of Finding
         With the 95 % intervals that no value leaves.
 
@@ -91,11 +91,11 @@ def fitted_alone(
     them. A vehicle with the names alone has none of what has no name. Of the values that the data allow, it takes
     those that are best then. What a drive does not show keeps the value of its finding.
     """
-    parts = tuple(part for part, one in zip(fit.parts, named, strict=True) if one)
+    parts = tuple(part for part, one in zip(fit.parts, known, strict=True) if one)
     if len(parts) in (0, len(fit.parts)):
         return parts
     by_term = {one.term: one for one in findings}
-    bounded = [_within(part, by_term[part.candidate.term]) for part in parts]
+    bounded = [_within(part, by_term[term]) if (term := part.candidate.term) in by_term else part for part in parts]
     alone = fit_parts(objective, bounded)
     return tuple(Part(part.candidate, one.values) for part, one in zip(parts, alone.parts, strict=True))
 

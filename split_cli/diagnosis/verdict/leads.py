@@ -68,7 +68,7 @@ def _hidden(explore: Explorer, selection: Selection, beside: Sequence[tuple[Fit,
         for fit in fits:
             part, last, saved = fit.parts[-1], len(fit.parts) - 1, rest.cost - fit.cost
             own = part.candidate
-            if own.at_limit(part.values) or own.is_everyday(part.values) or (own.term in taken and rest is chosen):
+            if own.at_limit(part.values) or part.is_everyday or (own.term in taken and rest is chosen):
                 continue
             if len(out) >= objective.policy.abstention.most_leads:
                 return out

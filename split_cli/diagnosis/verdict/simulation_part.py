@@ -66,14 +66,15 @@ def chosen_simulation_parts(
     -----
     An offer must predict the end of every simulation no worse than the nominal model does, learned from what comes
     before; of the pairs of those that do, the one is taken that predicts the real drives' training time best. Both
-    by `log_error_ratio`.
+    by `log_error_ratio`. With terms another pair than without them is taken only if no velocity is predicted worse
+    with it there: else what names do to one velocity would be mixed with what the exchange does to another.
     """
     if any(one is None for one in bare):
         return SimulationPart(), SimulationPart()
     believable = _that_predict_the_simulation(simulated, discrepancy)
     rows = [(one, ~held) for one, held in recordings]
     before = _best(rows, bare, (), believable)
-    return before, _best(rows, named, terms, believable) if terms else before
+    return before, _best(rows, named, terms, believable, before) if terms else before
 
 
 def _that_predict_the_simulation(
@@ -91,10 +92,35 @@ def _that_predict_the_simulation(
     )
 
 
-def _best(rows, rates, terms: Sequence[Term], believable: tuple[Sequence[str], Sequence[str]]) -> SimulationPart:
-    parts = {str(pair): SimulationPart(*pair) for pair in product(*believable)}
-    judged = _errors(rows, rates, terms, parts)
-    return parts[min(parts, key=lambda name: _excess(judged, name, str(("nominal", "nominal")), (0, 1, 2)))]
+def _best(
+    rows: Sequence[tuple[Evidence, np.ndarray]],
+    rates: Sequence[SharedRates | None],
+    terms: Sequence[Term],
+    believable: tuple[Sequence[str], Sequence[str]],
+    usual: SimulationPart | None = None,
+) -> SimulationPart:
+    parts = [SimulationPart(*pair) for pair in product(*believable)]
+    return best_part(_errors(rows, rates, terms, {str(part): part for part in parts}), parts, usual)
+
+
+def best_part(
+    judged: Sequence[RolloutErrors], parts: Sequence[SimulationPart], usual: SimulationPart | None = None
+) -> SimulationPart:
+    """Return the part with the least errors; beside a usual one, of those by which no velocity has larger ones.
+
+    Parameters
+    ----------
+    judged : sequence of RolloutErrors
+        With a stage for each part, named by ``str(part)``.
+    """
+    channels = (*_LONGITUDINAL, *_LATERAL)
+    if usual is not None:
+        parts = [
+            part
+            for part in parts
+            if all(_excess(judged, str(part), str(usual), (channel,)) <= 0.0 for channel in channels)
+        ]
+    return min(parts, key=lambda part: _excess(judged, str(part), str(SimulationPart()), channels))
 
 
 def _excess(judged: Sequence[RolloutErrors], stage: str, than: str, channels: Sequence[int]) -> float:

@@ -92,18 +92,18 @@ def fit_without_held_out(case: DiagnosisCase, objective: MarginalLikelihood, who
     return HeldOutFit(case, objective, whole, split, trained)
 
 
-def judge_names(fit: HeldOutFit, named: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest) -> Worth:
-    """Judge findings on held-out time, with the parts that have a name alone.
+def judge_names(fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest) -> Worth:
+    """Judge findings on held-out time, without the parts that are not known to act.
 
     Parameters
     ----------
-    named : sequence of bool
-        Of every part of the fit.
+    known : sequence of bool
+        Of every part of the fit: whether it has a name, or is what any sound recording may have.
     """
-    terms = tuple(part.term for part in fitted_alone(fit.split.training, fit.trained, named, findings))
+    terms = tuple(part.term for part in fitted_alone(fit.split.training, fit.trained, known, findings))
     corrected = judge_corrected(fit.recordings, terms)
-    if corrected is not None and not all(named):
-        parts = fitted_alone(fit.objective, fit.whole, named, findings)
+    if corrected is not None and not all(known):
+        parts = fitted_alone(fit.objective, fit.whole, known, findings)
         corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
     return Worth(
         with_shares(findings, fit.whole, fit.shares),
@@ -113,7 +113,7 @@ def judge_names(fit: HeldOutFit, named: Sequence[bool], findings: Sequence[Findi
     )
 
 
-def with_nameless_parts(fit: HeldOutFit, named: Sequence[bool], worth: Worth) -> Worth:
+def with_nameless_parts(fit: HeldOutFit, known: Sequence[bool], worth: Worth) -> Worth:
     """Return the vehicle and the improvement of the whole fit, if a vehicle file takes that and not the names alone.
 
     Notes
@@ -123,10 +123,10 @@ def with_nameless_parts(fit: HeldOutFit, named: Sequence[bool], worth: Worth) ->
     it for the second time. So it must be no worse where it was fitted, either, and better in some velocity after 2 s.
     """
     corrected = worth.corrected
-    if corrected is None or corrected.accepted or all(named):
+    if corrected is None or corrected.accepted or all(known):
         return worth
     further = tuple(
-        _as_effect(part) for part, one in zip(fit.whole.parts, named, strict=True) if not one and part.term.exported
+        _as_effect(part) for part, one in zip(fit.whole.parts, known, strict=True) if not one and part.term.exported
     )
     together = judge_corrected(fit.recordings, fit.trained.terms) if further else None
     if together is None or not together.accepted:

@@ -16,11 +16,13 @@ from split_cli.errors import LogError
 from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import (
     TIME_COLUMNS,
+    RawChannelInfo,
     RawRecording,
     RawSignal,
     ReadNote,
     TableRecording,
     UniqueNames,
+    time_column,
     unit_of_time,
 )
 from split_cli.logs.readers.delimited import number_of
@@ -32,6 +34,8 @@ from split_cli.signals import find_unit, split_name_and_unit, symbol_of
 NAMES = tuple("signal signal_name channel name variable parameter topic key field _field metric sensor".split())
 VALUES = ("value", "_value", "val", "data", "reading", "measurement", "signal_value", "physical_value")
 _GROUPS = ("message", "_measurement", "measurement", "message_name", "ecu", "device", "topic")
+_CARS = tuple("vehicle_id vehicle car_id car original_vehicle_id vehicle_number car_number driver".split())
+"""A race's table holds the values of all its cars."""
 _TIMES = tuple(
     name + unit
     for name in ("_time", "receive_time", "log_time", *TIME_COLUMNS)
@@ -49,9 +53,9 @@ class Places:
     time: Any
     name: Any
     value: Any
-    # unit, group: of the value, and of what several names stand in, as a message.
+    # unit, groups: of the value, and of what several names stand in, as a car or a message.
     unit: Any = None
-    group: Any = None
+    groups: tuple[Any, ...] = ()
     unit_of_time: str | None = None  # as the title says
     # separator, decimal: of a table.
     separator: str = ","
@@ -69,9 +73,29 @@ def places_in(titles: Sequence[str]) -> Places | None:
 
     time, name = first(_TIMES), first(NAMES)
     value = first(VALUES, name)
+    if name is None or value is None:
+        name, value = _pair_of_one_beginning(bare)
+    if time is None and name is not None:
+        others = [RawChannelInfo(title, "column", None) for n, title in enumerate(bare) if n not in (name, value)]
+        timed = time_column(others)
+        time = None if timed is None else bare.index(timed.name)
     if time is None or name is None or value is None:
         return None
-    return Places(time, name, value, first(("unit", "units")), first(_GROUPS, name, value), parted[time][1])
+    groups = (first(_CARS, name, value), first(_GROUPS, name, value))
+    places = tuple(place for place in groups if place is not None)
+    return Places(time, name, value, first(("unit", "units")), places, parted[time][1])
+
+
+def _pair_of_one_beginning(titles: Sequence[str]) -> tuple[int | None, int | None]:
+    """Return the places of titles such as ``telemetry_name`` and ``telemetry_value``; None where there are none."""
+    for place, title in enumerate(titles):
+        beginning, _, last = title.rpartition("_")
+        if beginning and last in NAMES:
+            values = [f"{beginning}_{word}" for word in VALUES]
+            value = next((titles.index(word) for word in values if word in titles), None)
+            if value is not None:
+                return place, value
+    return None, None
 
 
 def open_named_rows(
@@ -148,21 +172,21 @@ class _Signal(GrowingSignal):
 
 
 def _gathered(path: Path, at: Places, rows: Iterable[Sequence[Any]]) -> RawRecording:
-    found: dict[tuple[str, str], _Signal] = {}
+    found: dict[tuple[tuple[str, ...], str], _Signal] = {}
     bad = 0
-    width = max(place for place in (at.time, at.name, at.value, at.unit, at.group) if place is not None)
+    width = max(place for place in (at.time, at.name, at.value, at.unit, *at.groups) if place is not None)
     for row in rows:
-        name = row[at.name] if len(row) > width else None
+        name = str(row[at.name] or "") if len(row) > width else ""
         time = _number(row[at.time], at.decimal) if name else np.nan
         if not np.isfinite(time):
             bad += bool(row) and tuple(row) != at.titles
             continue
-        group = str(row[at.group] or "") if at.group is not None else ""
-        signal = found.get((group, name))
+        groups = tuple(str(row[place] or "") for place in at.groups)
+        signal = found.get((groups, name))
         if signal is None:
             refuse_many_columns(len(found) + 1, path.name)
             unit = str(row[at.unit] or "").strip() if at.unit is not None else ""
-            signal = found[(group, name)] = _Signal(unit)
+            signal = found[(groups, name)] = _Signal(unit)
         value = _number(row[at.value], at.decimal)
         if np.isfinite(value):
             signal.append(time, value)
@@ -177,7 +201,7 @@ def _number(cell: Any, decimal: str) -> float:
     return plain_number(cell)
 
 
-def _recording(path: Path, at: Places, found: dict[tuple[str, str], _Signal], bad: int) -> RawRecording:
+def _recording(path: Path, at: Places, found: dict[tuple[tuple[str, ...], str], _Signal], bad: int) -> RawRecording:
     notes = [ReadNote("rows without a name or a time, left out", path.name, bad)] if bad else []
     shared = Counter(name for _, name in found)
     unique, signals, words = UniqueNames(), {}, []
@@ -185,13 +209,15 @@ def _recording(path: Path, at: Places, found: dict[tuple[str, str], _Signal], ba
     longest = max((time for time, _ in read.values()), key=len, default=np.zeros(0))
     known = find_unit(at.unit_of_time or unit_of_time(longest))
     scale = known.factor if known is not None and known.si == "s" else 1.0
-    for (group, name), signal in found.items():
-        time, values = read[(group, name)]
+    differ = [len({groups[n] for groups, _ in found}) > 1 for n in range(len(at.groups))]
+    for (groups, name), signal in found.items():
+        time, values = read[(groups, name)]
         if signal.others > len(values) or not len(values):
             words.append(name)
             continue
         own, unit = split_name_and_unit(name)
-        own = unique.of(f"{group}.{own or name}" if shared[name] > 1 and group else own or name)
+        group = [word for word, several in zip(groups, differ, strict=True) if several and word]
+        own = unique.of(".".join([*group, own or name]) if shared[name] > 1 else own or name)
         signals[own] = RawSignal(own, time * scale, values, symbol_of(signal.unit) or unit)
     if words:
         shown = ", ".join(words[:3]) + (", ..." if len(words) > 3 else "")

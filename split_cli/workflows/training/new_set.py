@@ -25,7 +25,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.learning.trust import Trust
 from split_cli.logs.scratch import in_pieces, selected
 from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive, held_out_whole
-from split_cli.scoring.torque_lag import Prepared, decide, lag_note
+from split_cli.scoring.found_lags import Prepared, decide, lag_notes
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.training.labelled_drives import LabelledDrives
 from split_cli.workflows.training.settings import TrainSettings
@@ -34,9 +34,9 @@ from split_cli.workflows.training.settings import TrainSettings
 def create_set(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSet, KernelFit | None, LabelledDrives]:
     """Return an empty set: its grid from the first drive with valid samples, its kernel and trust as asked for.
 
-    Where trust is found on held-out blocks, a lag of the torque is, too: the set's vehicle then holds it beyond
-    the vehicle file, if held-out blocks gain more with it and are harmed nowhere. The drives come back as they are
-    labelled for the set's vehicle.
+    Where trust is found on held-out blocks, lags of torque and steering are, too: the set's vehicle then holds
+    them beyond the vehicle file, if held-out blocks gain more with them and are harmed nowhere. The drives come
+    back as they are labelled for the set's vehicle.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def create_set(drives: LabelledDrives, settings: TrainSettings) -> tuple[Trainin
         follows = all(part.drive.metadata.torque_follows_motion for part in chosen.drives)
         if follows and empty.trust.share[0] > 0.0:
             empty = replace(empty, trust=replace(empty.trust, share=(0.0, *empty.trust.share[1:])))
-        drives.note(*([lag_note(empty)] if empty.found_effects else []), *trust_notes(empty.trust, follows))
+        drives.note(*lag_notes(empty), *trust_notes(empty.trust, follows))
         if chosen.needed is not None:
             seconds = sum(len(part.drive) * part.drive.period for part in chosen.drives)
             drives.note(

@@ -177,14 +177,14 @@ def _largest_error(again: Labels, stored: _StoredLabels) -> float:
 def _error_beside_a_lag(
     trained: TrainingSet, samples: int, labels: Labels, all_rows: Labels, stored: _StoredLabels
 ) -> float:
-    """Return the largest error of points whose labels of v_x are freed of the torque's lag.
+    """Return the largest error of points whose labels are freed of the torque's lag.
 
-    That depends on all labels that were learned together. Where others were than are here, v_x is not compared.
+    That depends on all labels that were learned together. Where others were than are here, only features are
+    compared.
     """
     if len(labels) == samples:
         return _largest_error(freed_of_late_torque(trained, labels), stored)
-    known = np.array([False, True, True])
-    return _largest_error(replace(all_rows, y=all_rows.y[:, known]), replace(stored, y=stored.y[:, known]))
+    return _largest_error(replace(all_rows, y=np.zeros_like(all_rows.y)), replace(stored, y=np.zeros_like(stored.y)))
 
 
 def _comparison(check: str, count: int, worst: float) -> VerifiedItem:

@@ -1,0 +1,36 @@
+"""What any sound recording may have, such as a bias that no witness tells from the car: explained, and no finding."""
+
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.term_tests import term_p, term_size
+from split_cli.diagnosis.statement.result import Lead
+from split_cli.diagnosis.statement.sentences import everyday_sentence
+from split_cli.diagnosis.verdict.estimates import parameter_estimates
+
+
+def named_or_everyday(selection: Selection) -> tuple[bool, ...]:
+    """Return which parts of an explanation are known to act: those with a name, and what any recording may have."""
+    return tuple(named or part.is_everyday for part, named in zip(selection.chosen.parts, selection.named, strict=True))
+
+
+def everyday_leads(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> tuple[Lead, ...]:
+    """Return the everyday parts of an explanation that save beyond chance and are large enough to be seen, as leads.
+
+    Parameters
+    ----------
+    variance_inflation : float
+        By which residual autocorrelation widens chi squared.
+    """
+    fit, policy = selection.chosen, objective.policy
+    whole, out = max(selection.base.cost - fit.cost, 1e-9), []
+    estimates = parameter_estimates(objective, fit)
+    for k, (part, without) in enumerate(zip(fit.parts, selection.without, strict=True)):
+        saved = without.cost - fit.cost
+        if not part.is_everyday or term_p(objective, fit, k, saved, variance_inflation) >= policy.selection.level:
+            continue
+        if term_size(objective, fit, k) > policy.allowances.large:
+            own, ranges = part.candidate, part.candidate.ranges
+            limits = {name: ranges[name].everyday for name in own.away(part.values)}
+            sentence = everyday_sentence(own.term, own.variant, estimates[k], limits)
+            out.append(Lead(own.term, own.variant, estimates[k], {}, saved / whole, (), sentence))
+    return tuple(out)

@@ -1,0 +1,51 @@
+"""What any sound recording may have is known and no finding: it stands beside the names, and a lead states it."""
+
+from dataclasses import replace
+
+import pytest
+
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.fitting import Part, fit_parts
+from split_cli.diagnosis.search.selection import Selection, nothing
+from split_cli.diagnosis.verdict.everyday import everyday_leads, named_or_everyday
+from split_cli.diagnosis.verdict.heldout import fitted_alone
+from tests.diagnosis.recordings import INFLATION, bare_objective, driven, explorer, light_evidence, noisy, prepared
+
+BIAS = 0.015  # [rad/s], a gyroscope's at rest
+
+
+@pytest.fixture(scope="module")
+def shifted() -> MarginalLikelihood:
+    """A drive with a shifted yaw rate, and without yaw and position that would show whose it is."""
+    series = prepared(noisy(driven(44), 10))
+    drive = replace(series.drive, columns={**series.drive.columns, "r": series.drive["r"] + BIAS})
+    columns = {name: values for name, values in drive.columns.items() if name not in ("X", "Y", "yaw")}
+    return bare_objective(light_evidence(prepared(replace(drive, columns=columns))))
+
+
+def selection_of(objective: MarginalLikelihood, candidate: Candidate, named: bool) -> Selection:
+    base = nothing(objective)
+    chosen = fit_parts(objective, (Part(candidate, {"r": 0.01}),))
+    return Selection(base, chosen, (base,), ((),), ((),), (named,))
+
+
+def test_a_bias_without_a_witness_is_a_lead_with_its_value_and_how_much_is_usual(shifted):
+    (bias,) = explorer(shifted, "yaw_rate_bias").candidates
+    everyday = selection_of(shifted, bias.without_witness(), False)
+    (lead,) = everyday_leads(shifted, everyday, INFLATION)
+    assert lead.term == "yaw_rate_bias" and not lead.limits and lead.share == pytest.approx(1.0)
+    assert lead.parameters["r"].value == pytest.approx(BIAS, abs=0.003)
+    assert "Sound recordings have up to 0.0175 rad/s" in lead.sentence
+    assert lead.sentence.startswith("A lead, not a finding: the measurement, not the car: the yaw rate reads")
+    # What is more than usual is no lead of this kind, named or not.
+    assert everyday_leads(shifted, selection_of(shifted, bias, True), INFLATION) == ()
+
+
+def test_what_is_everyday_stands_beside_the_names_and_needs_no_finding(shifted):
+    (bias,) = explorer(shifted, "yaw_rate_bias").candidates
+    usual, fault = selection_of(shifted, bias.without_witness(), False), selection_of(shifted, bias, False)
+    assert named_or_everyday(usual) == (True,) and named_or_everyday(fault) == (False,)
+    (kept,) = fitted_alone(shifted, usual.chosen, named_or_everyday(usual), ())
+    assert kept.values == usual.chosen.parts[0].values
+    assert fitted_alone(shifted, fault.chosen, named_or_everyday(fault), ()) == ()
