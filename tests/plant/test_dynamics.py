@@ -272,3 +272,26 @@ def test_true_signals_satisfy_the_kinematic_identities(name):
         (slope(vy) + (vx * r)[inner], ay[inner], np.ptp(ay) + 0.1),
     ):
         assert np.sqrt(np.mean((left - right) ** 2)) < 1e-3 * size
+
+
+@pytest.mark.parametrize("locking", [0.5, 20.0, 500.0])
+@pytest.mark.parametrize("speed", [7.0, 25.0])
+def test_a_differential_damps_yaw_in_series_with_the_slip_of_its_wheels(locking, speed):
+    """M = -r/(R^2/(k w^2) + 2 v/(w^2 C)) with k the locking and C the slip stiffness of a wheel: less at speed."""
+    car = replace(plain(FORMULA_CAR), differential_locking_rear=locking)
+    width, turning, inner = car.track_rear, 0.05, slice(6, 18)
+    state = initial_state(car, speed)
+    state[INDEX["r"]] = turning
+    state[INDEX["vy"]] = car.cg_to_rear_axle * turning  # no slip angle at the rear
+    # Slopes of both rear wheels at this load, from a slip ratio that is put in by hand.
+    slipping = state.copy()
+    slipping[12:14] = 1e-3, -1e-3
+    pulls = state_rate(car, slipping, 0.0, 0.0)[1].force_x[2:4]
+    stiffness = 0.5 * (pulls[0] - pulls[1]) / 1e-3
+    for _ in range(6000):  # wheels and slips settle while the body is held
+        rate, found = state_rate(car, state, 0.0, 0.0)
+        state[inner] += 1e-4 * rate[inner]
+    moment = 0.5 * width * (found.force_x[3] - found.force_x[2])
+    series = car.wheel_radius**2 / (locking * width**2) + 2.0 * speed / (width**2 * stiffness)
+    # Tyres roll at 1 % of slip at most, where they are linear to a few per cent.
+    np.testing.assert_allclose(moment, -turning / series, rtol=0.03)

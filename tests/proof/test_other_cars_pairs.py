@@ -13,7 +13,7 @@ from tests.studies.other_cars.course import STYLES, draw_course
 from tests.studies.other_cars.driver import LostCar, draw_driver, drive
 from tests.studies.other_cars.effects import EFFECTS, STRANGE, PlantedEffect, may_join
 from tests.studies.other_cars.generate import PairTruth, generate_pairs, pair_name, truth_from, write_pair
-from tests.studies.other_cars.judging import PairAnswer, PairAnswers, judged_pair, summary_lines
+from tests.studies.other_cars.judging import PairAnswer, PairAnswers, diagnosed, judged_pair, summary_lines
 from tests.studies.other_cars.recording import SensorFaults, recorded, sensed
 from tests.studies.other_cars.sizes import effect_over_noise
 
@@ -259,3 +259,27 @@ def test_answers_are_kept_between_runs_and_seeds_are_not_mixed(tmp_path):
     (tmp_path / "truth.json").write_text(json.dumps({"seed": 700, "pairs": []}))
     with pytest.raises(ValueError, match="seed 700, not 701"):
         generate_pairs(tmp_path, 701, [0])
+
+
+def test_a_differential_that_makes_tyres_slip_is_named_alone(tmp_path):
+    """A constant yaw damping beside it left a shift of the CG and a steering gain; the car has brush tyres."""
+    lock, car = 310.0, KINDS["sports car"].base
+    planted = PlantedEffect("stiffer differential", "yaw_moment_differential", added={"lock": lock})
+    truth = write_pair(tmp_path, 750, 2, (planted,), "sports car")
+    (found,) = diagnosed(tmp_path, truth, False).said.findings
+    assert found.term == "yaw_moment_differential"
+    # Torque of the coupling over the wheels' difference of speeds is half the lock. Tyres that push across as well
+    # slip more under the same force, which the term does not have: that takes about half of the damping.
+    own = 0.5 * lock * (car.track / car.radius) ** 2
+    assert 0.3 * own < found.parameters["yaw_damping"][0] < 1.2 * own
+
+
+def test_a_higher_centre_of_gravity_is_named_alone_with_its_height(tmp_path):
+    """What more load that moves across takes of the tyres was named as less grip beside a third less height."""
+    truth = write_pair(tmp_path, 701, 10)
+    (planted,) = truth.effects
+    assert planted.name == "CG higher"
+    (found,) = diagnosed(tmp_path, truth, False).said.findings
+    assert found.term == "load_transfer"
+    _, low, high = found.parameters["cg_height"]
+    assert 0.5 * planted.values["cg_height"] < low < planted.values["cg_height"] < high

@@ -206,6 +206,34 @@ def test_axle_terms_scale_what_they_name():
     check(at, expected, term("aero_downforce", front=0.8, rear=1.1))
 
 
+def test_a_higher_centre_of_gravity_takes_force_in_turns_as_well():
+    """Beside the degressive law, each axle loses what (h^2 - h_0^2) makes of two unequal loads; none without height."""
+    at = driving()
+    f = forces(at)
+    higher, pitching = (term("load_transfer", variant, cg_height=0.2) for variant in ("higher", "degressive"))
+    lost = 4.0 * (0.75**2 - 0.55**2) / (0.58 * 2.7) ** 2 * ((f["fyf"] + f["fyr"]) / (1500.0 * G)) ** 2
+    peak, slope = 1.0 - 0.1 * lost, 1.0 - 0.25 * lost
+    moved = pitching_loads(at, 0.2)
+    expected = [
+        D * load**0.9 * peak * np.sin(1.45 * np.arctan(B_ * load**-0.4 * slope / peak * alpha)) - plain
+        for D, B_, load, alpha, plain in (
+            (7900.0, 11.0, 1.0 - moved / (1500.0 * G * B / 2.7), f["alpha_f"], f["fyf"]),
+            (6800.0, 12.5, 1.0 + moved / (1500.0 * G * A / 2.7), f["alpha_r"], f["fyr"]),
+        )
+    ]
+    check(at, change(at, *expected), higher)
+    # Straight on, only the load along the car moves.
+    straight = {**at, "vy": 0.0 * at["vy"], "r": 0.0 * at["r"], "delta": 0.0 * at["delta"]}
+    np.testing.assert_allclose(rates(straight, higher), rates(straight, pitching), rtol=1e-12, atol=1e-12)
+
+
+def pitching_loads(at, height):
+    """Return m a_x h/L by the plain forces [N]."""
+    f = forces(at)
+    along = f["fxr"] + f["fxf"] * np.cos(at["delta"]) - f["fyf"] * np.sin(at["delta"]) - 0.42 * at["vx"] ** 2
+    return along * height / 2.7
+
+
 def test_forces_at_the_centre_of_gravity():
     at = driving()
     zero = 0.0 * at["vx"]
@@ -253,6 +281,52 @@ def test_a_locked_axle_that_drives_turns_with_the_difference_of_its_wheels_slips
     still = term("yaw_moment_differential", yaw_damping=2000.0)
     dragged, less = (rates(out, one, car=car)[2] - rates(out, car=car)[2] for one in (still, model))
     assert dragged < less < 0.0
+
+
+@pytest.mark.parametrize("driven", ["all", "rear", "front"])
+def test_tires_that_slip_limit_the_moment_of_a_locked_axle(driven):
+    """-(r - r_0)/(1/d + v_x/K): a weak coupling damps by itself, a locked axle gives what slip permits."""
+    from dataclasses import replace
+
+    at = driving()
+    share = {"all": 0.4, "rear": 0.0, "front": 1.0}[driven]
+    car = replace(CAR, drive_split_front=share, brake_split_front=share)
+    f = forces(at)
+    force = (share * at["T"] / 0.31 - 90.0) * (share > 0.0) + ((1.0 - share) * at["T"] / 0.31 - 80.0) * (share < 1.0)
+    side = (f["fyf"] + f["fyr"]) / (1500.0 * G)
+    front, rear = 11.0 * 1.45 * 7900.0, 12.5 * 1.45 * 6800.0
+    limit = 0.1 * 2.7**2 * (front * (share > 0.0) + rear * (share < 1.0))
+    by_load = 0.75 * 0.55 * force * side
+    zero, spun = 0.0 * at["vx"], at["vx"] * by_load / limit
+    damped = {1.0: (at["r"] - spun) * 1.0, 1e9: limit * at["r"] / at["vx"] - by_load}
+    damped[4000.0] = (at["r"] - spun) / (1.0 / 4000.0 + at["vx"] / limit)
+    for damping, moment in damped.items():
+        model = term("yaw_moment_differential", "slip", yaw_damping=damping)
+        moved = rates(at, model, car=car) - rates(at, car=car)
+        # Of either limit the other part of the series is at most 5e-4.
+        np.testing.assert_allclose(moved, np.stack([zero, zero, -moment / 2600.0]), rtol=2e-3, atol=1e-9)
+
+
+def test_coupled_wheels_in_balance_give_a_series_of_coupling_and_slip():
+    """Each wheel's balance, solved by itself: wheels of unlike load, a driving force and a coupling between them."""
+    width, radius, height, load = 1.5, 0.31, 0.55, 7800.0
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        v, r, side = rng.uniform(6.0, 40.0), rng.uniform(-0.5, 0.5), rng.uniform(-0.6, 0.6)
+        driving_force, coupling = rng.uniform(-2000.0, 2000.0), 10.0 ** rng.uniform(0.0, 4.0)
+        moved = side * height / width
+        stiffness = 20.0 * load * np.array([0.5 - moved, 0.5 + moved])  # left, right; in proportion to the load
+        travel = np.array([v - 0.5 * width * r, v + 0.5 * width * r])
+        # Torque of a wheel: R F/2 -+ k (w_left - w_right) = R stiffness (R w - travel)/v.
+        balance = np.diag(stiffness * radius**2 / v) + coupling * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        spins = np.linalg.solve(balance, 0.5 * radius * driving_force + radius * stiffness * travel / v)
+        pull = stiffness * (radius * spins - travel) / v
+        moment = 0.5 * width * (pull[1] - pull[0])
+        limit, damping = 0.25 * width**2 * 20.0 * load, coupling * width**2 / radius**2
+        alike = 1.0 - 4.0 * moved**2  # of series: what unlike stiffness takes of the slip of both
+        spun = v * driving_force * height * side / (limit * alike)
+        expected = -(r - spun) / (1.0 / damping + v / (limit * alike))
+        np.testing.assert_allclose(moment, expected, rtol=1e-9, atol=1e-7)
 
 
 def test_wind_is_the_drag_of_the_air_met():
@@ -382,3 +456,20 @@ def test_casadi_evaluates_the_same_text(name, variant):
     expected = np.stack([*model.balance(reference), *(reference.rates[n] for n in model.state_names)])
     got = function.map(20)(*(row[None] for row in [*at.values(), *values.values()])).toarray()
     np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11)
+
+
+def test_casadi_differentiates_the_moment_that_slip_limits():
+    import casadi as ca
+
+    from split_cli.export.symbolic import CASADI
+
+    at = driving(20)
+    model = SingleTrack(CAR, [term("yaw_moment_differential", "slip", yaw_damping=4000.0)])
+    symbols = [ca.SX.sym(n) for n in at]
+    turning = model.balance(model.flow(**dict(zip(at, symbols, strict=True)), ops=CASADI))[2]
+    moved = ca.vertcat(*symbols[:5])
+    slopes = ca.Function("f", symbols, [ca.jacobian(turning, moved)]).map(20)(*(row[None] for row in at.values()))
+    for k, (name, step) in enumerate((("vx", 1e-4), ("vy", 1e-4), ("r", 1e-5), ("T", 0.1), ("delta", 1e-6))):
+        ahead, behind = (rates({**at, name: at[name] + by}, *model.terms)[2] for by in (step, -step))
+        # Central differences: an error of the order of the step squared, and rounding of 1e-16/step.
+        np.testing.assert_allclose(slopes.toarray()[0, k::5], (ahead - behind) / (2.0 * step), rtol=1e-5, atol=1e-8)

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from split_cli.signals import STANDARD_GRAVITY
-from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit
+from split_cli.vehicle.effects.search import Course, Range, Search, cg_height, speed_unit
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount
 from split_cli.vehicle.flow import Flow
@@ -17,7 +17,16 @@ __all__ = ["AeroDrag", "RollingResistance", "Wind", "YawMomentDifferential"]
 _DRAG = "judgement: a fifth of the weight at 20 m/s is several times what any body with wings has"
 _ROLLING = "judgement: a quarter of the weight is what deep sand takes"
 _LOCKED = "judgement: half of what the tyres themselves damp at a brisk speed; a locked axle's tyres do no more"
+_SPOOL = "judgement: an axle is locked whose coupling is 20 times as stiff as its tyres are at a brisk speed"
 _STORM = "judgement: 30 m/s for a full-size car, a violent storm, in which nobody tests"
+
+# w^2 C_x/4 over L^2 C_F [1], with the track width w, the wheelbase L, an axle's slip stiffness C_x and its cornering
+# stiffness C_F. Judgement: tracks are 0.5 to 0.7 of a wheelbase wide (0.06 to 0.12 of its square), and tyres
+# are as stiff along as across or up to 1.5 times as stiff (Pacejka, 2012, chapter 4).
+_SLIP_OVER_CORNERING = 0.1
+# By which power a tyre's slip stiffness grows with its load [1]: between the laws of `scale_load`, 0.5 and 1.
+_STIFFER_WITH_LOAD = 0.75
+_AS_LOCKED = 20.0  # stiffness of a coupling over that of its tyres at a brisk speed [1], see `_SPOOL`
 
 
 class AeroDrag(Term):
@@ -101,15 +110,24 @@ class RollingResistance(Term):
 class YawMomentDifferential(Term):
     """A locked axle forces its wheels to equal speeds and resists turning: M_z gains -yaw_damping r.
 
-    The wheels' slips are -+ r w/(2 v_x), with the track width w. They saturate like any tyre's slip; the term
-    is the linear part.
+    The term is the moment of a coupling that is weak against its tyres. A viscous coupling with the torque
+    k (w_right - w_left) has a yaw damping of k w^2/r_e^2, with the track width w.
 
-    Variant ``driven``: the inner wheel carries less load and slips more under the same force. This reduces the
-    difference of the wheel speeds. So r - v_x (F_x/F_z) (a_y/g)/(4 L) replaces r, with F_x and F_z of the
-    driving axle. The factor 1/4 was fitted to two of the project's simulated cars (0.25 and 0.26). For small
-    load transfer, theory gives 4 h L/(K w^2). Here h is the CG height, w the track width and K F_z the slip
-    stiffness of a tyre. That is 0.11 and 0.17 for these two cars. Source: Milliken and Milliken (1995), chapter
-    20.
+    Variant ``slip``: the tyres' slip limits the moment. A coupling that is not weak makes the wheels slip, and acts
+    in series with this slip: M_z gains -(r - r_0)/(1/yaw_damping + v_x/K). Here K = w^2 C_x/4, and C_x is the slip
+    stiffness of the driven axles. At low speed this is the default. An axle that is locked, of infinite damping,
+    leaves -(r - r_0) K/v_x: its slips are -+ r w/(2 v_x). At the yaw rate r_0 = v_x F_x h' a_y/(g K) the wheels
+    are equally fast. The reason is that the inner wheel carries less load and slips more under the same
+    force. F_x is the force of the driven axles; h' is 3/4 of the CG height, since a tyre's stiffness grows less than
+    its load. A vehicle file has neither w nor C_x. So K = 0.1 L^2 C_F is assumed, with the wheelbase L and the
+    cornering stiffness C_F of the driven axles. Without `cg_height` in the file, 0.2 L is assumed.
+
+    Variant ``driven`` is older: r - v_x (F_x/F_z) (a_y/g)/(4 L) replaces r, with F_x and F_z of the driving axle. The
+    factor 1/4 was fitted to two of the project's simulated cars (0.25 and 0.26). It is large: theory gives 0.11
+    and 0.17 for these two, and in cars of other equations it was 0.06. A diagnosis does not try it.
+
+    Source: Milliken and Milliken (1995), chapter 20; the series of coupling and slip follows from the balance of
+    each wheel.
     """
 
     id = "yaw_moment_differential"
@@ -119,7 +137,7 @@ class YawMomentDifferential(Term):
     units: ClassVar = {"yaw_damping": "N m s/rad"}
     neutral: ClassVar = {"yaw_damping": 0.0}
     discrepancy: ClassVar = (("", "yaw_damping", 0.2), ("driven", "yaw_damping", 0.2))
-    variants: ClassVar = ("", "driven")
+    variants: ClassVar = ("", "driven", "slip")
     mimics: ClassVar = (
         Mimic("cg_shift+tire_stiffness", "steady turns", "steer steps: damping acts at once, slip builds up"),
     )
@@ -132,26 +150,67 @@ class YawMomentDifferential(Term):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"yaw_damping": Range(0.0, 5.0, 0.01, _LOCKED)}, ({"yaw_damping": 0.05},))
+        if variant == "driven":
+            return None
+        start = ({"yaw_damping": 0.05},)
+        if variant == "slip":
+            locked = _AS_LOCKED * cls._tire_limit(vehicle) / speed_unit(vehicle)
+            most = locked / cls.sizes(vehicle)["yaw_damping"]
+            return Search({"yaw_damping": Range(0.0, most, 0.01, _SPOOL)}, start)
+        return Search({"yaw_damping": Range(0.0, 5.0, 0.01, _LOCKED)}, start)
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
         damping = amount(p["yaw_damping"], one_sided=True)
-        return f"a yaw damping of {damping} opposes turning, as a locked differential does"
+        falling = " at low speed, and less the faster the car is," if variant == "slip" else ""
+        return f"a yaw damping of {damping}{falling} opposes turning, as a locked differential does"
 
     def external(self, flow: Flow) -> None:
         """Add the moment."""
-        dragged = flow.r - self._spun(flow) if self.variant == "driven" else flow.r
-        flow.moment = flow.moment - self.parameters["yaw_damping"] * dragged
+        damping, dragged = self.parameters["yaw_damping"], flow.r
+        if self.variant == "driven":
+            dragged = flow.r - self._spun(flow)
+        elif self.variant == "slip":
+            limit = self._tire_limit(flow.vehicle)
+            dragged = flow.r - flow.vx * self._moment_of_loads(flow) / limit
+            damping = damping / (1.0 + damping * flow.vx / limit)
+        flow.moment = flow.moment - damping * dragged
 
     @staticmethod
-    def _spun(flow: Flow) -> Any:
+    def _driven(car: Vehicle) -> tuple[bool, bool]:
+        """Return whether the front axle is driven, and whether the rear axle is."""
+        return car.drive_split_front > 0.0, car.drive_split_front < 1.0
+
+    @classmethod
+    def _tire_limit(cls, car: Vehicle) -> float:
+        """Return K, the moment of locked axles over r/v_x [N m]."""
+        tires = (car.front_tire, car.rear_tire)
+        stiffness = sum(tire.cornering_stiffness for tire, on in zip(tires, cls._driven(car), strict=True) if on)
+        return _SLIP_OVER_CORNERING * car.wheelbase**2 * stiffness
+
+    @classmethod
+    def _moment_of_loads(cls, flow: Flow) -> Any:
+        """Return the moment of the driving forces if the wheels of an axle slip alike, so that loads share them [N m].
+
+        A wheel's share is that of its load, which the lateral acceleration moves by h a_y/(g w) of the axle's.
+        """
+        car = flow.vehicle
+        axles = (flow.front, flow.rear)
+        force = sum(axle.longitudinal_force for axle, on in zip(axles, cls._driven(car), strict=True) if on)
+        return force * _STIFFER_WITH_LOAD * cg_height(car) * cls._side(flow)
+
+    @staticmethod
+    def _side(flow: Flow) -> Any:
+        """Return the lateral acceleration that the axles give, over g [1]."""
+        return (flow.front.lateral_force + flow.rear.lateral_force) / (flow.vehicle.mass * STANDARD_GRAVITY)
+
+    @classmethod
+    def _spun(cls, flow: Flow) -> Any:
         """Return the yaw rate at which the driving axle's force alone makes its wheels differ in speed [rad/s]."""
         car = flow.vehicle
         in_front = car.drive_split_front > 0.5
         axle, load = (flow.front, car.static_load_front) if in_front else (flow.rear, car.static_load_rear)
-        side = (flow.front.lateral_force + flow.rear.lateral_force) / (car.mass * STANDARD_GRAVITY)
-        return flow.vx * (axle.longitudinal_force / load) * side / (4.0 * car.wheelbase)
+        return flow.vx * (axle.longitudinal_force / load) * cls._side(flow) / (4.0 * car.wheelbase)
 
 
 class Wind(Term):

@@ -9,8 +9,19 @@ import numpy as np
 
 from split_cli.vehicle.parameters import Vehicle
 
-__all__ = ["CHANGED_LAG_SEARCH", "DELAY_SEARCH", "LAG_SEARCH", "Course", "Range", "Search", "speed_unit", "time_unit"]
+__all__ = [
+    "CHANGED_LAG_SEARCH",
+    "DELAY_SEARCH",
+    "LAG_SEARCH",
+    "Course",
+    "Range",
+    "Search",
+    "cg_height",
+    "speed_unit",
+    "time_unit",
+]
 
+_USUAL_HEIGHT = 0.2  # of the CG over the wheelbase [1]: Heydinger et al. (1999), SAE 1999-01-1336
 _WIDER = 4.0  # how far beyond what a car can have an explanation is followed, to tell what it would need
 
 
@@ -106,3 +117,8 @@ def time_unit(vehicle: Vehicle) -> float:
 def speed_unit(vehicle: Vehicle) -> float:
     """Return the speed that is 20 m/s for a full-size car; speeds scale with the root of length [m/s]."""
     return float(np.sqrt(400.0 * vehicle.wheelbase / 2.7))
+
+
+def cg_height(vehicle: Vehicle) -> float:
+    """Return the height of a vehicle's CG, what is usual for its wheelbase where its file has none [m]."""
+    return _USUAL_HEIGHT * vehicle.wheelbase if vehicle.cg_height is None else vehicle.cg_height

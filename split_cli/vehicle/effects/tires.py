@@ -1,4 +1,4 @@
-"""Terms of the tyres: grip of road, place and time, axle loads, combined slip, build-up over distance."""
+"""Terms of the tyres: grip of road, place and time, axle loads, combined slip."""
 
 import math
 import operator
@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from split_cli.signals import STANDARD_GRAVITY
-from split_cli.vehicle.effects.late import BuildsUp, rate_of
+from split_cli.vehicle.effects.late import rate_of
 from split_cli.vehicle.effects.place import PLACE_COMPLEXITY, inside_stretch, place_ranges, stretch_in_words
-from split_cli.vehicle.effects.search import Course, Range, Search, speed_unit, time_unit
+from split_cli.vehicle.effects.search import Course, Range, Search, cg_height, speed_unit, time_unit
 from split_cli.vehicle.effects.term import Mimic, Term
 from split_cli.vehicle.effects.wording import Estimates, amount, number, percent, scaled
 from split_cli.vehicle.flow import AxleFlow, Flow
@@ -16,19 +16,8 @@ from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.tire import LEAST_CAPACITY, lateral_force, share_beside_longitudinal
 
 # What the catalogue is made of: every name here is a term.
-__all__ = [
-    "AeroDownforce",
-    "CombinedSlip",
-    "FrictionPatch",
-    "FrictionScale",
-    "GripFade",
-    "LoadTransfer",
-    "TireRelaxation",
-    "TireStiffness",
-]
+__all__ = ["AeroDownforce", "CombinedSlip", "FrictionPatch", "FrictionScale", "GripFade", "LoadTransfer"]
 
-# Relaxation length below which forces build up at once [m]; the shortest of a model car is 30 times that.
-_SHORTEST_LENGTH = 1e-3
 _SOME_BRAKING = 0.6  # share of the largest braking torque at which lost grip is stated
 _LONG_AGAINST = 0.5  # relative error of a time constant beyond which only its ratio to the loss is known
 
@@ -36,11 +25,14 @@ _ELLIPSE = "judgement: grip along the car is more than half of that across it, w
 _GRIP = "judgement: tyre and road have a friction of 0.1 (wet ice) to 2.2 (racing tyres)"
 _LEAST_FRICTION, _MOST_FRICTION = 0.1, 2.2
 _FADE = "judgement: from a dry road to ice, or from cold tyres to warm ones"
-_ROLLED = "Pacejka (2012), section 5.4: lengths of the order of a wheel's radius and of twice that; judgement beyond"
 _HEIGHT = "Heydinger et al. (1999), SAE 1999-01-1336: 0.17 to 0.3 wheelbases for cars and light trucks; judgement: 0.5"
 _PITCH = "Gillespie (1992), chapter 5: cars pitch at 1 to 2 Hz, damped by 0.2 to 0.5 of the critical; judgement: 0.2 s"
+# Of two tyres at loads 1 -+ l an axle keeps 1 - e l^2 [1]. Slope: half the curvature of sin(2 atan(F/F_c)) over its
+# value, at a third of the load F_c where the slope is largest (Pacejka, 2012, section 4.3). Peak: judgement, friction
+# falls by a tenth as the load doubles. The least keeps curves positive.
+_SLOPE_OF_UNEQUAL_LOADS, _PEAK_OF_UNEQUAL_LOADS, _LEAST_OF_UNEQUAL_LOADS = 0.25, 0.1, 0.3
+_TRACK = 0.58  # track width over wheelbase [1]; judgement: 0.5 to 0.7 in cars
 _BENT = {"curve": frozenset({"hard turns"})}
-_STIFF = "judgement: make, pressure and wear change a tyre's stiffness by less than a factor of 1.8"
 _LOADED = (
     "judgement: with 7 m^2 of C_L A on 250 kg, most of any Formula Student car, an axle has 0.4, and 0.25 in "
     "Formula 1; a car may lack that much, and have twice as much"
@@ -272,67 +264,6 @@ class GripFade(Term):
             _scale_grip(axle, scale, self.variant == "curve")
 
 
-class TireRelaxation(BuildsUp):
-    """The lateral force builds up over distance: length F' = v_x (F_ss - F) per axle.
-
-    The term is a lag in distance, so at twice the speed its time constant is half. Source: Pacejka (2012),
-    section 5.4.
-    """
-
-    id = "tire_relaxation"
-    titles: ClassVar = {"": "Tyres build up force late"}
-    in_every_car: ClassVar = True
-    through_tires: ClassVar = True
-    slow = "length"
-    variants: ClassVar = ("", "changed")
-    units: ClassVar = {"length": "m"}
-    variant_units: ClassVar = {"changed": {"length": "m", "shared": "m"}}
-    neutral: ClassVar = {"length": 0.0}
-    discrepancy: ClassVar = (("", "length", 0.15), ("", "length", 0.5))
-    order = 9
-    states = ("front", "rear")
-    state_units: ClassVar = {"front": "N", "rear": "N", "front_shared": "N", "rear_shared": "N"}
-    mimics: ClassVar = (
-        Mimic("steer_lag", "one speed", "the same manoeuvre at two speeds; relaxation also acts at the rear"),
-        Mimic("yaw_inertia", "gentle transients at one speed", "steer steps at two speeds"),
-    )
-
-    @classmethod
-    def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        return {"length": vehicle.wheelbase / 2.7, "shared": vehicle.wheelbase / 2.7}
-
-    @classmethod
-    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        if variant == "changed":
-            # Starts to both sides, from a tyre's usual length.
-            starts = ({"length": 0.1, "shared": 0.4}, {"length": -0.1, "shared": 0.4})
-            return Search({"length": Range(-1.75, 1.75, 0.02, _ROLLED), "shared": Range(0.0, 1.75, 0.02)}, starts)
-        return Search({"length": Range(0.0, 3.5, 0.02, _ROLLED)}, tuple({"length": value} for value in (0.1, 0.5, 1.5)))
-
-    @classmethod
-    def statement(cls, p: Estimates, variant: str = "") -> str:
-        if variant == "changed":
-            over = amount(p["length"], more="longer", less="shorter")
-            return f"lateral force builds up over a distance {over} than in the simulation, where it is late as well"
-        return f"lateral force builds up over {amount(p['length'], one_sided=True)} of travel"
-
-    def fastest_rate(self, speed: float) -> float:
-        """v_x over the length, of the quicker response."""
-        return self.quickest(lambda length: _rolling_rate(length, speed))
-
-    def lateral(self, flow: Flow) -> None:
-        """Let each axle's force follow its steady value."""
-        for name, axle in (("front", flow.front), ("rear", flow.rear)):
-            axle.lateral_force = self.arrived(
-                flow, name, axle.lateral_force, lambda length: flow.known(_rolling_rate, length, flow.vx)
-            )
-
-
-def _rolling_rate(length: Any, speed: Any) -> Any:
-    """Return v_x over a relaxation length [1/s]; infinite where forces build up at once."""
-    return math.inf if isinstance(length, int | float) and length < _SHORTEST_LENGTH else speed / length
-
-
 class LoadTransfer(Term):
     """Acceleration moves load to the rear axle: dF_z = m a_x h/L, and D follows the load.
 
@@ -344,6 +275,12 @@ class LoadTransfer(Term):
     The variants ``late`` and ``degressive late`` let the body pitch on its springs first. The load is a state of
     the model there: tau dF_z' = m a_x h/L - dF_z, steady at each start. An oscillator of natural frequency w and
     damping ratio zeta follows slow changes by 2 zeta/w late. Source: Gillespie (1992), chapter 5.
+
+    Variant ``higher`` is `degressive` for a CG that is higher than the file's by `cg_height`, and takes what it
+    costs in turns. Of an axle's two loads 1 -+ l with l = 2 h a_y/(g w), the curve of a tyre over its load makes
+    1 - e l^2. The nominal tyres have that for their own height h_0; the axles lose e (l^2 - l_0^2) more. Here
+    e = 0.25 for the stiffness and 0.1 for the peak, and a track w of 0.58 L is assumed; without `cg_height` in
+    the file h_0 = 0.2 L. Source: Milliken and Milliken (1995), chapter 18.
     """
 
     id = "load_transfer"
@@ -354,7 +291,8 @@ class LoadTransfer(Term):
     variant_units: ClassVar = dict.fromkeys(("late", "degressive late"), {"cg_height": "m", "tau": "s"})
     neutral: ClassVar = {"cg_height": 0.0}
     discrepancy: ClassVar = (("", "cg_height", 0.2), ("peak", "cg_height", 0.2))
-    variants: ClassVar = ("", "peak", "degressive", "late", "degressive late")
+    variants: ClassVar = ("", "peak", "degressive", "late", "degressive late", "higher")
+    variant_needs: ClassVar = {"higher": frozenset({"simulation"})}
     loads_tires: ClassVar = True
     state_units: ClassVar = {"moved": "N"}
     mimics: ClassVar = (
@@ -374,6 +312,8 @@ class LoadTransfer(Term):
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
+        if variant == "higher":
+            return f"the centre of gravity is {amount(p['cg_height'], one_sided=True, more='higher', less='lower')}"
         height = amount(p["cg_height"], one_sided=True, more="high", less="high")
         late = f", with a time constant of {amount(p['tau'], one_sided=True)}" if "tau" in p else ""
         return f"accelerating and braking move axle load as a centre of gravity {height} does{late}"
@@ -411,44 +351,31 @@ class LoadTransfer(Term):
         moved = force_x * self.parameters["cg_height"] / car.wheelbase
         if "tau" in self.parameters:
             moved = self.first_order(flow, "moved", moved, self.rate)
+        lost = self._moved_across(flow, side) if self.variant == "higher" else None
         for axle, change in ((front, -moved / car.static_load_front), (rear, moved / car.static_load_rear)):
-            scale_load(axle, ops.maximum(1.0 + change, LEAST_CAPACITY), self.variant)
+            scale_load(axle, ops.maximum(1.0 + change, LEAST_CAPACITY), self._law)
+            if lost is not None:
+                peak = ops.maximum(1.0 - _PEAK_OF_UNEQUAL_LOADS * lost, _LEAST_OF_UNEQUAL_LOADS)
+                slope = ops.maximum(1.0 - _SLOPE_OF_UNEQUAL_LOADS * lost, _LEAST_OF_UNEQUAL_LOADS)
+                axle.D, axle.B = axle.D * peak, axle.B * slope / peak
 
+    @property
+    def _law(self) -> str:
+        return "degressive" if self.variant == "higher" else self.variant
 
-class TireStiffness(Term):
-    """The tyres of an axle have another stiffness: B front_scale, B rear_scale. The peak stays."""
-
-    id = "tire_stiffness"
-    factors: ClassVar = {
-        "front_scale": ("Front tyres", "stiffer", "softer"),
-        "rear_scale": ("Rear tyres", "stiffer", "softer"),
-    }
-    in_every_car: ClassVar = True
-    through_tires: ClassVar = True
-    units: ClassVar = {"front_scale": "1", "rear_scale": "1"}
-    neutral: ClassVar = {"front_scale": 1.0, "rear_scale": 1.0}
-    discrepancy: ClassVar = (("", "front_scale", 0.15), ("", "rear_scale", 0.15))
-    mimics: ClassVar = (
-        Mimic("friction_scale", "no turn near the limit", "a turn near the limit"),
-        Mimic("cg_shift", "steady turns", "steer steps"),
-        Mimic("steer_gain", "small steer angles at one speed", "turns at low and at high speed"),
-        Mimic("aero_downforce", "one speed in every turn", "the same turn at two speeds"),
-    )
+    def _moved_across(self, flow: Flow, side: Any) -> Any:
+        """Return l^2 - l_0^2 of the loads that lateral acceleration moves [1]; `side` is the front axle's force."""
+        car, rear = flow.vehicle, flow.rear
+        force = side + lateral_force(rear.B, rear.C, rear.D, rear.slip_angle, flow.ops)
+        own, width = cg_height(car), _TRACK * car.wheelbase
+        height = own + self.parameters["cg_height"]
+        per_g = 4.0 * (height * height - own * own) / (width * width)
+        return per_g * (force / (car.mass * STANDARD_GRAVITY)) ** 2
 
     @classmethod
-    def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        limits = Range(0.55, 1.8, 0.01, _STIFF)
-        return Search({"front_scale": limits, "rear_scale": limits}, ({"front_scale": 0.97, "rear_scale": 0.97},))
-
-    @classmethod
-    def statement(cls, p: Estimates, variant: str = "") -> str:
-        front, rear = (scaled(p[name], "stiffer", "softer") for name in ("front_scale", "rear_scale"))
-        return f"the front tyres are {front} and the rear tyres {rear}"
-
-    def tire(self, flow: Flow) -> None:
-        """Scale B of each axle."""
-        flow.front.B = flow.front.B * self.parameters["front_scale"]
-        flow.rear.B = flow.rear.B * self.parameters["rear_scale"]
+    def laws(cls, variant: str = "") -> tuple[str, ...]:
+        """Return the laws of load along the car; what moves across is an effect of its own."""
+        return () if variant == "higher" else tuple(one for one in super().laws(variant) if one != "higher")
 
 
 class AeroDownforce(Term):
