@@ -36,7 +36,7 @@ def test_a_bias_without_a_witness_is_a_lead_with_its_value_and_how_much_is_usual
     (lead,) = everyday_leads(shifted, everyday, INFLATION)
     assert lead.term == "yaw_rate_bias" and not lead.limits and lead.share == pytest.approx(1.0)
     assert lead.parameters["r"].value == pytest.approx(BIAS, abs=0.003)
-    assert "Sound recordings have up to 0.0175 rad/s" in lead.sentence
+    assert "Up to 0.0175 rad/s is usual in sound recordings" in lead.sentence
     assert lead.sentence.startswith("A lead, not a finding: the measurement, not the car: the yaw rate reads")
     # What is more than usual is no lead of this kind, named or not.
     assert everyday_leads(shifted, selection_of(shifted, bias, True), INFLATION) == ()

@@ -125,7 +125,7 @@ def hidden_sentence(
 def everyday_sentence(term: str, variant: str, parameters: Parameters, limits: Mapping[str, float]) -> str:
     """Return what a sensor does that any sound recording may have, and up to which value of each parameter."""
     most = " and ".join(f"{number(limit)} {parameters[name].unit}".strip() for name, limit in limits.items())
-    reasons = f"Sound recordings have up to {most} of it, and these show no cause, so it is no fault."
+    reasons = f"Up to {most} is usual in sound recordings, so it is no fault."
     return _stated_as_lead(term, variant, parameters, reasons, None)
 
 
