@@ -19,6 +19,7 @@ from split_cli.scoring.found_lags import lag_notes
 from split_cli.scoring.likeliest_lag import likeliest_lag, with_steer_lag
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.training.labelled_drives import _labelled
 from split_cli.workflows.training.train import train_set
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -92,3 +93,29 @@ def test_training_puts_the_lag_into_the_set_and_says_so(late, tmp_path):
     assert made.nominal_vehicle.digest() == road_car().digest()
     (note,) = lag_notes(made)
     assert "steering follows its command 0.0" in note and note in result.notes and note in reservations(made)
+
+
+def test_of_an_archive_a_lag_is_looked_for_where_trust_is_found_and_the_rest_is_labelled_once_more(
+    late, tmp_path, monkeypatch
+):
+    """The second drive lies beyond the rows that trust is found on; a lag that is tried must not label it."""
+    write_vehicle(road_car(), tmp_path / "car.yaml")
+    drives = [tmp_path / "first.parquet", tmp_path / "second.parquet"]
+    for path, drive in zip(drives, (late, driven(11, TAU).stretch(0, 1000)), strict=True):
+        write_drive(drive, path)
+    labelled = []
+
+    def counted(drive, how):
+        labelled.append((drive.name, tuple(effect.term for effect in how.vehicle.effects)))
+        return _labelled(drive, how)
+
+    monkeypatch.setattr("split_cli.workflows.training.labelled_drives._labelled", counted)
+    for place in ("workflows.training.new_set", "scoring.evidence"):
+        monkeypatch.setattr(f"split_cli.{place}.MOST_ROWS", len(late))
+    result = train_set(drives, tmp_path / "car.yaml", tmp_path / "car.split")
+    assert [effect.term for effect in read_set(tmp_path / "car.split").found] == ["steer_lag"]
+    assert "trust was found on the first 1 of 2 drives" in result.notes
+    second = [terms for name, terms in labelled if name.startswith("second")]
+    assert second == [(), ("steer_lag",)]
+    # Both drives are learned with the lag.
+    assert len(result.rows) == 2 and result.rows[1].samples > 100

@@ -103,14 +103,14 @@ class LabelledDrives:
     def __len__(self) -> int:
         return len(self._sources)
 
-    def labelled_for(self, vehicle: Vehicle) -> LabelledDrives:
+    def labelled_for(self, vehicle: Vehicle, most: int | None = None) -> LabelledDrives:
         """Return the same drives labelled for another vehicle, notes and all; files of labels are not of it.
 
-        Only for drives of which all recordings are given.
+        Only for drives of which all recordings are given; `most` are the first ones that are wanted, all if None.
         """
         other = copy.copy(self)
         other.labelling = replace(self.labelling, vehicle=vehicle)
-        other._sources = [replace(source, labels=None) for source in self._sources]
+        other._sources = [replace(source, labels=None) for source in self._sources[:most]]
         other._kept, other._seconds, other._bytes, other._scratch = {}, {}, 0, None
         other.label_together()
         return other
