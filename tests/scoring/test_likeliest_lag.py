@@ -119,3 +119,24 @@ def test_of_an_archive_a_lag_is_looked_for_where_trust_is_found_and_the_rest_is_
     assert second == [(), ("steer_lag",)]
     # Both drives are learned with the lag.
     assert len(result.rows) == 2 and result.rows[1].samples > 100
+
+
+def test_of_a_long_drive_a_lag_is_looked_for_on_the_middle_and_all_of_it_is_learned(late, tmp_path, monkeypatch):
+    write_vehicle(road_car(), tmp_path / "car.yaml")
+    write_drive(late, tmp_path / "long.parquet")
+    rows = []
+
+    def counted(drive, how):
+        rows.append(len(drive))
+        return _labelled(drive, how)
+
+    monkeypatch.setattr("split_cli.workflows.training.labelled_drives._labelled", counted)
+    most = len(late) * 9 // 10
+    for place in ("workflows.training.new_set", "workflows.training.labelled_drives", "scoring.evidence"):
+        monkeypatch.setattr(f"split_cli.{place}.MOST_ROWS", most)
+    result = train_set([tmp_path / "long.parquet"], tmp_path / "car.yaml", tmp_path / "car.split")
+    made = read_set(tmp_path / "car.split")
+    assert [effect.term for effect in made.found] == ["steer_lag"]
+    # By the file, then the middle for each lag that is tried, then all of it once more.
+    assert rows[0] == rows[-1] == len(late) and set(rows[1:-1]) == {most}
+    assert result.total.samples == len(compute_labels(late, made.vehicle, Z2))

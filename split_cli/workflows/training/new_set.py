@@ -53,12 +53,13 @@ def create_set(drives: LabelledDrives, settings: TrainSettings) -> tuple[Trainin
         judged = len(by_file.drives)
 
         def relabelled(late: Vehicle) -> Prepared[tuple[KernelFit | None, LabelledDrives]]:
-            # Of an archive only what trust is found on: a lag that is not kept shall not label the rest.
+            # Only what trust is found on: a lag that is not kept shall not label the rest of an archive, or of a drive.
             return _prepared(given.labelled_for(late, judged), settings)
 
         chosen = decide(by_file, None if dictionary or settings.lag == "none" else relabelled, drives.progress)
         empty, (fit, drives) = chosen.empty, chosen.made
-        if len(drives) < len(given):
+        parts_only = judged < len(given) or any(len(part.drive) >= MOST_ROWS for part in by_file.drives)
+        if drives is not given and parts_only:
             drives = given.labelled_for(empty.vehicle)
             blank, fit = _blank(drives, settings)
             empty = replace(blank, trust=empty.trust, found_effects=empty.found_effects)
