@@ -19,7 +19,6 @@ from split_cli.scoring.found_lags import lag_notes
 from split_cli.scoring.likeliest_lag import likeliest_lag, with_steer_lag
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import write_vehicle
-from split_cli.workflows.training.labelled_drives import _labelled
 from split_cli.workflows.training.train import train_set
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -105,11 +104,11 @@ def test_of_an_archive_a_lag_is_looked_for_where_trust_is_found_and_the_rest_is_
         write_drive(drive, path)
     labelled = []
 
-    def counted(drive, how):
-        labelled.append((drive.name, tuple(effect.term for effect in how.vehicle.effects)))
-        return _labelled(drive, how)
+    def counted(drive, vehicle, *given, **named):
+        labelled.append((drive.name, tuple(effect.term for effect in vehicle.effects)))
+        return compute_labels(drive, vehicle, *given, **named)
 
-    monkeypatch.setattr("split_cli.workflows.training.labelled_drives._labelled", counted)
+    monkeypatch.setattr("split_cli.workflows.training.labelled_drives.compute_labels", counted)
     for place in ("workflows.training.new_set", "scoring.evidence"):
         monkeypatch.setattr(f"split_cli.{place}.MOST_ROWS", len(late))
     result = train_set(drives, tmp_path / "car.yaml", tmp_path / "car.split")
@@ -126,11 +125,11 @@ def test_of_a_long_drive_a_lag_is_looked_for_on_the_middle_and_all_of_it_is_lear
     write_drive(late, tmp_path / "long.parquet")
     rows = []
 
-    def counted(drive, how):
+    def counted(drive, *given, **named):
         rows.append(len(drive))
-        return _labelled(drive, how)
+        return compute_labels(drive, *given, **named)
 
-    monkeypatch.setattr("split_cli.workflows.training.labelled_drives._labelled", counted)
+    monkeypatch.setattr("split_cli.workflows.training.labelled_drives.compute_labels", counted)
     most = len(late) * 9 // 10
     for place in ("workflows.training.new_set", "workflows.training.labelled_drives", "scoring.evidence"):
         monkeypatch.setattr(f"split_cli.{place}.MOST_ROWS", most)
