@@ -42,6 +42,12 @@ _STARTS_A_BLOCK = 10
 MOST_ROWS = 400_000
 
 
+def middle_rows(length: int, most: int) -> tuple[int, int]:
+    """Return the first of at most `most` rows in the middle of a drive, and the row after their last."""
+    first = max(0, (length - most) // 2)
+    return first, min(length, first + most)
+
+
 @dataclass(frozen=True)
 class TrainingDrive:
     """A drive that trains: the recording, and its labels that may be learned."""
@@ -51,11 +57,10 @@ class TrainingDrive:
 
     def middle(self, most: int) -> TrainingDrive:
         """Return the `most` rows in the middle of a longer drive, with their labels."""
-        length = len(self.drive)
-        if length <= most:
+        if len(self.drive) <= most:
             return self
-        first = (length - most) // 2
-        return TrainingDrive(self.drive.stretch(first, first + most), self.labels.between(first, first + most))
+        first, last = middle_rows(len(self.drive), most)
+        return TrainingDrive(self.drive.stretch(first, last), self.labels.between(first, last))
 
 
 @dataclass(frozen=True)

@@ -113,6 +113,6 @@ def _with_lag(
 
 
 def lag_notes(training_set: TrainingSet) -> tuple[str, ...]:
-    """Return the notes of a training on the lags that it found, the torque's first."""
+    """Return the notes of a training on the lags that it found, in the order in which they were found."""
     found = training_set.found
     return tuple(_NOTES[one.term].format(tau=one.parameters["tau"]) for one in found if one.term in _NOTES)

@@ -92,3 +92,50 @@ def test_training_puts_the_lag_into_the_set_and_says_so(late, tmp_path):
     assert made.nominal_vehicle.digest() == road_car().digest()
     (note,) = lag_notes(made)
     assert "steering follows its command 0.0" in note and note in result.notes and note in reservations(made)
+
+
+def test_of_an_archive_a_lag_is_looked_for_where_trust_is_found_and_the_rest_is_labelled_once_more(
+    late, tmp_path, monkeypatch
+):
+    """The second drive lies beyond the rows that trust is found on; a lag that is tried must not label it."""
+    write_vehicle(road_car(), tmp_path / "car.yaml")
+    drives = [tmp_path / "first.parquet", tmp_path / "second.parquet"]
+    for path, drive in zip(drives, (late, driven(11, TAU).stretch(0, 1000)), strict=True):
+        write_drive(drive, path)
+    labelled = []
+
+    def counted(drive, vehicle, *given, **named):
+        labelled.append((drive.name, tuple(effect.term for effect in vehicle.effects)))
+        return compute_labels(drive, vehicle, *given, **named)
+
+    monkeypatch.setattr("split_cli.workflows.training.labelled_drives.compute_labels", counted)
+    for place in ("workflows.training.new_set", "scoring.evidence"):
+        monkeypatch.setattr(f"split_cli.{place}.MOST_ROWS", len(late))
+    result = train_set(drives, tmp_path / "car.yaml", tmp_path / "car.split")
+    assert [effect.term for effect in read_set(tmp_path / "car.split").found] == ["steer_lag"]
+    assert "trust was found on the first 1 of 2 drives" in result.notes
+    second = [terms for name, terms in labelled if name.startswith("second")]
+    assert second == [(), ("steer_lag",)]
+    # Both drives are learned with the lag.
+    assert len(result.rows) == 2 and result.rows[1].samples > 100
+
+
+def test_of_a_long_drive_a_lag_is_looked_for_on_the_middle_and_all_of_it_is_learned(late, tmp_path, monkeypatch):
+    write_vehicle(road_car(), tmp_path / "car.yaml")
+    write_drive(late, tmp_path / "long.parquet")
+    rows = []
+
+    def counted(drive, *given, **named):
+        rows.append(len(drive))
+        return compute_labels(drive, *given, **named)
+
+    monkeypatch.setattr("split_cli.workflows.training.labelled_drives.compute_labels", counted)
+    most = len(late) * 9 // 10
+    for place in ("workflows.training.new_set", "workflows.training.labelled_drives", "scoring.evidence"):
+        monkeypatch.setattr(f"split_cli.{place}.MOST_ROWS", most)
+    result = train_set([tmp_path / "long.parquet"], tmp_path / "car.yaml", tmp_path / "car.split")
+    made = read_set(tmp_path / "car.split")
+    assert [effect.term for effect in made.found] == ["steer_lag"]
+    # By the file, then the middle for each lag that is tried, then all of it once more.
+    assert rows[0] == rows[-1] == len(late) and set(rows[1:-1]) == {most}
+    assert result.total.samples == len(compute_labels(late, made.vehicle, Z2))

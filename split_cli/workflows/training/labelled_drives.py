@@ -21,7 +21,7 @@ from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive, open_drive, unstated_inputs
 from split_cli.logs.drive_metadata import ingest_found
 from split_cli.logs.scratch import LONG, set_aside
-from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive
+from split_cli.scoring.evidence import MOST_ROWS, TrainingDrive, middle_rows
 from split_cli.scoring.late_inputs import late_inputs
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.workflows.engine import HERE, Engine
@@ -98,19 +98,29 @@ class LabelledDrives:
         self._seconds: dict[int, float] = {}
         self._bytes = 0
         self._open: tuple[int, Drive] | None = None
+        self._middle_only = False
         self._scratch: ScratchFolder | None = None
 
     def __len__(self) -> int:
         return len(self._sources)
 
-    def labelled_for(self, vehicle: Vehicle) -> LabelledDrives:
+    def labelled_for(self, vehicle: Vehicle, judged: int | None = None) -> LabelledDrives:
         """Return the same drives labelled for another vehicle, notes and all; files of labels are not of it.
 
         Only for drives of which all recordings are given.
+
+        Parameters
+        ----------
+        judged : int, optional
+            How many drives, the first ones, trust is found on. Then these alone are wanted, and of a longer drive
+            the middle that trust is found on.
         """
         other = copy.copy(self)
         other.labelling = replace(self.labelling, vehicle=vehicle)
-        other._sources = [replace(source, labels=None) for source in self._sources]
+        other._sources = [replace(source, labels=None) for source in self._sources[:judged]]
+        other._middle_only = judged is not None
+        if other._open is not None:
+            other._open = (other._open[0], other._wanted(other._open[1]))
         other._kept, other._seconds, other._bytes, other._scratch = {}, {}, 0, None
         other.label_together()
         return other
@@ -122,7 +132,10 @@ class LabelledDrives:
         if self._engine.workers < 2 or len(numbers) < 2 or self._correct.counts_places:
             return
         self.progress(f"labelling {len(numbers)} drives on {self._engine.name}")
-        jobs = [(self._sources[n].drive, self.labelling, self._rows_of(n), n not in self._checked) for n in numbers]
+        jobs = [
+            (self._sources[n].drive, self.labelling, self._rows_of(n), n not in self._checked, self._middle_only)
+            for n in numbers
+        ]
         for n, (labels, warnings, seconds) in zip(numbers, self._engine.map(_label_apart, jobs), strict=True):
             self._checked.add(n)
             self._notes += warnings
@@ -156,12 +169,16 @@ class LabelledDrives:
             return self._open[1]
         self.progress(f"reading {source.name}")
         drive = self._correct(open_drive(source.drive, self.labelling.held))
+        drive = self._wanted(drive)
         # To open a long one takes longer than to hold it: its columns stay in its file.
         self._open = (number, drive) if drive.stays_in_file else None
         if number not in self._checked:
             self._checked.add(number)
             self._notes += vehicle_warnings([drive], self.labelling.vehicle, self.labelling.any_vehicle)
         return drive
+
+    def _wanted(self, drive: Drive) -> Drive:
+        return drive.stretch(*middle_rows(len(drive), MOST_ROWS)) if self._middle_only else drive
 
     def labels(self, number: int, drive: Drive | None = None) -> Labels:
         """Return the labels that may be learned of a drive, made once; `drive` spares reading it again."""
@@ -245,8 +262,7 @@ class LabelledDrives:
             start = time.perf_counter()
             labels = _fitting(read_labels(source.labels), how, self._correct.counts_places, str(source.labels))
             labels = _outside(labels, how.exclude)
-        rows = self._rows_of(number)
-        labels = labels if rows is None else labels.within(rows)
+        labels = _learnable(labels, self._rows_of(number), self._middle_only)
         self._seconds[number] = time.perf_counter() - start
         return labels
 
@@ -261,14 +277,22 @@ def _labelled(drive: Drive, how: Labelling) -> Labels:
     return labels
 
 
-def _label_apart(job: tuple[Path, Labelling, np.ndarray | None, bool]) -> tuple[Labels, tuple[str, ...], float]:
+def _learnable(labels: Labels, rows: np.ndarray | None, middle_only: bool) -> Labels:
+    """Return the labels on rows of a drive that may be learned, all if None; labels may be of the drive's middle."""
+    if rows is None:
+        return labels
+    return labels.within(rows[slice(*middle_rows(len(rows), MOST_ROWS))] if middle_only else rows)
+
+
+def _label_apart(job: tuple[Path, Labelling, np.ndarray | None, bool, bool]) -> tuple[Labels, tuple[str, ...], float]:
     """Return the labels of a drive, warnings about it, and the time that labelling took [s]."""
-    path, how, rows, check = job
+    path, how, rows, check, middle_only = job
     drive = RecordingCorrection(how.vehicle)(open_drive(path, how.held))
+    if middle_only:
+        drive = drive.stretch(*middle_rows(len(drive), MOST_ROWS))
     warnings = vehicle_warnings([drive], how.vehicle, how.any_vehicle) if check else ()
     start = time.perf_counter()
-    labels = _labelled(drive, how)
-    labels = labels if rows is None else labels.within(rows)
+    labels = _learnable(_labelled(drive, how), rows, middle_only)
     return labels, warnings, time.perf_counter() - start
 
 

@@ -49,14 +49,20 @@ def create_set(drives: LabelledDrives, settings: TrainSettings) -> tuple[Trainin
     # The rival's way is to believe all.
     asked = settings.trust or ("full" if dictionary else "held-out")
     if asked == "held-out":
+        given, by_file = drives, _prepared(drives, settings)
+        judged = len(by_file.drives)
 
-        def prepared(vehicle: Vehicle | None = None) -> Prepared[tuple[KernelFit | None, LabelledDrives]]:
-            own = drives if vehicle is None else drives.labelled_for(vehicle)
-            blank, its_fit = _blank(own, settings)
-            return Prepared(blank, _recorded(own), (its_fit, own))
+        def relabelled(late: Vehicle) -> Prepared[tuple[KernelFit | None, LabelledDrives]]:
+            # Only what trust is found on: a lag that is not kept shall not label the rest of an archive, or of a drive.
+            return _prepared(given.labelled_for(late, judged), settings)
 
-        chosen = decide(prepared(), None if dictionary or settings.lag == "none" else prepared, drives.progress)
+        chosen = decide(by_file, None if dictionary or settings.lag == "none" else relabelled, drives.progress)
         empty, (fit, drives) = chosen.empty, chosen.made
+        parts_only = judged < len(given) or any(len(part.drive) >= MOST_ROWS for part in by_file.drives)
+        if drives is not given and parts_only:
+            drives = given.labelled_for(empty.vehicle)
+            blank, fit = _blank(drives, settings)
+            empty = replace(blank, trust=empty.trust, found_effects=empty.found_effects)
         follows = all(part.drive.metadata.torque_follows_motion for part in chosen.drives)
         if follows and empty.trust.share[0] > 0.0:
             empty = replace(empty, trust=replace(empty.trust, share=(0.0, *empty.trust.share[1:])))
@@ -81,6 +87,12 @@ def create_set(drives: LabelledDrives, settings: TrainSettings) -> tuple[Trainin
     if dictionary:
         empty = empty_dictionary(empty, DEFAULT_DICTIONARY if settings.capacity is None else settings.capacity)
     return empty, fit, drives
+
+
+def _prepared(drives: LabelledDrives, settings: TrainSettings) -> Prepared[tuple[KernelFit | None, LabelledDrives]]:
+    """Return an empty set with what its trust is found on, and the fit of its kernel with the drives."""
+    blank, fit = _blank(drives, settings)
+    return Prepared(blank, _recorded(drives), (fit, drives))
 
 
 def _blank(drives: LabelledDrives, settings: TrainSettings) -> tuple[TrainingSet, KernelFit | None]:
