@@ -265,7 +265,7 @@ def _match(
         found.p_value,
         share,
         (*not_judged, *reasons),
-        leads=everyday_leads(objective, found.outcome.selection, found.outcome.variance_inflation),
+        leads=everyday_leads(objective, found.outcome.selection, found.outcome.variance_inflation, taken_off=False),
         history=found.outcome.selection.history,
         sentences=summarise("match", reasons=reasons),
         gaps=_gaps(case),
@@ -390,7 +390,7 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         remainder=remainder,
         improvement=improvement,
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
-        leads=(*leads, *find_leads(*searched), *everyday_leads(*searched)),
+        leads=(*leads, *find_leads(*searched), *everyday_leads(*searched, taken_off=improvement is not None)),
         history=selection.history,
         sentences=summarise(
             "mismatch",

@@ -33,13 +33,15 @@ def selection_of(objective: MarginalLikelihood, candidate: Candidate, named: boo
 def test_a_bias_without_a_witness_is_a_lead_with_its_value_and_how_much_is_usual(shifted):
     (bias,) = explorer(shifted, "yaw_rate_bias").candidates
     everyday = selection_of(shifted, bias.without_witness(), False)
-    (lead,) = everyday_leads(shifted, everyday, INFLATION)
+    (lead,) = everyday_leads(shifted, everyday, INFLATION, taken_off=False)
     assert lead.term == "yaw_rate_bias" and not lead.limits and lead.share == pytest.approx(1.0)
     assert lead.parameters["r"].value == pytest.approx(BIAS, abs=0.003)
     assert "Up to 0.0175 rad/s is usual in sound recordings" in lead.sentence
     assert lead.sentence.startswith("A lead, not a finding: the measurement, not the car: the yaw rate reads")
+    (beside,) = everyday_leads(shifted, everyday, INFLATION, taken_off=True)
+    assert beside.sentence == f"{lead.sentence} The held-out errors with the identified effects are without it."
     # What is more than usual is no lead of this kind, named or not.
-    assert everyday_leads(shifted, selection_of(shifted, bias, True), INFLATION) == ()
+    assert everyday_leads(shifted, selection_of(shifted, bias, True), INFLATION, taken_off=False) == ()
 
 
 def test_what_is_everyday_stands_beside_the_names_and_needs_no_finding(shifted):

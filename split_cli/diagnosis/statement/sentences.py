@@ -122,10 +122,19 @@ def hidden_sentence(
     return _stated_as_lead(term, variant, parameters, reasons, vehicle)
 
 
-def everyday_sentence(term: str, variant: str, parameters: Parameters, limits: Mapping[str, float]) -> str:
-    """Return what a sensor does that any sound recording may have, and up to which value of each parameter."""
+def everyday_sentence(
+    term: str, variant: str, parameters: Parameters, limits: Mapping[str, float], *, taken_off: bool
+) -> str:
+    """Return what a sensor does that any sound recording may have, and up to which value of each parameter.
+
+    Parameters
+    ----------
+    taken_off : bool
+        Whether figures of held-out time, with the findings, are without it.
+    """
     most = " and ".join(f"{number(limit)} {parameters[name].unit}".strip() for name, limit in limits.items())
     reasons = f"Up to {most} is usual in sound recordings, so it is no fault."
+    reasons += " The held-out errors with the identified effects are without it." if taken_off else ""
     return _stated_as_lead(term, variant, parameters, reasons, None)
 
 

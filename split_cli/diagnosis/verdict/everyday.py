@@ -13,13 +13,17 @@ def named_or_everyday(selection: Selection) -> tuple[bool, ...]:
     return tuple(named or part.is_everyday for part, named in zip(selection.chosen.parts, selection.named, strict=True))
 
 
-def everyday_leads(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> tuple[Lead, ...]:
+def everyday_leads(
+    objective: MarginalLikelihood, selection: Selection, variance_inflation: float, *, taken_off: bool
+) -> tuple[Lead, ...]:
     """Return the everyday parts of an explanation that save beyond chance and are large enough to be seen, as leads.
 
     Parameters
     ----------
     variance_inflation : float
         By which residual autocorrelation widens chi squared.
+    taken_off : bool
+        Whether figures of held-out time, with the findings, are without them.
     """
     fit, policy = selection.chosen, objective.policy
     whole, out = max(selection.base.cost - fit.cost, 1e-9), []
@@ -31,6 +35,6 @@ def everyday_leads(objective: MarginalLikelihood, selection: Selection, variance
         if term_size(objective, fit, k) > policy.allowances.large:
             own, ranges = part.candidate, part.candidate.ranges
             limits = {name: ranges[name].everyday for name in own.away(part.values)}
-            sentence = everyday_sentence(own.term, own.variant, estimates[k], limits)
+            sentence = everyday_sentence(own.term, own.variant, estimates[k], limits, taken_off=taken_off)
             out.append(Lead(own.term, own.variant, estimates[k], {}, saved / whole, (), sentence))
     return tuple(out)
