@@ -24,7 +24,8 @@ NOISE_BOUNDS = (1e-5, 1e1)
 BLOCK_POINTS = 60
 MAXIMUM_BLOCKS = 100
 FEWEST_TO_FIT = 60
-MOST_TO_FIT = 6000
+#: Labels that are looked at, spread over all [1]: as many as the blocks hold, which are chosen among them.
+MOST_TO_FIT = MAXIMUM_BLOCKS * BLOCK_POINTS
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from split_cli.vehicle.single_track import SingleTrack
 #: Correlation from which a label is said to go with an input's rate [1]; judgement: a tenth of its variance.
 _LEAST_CORRELATION = 0.3
 #: Standard errors, over blocks of time, that the delay must be from zero [1]; theory: by chance 1 of 30,000.
-_CLEAR = 4.0
+CLEAR = 4.0
 _BLOCKS = 12
 _FEWEST = 200
 _CHUNK = 2**16  # labels looked at at once
@@ -81,7 +81,7 @@ def _late(missing: np.ndarray, y: np.ndarray) -> tuple[float, float, float] | No
         return None
     correlation = float(np.corrcoef(missing, y)[0, 1])
     delay, error = _fit(missing, y)
-    sure = correlation > _LEAST_CORRELATION and delay > _CLEAR * error
+    sure = correlation > _LEAST_CORRELATION and delay > CLEAR * error
     return (delay, error, correlation) if sure and _RANGE[0] < delay < _RANGE[1] else None
 
 

@@ -13,6 +13,7 @@ from split_cli.learning.hyperparameters import FEWEST_TO_FIT, MOST_TO_FIT, likel
 from split_cli.learning.labels import nominal_errors
 from split_cli.learning.training_set import TrainingSet
 from split_cli.scoring.evidence import TrainingDrive
+from split_cli.scoring.late_inputs import CLEAR
 from split_cli.scoring.torque_lag import lagging, may_show_a_lag
 from split_cli.vehicle.parameters import EffectSpec, Vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -21,9 +22,6 @@ from split_cli.vehicle.single_track import SingleTrack
 #: road car, as in `late_inputs`, each twice the one before.
 _TRIED = 0.0125 * 2.0 ** np.arange(6)
 _ACCURACY = 5e-4  # [s]; judgement: what a front wheel turns in this time is within the noise of any sensor
-#: Standard errors that the time constant must be from none [1], as of `torque_delay`. Twice the gain of the log
-#: likelihood is their square where it is quadratic (Wilks).
-_CLEAR = 4.0
 
 
 def likeliest_lag(drives: Sequence[TrainingDrive], empty: TrainingSet, channel: str) -> Vehicle | None:
@@ -77,7 +75,8 @@ def likeliest_lag(drives: Sequence[TrainingDrive], empty: TrainingSet, channel: 
     tried = np.array([cost(tau) for tau in _TRIED])
     start = _TRIED[int(np.argmin(tried))]
     best = minimize_scalar(cost, bounds=(0.5 * start, 2.0 * start), method="bounded", options={"xatol": _ACCURACY})
-    clear = 2.0 * (cost(0.0) - best.fun) > _CLEAR**2
+    # Twice the gain of the log likelihood is the square of standard errors where it is quadratic (Wilks).
+    clear = 2.0 * (cost(0.0) - best.fun) > CLEAR**2
     return _LAGGING[channel](empty.vehicle, round(float(best.x), 4)) if clear else None
 
 

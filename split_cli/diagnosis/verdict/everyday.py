@@ -27,14 +27,13 @@ def everyday_leads(
     """
     fit, policy = selection.chosen, objective.policy
     whole, out = max(selection.base.cost - fit.cost, 1e-9), []
-    estimates = parameter_estimates(objective, fit)
     for k, (part, without) in enumerate(zip(fit.parts, selection.without, strict=True)):
         saved = without.cost - fit.cost
         if not part.is_everyday or term_p(objective, fit, k, saved, variance_inflation) >= policy.selection.level:
             continue
         if term_size(objective, fit, k) > policy.allowances.large:
-            own, ranges = part.candidate, part.candidate.ranges
-            limits = {name: ranges[name].everyday for name in own.away(part.values)}
-            sentence = everyday_sentence(own.term, own.variant, estimates[k], limits, taken_off=taken_off)
-            out.append(Lead(own.term, own.variant, estimates[k], {}, saved / whole, (), sentence))
+            own, estimates = part.candidate, parameter_estimates(objective, fit)[k]
+            limits = {name: own.ranges[name].everyday for name in own.away(part.values)}
+            sentence = everyday_sentence(own.term, own.variant, estimates, limits, taken_off=taken_off)
+            out.append(Lead(own.term, own.variant, estimates, {}, saved / whole, (), sentence))
     return tuple(out)

@@ -120,7 +120,7 @@ class LabelledDrives:
         other._sources = [replace(source, labels=None) for source in self._sources[:judged]]
         other._middle_only = judged is not None
         if other._open is not None:
-            other._open = (other._open[0], other._wanted(other._open[1]))
+            other._open = (other._open[0], _wanted(other._open[1], other._middle_only))
         other._kept, other._seconds, other._bytes, other._scratch = {}, {}, 0, None
         other.label_together()
         return other
@@ -169,16 +169,13 @@ class LabelledDrives:
             return self._open[1]
         self.progress(f"reading {source.name}")
         drive = self._correct(open_drive(source.drive, self.labelling.held))
-        drive = self._wanted(drive)
+        drive = _wanted(drive, self._middle_only)
         # To open a long one takes longer than to hold it: its columns stay in its file.
         self._open = (number, drive) if drive.stays_in_file else None
         if number not in self._checked:
             self._checked.add(number)
             self._notes += vehicle_warnings([drive], self.labelling.vehicle, self.labelling.any_vehicle)
         return drive
-
-    def _wanted(self, drive: Drive) -> Drive:
-        return drive.stretch(*middle_rows(len(drive), MOST_ROWS)) if self._middle_only else drive
 
     def labels(self, number: int, drive: Drive | None = None) -> Labels:
         """Return the labels that may be learned of a drive, made once; `drive` spares reading it again."""
@@ -277,6 +274,11 @@ def _labelled(drive: Drive, how: Labelling) -> Labels:
     return labels
 
 
+def _wanted(drive: Drive, middle_only: bool) -> Drive:
+    """Return a drive, or the middle of a long one that trust is found on."""
+    return drive.stretch(*middle_rows(len(drive), MOST_ROWS)) if middle_only else drive
+
+
 def _learnable(labels: Labels, rows: np.ndarray | None, middle_only: bool) -> Labels:
     """Return the labels on rows of a drive that may be learned, all if None; labels may be of the drive's middle."""
     if rows is None:
@@ -287,9 +289,7 @@ def _learnable(labels: Labels, rows: np.ndarray | None, middle_only: bool) -> La
 def _label_apart(job: tuple[Path, Labelling, np.ndarray | None, bool, bool]) -> tuple[Labels, tuple[str, ...], float]:
     """Return the labels of a drive, warnings about it, and the time that labelling took [s]."""
     path, how, rows, check, middle_only = job
-    drive = RecordingCorrection(how.vehicle)(open_drive(path, how.held))
-    if middle_only:
-        drive = drive.stretch(*middle_rows(len(drive), MOST_ROWS))
+    drive = _wanted(RecordingCorrection(how.vehicle)(open_drive(path, how.held)), middle_only)
     warnings = vehicle_warnings([drive], how.vehicle, how.any_vehicle) if check else ()
     start = time.perf_counter()
     labels = _learnable(_labelled(drive, how), rows, middle_only)
