@@ -49,6 +49,7 @@ EXAMPLES: dict[tuple[str, str], dict[str, float]] = {
     ("steer_delay", ""): {"delay": 0.08},
     ("steer_gain", ""): {"gain": 1.1},
     ("steer_lag", ""): {"tau": 0.1},
+    ("steer_lag", "learned"): {"tau": 0.1},
     ("steer_lag", "changed"): {"tau": 0.06, "shared": 0.04},
     ("steer_offset", ""): {"offset": 0.01},
     ("cg_shift", ""): {"dx": 0.08},

@@ -85,7 +85,7 @@ class ControlModel:
             what = "has an effect that depends on time or track position, which a controller here does not know"
             raise VehicleError(what, where=where, advice="Drive with a vehicle file without it.")
         check_features(vehicle, residual.features, step)
-        self.start = graph.start
+        self.start, self._asks_knowledge = graph.start, graph.asks_knowledge
         self.memory = graph.rates.size1_in(0) - 6
         self.states = 8 + self.memory
         self._stage, self.not_compiled = _stage_function(vehicle, residual.features, step), "was not asked for"
@@ -112,6 +112,9 @@ class ControlModel:
         x[slow, 3] = SLOWEST
         rates, jacobian, slip, slip_slope, z, z_slope, curve, force, force_slope = self._evaluate(x)
         found = self.residual.along(z)
+        if self._asks_knowledge:
+            # A lag that training found acts as far as is known at z, of the output that labels show best.
+            rates, jacobian, *_ = self._evaluate(x, found.knowledge.max(axis=1))
         f, A = self._whole(x, rates, jacobian)
         f[:, 6:8] = u
         f[:, 3:6] += found.mean
@@ -131,12 +134,13 @@ class ControlModel:
             states[k + 1] = self.linearize(states[k : k + 1], input_now[None]).following[0]
         return states
 
-    def _evaluate(self, x: np.ndarray) -> list[np.ndarray]:
-        """Evaluate the stage function at N states at once."""
+    def _evaluate(self, x: np.ndarray, knowledge: np.ndarray | float = 1.0) -> list[np.ndarray]:
+        """Evaluate the stage function at N states at once; `knowledge` (N,) counts where a term asks."""
         count = len(x)
         if count not in self._batches:
             self._batches[count] = Batch(self._stage, count)
-        return [a[:, :, 0] if a.shape[2] == 1 else a for a in self._batches[count](x)]
+        given = np.column_stack([x, np.broadcast_to(knowledge, count)]) if self._asks_knowledge else x
+        return [a[:, :, 0] if a.shape[2] == 1 else a for a in self._batches[count](given)]
 
     def _whole(self, x: np.ndarray, rates: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return f without inputs, shape (N, n), and its Jacobian, shape (N, n, n)."""
@@ -170,7 +174,7 @@ def check_features(vehicle: Vehicle, features: FeatureSet, step: float) -> None:
 
 
 def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casadi.Function:
-    """Return x to what `ControlModel.linearize` needs of one state.
+    """Return x, and knowledge where a term asks, to what `ControlModel.linearize` needs of one state.
 
     Rates and their Jacobian by x[2:]; slip angles and theirs by x; features and theirs; the axles' B, C, D;
     longitudinal forces and their Jacobian by x.
@@ -179,7 +183,8 @@ def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casa
     basic, asked = build_nominal(track, Z2, step), build_nominal(track, features, step)
     n = 2 + basic.rates.size1_in(0)
     x = casadi.SX.sym("x", n)
-    rates, jacobian = basic.rates(x[2:], casadi.SX.zeros(2))
+    known = casadi.SX.sym("k", basic.rates.size1_in(1) - 2)
+    rates, jacobian = basic.rates(x[2:], casadi.vertcat(casadi.SX.zeros(2), known))
     given = x if basic.memory is None else casadi.vertcat(x, x[6:8])
     still = casadi.SX.zeros(2)
     z2, z = basic.features(given, still)[0], asked.features(given, still)[0]
@@ -196,7 +201,7 @@ def _stage_function(vehicle: Vehicle, features: FeatureSet, step: float) -> casa
         force,
         casadi.jacobian(force, x),
     ]
-    return casadi.Function("stage", [x], [casadi.densify(o) for o in outputs], {"cse": True})
+    return casadi.Function("stage", [casadi.vertcat(x, known)], [casadi.densify(o) for o in outputs], {"cse": True})
 
 
 def _axles(track: SingleTrack, x: casadi.SX) -> tuple[casadi.SX, casadi.SX]:

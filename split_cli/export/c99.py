@@ -21,6 +21,10 @@ from split_cli.export.tables import BcmTables, Constants, TableData, lines_of
 from split_cli.learning.running_trust import MEMORY, SPAN
 from split_cli.learning.trust import kept_share, supported_variance
 
+#: What the header says of a lag that depends on what the set knows.
+_KNOWLEDGE_TEXT = """
+ * Of the steering's lag the share acts that the set knows, 1 - v/S0 at the step's start, with the variance v of the
+ * process and S0 its prior: far from all that was learned the wheel has the commanded angle."""
 #: The C that evaluates each kind of constants.
 _TEMPLATES = {BcmTables: "committee.c.in", TableData: "table.c.in", ProjectionData: "projection.c.in"}
 _KEYWORDS = frozenset(
@@ -86,6 +90,7 @@ def c_source(
     name: str,
     valid: casadi.Function,
     plain: bool = False,
+    clearest: int = 0,
 ) -> CSource:
     """Write header and source.
 
@@ -101,6 +106,8 @@ def c_source(
         Features to whether they lie in the valid region, as `validity.valid_function` makes it.
     plain : bool
         Whether the set's labels are plain differences, so that h g itself is added.
+    clearest : int
+        The output whose variance says how much the set knows (`Kernel.clearest`), where a term asks.
 
     Raises
     ------
@@ -113,8 +120,10 @@ def c_source(
     with_step = graph.features is not None
     table_text, table_bytes = _tables(tables)
     values = {**_texts(tables, graph, provenance, name, plain), "TABLES": table_text, **_predictor_values(tables)}
-    robust = ("robust",) if getattr(tables, "robust", False) else ()
-    values["PREDICTOR"] = fill(template(_TEMPLATES[type(tables)]), values, robust)
+    values["CLEAREST"] = str(clearest)
+    parts = {"robust": getattr(tables, "robust", False), "knowledge": with_step and graph.asks_knowledge}
+    kept = [part for part, needed in parts.items() if needed]
+    values["PREDICTOR"] = fill(template(_TEMPLATES[type(tables)]), values, kept)
     values["VALID"] = straight_line(valid, "valid_region", real, "1 where the valid region holds z, else 0.")
     memory = graph.memory if with_step else None
     values |= _memory_values(graph, memory, name, real)
@@ -167,6 +176,10 @@ def _step(values: dict[str, str], graph: NominalGraph, provenance: Provenance, r
     apart = "1e-4" if real == "double" else "1e-2"
     trust = {**values, "SPAN": f"{SPAN:g}", "MEMORY": f"{MEMORY:g}", "APART": apart}
     kind, kept = "memory_step" if graph.memory else "step", memory_parts(graph.memory)
+    kept = (*kept, "knowledge") if graph.asks_knowledge else kept
+    values["SITUATION"] = str(graph.rates.size1_in(1))
+    values["KNOWLEDGE_HELD"] = ", knowledge" if graph.asks_knowledge else ""
+    values["KNOWLEDGE_TEXT"] = _KNOWLEDGE_TEXT if graph.asks_knowledge else ""
     header, body = (
         fill(template(f"{kind}.{end}.in"), {**values, "TRUST": fill(template(f"trust.{end}.in"), trust)}, kept)
         for end in ("h", "c")

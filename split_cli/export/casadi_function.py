@@ -1,6 +1,6 @@
 """A trained set as CasADi functions: the committee in matrix form, and the model step built on it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import casadi
@@ -45,6 +45,20 @@ def predictor_function(constants: Constants, name: str) -> casadi.Function:
     if isinstance(constants, ProjectionData):
         return projection(constants, name)
     return committee_function(constants, name)
+
+
+def knowledge_function(constants: Constants, output: int) -> casadi.Function:
+    """Return z -> the share of the prior's variance that labels explain, from 0 to 1, whatever the trust.
+
+    Parameters
+    ----------
+    output : int
+        The one whose variance counts: `Kernel.clearest`.
+    """
+    plain = replace(constants, trust=np.ones(3), doubt=np.zeros(3))
+    z = casadi.MX.sym("z", constants.feature_count)
+    left = predictor_function(plain, "process")(z)[1][output] / float(constants.signal_variance[output])
+    return casadi.Function("knowledge", [z], [casadi.fmax(1.0 - left, 0.0)])
 
 
 def committee_function(tables: BcmTables, name: str) -> casadi.Function:
@@ -197,7 +211,13 @@ def _sparse(matrix: scipy.sparse.csc_matrix) -> casadi.DM:
     return casadi.DM(pattern, matrix.data)
 
 
-def model_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: bool = False) -> casadi.Function | None:
+def model_step(
+    predict: casadi.Function,
+    graph: NominalGraph,
+    name: str,
+    plain: bool = False,
+    knowledge: casadi.Function | None = None,
+) -> casadi.Function | None:
     """Return (x, u, h[, p]) -> x_next: linearised exact nominal step plus the residual; None without features.
 
     Parameters
@@ -206,6 +226,8 @@ def model_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: 
         The predictor.
     plain : bool
         Whether the set's labels are plain differences, so that h g itself is added.
+    knowledge : casadi.Function, optional
+        As `knowledge_function` makes it; needed where the graph asks.
 
     Notes
     -----
@@ -213,7 +235,7 @@ def model_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: 
     exact to rounding while the velocity Jacobian's norm times h is below about 8; no branch, so any number of
     derivatives is right.
     """
-    return None if graph.features is None else memory_step(predict, graph, name, plain)
+    return None if graph.features is None else memory_step(predict, graph, name, plain, knowledge)
 
 
 def casadi_answer(predict: casadi.Function) -> ExportAnswer:

@@ -8,13 +8,15 @@ from split_cli.export.memory import Memory, nothing_kept, present
 from split_cli.export.symbolic import NominalGraph
 
 
-def memory_step(predict: casadi.Function, graph: NominalGraph, name: str, plain: bool) -> casadi.Function:
+def memory_step(
+    predict: casadi.Function, graph: NominalGraph, name: str, plain: bool, knowledge: casadi.Function | None
+) -> casadi.Function:
     """Return (x, u, h[, p]) -> x_next over states of terms and past commands.
 
     Parameters are those of `casadi_function.model_step`.
     """
     given = step_arguments(graph)
-    return named_function(graph, name, given, stepped(graph, given, predict, plain), "x_next")
+    return named_function(graph, name, given, stepped(graph, given, predict, plain, knowledge), "x_next")
 
 
 def step_arguments(graph: NominalGraph) -> dict[str, casadi.MX]:
@@ -24,8 +26,13 @@ def step_arguments(graph: NominalGraph) -> dict[str, casadi.MX]:
     return {label: casadi.MX.sym(label, size) for label, size in sizes.items()}
 
 
-def step_begun(graph: NominalGraph, given: dict[str, casadi.MX]) -> tuple[Memory, casadi.MX, casadi.MX, casadi.MX]:
-    """Return the memory, what acts as a step begins, the rates of arriving commands and plays, and [t, s]."""
+def step_begun(
+    graph: NominalGraph, given: dict[str, casadi.MX], knowledge: casadi.Function | None
+) -> tuple[Memory, casadi.MX, casadi.MX, casadi.MX]:
+    """Return the memory, what acts as a step begins, the rates of arriving commands and plays, and the situation.
+
+    The situation is [t, s], and how much the set knows where a term asks.
+    """
     memory = graph.memory or nothing_kept(1.0)
     x, u, h, p = (given[label] for label in ("x", "u", "h", "p"))
     place_time = p if graph.needs_place_and_time else casadi.MX.zeros(2)
@@ -36,7 +43,17 @@ def step_begun(graph: NominalGraph, given: dict[str, casadi.MX]) -> tuple[Memory
         ended = casadi.vertcat(acting[2:6], last, acting[8:])
         dragged = present(graph.jumps)(ended, place_time)[0]
         moving += [(dragged[k] - acting[8 + play]) / h for k, play in enumerate(memory.plays)]
-    return memory, acting, casadi.vertcat(*moving), place_time
+    state = x if graph.memory is None else casadi.vertcat(acting, x[6:8])
+    return memory, acting, casadi.vertcat(*moving), _situation(graph, place_time, state, u, knowledge)
+
+
+def _situation(
+    graph: NominalGraph, place_time: casadi.MX, state: casadi.MX, u: casadi.MX, knowledge: casadi.Function | None
+) -> casadi.MX:
+    """Return [t, s], and how much the set knows at the features of a state where a term asks."""
+    if not graph.asks_knowledge:
+        return place_time
+    return casadi.vertcat(place_time, present(knowledge)(present(graph.features)(state, u)[0]))
 
 
 def casadi_substeps(graph: NominalGraph) -> int:
@@ -56,6 +73,7 @@ def stepped(
     given: dict[str, casadi.MX],
     predict: casadi.Function,
     plain: bool,
+    knowledge: casadi.Function | None,
     tau: casadi.MX | None = None,
 ) -> casadi.MX:
     """Return the state after a step, with a share tau of each correction where one is given.
@@ -66,9 +84,9 @@ def stepped(
     and in between they move evenly. Plays move as evenly to where the end drags them.
     Where there are delays, any interval but that of the past commands gives not-a-number.
     """
-    memory, acting, moving, place_time = step_begun(graph, given)
+    memory, acting, moving, situation = step_begun(graph, given, knowledge)
     x, u, h = given["x"], given["u"], given["h"]
-    f, A = whole_model(graph, memory)(acting, moving, place_time)
+    f, A = whole_model(graph, memory)(acting, moving, situation)
     state = x if graph.memory is None else casadi.vertcat(acting, x[6:8])
     residual = predict(present(graph.features)(state, u)[0])[0]
     residual = residual if tau is None else tau * residual
@@ -84,7 +102,9 @@ def stepped(
     return following + whether_interval_fits(memory, h) if memory.line else following
 
 
-def memory_functions(predict: casadi.Function, graph: NominalGraph, name: str) -> tuple[casadi.Function, ...]:
+def memory_functions(
+    predict: casadi.Function, graph: NominalGraph, name: str, knowledge: casadi.Function | None = None
+) -> tuple[casadi.Function, ...]:
     """Return ``NAME_start``, ``NAME_rates`` and, with delays, ``NAME_arrived``; nothing without memory.
 
     ``start`` fills what follows the first eight states, steady; ``rates`` is x' of the first 8 + S, the
@@ -94,7 +114,7 @@ def memory_functions(predict: casadi.Function, graph: NominalGraph, name: str) -
     if memory is None or graph.features is None:
         return ()
     x, u, p = casadi.MX.sym("x", 8), casadi.MX.sym("u", 2), casadi.MX.sym("p", 2)
-    place_time = p if graph.needs_place_and_time else casadi.DM.zeros(2)
+    place_time = p if graph.needs_place_and_time else casadi.MX.zeros(2)
     settled = present(graph.start)(x[2:8], place_time) if memory.states else casadi.DM.zeros(0)
     held = [casadi.repmat(x[6 + c], length, 1) for c, length in enumerate(memory.lengths) if length]
     started = casadi.vertcat(x, settled, *held)
@@ -102,8 +122,9 @@ def memory_functions(predict: casadi.Function, graph: NominalGraph, name: str) -
     x, arrived = casadi.MX.sym("x", memory.continuous), casadi.MX.sym("arrived", 2)
     given = {"x": x, "u": u, "arrived": arrived, "p": p} if memory.line else {"x": x, "u": u, "p": p}
     acting = casadi.vertcat(x[:6], arrived if memory.line else x[6:8], x[8:])
-    rates = graph.rates(acting[2:], place_time)[0]
-    residual = predict(graph.features(casadi.vertcat(acting, x[6:8]), u)[0])[0]
+    state = casadi.vertcat(acting, x[6:8])
+    rates = graph.rates(acting[2:], _situation(graph, place_time, state, u, knowledge))[0]
+    residual = predict(graph.features(state, u)[0])[0]
     sine, cosine = casadi.sin(x[2]), casadi.cos(x[2])
     pose = casadi.vertcat(x[3] * cosine - x[4] * sine, x[3] * sine + x[4] * cosine, x[5])
     whole = casadi.vertcat(pose, rates[:3] + residual, u, rates[3:])
@@ -137,12 +158,12 @@ def _arrivals(memory: Memory, x: casadi.MX, u: casadi.MX, h: casadi.MX) -> tuple
 
 
 def whole_model(graph: NominalGraph, memory: Memory, drawn: bool = False) -> casadi.Function:
-    """Return (what acts, rates of arriving commands and plays, p) -> f and its Jacobian A, sparse.
+    """Return (what acts, rates of arriving commands and plays, situation) -> f and its Jacobian A, sparse.
 
     Plays move at the rates given or, `drawn`, to their edge as in the right-hand side.
     """
     size, plays = memory.continuous, memory.plays
-    x, p = casadi.SX.sym("x", size), casadi.SX.sym("p", 2)
+    x, p = casadi.SX.sym("x", size), casadi.SX.sym("p", graph.rates.size1_in(1))
     moving = casadi.SX.sym("m", 2 + len(plays))
     rates, jacobian = graph.rates(x[2:], p)
     sine, cosine = casadi.sin(x[2]), casadi.cos(x[2])

@@ -66,7 +66,7 @@ def observation() -> casadi.Function:
 
 
 def trust_functions(
-    predict: casadi.Function, graph: NominalGraph, name: str, plain: bool
+    predict: casadi.Function, graph: NominalGraph, name: str, plain: bool, knowledge: casadi.Function | None = None
 ) -> tuple[casadi.Function, ...]:
     """Return ``NAME_step_trusted`` and ``NAME_observe``; nothing where there is no step.
 
@@ -83,11 +83,11 @@ def trust_functions(
         return ()
     given, tau = step_arguments(graph), casadi.MX.sym("tau", 3)
     x, h, trust = given["x"], given["h"], casadi.MX.sym("trust", TRUST_SIZE)
-    shared = stepped(graph, given, predict, plain, tau)
+    shared = stepped(graph, given, predict, plain, knowledge, tau)
     taking = {"x": x, "u": given["u"], "h": h, "tau": tau, "p": given["p"]}
     step = named_function(graph, f"{name}_step_trusted", taking, shared, "x_next")
     velocity, x_end = casadi.MX.sym("v", 3), casadi.MX.sym("x_end", x.shape[0])
-    nominal = _nominal_step(graph, {**given, "x": casadi.vertcat(x[:3], velocity, x[6:])})
+    nominal = _nominal_step(graph, {**given, "x": casadi.vertcat(x[:3], velocity, x[6:])}, knowledge)
     transition = casadi.jtimes(nominal, velocity, casadi.DM.eye(3))
     nominal, transition = casadi.substitute([nominal, transition], [velocity], [x[3:6]])
     response = casadi.jtimes(shared[3:6], tau, casadi.DM.eye(3))
@@ -97,21 +97,23 @@ def trust_functions(
     return step, named_function(graph, f"{name}_observe", taking, after, "trust_next")
 
 
-def _nominal_step(graph: NominalGraph, given: dict[str, casadi.MX]) -> casadi.MX:
+def _nominal_step(graph: NominalGraph, given: dict[str, casadi.MX], knowledge: casadi.Function | None) -> casadi.MX:
     """Return the velocities after a nominal step of Runge-Kutta."""
-    memory, acting, moving, place_time = step_begun(graph, given)
-    y, m, dt = casadi.MX.sym("y", acting.shape[0] + 2), casadi.MX.sym("m", moving.shape[0]), casadi.MX.sym("dt")
+    memory, acting, moving, situation = step_begun(graph, given, knowledge)
+    size, beside = acting.shape[0], situation.shape[0]
+    y, m, dt = casadi.MX.sym("y", size + beside), casadi.MX.sym("m", moving.shape[0]), casadi.MX.sym("dt")
     model = whole_model(graph, memory, drawn=True)
 
     def rates(at: casadi.MX) -> casadi.MX:
-        return casadi.vertcat(model(at[:-2], m, at[-2:])[0], 1.0, at[3])
+        # Time and place go on; what the set knows is that of the step's start.
+        return casadi.vertcat(model(at[:size], m, at[size:])[0], 1.0, at[3], casadi.MX.zeros(beside - 2))
 
     slope = total = rates(y)
     for node, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
         slope = rates(y + node * dt * slope)
         total += weight * slope
     substep = casadi.Function("runge_kutta", [y, m, dt], [y + dt / 6.0 * total])
-    ended, count = casadi.vertcat(acting, place_time), casadi_substeps(graph)
+    ended, count = casadi.vertcat(acting, situation), casadi_substeps(graph)
     for _ in range(count):
         ended = substep(ended, moving, given["h"] / count)
     return ended[3:6] + whether_interval_fits(memory, given["h"])

@@ -43,6 +43,11 @@ class Reference:
         signal = self.training_set.kernel.signal_variance
         return Prediction(*self.training_set.trust.apply(mean, variance, signal))
 
+    def knowledge(self, z: np.ndarray) -> np.ndarray:
+        """Return the share of the prior's variance that labels explain at `z`, shape (N,)."""
+        parts = [self._chunk(z[first : first + _CHUNK])[1] for first in range(0, len(z), _CHUNK)]
+        return self.training_set.kernel.knowledge(np.concatenate(parts))
+
     def _chunk(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and latent variance at a few queries as though the set were fully trusted."""
         raise NotImplementedError

@@ -84,7 +84,7 @@ def make_step_oracle(
     first, _ = model.arrivals(x, u)
     acting = model.acting(x, first)
     z = model.features(acting, x[:, 6:8], u)[0]
-    rates = model.rates(acting, u, place_time)
+    rates = model.rates(acting, u, model.situation(acting, x[:, 6:8], u, place_time))
     rates[:, 3:6] += reference.predict(z).mean
     asked, linear = np.column_stack([x, plain[:, 8:]]), model.derivative(x, u, place_time)
     drives = None if graph.memory is None else roll_drives(model)

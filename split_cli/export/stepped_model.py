@@ -88,10 +88,23 @@ class SteppedModel:
             slopes = np.insert(slopes, [8, 8], 0.0, axis=2)
         return np.asarray(z).T, slopes
 
-    def linear(self, acting: np.ndarray, driven: np.ndarray, place_time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def situation(self, acting: np.ndarray, command: np.ndarray, u: np.ndarray, place_time: np.ndarray) -> np.ndarray:
+        """Return t, s and how much the set knows as a step begins, shape (N, 3); 1 where no term asks."""
+        known = np.ones(len(u))
+        if self.graph.asks_knowledge:
+            known = self.reference.knowledge(self.features(acting, command, u)[0])
+        return np.column_stack([place_time, known])
+
+    def _traced(self, acting: np.ndarray, situation: np.ndarray) -> tuple[Any, Any]:
+        """Return the traced rates and their Jacobian."""
+        asked = situation if self.graph.asks_knowledge else situation[:, :2]
+        rates, jacobian = self.graph.rates.map(len(acting))(acting[:, 2:].T, asked.T)
+        return rates, jacobian
+
+    def linear(self, acting: np.ndarray, driven: np.ndarray, situation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return f (N, 8 + S) and A of what acts; `driven` (N, 2 + P): rates of commands and plays."""
         count, size = acting.shape
-        found = self.graph.rates.map(count)(acting[:, 2:].T, place_time.T)
+        found = self._traced(acting, situation)
         rows, columns = size - 5, size - 2
         rates = np.asarray(found[0]).T
         jacobian = np.asarray(found[1]).reshape(rows, count, columns).transpose(1, 0, 2)
@@ -108,12 +121,12 @@ class SteppedModel:
             f[:, 8 + play], A[:, 8 + play] = driven[:, 2 + k], 0.0
         return f, A
 
-    def rates(self, acting: np.ndarray, u: np.ndarray, place_time: np.ndarray) -> np.ndarray:
+    def rates(self, acting: np.ndarray, u: np.ndarray, situation: np.ndarray) -> np.ndarray:
         """Return x' of what acts without the residual, by NumPy, shape (N, 8 + S)."""
         names, x = self.memory.names, acting
         states = dict(zip(names, x[:, 8:].T, strict=True)) or None
-        place: dict[str, Any] = {"yaw": x[:, 2], "t": place_time[:, 0], "s": place_time[:, 1]}
-        flow = self.model.flow(*x[:, 3:8].T, states=states, **place)
+        t, s, knowledge = situation.T
+        flow = self.model.flow(*x[:, 3:8].T, states=states, yaw=x[:, 2], t=t, s=s, knowledge=knowledge)
         sine, cosine = np.sin(x[:, 2]), np.cos(x[:, 2])
         east, north = x[:, 3] * cosine - x[:, 4] * sine, x[:, 3] * sine + x[:, 4] * cosine
         columns = [east, north, x[:, 5], *self.model.balance(flow), *u.T, *(flow.rates[name] for name in names)]
@@ -133,7 +146,7 @@ class SteppedModel:
         self, acting: np.ndarray, driven: np.ndarray, command: np.ndarray, u: np.ndarray, place_time: np.ndarray
     ) -> np.ndarray:
         """Return what acts after a linearised exact step, shape (N, 8 + S)."""
-        f, A = self.linear(acting, driven, place_time)
+        f, A = self.linear(acting, driven, self.situation(acting, command, u, place_time))
         size = acting.shape[1]
         augmented = np.zeros((len(acting), size + 1, size + 1))
         augmented[:, :size, :size], augmented[:, :size, size] = A, f
@@ -145,6 +158,8 @@ class SteppedModel:
         self, acting: np.ndarray, last: np.ndarray, command: np.ndarray, u: np.ndarray, place_time: np.ndarray
     ) -> np.ndarray:
         """Return what acts after a step of Runge-Kutta, as labels are made; `last` arrives at its end."""
+        situation = self.situation(acting, command, u, place_time)
+        t, s, knowledge = situation.T
         torque, steer = (np.column_stack([acting[:, 6 + c], last[:, c]]) for c in (0, 1))
         moved, states = integrate_with_memory(
             self.model,
@@ -153,9 +168,9 @@ class SteppedModel:
             steer,
             self.step,
             self.substeps,
-            Situation(place_time[:, 0], place_time[:, 1], states=acting[:, 8:]),
+            Situation(t, s, knowledge=knowledge, states=acting[:, 8:]),
         )
-        _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), place_time)
+        _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), situation)
         moved[:, 3:6] += self.residual(acting, command, u, A)[0]
         return np.column_stack([moved, last, states])
 
@@ -166,7 +181,8 @@ class SteppedModel:
         """
         first, last = self.arrivals(x, u)
         acting = self.acting(x, first)
-        _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), place_time)
+        situation = self.situation(acting, x[:, 6:8], u, place_time)
+        _, A = self.linear(acting, np.zeros((len(u), 2 + len(self.memory.plays))), situation)
         added, phi = self.residual(acting, x[:, 6:8], u, A)
         mean = self.reference.predict(self.features(acting, x[:, 6:8], u)[0]).mean
         ended = self.integrate(acting, last, x[:, 6:8], u, place_time)
@@ -195,12 +211,13 @@ class SteppedModel:
         return np.column_stack([acting[:, :6], x[:, 6:8] + self.step * u, acting[:, 8:], *line])
 
     def derivative(self, x: np.ndarray, u: np.ndarray, place_time: np.ndarray) -> np.ndarray:
-        """Return the slopes of the exact step by (x, u), A and Phi held, shape (N, n, n + 2)."""
+        """Return the slopes of the exact step by (x, u), shape (N, n, n + 2); A, Phi and knowledge are held."""
         count, n = x.shape
         size, plays = self.memory.continuous, self.memory.plays
         first, last = self.arrivals(x, u)
         acting = self.acting(x, first)
-        f, A = self.linear(acting, np.zeros((count, 2 + len(plays))), place_time)
+        situation = self.situation(acting, x[:, 6:8], u, place_time)
+        f, A = self.linear(acting, np.zeros((count, 2 + len(plays))), situation)
         augmented = np.zeros((count, 2 * size, 2 * size))
         augmented[:, :size, :size], augmented[:, :size, size:] = A, np.eye(size)
         exponential = scipy.linalg.expm(augmented * self.step)
@@ -249,13 +266,15 @@ class SteppedModel:
             If they differ.
         """
         size = self.memory.continuous
-        first, _ = self.arrivals(x, np.zeros((len(x), 2)))
+        still = np.zeros((len(x), 2))
+        first, _ = self.arrivals(x, still)
         acting = self.acting(x, first)
-        found = self.graph.rates.map(len(x))(acting[:, 2:].T, place_time.T)[1]
+        situation = self.situation(acting, x[:, 6:8], still, place_time)
+        found = self._traced(acting, situation)[1]
         found = np.asarray(found).reshape(size - 5, len(x), size - 2).transpose(1, 0, 2)
 
         def rates(at: np.ndarray) -> np.ndarray:
-            return np.delete(self.rates(at, np.zeros((len(at), 2)), place_time), [0, 1, 2, 6, 7], axis=1)
+            return np.delete(self.rates(at, still, situation), [0, 1, 2, 6, 7], axis=1)
 
         for column in range(2, size):
             move = np.zeros(size)

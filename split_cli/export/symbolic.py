@@ -52,13 +52,15 @@ class NominalGraph:
     arrive where there are delays.
     """
 
-    # (a; t, s) to (v_x', v_y', r', states') and their Jacobian, shape (3 + S, 6 + S), exact.
+    # (a; t, s) to (v_x', v_y', r', states') and their Jacobian, shape (3 + S, 6 + S), exact. Where a term asks how
+    # much the set knows, the second argument is (t, s, knowledge).
     rates: casadi.Function
     # Without memory (x, u), with memory (w, u), w = (X, Y, a, T, delta) with the commands of this moment last, to
     # z, shape (D,), and its Jacobian; None when a feature is a measured channel that no state or input determines.
     features: casadi.Function | None
     foreign_features: tuple[str, ...]  # those channels
     needs_place_and_time: bool  # whether a term reads the time t or the track position s
+    asks_knowledge: bool = False  # whether a term acts only as far as the set knows, see `SingleTrack.asks_knowledge`
     memory: Memory | None = None  # states beyond the first eight
     # (first six of a; t, s) to the steady states of the terms, shape (S,); None without states.
     start: casadi.Function | None = None
@@ -72,10 +74,11 @@ class NominalGraph:
 
 @dataclass(frozen=True)
 class _Trace:
-    """A model evaluated on symbols: acting variables, (t, s), rates, flow, guarded v_x."""
+    """A model evaluated on symbols: acting variables, (t, s), knowledge, rates, flow, guarded v_x."""
 
     acting: casadi.SX
     place_time: casadi.SX
+    knowledge: casadi.SX
     rates: casadi.SX
     flow: Any
     speed: casadi.SX
@@ -99,8 +102,9 @@ def build_nominal(model: SingleTrack, features: FeatureSet, step: float = DEFAUL
     trace = _trace(model, low_speed)
     acting, place_time, rates = trace.acting, trace.place_time, trace.rates
     jacobian = casadi.densify(casadi.jacobian(rates, acting))
-    options = {"cse": True}
-    traced = casadi.Function("rates", [acting, place_time], [casadi.densify(rates), jacobian], options)
+    options, asks = {"cse": True}, model.asks_knowledge
+    situation = casadi.vertcat(place_time, trace.knowledge) if asks else place_time
+    traced = casadi.Function("rates", [acting, situation], [casadi.densify(rates), jacobian], options)
     plays = tuple(k for k, name in enumerate(model.state_names) if name in trace.flow.pulled)
     memory = memory_of(model, plays, step)
     start, jumps = _start(model, trace), _jumps(model, trace, plays)
@@ -109,7 +113,7 @@ def build_nominal(model: SingleTrack, features: FeatureSet, step: float = DEFAUL
     units, stiffness = _balance(traced, sample) if memory else ((), 0.0)
     needs = any(casadi.which_depends(rates, place_time, 1, False))
     known = _features(model, features, trace, memory)
-    return NominalGraph(traced, *known, needs, memory, start, jumps, units, stiffness, low_speed)
+    return NominalGraph(traced, *known, needs, asks, memory, start, jumps, units, stiffness, low_speed)
 
 
 def guarded_speed(speed: casadi.SX, low: float) -> casadi.SX:
@@ -125,13 +129,16 @@ def guarded_speed(speed: casadi.SX, low: float) -> casadi.SX:
 def _trace(model: SingleTrack, low_speed: float) -> _Trace:
     names = model.state_names
     a, place_time = casadi.SX.sym("a", 6 + len(names)), casadi.SX.sym("p", 2)
+    knowledge = casadi.SX.sym("k") if model.asks_knowledge else casadi.SX(1.0)
     states = {name: a[6 + k] for k, name in enumerate(names)} if names else None
     where = f"vehicle {model.vehicle.name}, effects: {', '.join(term.id for term in model.terms)}"
     speed = guarded_speed(a[1], low_speed)
     try:
-        flow = model.flow(
-            speed, *(a[i] for i in range(2, 6)), yaw=a[0], t=place_time[0], s=place_time[1], ops=CASADI, states=states
-        )
+        situation: dict[str, Any] = {"yaw": a[0], "t": place_time[0], "s": place_time[1], "ops": CASADI}
+        inner = [speed, *(a[i] for i in range(2, 6))]
+        whole = flow = model.flow(*inner, **situation, states=states)
+        if model.asks_knowledge:
+            flow = model.flow(*inner, **situation, states=states, knowledge=knowledge)
         rates = casadi.vertcat(*model.balance(flow))
     except (TypeError, NotImplementedError, RuntimeError, AttributeError) as error:
         what = f"a term cannot be traced symbolically ({type(error).__name__}: {reason_of(error)})"
@@ -142,7 +149,8 @@ def _trace(model: SingleTrack, low_speed: float) -> _Trace:
         what = f"the state {silent[0]} is declared, but no term says how it changes"
         raise ExportError(what, where=where, advice="States go through Term.first_order or Term.play.")
     rates = casadi.vertcat(rates, *(flow.rates[name] for name in names))
-    return _Trace(a, place_time, rates, flow, speed)
+    # Features and where states settle are those of labels, which have the whole of what depends on knowledge.
+    return _Trace(a, place_time, knowledge, rates, whole, speed)
 
 
 def _start(model: SingleTrack, trace: _Trace) -> casadi.Function | None:
@@ -189,7 +197,9 @@ class _Sample:
             ]
         )
         t, s = rng.uniform(0.0, 100.0, count), rng.uniform(0.0, 1000.0, count)
+        knowledge = rng.uniform(0.0, 1.0, count) if model.asks_knowledge else np.ones(count)
         self.place_time = np.stack([t, s])
+        self.known = np.stack([t, s, knowledge])[: 3 if model.asks_knowledge else 2]
         self.steady = model.flow(*asked[1:], yaw=asked[0], t=t, s=s).values
         # Every state on its way, some by much: lags, and plays on either side and inside.
         steady = [self.steady[name] * rng.uniform(0.5, 1.5, count) for name in model.state_names]
@@ -197,8 +207,9 @@ class _Sample:
 
     @property
     def situation(self) -> dict[str, Any]:
-        """Yaw, t and s as the model takes them."""
-        return {"yaw": self.acting[0], "t": self.place_time[0], "s": self.place_time[1]}
+        """Yaw, t, s and knowledge as the model takes them."""
+        knowledge = self.known[2] if len(self.known) == 3 else 1.0
+        return {"yaw": self.acting[0], "t": self.place_time[0], "s": self.place_time[1], "knowledge": knowledge}
 
 
 def _require_same(
@@ -217,13 +228,15 @@ def _require_same(
     def stack(values: Iterable[Any]) -> np.ndarray:
         return np.stack([np.broadcast_to(value, count) for value in values])
 
-    pairs = [(traced, asked, stack([*model.balance(flow), *(flow.rates[name] for name in names)]))]
+    rates = stack([*model.balance(flow), *(flow.rates[name] for name in names)])
+    pairs = [(traced, asked, sample.known, rates)]
     if start is not None:
-        pairs.append((start, asked[:6], stack(sample.steady[name] for name in names)))
+        pairs.append((start, asked[:6], sample.place_time, stack(sample.steady[name] for name in names)))
     if jumps is not None:
-        pairs.append((jumps, asked, stack(flow.pulled[name] for name in names if name in flow.pulled)))
-    for function, given, expected in pairs:
-        found = function.map(count)(given, sample.place_time)
+        pulled = stack(flow.pulled[name] for name in names if name in flow.pulled)
+        pairs.append((jumps, asked, sample.place_time, pulled))
+    for function, given, situation, expected in pairs:
+        found = function.map(count)(given, situation)
         found = np.asarray(found[0] if isinstance(found, tuple | list) else found)
         # Rounding of the same operations; a sum of forces of 1e4 N keeps 1e-12 of an acceleration.
         if not np.allclose(found, expected, rtol=1e-9, atol=1e-9):
@@ -242,7 +255,7 @@ def _balance(traced: casadi.Function, sample: _Sample) -> tuple[tuple[float, ...
     """
     count, states = sample.acting.shape[1], len(sample.acting) - 6
     size = 3 + states
-    jacobian = np.asarray(traced.map(count)(sample.acting, sample.place_time)[1]).reshape(size, count, 6 + states)
+    jacobian = np.asarray(traced.map(count)(sample.acting, sample.known)[1]).reshape(size, count, 6 + states)
     columns = [1, 2, 3, *range(6, 6 + states)]
     A = np.abs(jacobian).max(axis=1)[:, columns]
     off = A - np.diag(A.diagonal())

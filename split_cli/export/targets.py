@@ -12,7 +12,14 @@ import numpy as np
 from split_cli.errors import ExportError, nearest_names
 from split_cli.export.c99 import c_identifier, c_source, fill, memory_parts, template
 from split_cli.export.c_check import check_c, selftest_source
-from split_cli.export.casadi_function import CasadiFunctions, check_casadi, generate_c, model_step, predictor_function
+from split_cli.export.casadi_function import (
+    CasadiFunctions,
+    check_casadi,
+    generate_c,
+    knowledge_function,
+    model_step,
+    predictor_function,
+)
 from split_cli.export.casadi_step import casadi_substeps, memory_functions
 from split_cli.export.casadi_trust import trust_functions
 from split_cli.export.check import Oracle, PredictionCheck, check_predictions, make_oracle
@@ -198,7 +205,8 @@ def _write_c(
     folder: Path,
 ) -> TargetResult:
     valid = valid_function(training_set)
-    source = c_source(constants, graph, provenance, plan.name, valid, training_set.plain)
+    clearest = training_set.kernel.clearest
+    source = c_source(constants, graph, provenance, plan.name, valid, training_set.plain, clearest)
     written = {
         f"{plan.name}.h": source.header,
         f"{plan.name}.c": source.source,
@@ -237,10 +245,11 @@ def predictor_tables(predictor: Predictor, real: str = "double") -> Constants:
 def casadi_functions(tables: Constants, graph: NominalGraph, name: str, training_set: TrainingSet) -> CasadiFunctions:
     """Return the predictor, the model step and the valid region as CasADi functions."""
     predict = predictor_function(tables, name)
-    step = model_step(predict, graph, f"{name}_step", training_set.plain)
+    knowledge = knowledge_function(tables, training_set.kernel.clearest) if graph.asks_knowledge else None
+    step = model_step(predict, graph, f"{name}_step", training_set.plain, knowledge)
     valid = valid_function(training_set, f"{name}_valid")
-    trust = trust_functions(predict, graph, name, training_set.plain)
-    return CasadiFunctions(predict, step, memory_functions(predict, graph, name), trust, valid)
+    trust = trust_functions(predict, graph, name, training_set.plain, knowledge)
+    return CasadiFunctions(predict, step, memory_functions(predict, graph, name, knowledge), trust, valid)
 
 
 def acados_source(name: str, graph: NominalGraph, horizon: float) -> str:

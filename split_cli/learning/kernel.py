@@ -25,6 +25,23 @@ class Kernel:
             values.setflags(write=False)
             object.__setattr__(self, name, values)
 
+    @property
+    def clearest(self) -> int:
+        """The output, 0 to 2, whose labels have the largest signal for their noise: they tell most of a place."""
+        return int(np.argmax(self.signal_variance / self.noise_variance))
+
+    def knowledge(self, variance: np.ndarray) -> np.ndarray:
+        """Return the share of the prior's variance that labels explain, from 0 where there are none to 1, shape (N,).
+
+        Parameters
+        ----------
+        variance : ndarray, shape (N, 3)
+            Latent variance of the process. That of the `clearest` output counts, since all share their labels.
+        """
+        one = self.clearest
+        explained: np.ndarray = np.maximum(1.0 - variance[:, one] / self.signal_variance[one], 0.0)
+        return explained
+
     def correlation(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Return the unit-variance kernel between rows of `a` (N, D) and `b` (M, D), shape (N, M)."""
         return correlation(a, b, self.length_scales)

@@ -265,6 +265,7 @@ def nominal_errors(
     plain: bool = False,
     compiled: bool = True,
     recording: Recording | None = None,
+    knowledge: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return y for windows that start at rows `starts`, shape (N, 3) [m/s^2], [m/s^2], [rad/s^2].
 
@@ -281,6 +282,8 @@ def nominal_errors(
         with the plain one to rounding, or to 1e-8 where a term only remembers: its Jacobian is exact.
     recording : Recording, optional
         As of `flow_along`.
+    knowledge : ndarray, shape (N,), optional
+        How much a trained set knows where each window begins, for terms that ask; 1 if not given, as at its labels.
     """
     if compiled and not model.in_motion.terms:
         from split_cli.learning._windows_numba import window_errors
@@ -292,7 +295,15 @@ def nominal_errors(
         return window_errors(vx, vy, r, T, delta, starts, window, drive.period, constants, plain, run_on)
     inputs = inputs_along(model, drive, recording)
     parts = [
-        _window_errors_reference(model, drive, inputs, starts[first : first + _CHUNK], window, plain)
+        _window_errors_reference(
+            model,
+            drive,
+            inputs,
+            starts[first : first + _CHUNK],
+            window,
+            plain,
+            None if knowledge is None else knowledge[first : first + _CHUNK],
+        )
         for first in range(0, len(starts), _CHUNK)
     ]
     return np.concatenate(parts) if parts else np.empty((0, 3))
@@ -310,11 +321,17 @@ def inputs_along(model: SingleTrack, drive: Drive, recording: Recording | None =
 
 
 def _window_errors_reference(
-    model: SingleTrack, drive: Drive, inputs: RecordedInputs, starts: np.ndarray, window: int, plain: bool
+    model: SingleTrack,
+    drive: Drive,
+    inputs: RecordedInputs,
+    starts: np.ndarray,
+    window: int,
+    plain: bool,
+    knowledge: np.ndarray | None,
 ) -> np.ndarray:
     begin = np.stack([drive[name][starts] for name in _VELOCITIES], axis=1)
     end = np.stack([drive[name][starts + window] for name in _VELOCITIES], axis=1)
-    windows, horizon = inputs.windows(starts, window), window * drive.period
+    windows, horizon = inputs.windows(starts, window).knowing(knowledge), window * drive.period
     jacobian = windows.jacobian(model, begin)
     rate = (end - windows.predict(model, begin, jacobian)) / horizon
     return rate if plain else np.linalg.solve(phi_matrix(jacobian, horizon), rate[:, :, None])[:, :, 0]

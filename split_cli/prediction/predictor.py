@@ -65,6 +65,13 @@ class Predictor(ABC):
         """Return the mean alone at queries `z`, shape (N, 3); cheaper where the variance costs more."""
         return self.predict(z).mean
 
+    def knowledge(self, z: np.ndarray) -> np.ndarray:
+        """Return the share of the prior's variance that labels explain at queries `z`, from 0 to 1, shape (N,).
+
+        How far the correction is trusted does not count. `Kernel.knowledge` says of which output it is.
+        """
+        return self.training_set.kernel.knowledge(self.predict(z).variance)
+
     @abstractmethod
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """Return the mean's Jacobian at queries `z`, shape (N, 3, D)."""

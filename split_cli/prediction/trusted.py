@@ -44,6 +44,10 @@ class TrustedPredictor(Predictor):
         believed: np.ndarray = self.share * self.inner.mean(z)
         return believed
 
+    def knowledge(self, z: np.ndarray) -> np.ndarray:
+        """Return the share of the prior's variance that labels explain, whatever the trust, shape (N,)."""
+        return self.inner.knowledge(z)
+
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """Return the believed mean's Jacobian, shape (N, 3, D)."""
         believed: np.ndarray = self.share[..., None] * self.inner.jacobian(z)

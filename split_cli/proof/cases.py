@@ -34,9 +34,9 @@ from split_cli.vehicle.parameters import Vehicle
 
 LAP_LENGTH = {"road_car": 1050.0, "f1tenth_car": 55.0, "formula_car": 620.0}
 """Of the tracks of each of the plant's cars, before it is varied [m]."""
-# Variants that no truth is said in: of waves, stretches, tracked frames, what follows late, lags of both cars, and a
-# height that acts in turns as well.
-_NOT_CONCEALED = ("wave", "stretch", "frame", "late", "degressive late", "changed", "higher")
+# Variants that no truth is said in: of waves, stretches, tracked frames, what follows late, lags of both cars, a
+# height that acts in turns as well, and a lag of a trained set.
+_NOT_CONCEALED = ("wave", "stretch", "frame", "late", "degressive late", "changed", "higher", "learned")
 _CARS_OF_A_SEED = 12
 _DRAWS = 24  # of surroundings and drivers, for the same terms
 _SEARCH_SECONDS = 45.0

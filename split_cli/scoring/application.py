@@ -2,11 +2,13 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from split_cli.learning.features import FeatureSet
+from split_cli.learning.labels import Labels, nominal_errors
+from split_cli.learning.pieces import pieces
 from split_cli.logs.drive import Drive
 from split_cli.prediction import Prediction, Predictor
 from split_cli.prediction.fitc import CONTEXT_INTERVAL, CONTEXT_STATES
@@ -16,6 +18,17 @@ _TIMED_QUERIES = 200
 _LONGEST_TIMING = 2.0
 #: Features that follow the predicted state in a rollout; all others are taken as recorded.
 _OF_STATE = ("alpha_f", "alpha_r", "speed", "vx", "vy", "r")
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A residual model in a rollout."""
+
+    features: FeatureSet
+    z: np.ndarray  # (rows of the drive, D): recorded features
+    residual: Callable[[np.ndarray], np.ndarray]  # features (N, D) to g (N, 3)
+    # Features (N, D) to how much the set knows there, (N,): `Predictor.knowledge`. Asked where a lag depends on it.
+    knowledge: Callable[[np.ndarray], np.ndarray] = lambda at: np.ones(len(at))
 
 
 def future_rows(drive: Drive, row: int) -> np.ndarray:
@@ -44,14 +57,51 @@ def predict_rows(predictor: Predictor, drive: Drive, z: np.ndarray, rows: np.nda
     return Prediction(mean, variance)
 
 
-def correction_from(
-    predictor: Predictor, drive: Drive, z: np.ndarray, starts: np.ndarray
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Return g: features (N, 3 or D) of N rollouts that began at `starts` to residuals (N, 3)."""
+def correction_from(predictor: Predictor, drive: Drive, z: np.ndarray, starts: np.ndarray) -> Correction:
+    """Return the correction of N rollouts that begin at the rows `starts` of a drive.
+
+    Parameters
+    ----------
+    z : ndarray, shape (rows of the drive, D)
+        Features of every row: a predictor that needs a situation gets the recorded future from it.
+    """
+    features = predictor.training_set.features
     if not predictor.needs_context:
-        return predictor.beginning(starts).mean
+        begun = predictor.beginning(starts)
+        return Correction(features, z, begun.mean, begun.knowledge)
     situated = [predictor.at(z[future_rows(drive, row)]) for row in starts]
-    return lambda at: np.concatenate([s.mean(at[i : i + 1]) for i, s in enumerate(situated)])
+
+    def each(answer: Callable[[Predictor, np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda at: np.concatenate([answer(s, at[i : i + 1]) for i, s in enumerate(situated)])
+
+    return Correction(features, z, each(lambda s, at: s.mean(at)), each(lambda s, at: s.knowledge(at)))
+
+
+def left_by_model(predictor: Predictor, drive: Drive, z: np.ndarray, labels: Labels) -> np.ndarray:
+    """Return what the model of a predictor's set leaves of recorded windows, shape (N, 3), in units of labels.
+
+    Parameters
+    ----------
+    z : ndarray, shape (rows of the drive, D)
+        Features of every row.
+    labels : Labels
+        Of the set's vehicle on this drive: N of them.
+
+    Notes
+    -----
+    These are the labels themselves, but where a lag acts only as far as the set knows: labels have the whole lag.
+    """
+    model = SingleTrack(predictor.training_set.vehicle)
+    if not model.asks_knowledge or not len(labels):
+        return labels.y
+    knowledge = correction_from(predictor, drive, z, labels.row).knowledge(z[labels.row])
+    left = np.empty_like(labels.y)
+    for rows, piece in pieces(model, drive, labels.row, labels.window):
+        local, known = labels.row[rows] - piece.first, knowledge[rows]
+        left[rows] = nominal_errors(
+            model, piece.drive, local, labels.window, plain=labels.plain, recording=piece.recording, knowledge=known
+        )
+    return left
 
 
 def features_at(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,11 @@ import numpy as np
 from split_cli.learning.labels import Labels
 from split_cli.logs.drive import Drive
 from split_cli.prediction import Prediction, Predictor
-from split_cli.scoring.application import correction_from, predict_rows
+from split_cli.scoring.application import correction_from, left_by_model, predict_rows
 from split_cli.scoring.metrics import ErrorSums, ProbabilitySums, skill
 from split_cli.scoring.noise import NoiseFloor, noise_floor
 from split_cli.scoring.persistence import label_persistence_errors, velocity_persistence_errors
-from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
+from split_cli.scoring.rollouts import hold_velocity, roll_out, rollout_starts
 from split_cli.scoring.splits import BlockSplit
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -121,12 +121,14 @@ def baseline_tallies(held: HeldOutSamples, model: SingleTrack, variance: np.ndar
     }
 
 
-def predictor_tally(held: HeldOutSamples, predictor: Predictor) -> tuple[ScoreTally, Prediction]:
-    """Return a predictor's tally on a drive's test samples, and its predictions in their order."""
+def predictor_tally(held: HeldOutSamples, predictor: Predictor) -> tuple[ScoreTally, Prediction, Labels]:
+    """Return a predictor's tally on a drive's test samples, its predictions, and what they are compared with."""
     tested = held.labels.take(held.tested)
+    tested = replace(tested, y=left_by_model(predictor, held.drive, held.z, tested))
     prediction = predict_rows(predictor, held.drive, held.z, tested.row)
     noise = predictor.training_set.kernel.noise_variance
-    return ScoreTally.of(tested.y - prediction.mean, tested.accepted, prediction.variance + noise), prediction
+    tally = ScoreTally.of(tested.y - prediction.mean, tested.accepted, prediction.variance + noise)
+    return tally, prediction, tested
 
 
 def score(name: str, tally: ScoreTally, baselines: dict[str, ScoreTally], **known: Any) -> Score:
@@ -191,8 +193,7 @@ def rollout_trajectories(
         (VELOCITY_PERSISTENCE, ""): hold_velocity(held.drive, starts, steps, window),
     }
     for key, (own, predictor) in predictors.items():
-        residual = correction_from(predictor, own.drive, own.z, starts)
-        correction = Correction(own.labels.features, own.z, residual)
+        correction = correction_from(predictor, own.drive, own.z, starts)
         known = predictor.training_set
         learned = SingleTrack(known.vehicle) if known.found_effects else model
         trajectories[key] = roll_out(learned, held.drive, starts, steps, window, correction)

@@ -7,7 +7,7 @@ outputs, so what any trust would have done is known from four rollouts.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,9 +17,9 @@ from split_cli.learning.labels import Labels, nominal_errors
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.prediction import Predictor, make_predictor
-from split_cli.scoring.application import correction_from, predict_rows
+from split_cli.scoring.application import correction_from, left_by_model, predict_rows
 from split_cli.scoring.persistence import velocity_persistence_errors
-from split_cli.scoring.rollouts import Correction, roll_out, rollout_starts
+from split_cli.scoring.rollouts import roll_out, rollout_starts
 from split_cli.scoring.splits import with_guards
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -231,6 +231,7 @@ def _one_step(held: _HeldOut) -> list[TrustEvidence]:
     if not len(labels):
         return []
     predicted = predict_rows(held.learned, drive, held.z, labels.row)
+    left = left_by_model(held.learned, drive, held.z, labels)
     movement = velocity_persistence_errors(held.model, drive, labels)
     situation, rivals = _means(held.at, labels.row, labels.window), _rivals(drive, labels)
     nominal = None
@@ -240,7 +241,7 @@ def _one_step(held: _HeldOut) -> list[TrustEvidence]:
     for state in range(3):
         change = np.zeros((len(labels), 3))
         change[:, state] = predicted.mean[:, state]
-        error, moved = labels.y[:, state], movement[:, state]
+        error, moved = left[:, state], movement[:, state]
         block, by_file = held.block[labels.row], None if nominal is None else nominal[:, state]
         variance = predicted.variance[:, state]
         found.append(TrustEvidence(state, 0.0, error, change, moved, block, situation, variance, rivals, by_file))
@@ -308,10 +309,10 @@ def _with_each_output(held: _HeldOut, starts: np.ndarray, steps: int) -> np.ndar
     """Return rollouts of the nominal model and of it with each output's correction alone, (4, N, steps, 3)."""
     applied = np.repeat(np.concatenate([np.zeros((1, 3)), np.eye(3)]), len(starts), axis=0)
     every = np.tile(starts, 4)
-    drive, labels = held.part.drive, held.part.labels
-    residual = correction_from(held.learned, drive, held.z, every)
-    correction = Correction(labels.features, held.z, lambda q: applied * residual(q))
-    rolled = roll_out(held.model, drive, every, steps, labels.window, correction)[..., -3:]
+    drive = held.part.drive
+    whole = correction_from(held.learned, drive, held.z, every)
+    correction = replace(whole, residual=lambda q: applied * whole.residual(q))
+    rolled = roll_out(held.model, drive, every, steps, held.part.labels.window, correction)[..., -3:]
     return rolled.reshape(4, len(starts), steps, 3)
 
 

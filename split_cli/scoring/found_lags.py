@@ -28,7 +28,8 @@ _NOTES = {
     "blocks improve by it; the vehicle file does not change. Where the set corrects v_x by nothing else, errors of "
     "v_y after 0.5 s may be a few per cent larger. `split train --lag none` leaves the lag out",
     "steer_lag": "the steering follows its command {tau:.3f} s late. The set models this lag (steer_lag), since "
-    "held-out blocks improve by it; the vehicle file does not change. `split train --lag none` leaves the lag out",
+    "held-out blocks improve by it; it acts less the farther a state is from what was learned. The vehicle file does "
+    "not change. `split train --lag none` leaves the lag out",
 }
 
 

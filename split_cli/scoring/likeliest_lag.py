@@ -39,7 +39,8 @@ def likeliest_lag(drives: Sequence[TrainingDrive], empty: TrainingSet, channel: 
     Returns
     -------
     Vehicle or None
-        With ``drive_lag``, of the force along the car, or ``steer_lag`` as its last effect. None where the input is no
+        With ``drive_lag``, of the force along the car, or ``steer_lag``, which acts as far as a set knows, as its last
+        effect. None where the input is no
         command, the file has an effect that delays it, or no lag is four standard errors from none.
 
     Notes
@@ -81,8 +82,8 @@ def likeliest_lag(drives: Sequence[TrainingDrive], empty: TrainingSet, channel: 
 
 
 def with_steer_lag(vehicle: Vehicle, tau: float) -> Vehicle:
-    """Return a vehicle whose steer angle follows its command with the time constant `tau` [s]."""
-    return vehicle.with_effects(EffectSpec("steer_lag", {"tau": tau}))
+    """Return a vehicle whose steer angle follows its command with the time constant `tau` [s], where a set knows."""
+    return vehicle.with_effects(EffectSpec("steer_lag", {"tau": tau}, "learned"))
 
 
 #: A vehicle whose input follows its command with a time constant [s], by channel.

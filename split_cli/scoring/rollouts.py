@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
-from split_cli.learning.features import FeatureSet
 from split_cli.learning.labels import inputs_along
 from split_cli.learning.pieces import pieces
 from split_cli.logs.drive import Drive
-from split_cli.scoring.application import features_at
+from split_cli.scoring.application import Correction, features_at
 from split_cli.vehicle.integration import Situation, phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import RecordedInputs
@@ -22,15 +21,6 @@ Model = TypeVar("Model", bound=Hashable)
 _MOST_STARTS = 200
 _MOST_SUBSTEPS = 50  # a sample; a rollout that needs more is leaving the finite numbers
 _VELOCITIES = ("vx", "vy", "r")
-
-
-@dataclass(frozen=True)
-class Correction:
-    """A residual model in a rollout."""
-
-    features: FeatureSet
-    z: np.ndarray  # (rows of the drive, D): recorded features
-    residual: Callable[[np.ndarray], np.ndarray]  # features (N, D) to g (N, 3)
 
 
 @dataclass(frozen=True)
@@ -99,7 +89,8 @@ def roll_out(
 
     Notes
     -----
-    Each step x+ = f_h(x) + h B_d Phi(x) g(z(x)), everything at the model's own state; inputs as recorded. Terms
+    Each step x+ = f_h(x) + h B_d Phi(x) g(z(x)), everything at the model's own state; inputs as recorded. A lag that
+    asks for it acts in f_h as far as the correction's set knows at z(x). Terms
     with memory (lags, tyre relaxation) begin each step with the memory that the recording gives them; terms of
     place take the track position from the channel ``s`` [m], 0 without one.
     """
@@ -159,13 +150,17 @@ def _one_step(
     window: int,
     correction: Correction | None,
 ) -> np.ndarray:
-    windows, velocity = inputs.windows(rows, window), state[:, -3:]
+    windows, finite = inputs.windows(rows, window), np.isfinite(state).all(axis=1)
+    if correction is not None:
+        at = features_at(correction.features, model, drive, rows, state[:, -3:], correction.z)
+        finite &= np.isfinite(at).all(axis=1)
+        at = np.where(finite[:, None], at, 0.0)
+        if model.asks_knowledge:
+            windows = windows.knowing(correction.knowledge(at))
     jacobian = windows.jacobian(model, state)
-    finite = np.isfinite(jacobian).all(axis=(1, 2))
+    finite &= np.isfinite(jacobian).all(axis=(1, 2))
     after = windows.predict(model, state, jacobian, _MOST_SUBSTEPS)
     if correction is not None:
-        at = features_at(correction.features, model, drive, rows, velocity, correction.z)
-        finite &= np.isfinite(at).all(axis=1)
         residual = correction.residual(np.where(finite[:, None], at, 0.0))
         horizon = window * drive.period
         phi = phi_matrix(np.where(finite[:, None, None], jacobian, 0.0), horizon)

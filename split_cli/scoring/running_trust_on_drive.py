@@ -7,6 +7,7 @@ from split_cli.learning.pieces import pieces
 from split_cli.learning.running_trust import RunningTrust
 from split_cli.prediction import Prediction, Predictor
 from split_cli.prediction.trusted import TrustedPredictor, untrusted
+from split_cli.scoring.application import left_by_model
 from split_cli.scoring.evaluation import HeldOutSamples
 from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
@@ -42,6 +43,10 @@ class FollowedPredictor(Predictor):
         """Return what answers queries of as many predictions as there are rows, each begun at its row."""
         return TrustedPredictor(self.inner, self.shares(rows))
 
+    def knowledge(self, z: np.ndarray) -> np.ndarray:
+        """Return how much the set knows at queries, shape (N,), which does not depend on what was driven."""
+        return self.inner.knowledge(z)
+
     def predict(self, z: np.ndarray) -> Prediction:
         """Refuse: a query alone does not determine what was driven before it."""
         raise TypeError("a running trust needs the row of the drive: ask `beginning`")
@@ -70,16 +75,19 @@ def _shares_along(inner: Predictor, held: HeldOutSamples) -> tuple[np.ndarray, n
     known = labels.row + labels.window
     shares = np.tile(trust.share, (len(labels) + 1, 1))  # the last is for no row
     model, driven_to = SingleTrack(inner.training_set.vehicle), -1
+    left = left_by_model(inner, held.drive, held.z, labels)
     for span, piece in pieces(model, held.drive, labels.row, labels.window):
         rows = labels.row[span] - piece.first
         velocity = np.stack([piece.drive[name][rows] for name in ("vx", "vy", "r")], axis=1)
+        z = held.z[labels.row[span]]
         windows = inputs_along(model, piece.drive, piece.recording).windows(rows, labels.window)
+        windows = windows.knowing(inner.knowledge(z)) if model.asks_knowledge else windows
         jacobian = windows.jacobian(model, velocity)
         held_for = labels.horizon * phi_matrix(jacobian, labels.horizon)
         transition = _transition(model, windows, velocity, jacobian)
-        rate = labels.y[span][:, :, None]
+        rate = left[span][:, :, None]
         innovation = (labels.horizon * rate if labels.plain else held_for @ rate)[:, :, 0]
-        response = held_for * inner.mean(held.z[labels.row[span]])[:, None, :]
+        response = held_for * inner.mean(z)[:, None, :]
         for k in range(len(rows)):
             row = int(labels.row[span][k])
             if row != driven_to:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from split_cli.learning.labels import Labels
 from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, HeldOutSamples
 from split_cli.scoring.persistence import velocity_persistence_errors
 from split_cli.scoring.trust import NEGLIGIBLE
@@ -254,7 +255,7 @@ def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
 
 
 def one_step_errors(
-    nominal: HeldOutSamples, model: SingleTrack, held: HeldOutSamples, mean: np.ndarray, block: np.ndarray
+    nominal: HeldOutSamples, model: SingleTrack, own: Labels, mean: np.ndarray, block: np.ndarray
 ) -> BlockErrors:
     """Return the errors over one step on a drive's test samples, in label units.
 
@@ -264,13 +265,13 @@ def one_step_errors(
         As the nominal model labels the drive.
     model : SingleTrack
         The nominal one.
-    held : HeldOutSamples
-        As the model of the set labels it: the same, but for what training found beyond the vehicle file.
+    own : Labels
+        Of the test samples, N of them, with what the model of the set leaves of each: `left_by_model`.
     mean : ndarray, shape (N, 3)
-        Predicted residual of the test samples of `held`, in their order.
+        Predicted residual of them.
     block : ndarray of int, shape (rows of the drive,)
     """
-    tested, own = nominal.labels.take(nominal.tested), held.labels.take(held.tested)
+    tested = nominal.labels.take(nominal.tested)
     # A label may be finite with one model and not with the other.
     _, ours, theirs = np.intersect1d(own.row, tested.row, assume_unique=True, return_indices=True)
     tested = tested.take(theirs)

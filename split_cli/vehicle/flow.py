@@ -57,6 +57,8 @@ class Flow:
     # Given when the arrays are a whole recording: then states and delays are solved along it, from steady at each
     # segment's start.
     recording: Any = None
+    # Share of the prior's variance that a trained set's labels explain here, from 0 to 1; 1 where there is no set.
+    knowledge: Any = 1.0
     # rates, values: what the terms' states change by, each per second, and what they are; filled by the terms.
     rates: dict[str, Any] = field(default_factory=dict)
     values: dict[str, Any] = field(default_factory=dict)

@@ -27,31 +27,34 @@ class Situation:
     t: Any = 0.0
     s: Any = 0.0
     yaw: Any = 0.0
+    # (N,): share of the prior's variance that a trained set explains there; 1 where there is no set.
+    knowledge: Any = 1.0
     # (N, S): the terms' states, in the order of ``model.state_names``; None means steady.
     states: np.ndarray | None = None
 
     def at(self, rows: np.ndarray) -> Situation:
         """Return the situation of some rows only."""
-        t, s, yaw = (value[rows] if np.ndim(value) else value for value in (self.t, self.s, self.yaw))
-        return Situation(t, s, yaw, None if self.states is None else self.states[rows])
+        here = (self.t, self.s, self.yaw, self.knowledge)
+        t, s, yaw, knowledge = (value[rows] if np.ndim(value) else value for value in here)
+        return Situation(t, s, yaw, knowledge, None if self.states is None else self.states[rows])
 
     @classmethod
     def joined(cls, parts: Sequence[Situation]) -> Situation:
         """Return the situations of several windows one after the other."""
-        t, s, yaw = (
+        t, s, yaw, knowledge = (
             np.concatenate([getattr(part, name) for part in parts])
             if np.ndim(getattr(parts[0], name))
             else getattr(parts[0], name)
-            for name in ("t", "s", "yaw")
+            for name in ("t", "s", "yaw", "knowledge")
         )
         states = [part.states for part in parts if part.states is not None]
-        return cls(t, s, yaw, np.concatenate(states) if states else None)
+        return cls(t, s, yaw, knowledge, np.concatenate(states) if states else None)
 
     def arguments(self, model: SingleTrack) -> dict[str, Any]:
         """Return it as `SingleTrack.flow` takes it, states by name."""
         names = model.state_names
         states = None if self.states is None else dict(zip(names, self.states.T, strict=True)) or None
-        return {"t": self.t, "s": self.s, "yaw": self.yaw, "states": states}
+        return {"t": self.t, "s": self.s, "yaw": self.yaw, "knowledge": self.knowledge, "states": states}
 
 
 #: Nowhere in particular, from steady.
@@ -160,6 +163,7 @@ def integrate_with_memory(
                 ),
                 step,
                 situation.t + (sample + begin) * period,
+                situation.knowledge,
             )
     _, psi, vx, vy, r, *position = rows[:count]
     course = [*position, psi, vx, vy, r] if with_pose else [vx, vy, r]
@@ -167,7 +171,9 @@ def integrate_with_memory(
     return np.stack(course, axis=1), kept
 
 
-def _rk4(model: SingleTrack, rows: list[np.ndarray], inputs: Any, step: float, time: Any) -> list[np.ndarray]:
+def _rk4(
+    model: SingleTrack, rows: list[np.ndarray], inputs: Any, step: float, time: Any, knowledge: Any
+) -> list[np.ndarray]:
     """Advance [s, yaw, v_x, v_y, r(, X, Y)(, term states)] by one classical RK4 step."""
     names = getattr(model, "state_names", ())
     plain = len(rows) - len(names)
@@ -175,7 +181,7 @@ def _rk4(model: SingleTrack, rows: list[np.ndarray], inputs: Any, step: float, t
     def derivative(now: list[np.ndarray], share: float) -> list[np.ndarray]:
         s, psi, vx, vy, r = now[:5]
         T, delta = inputs(share)
-        situation = {"yaw": psi, "t": time + share * step, "s": s}
+        situation = {"yaw": psi, "t": time + share * step, "s": s, "knowledge": knowledge}
         if names:
             states = dict(zip(names, now[plain:], strict=True))
             flow = model.flow(vx, vy, r, T, delta, states=states, **situation)

@@ -87,6 +87,11 @@ class SingleTrack:
         )
 
     @cached_property
+    def asks_knowledge(self) -> bool:
+        """Whether a term acts only as far as a trained set has learned: then `flow` is to be given `knowledge`."""
+        return any(getattr(term, "asks_knowledge", False) for term in self.terms)
+
+    @cached_property
     def in_motion(self) -> "SingleTrack":
         """The model without terms that change no motion, see `Term.moves_car`."""
         moving = [term for term in self.terms if getattr(term, "moves_car", True)]
@@ -103,6 +108,7 @@ class SingleTrack:
         yaw: Any = 0.0,
         t: Any = 0.0,
         s: Any = 0.0,
+        knowledge: Any = 1.0,
         ops: Operations = NUMPY,
         states: Mapping[str, Any] | None = None,
         recording: Any = None,
@@ -120,7 +126,9 @@ class SingleTrack:
         acted, nominal = self, bare
         if arrived is not None:
             acted, bare, T, delta = SingleTrack(car, ()), arrived, arrived.T, arrived.delta
-        flow = acted.actuated(vx, vy, r, T, delta, yaw=yaw, t=t, s=s, ops=ops, states=states, recording=recording)
+        flow = acted.actuated(
+            vx, vy, r, T, delta, yaw=yaw, t=t, s=s, knowledge=knowledge, ops=ops, states=states, recording=recording
+        )
         for term in self.terms:
             term.body(flow)
         front, rear = flow.front, flow.rear
@@ -176,6 +184,7 @@ class SingleTrack:
         yaw: Any = 0.0,
         t: Any = 0.0,
         s: Any = 0.0,
+        knowledge: Any = 1.0,
         ops: Operations = NUMPY,
         states: Mapping[str, Any] | None = None,
         recording: Any = None,
@@ -201,6 +210,7 @@ class SingleTrack:
             rear=AxleFlow(car.rear_tire.B, car.rear_tire.C, car.rear_tire.D),
             states=states,
             recording=recording,
+            knowledge=knowledge,
         )
         for term in self.terms:
             term.actuate(flow)
@@ -245,7 +255,7 @@ class SingleTrack:
         vx, vy, r, T, delta : array
             Any one shape.
         **situation
-            ``yaw``, ``t``, ``s``, ``ops``, ``states``, ``recording`` as for `flow`.
+            ``yaw``, ``t``, ``s``, ``knowledge``, ``ops``, ``states``, ``recording`` as for `flow`.
 
         Notes
         -----

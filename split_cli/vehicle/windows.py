@@ -44,6 +44,10 @@ class Windows:
     situation: Situation  # at the windows' begin
     held: tuple[str, ...] = ()  # as of `RecordedInputs`
 
+    def knowing(self, knowledge: np.ndarray | None) -> Windows:
+        """Return the windows with how much a trained set knows at their begin, shape (N,); as they are for None."""
+        return self if knowledge is None else replace(self, situation=replace(self.situation, knowledge=knowledge))
+
     def jacobian(self, model: SingleTrack, state: np.ndarray) -> np.ndarray:
         """Return the velocity Jacobian at the windows' begin, (N, 3, 3), of states as `predict` takes them."""
         vx, vy, r = state[:, -3:].T

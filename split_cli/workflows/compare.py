@@ -11,9 +11,9 @@ from split_cli.learning.pieces import features_along
 from split_cli.learning.training_set import TrainingSet, read_set
 from split_cli.logs.drive import Drive, read_drive, unstated_inputs
 from split_cli.prediction import DEFAULT_PREDICTOR, make_predictor
-from split_cli.scoring.application import correction_from
+from split_cli.scoring.application import Correction, correction_from
 from split_cli.scoring.comparison import ModelScore, RunErrors, rank, worse_than
-from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
+from split_cli.scoring.rollouts import hold_velocity, roll_out, rollout_starts
 from split_cli.scoring.verdict import number_blocks
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
@@ -206,10 +206,8 @@ def _run_on(
 def _correction(model: ComparedModel, drive: Drive, starts: np.ndarray) -> Correction | None:
     if model.trained is None:
         return None
-    features = model.trained.features
-    z = features.compute(SingleTrack(model.vehicle), drive)
-    predictor = make_predictor(model.predictor, model.trained)
-    return Correction(features, z, correction_from(predictor, drive, z, starts))
+    z = model.trained.features.compute(SingleTrack(model.vehicle), drive)
+    return correction_from(make_predictor(model.predictor, model.trained), drive, z, starts)
 
 
 def _pooled(parts: Sequence[RunErrors]) -> RunErrors:

@@ -23,7 +23,7 @@ from split_cli.plots.charts import (
 )
 from split_cli.plots.palette import ROLES
 from split_cli.prediction import make_predictor
-from split_cli.scoring.rollouts import Correction
+from split_cli.scoring.application import Correction, left_by_model
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.compare import ComparedModel, ModelComparison
 from split_cli.workflows.drive_charts import gathered
@@ -101,12 +101,14 @@ def _left(model: ComparedModel, shown: Subject) -> tuple[str, str, Labels, np.nd
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     if model.trained is None:
         return shown.name, shown.role, labels, labels.y
-    learned = make_predictor(model.predictor, model.trained).predict(labels.z)
-    return shown.name, shown.role, labels, labels.y - learned.mean
+    predictor, z = make_predictor(model.predictor, model.trained), shown.correction.z
+    left = left_by_model(predictor, shown.drive, z, labels)
+    return shown.name, shown.role, labels, left - predictor.predict(labels.z).mean
 
 
 def _correction(model: ComparedModel, drive: Drive) -> Correction | None:
     if model.trained is None:
         return None
     z = model.trained.features.compute(SingleTrack(model.vehicle), drive)
-    return Correction(model.trained.features, z, make_predictor(model.predictor, model.trained).mean)
+    predictor = make_predictor(model.predictor, model.trained)
+    return Correction(model.trained.features, z, predictor.mean, predictor.knowledge)

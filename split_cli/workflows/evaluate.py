@@ -335,7 +335,6 @@ def _score_predictors(
     ]
     traces, predictors = [], {}
     for features, held, training_set in labelled_sets:
-        tested = [h.labels.take(h.tested) for h in held]
         longest = max(held, key=lambda h: len(h.tested))
         rows = longest.labels.row[longest.tested]
         spent: dict[str, float] = {}  # of one query [s]: how far its answer is believed costs nothing
@@ -350,15 +349,15 @@ def _score_predictors(
             label = f"{name}{way}"
             known = {"features": features, "points": training_set.size}
             known["uses_recorded_future"] = predictor.needs_context
-            tally = tallies[label, features] = _sum([part for part, _ in parts])
+            tally = tallies[label, features] = _sum([part for part, *_ in parts])
             if name not in spent:
                 spent[name] = time_per_query(predictor, longest.drive, longest.z, rows)
             scores.append(score(label, tally, pooled, time_per_query=spent[name], **known))
             predictors[label, features] = (held, asked)
-            for h, known_of, own, (part, prediction) in zip(held, tested, baselines, parts, strict=True):
+            for h, own, (part, prediction, tested) in zip(held, baselines, parts, strict=True):
                 by_drive.append(score(label, part, own, drive=h.drive.name, **known))
                 noise = training_set.kernel.noise_variance
-                traces.append(Trace(label, features, h, known_of, prediction, noise))
+                traces.append(Trace(label, features, h, tested, prediction, noise))
     traces.sort(key=lambda trace: trace.name.endswith((PLAIN, RUNNING)))  # figures show what is believed
     return scores + (by_drive if len(baselines) > 1 else []), traces, tallies, predictors
 
@@ -367,7 +366,7 @@ def _followed(job: tuple[Predictor, HeldOutSamples]) -> Predictor:
     return FollowedPredictor(*job)
 
 
-def _tally(job: tuple[HeldOutSamples, Predictor]) -> tuple[ScoreTally, Prediction]:
+def _tally(job: tuple[HeldOutSamples, Predictor]) -> tuple[ScoreTally, Prediction, Labels]:
     return predictor_tally(*job)
 
 
@@ -452,7 +451,7 @@ def _comparisons(
     found: dict[tuple[str, str], tuple[Comparison, ...]] = {}
     for key in dict.fromkeys((trace.name, trace.features) for trace in traces):
         parts: list[BlockErrors] = [
-            one_step_errors(by_file[id(t.held.drive)], model, t.held, t.prediction.mean, block_of(t.held.drive))
+            one_step_errors(by_file[id(t.held.drive)], model, t.tested, t.prediction.mean, block_of(t.held.drive))
             for t in traces
             if (t.name, t.features) == key
         ]

@@ -305,3 +305,28 @@ def test_without_a_compiler_the_model_is_interpreted_and_says_so(monkeypatch):
     model = ControlModel(CAR, NoResidual(), 0.05)
     assert model.not_compiled == "no C compiler was found"
     assert np.isfinite(model.linearize(*situations()).A).all()
+
+
+def test_a_learned_lag_is_followed_as_far_as_is_known():
+    """The very step with the lag where all is known, and that of the file where nothing is."""
+    x, u = situations(states=9)
+    x[:, 8] = 0.5 * x[:, 7]
+
+    class Known(NoResidual):
+        def __init__(self, known: float) -> None:
+            self.known = known
+
+        def of_data(self, z):
+            values = super().of_data(z)
+            return replace(values, knowledge=np.full_like(values.mean, self.known))
+
+    def following(variant: str, known: float) -> np.ndarray:
+        car = CAR.with_effects(EffectSpec("steer_lag", {"tau": 0.1}, variant))
+        return ControlModel(car, Known(known), 0.05).linearize(x, u).following
+
+    np.testing.assert_allclose(following("learned", 1.0), following("", 1.0), rtol=0.0, atol=1e-12)
+    bare = ControlModel(CAR, NoResidual(), 0.05).linearize(x[:, :8], u).following
+    np.testing.assert_allclose(following("learned", 0.0)[:, :8], bare, rtol=0.0, atol=1e-9)
+    between = following("learned", 0.5)[:, :6]
+    assert (np.abs(between - following("", 1.0)[:, :6]).max(axis=1) > 1e-6).all()
+    assert (np.abs(between - bare[:, :6]).max(axis=1) > 1e-6).all()

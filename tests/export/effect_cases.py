@@ -51,11 +51,13 @@ def effect(term: str, variant: str = "") -> EffectSpec:
     return EffectSpec(term, EXAMPLES[term, variant], variant)
 
 
+#: Without what acts as far as a set knows: `test_export_learned_lag` has sets that know something.
 SINGLES = {
     f"{name} {variant}".strip(): (effect(name, variant),)
     for name, kind in CATALOGUE.items()
     if kind.exported
     for variant in kind.variants
+    if variant != "learned"
 }
 CASES: dict[str, tuple[EffectSpec, ...]] = {
     **SINGLES,

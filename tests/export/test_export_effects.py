@@ -52,6 +52,7 @@ def exported(compiler, tmp_path_factory) -> dict[str, Exported]:
 
 def test_every_exported_term_and_variant_is_among_the_cases():
     expected = {(name, v) for name, kind in CATALOGUE.items() if kind.exported for v in kind.variants}
+    expected -= {("steer_lag", "learned")}  # in test_export_learned_lag
     assert {(effects[0].term, effects[0].variant) for effects in SINGLES.values()} == expected
     for effects in CASES.values():
         SingleTrack(road_car(effects=effects))  # raises where a parameter is missing

@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.learning.features import Z1, Z2, FeatureSet
+from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.labels import compute_labels
 from split_cli.prediction import make_predictor
-from split_cli.scoring.application import correction_from, features_at, future_rows, predict_rows
+from split_cli.scoring.application import correction_from, features_at, future_rows, left_by_model, predict_rows
 from split_cli.scoring.evaluation import HeldOutSamples, baseline_tallies, predictor_tally, score
 from split_cli.scoring.metrics import ErrorSums
+from split_cli.scoring.rollouts import roll_out
 from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.effects import CATALOGUE
+from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
 from tests.factories import MissingForce, make_drive, make_training_set, road_car
 
@@ -33,12 +36,15 @@ def test_fitc_is_given_its_own_future_row_by_row_in_scores_and_rollouts():
     predictor = make_predictor("fitc", trained)
     rows = np.array([5, 90, 399])
     found = predict_rows(predictor, drive, z, rows)
-    g = correction_from(predictor, drive, z, rows)
+    correction = correction_from(predictor, drive, z, rows)
     for i, row in enumerate(rows):
         alone = predictor.at(z[future_rows(drive, row)]).predict(z[row][None])
         np.testing.assert_array_equal(found.mean[i], alone.mean[0])
         np.testing.assert_array_equal(found.variance[i], alone.variance[0])
-    np.testing.assert_allclose(g(z[rows]), found.mean, atol=1e-12)
+    np.testing.assert_allclose(correction.residual(z[rows]), found.mean, atol=1e-12)
+    kernel = trained.kernel
+    explained = 1.0 - found.variance[:, kernel.clearest] / kernel.signal_variance[kernel.clearest]
+    np.testing.assert_allclose(correction.knowledge(z[rows]), explained, atol=1e-12)
 
 
 def test_features_follow_the_models_state_and_take_inputs_as_recorded():
@@ -74,7 +80,8 @@ def test_scores_are_those_of_the_errors_themselves():
     model = SingleTrack(CAR)
     held = HeldOutSamples(drive, hold_out_blocks(drive, 10, 0.3, 0.5), labels, Z2.compute(model, drive))
     predictor = make_predictor("bcm", make_training_set(points=500))
-    tally, prediction = predictor_tally(held, predictor)
+    tally, prediction, tested = predictor_tally(held, predictor)
+    np.testing.assert_array_equal(tested.row, labels.row[held.tested])
     tested = labels.take(held.tested)
     np.testing.assert_array_equal(prediction.mean, predictor.predict(tested.z).mean)
     error = tested.y - prediction.mean
@@ -88,3 +95,46 @@ def test_scores_are_those_of_the_errors_themselves():
     np.testing.assert_allclose(found.skill_nominal[:3], 1.0 - share, rtol=1e-9)
     assert found.samples == len(tested)
     assert found.samples_valid == tested.accepted.sum()
+
+
+LATE = road_car(effects=(EffectSpec("steer_lag", {"tau": 0.1}, "learned"),))
+
+
+def of_a_part():
+    """Return a set of a car that steers late, learned where the front slips little, a drive, its features, labels."""
+    drive = make_drive(4, segments=6, vehicle=CAR, terms=[CATALOGUE["steer_lag"]({"tau": 0.1})])
+    labels = compute_labels(drive, LATE, Z2)
+    labels = labels.take(np.isfinite(labels.y).all(axis=1))
+    slip = np.abs(labels.z[:, 0])
+    made = train_in_memory([labels.take(slip < np.median(slip))], LATE)
+    return replace(made, found_effects=1), drive, Z2.compute(SingleTrack(LATE), drive), labels
+
+
+def test_a_lag_acts_as_far_as_the_set_knows_in_one_step_and_in_rollouts(monkeypatch):
+    trained, drive, z, labels = of_a_part()
+    predictor = make_predictor("bcm", trained)
+    known = predictor.knowledge(z[labels.row])
+    assert known.max() > 0.9 and known.min() < 1e-6
+    left = left_by_model(predictor, drive, z, labels)
+    every = compute_labels(drive, CAR, Z2)
+    of_file = every.y[np.isin(every.row, labels.row)]
+    # Between both models by what is known, to first order in the part of the angle that acts.
+    between = of_file + known[:, None] * (labels.y - of_file)
+    apart, lag = (np.sqrt(np.square(one).mean(axis=0)) for one in (left - between, labels.y - of_file))
+    assert (apart < 0.1 * lag).all()
+    far = known < 1e-6
+    np.testing.assert_allclose(left[far], of_file[far], rtol=0.0, atol=1e-6)
+    correction = correction_from(predictor, drive, z, labels.row)
+    (ends,) = roll_out(SingleTrack(LATE), drive, labels.row, 1, labels.window, correction).transpose(1, 0, 2)
+    (nominal,) = roll_out(SingleTrack(CAR), drive, labels.row, 1, labels.window).transpose(1, 0, 2)
+    np.testing.assert_allclose(ends[far], nominal[far], rtol=0.0, atol=1e-6)
+    # In pieces as at once: what the wheel remembers is handed on.
+    monkeypatch.setattr("split_cli.learning.pieces.PIECE_ROWS", 100)
+    np.testing.assert_allclose(left_by_model(predictor, drive, z, labels), left, rtol=0.0, atol=1e-10)
+
+
+def test_without_such_a_lag_labels_are_what_is_left():
+    drive = make_drive(4, segments=2, vehicle=CAR)
+    trained, labels = make_training_set(points=50), compute_labels(drive, CAR, Z2)
+    z = Z2.compute(SingleTrack(CAR), drive)
+    assert left_by_model(make_predictor("bcm", trained), drive, z, labels) is labels.y

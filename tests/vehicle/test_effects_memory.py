@@ -335,3 +335,30 @@ def test_what_is_known_of_arrays_is_of_these_very_arrays():
         assert first_order_response(x, 2.0 + 2.0, clock) is first_order_response(x, 4.0, clock)
         assert not np.array_equal(first_order_response(x, 5.0, clock), expected)
         del x
+
+
+def test_a_learned_lag_acts_by_the_share_that_is_known():
+    """delta + k (arrived - delta): the file's angle where nothing is known, the lag's where all is, else between."""
+    car = road_car()
+    learned, plain = (SingleTrack(car, [CATALOGUE["steer_lag"]({"tau": 0.1}, v)]) for v in ("learned", ""))
+    assert learned.asks_knowledge and not plain.asks_knowledge
+    states, knowledge = {"steer_lag.angle": np.full(3, 0.02)}, np.array([0.0, 0.25, 1.0])
+    motion = [np.full(3, value) for value in (20.0, 0.3, 0.1, 200.0, 0.06)]
+    flow = learned.flow(*motion, states=states, knowledge=knowledge)
+    np.testing.assert_allclose(flow.delta, [0.06, 0.05, 0.02], rtol=1e-14)
+    # What arrives does not depend on what is known.
+    np.testing.assert_allclose(flow.rates["steer_lag.angle"], (0.06 - 0.02) / 0.1, rtol=1e-14)
+    assert plain.flow(*motion, states=states, knowledge=knowledge).delta == pytest.approx(0.02)
+    # Not said otherwise, as for a label, the whole of it acts, along a window too.
+    steer = np.array([[0.06, 0.05, 0.06]])
+    windows = recorded_inputs(
+        learned, np.array([[20.0, 0.3, 0.1]] * 3), np.full(3, 200.0), steer[0], Recording.single(0.01, 3)
+    ).windows(np.array([0]), 2)
+    ends = []
+    for model, known in ((plain, None), (learned, None), (SingleTrack(car), None), (learned, np.zeros(1))):
+        asked, state = windows.knowing(known), np.array([[20.0, 0.3, 0.1]])
+        if not model.terms:
+            asked = replace(asked, situation=replace(asked.situation, states=None))
+        ends.append(asked.predict(model, state, asked.jacobian(model, state)))
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(ends[3], ends[2], rtol=0.0, atol=1e-9)

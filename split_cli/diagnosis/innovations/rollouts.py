@@ -15,8 +15,9 @@ from split_cli.learning.features import Z2, FeatureSet
 from split_cli.learning.region import Grid
 from split_cli.logs.drive import INPUT_CHANNELS, Drive, DriveMetadata
 from split_cli.prediction import Predictor
+from split_cli.scoring.application import Correction
 from split_cli.scoring.noise import covariance_of_ends, white_noise
-from split_cli.scoring.rollouts import Correction, hold_velocity, roll_out, rollout_starts
+from split_cli.scoring.rollouts import hold_velocity, roll_out, rollout_starts
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.integration import acts_at_once, phi_matrix
 

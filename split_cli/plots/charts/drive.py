@@ -8,9 +8,9 @@ import numpy as np
 
 from split_cli.logs.drive import Drive
 from split_cli.plots.chart import Chart, ChartLine, thinned
+from split_cli.scoring.application import Correction
 from split_cli.scoring.handling.motion import free_run, measured_motion
 from split_cli.scoring.handling.steering_response import WINDOW
-from split_cli.scoring.rollouts import Correction
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.logs.drive import Drive
-from split_cli.scoring.rollouts import Correction, roll_out
+from split_cli.scoring.application import Correction
+from split_cli.scoring.rollouts import roll_out
 from split_cli.vehicle.single_track import SingleTrack
 
 STEP = 0.05

@@ -212,7 +212,9 @@ class SteerBacklash(Term):
 class SteerLag(Lagging):
     """The steering follows its command with a first-order lag: tau delta' = delta_command - delta.
 
-    The lag is steady at each start.
+    The lag is steady at each start. In the variant ``learned`` it acts as far as a trained set knows. Of the lag
+    the share 1 - v/S0 counts, where v is the variance of the set's process and S0 its prior. Training adds this
+    variant to a set (scoring/likeliest_lag.py): at slips without labels, early wheels may cancel another error.
     """
 
     id = "steer_lag"
@@ -220,7 +222,7 @@ class SteerLag(Lagging):
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     family = "steering"
-    variants: ClassVar = ("", "changed")
+    variants: ClassVar = ("", "changed", "learned")
     discrepancy: ClassVar = (("", "tau", 0.02), ("", "tau", 0.06))
     states = ("angle",)
     state_units: ClassVar = {"angle": "rad", "angle_shared": "rad"}
@@ -234,9 +236,15 @@ class SteerLag(Lagging):
     def statement(cls, p: Estimates, variant: str = "") -> str:
         return f"steering builds up with a time constant {_constant(p, variant)}"
 
+    @property
+    def asks_knowledge(self) -> bool:
+        """Whether the lag acts only as far as a trained set has learned."""
+        return self.variant == "learned"
+
     def actuate(self, flow: Flow) -> None:
         """Let the steer angle follow its command."""
-        flow.delta = self.arrived(flow, "angle", flow.delta, rate_of)
+        arrived = self.arrived(flow, "angle", flow.delta, rate_of)
+        flow.delta = flow.delta + flow.knowledge * (arrived - flow.delta) if self.asks_knowledge else arrived
 
 
 class SteerOffset(Term):

@@ -18,9 +18,9 @@ from split_cli.plots.charts import (
 )
 from split_cli.plots.charts.tires import LearnedForces
 from split_cli.prediction import make_predictor
+from split_cli.scoring.application import Correction
 from split_cli.scoring.evaluation import NOMINAL, VELOCITY_PERSISTENCE, predictor_names
 from split_cli.scoring.report import IntervalShares
-from split_cli.scoring.rollouts import Correction
 from split_cli.scoring.run import EvaluationRun, Trace
 from split_cli.scoring.verdict import Comparison, does_harm
 from split_cli.vehicle.single_track import SingleTrack
@@ -79,7 +79,7 @@ def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
     predictor = make_predictor(trace.name.split(",")[0], own)
     if not predictor.needs_context:
         z = own.features.compute(SingleTrack(vehicle), part)
-        correction = Correction(own.features, z, predictor.mean)
+        correction = Correction(own.features, z, predictor.mean, predictor.knowledge)
         subjects.append(Subject(f"with {trace.name}", "learned", part, vehicle, correction))
     learned = LearnedForces(trace.name, trace.tested.row, trace.prediction)
     residuals = [
