@@ -93,6 +93,22 @@ def test_the_first_column_of_a_channel_is_the_effect_itself(behind, delay):
     assert varied[:, [0, 6, 12]].sum(axis=1) == pytest.approx(effect, abs=1e-9)
 
 
+def test_scalings_of_a_curve_that_cancel_are_wrong_by_a_share_of_what_they_do_together(behind):
+    """Four fifths of the whole curve and five fourths of its slope: at small slip the two undo each other."""
+    curve, slope = (CATALOGUE[term] for term in ("friction_scale", "tire_stiffness"))
+    terms = (curve({"scale": 0.8}, "curve"), slope({"front_scale": 1.25, "rear_scale": 1.25}))
+    together = behind.residual(()) - behind.residual(terms)
+    alone = [np.linalg.norm(behind.residual(()) - behind.residual((one,))) for one in terms]
+    assert np.linalg.norm(together) < 0.4 * min(alone)
+    first, second = (module._varied(behind, terms, k) for k in (0, 1))
+    assert first[:, [0, 6, 12]].sum(axis=1) == pytest.approx(together, abs=1e-9)
+    assert not second.any()
+    # Beside any other term each counts as it is.
+    lagging = CATALOGUE["steer_lag"]({"tau": 0.03})
+    beside = module._varied(behind, (lagging, terms[0]), 1)[:, [0, 6, 12]].sum(axis=1)
+    assert beside == pytest.approx(behind.residual((lagging,)) - behind.residual((lagging, terms[0])), abs=1e-9)
+
+
 def test_a_form_error_that_favours_another_term_does_not_decide(behind, delay, lag):
     """What is wrong of the late steering's effect on v_x happens to look like a lag."""
     assert delay.cost < lag.cost

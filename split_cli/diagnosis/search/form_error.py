@@ -373,10 +373,17 @@ def _left_by_all(one: Evidence, parts: Sequence[tuple[tuple[Term, ...], int]]) -
 
 
 def _effect(one: Evidence, terms: tuple[Term, ...], k: int, left: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Return the defects that term k takes off beyond the others, (N - 1, 3), and whether it errs by axle."""
-    others = terms[:k] + terms[k + 1 :]
+    """Return the defects that term k takes off beyond the others, (N - 1, 3), and whether it errs by axle.
+
+    Terms that scale the tyres' curve are one change of it, and may nearly cancel: of these the first has what they
+    do together, and the others have none.
+    """
+    alike = [number for number, term in enumerate(terms) if term.scales_curve] if terms[k].scales_curve else [k]
+    others = tuple(term for number, term in enumerate(terms) if number not in alike)
     # A heavier car goes up the curves of its tyres: what asks them for other forces errs with them.
     by_axle = (terms[k].through_tires or alters_body(terms[k])) and not alters_inputs(terms[k])
+    if k != alike[0]:
+        return np.zeros_like(left), by_axle
     return one.defects(others) - left, by_axle
 
 

@@ -92,6 +92,9 @@ class Term:
         assumes one.
     loads_tires : bool
         Whether its variants are laws of how a tyre carries another load; a real one lies between them.
+    scales_curve : bool
+        Whether it scales the curve of tyres. Two such terms may nearly cancel, and what they get wrong is a share of
+        what they do together.
     in_every_car : bool
         Whether no real car is without it, while the plain single track is: physics that it leaves out, and what
         load that moves sideways makes of an axle's tyres. It is no surprise where no simulation has it in common.
@@ -146,6 +149,7 @@ class Term:
     through_tires: ClassVar[bool] = False
     states_peak: ClassVar[bool] = False
     loads_tires: ClassVar[bool] = False
+    scales_curve: ClassVar[bool] = False
     in_every_car: ClassVar[bool] = False
     family: ClassVar[str] = "tires"
     needs: ClassVar[frozenset[str]] = frozenset()

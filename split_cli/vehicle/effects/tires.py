@@ -136,6 +136,7 @@ class FrictionScale(Term):
         "front/scale": ("Grip of the front tyres", "more", "less"),
         "rear/scale": ("Grip of the rear tyres", "more", "less"),
     }
+    scales_curve: ClassVar = True
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     states_peak: ClassVar = True

@@ -88,6 +88,7 @@ class TireStiffness(Term):
         "front_scale": ("Front tyres", "stiffer", "softer"),
         "rear_scale": ("Rear tyres", "stiffer", "softer"),
     }
+    scales_curve: ClassVar = True
     in_every_car: ClassVar = True
     through_tires: ClassVar = True
     units: ClassVar = {"front_scale": "1", "rear_scale": "1"}
