@@ -1,0 +1,73 @@
+"""Faults first seen in logs of a first contact: several clocks in one table, units of the clock, names of angles."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.readers.opening import open_recording
+from tests.logs.planted import PlantedDrive
+
+DEG = 180.0 / np.pi
+
+
+@pytest.fixture(scope="module")
+def car() -> PlantedDrive:
+    return PlantedDrive(seconds=42.0)
+
+
+def write(path: Path, columns: dict[str, np.ndarray | list[str]], separator: str = ",") -> Path:
+    """Write columns of any lengths; the cells of a column that has ended stay empty."""
+    texts = {
+        title: values if isinstance(values, list) else [f"{value:.10g}" for value in values]
+        for title, values in columns.items()
+    }
+    rows = max(map(len, texts.values()))
+    lines = [separator.join(texts)]
+    lines += [separator.join(v[k] if k < len(v) else "" for v in texts.values()) for k in range(rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("titles", [("Time 1 - 100Hz", "Time 2 - 50Hz", "Time 3 - 20Hz"), ("time", "time", "time")])
+def test_each_column_takes_the_clock_before_it(car, tmp_path, titles):
+    """A measuring amplifier exports its rates side by side; one clock for all made r five times too fast."""
+    t, u, w = np.arange(0.0, 40.0, 0.01), np.arange(0.0, 40.0, 0.02) + 0.003, np.arange(0.0, 40.0, 0.05) + 0.007
+    path = write(
+        tmp_path / "rates.csv",
+        {
+            f"{titles[0]} [s]": t,
+            "Ax [m/s^2]": car.at("ax", t),
+            f"{titles[1]} [s] " if titles[0] != titles[1] else "time [s] ": u,
+            "WheelTorque [Nm]": car.at("T", u),
+            "SteerAngle [deg]": car.at("delta", u) * DEG,
+            f"{titles[2]} [s]  ": w,
+            "VelLong [km/h]": car.at("vx", w) * 3.6,
+            "YawRate [deg/s]": car.at("r", w) * DEG,
+        },
+    )
+    recording = open_recording(path)
+    read = recording.read(["YawRate", "SteerAngle", "Ax"])
+    for name, channel, factor in (("YawRate", "r", DEG), ("SteerAngle", "delta", DEG), ("Ax", "ax", 1.0)):
+        assert read[name].values == pytest.approx(factor * car.at(channel, read[name].time), abs=1e-6)
+    assert any(note.count == 3 and "clock of the columns behind" in note.what for note in recording.notes)
+    draft = draft_map(recording)
+    assert {draft.of(c).status for c in ("vx", "ax", "T")} == {"judged"}
+    assert draft.of("delta").status == "unsided"
+
+
+def test_a_second_time_of_the_same_rows_is_no_clock_of_its_own(car, tmp_path):
+    t = np.arange(0.0, 40.0, 0.01)
+    columns = {
+        "Time [s]": t,
+        "speed [m/s]": car.at("vx", t),
+        "lap time [s]": np.mod(t, 17.0),
+        "yaw rate [rad/s]": car.at("r", t),
+        "GPS time [ms]": 1000.0 * t + 3.6e8,
+        "Ay [m/s^2]": car.at("ay", t),
+    }
+    assert open_recording(write(tmp_path / "one.csv", columns)).read(["Ay"])["Ay"].time is None
+    # A time that ends early rules no columns that go on.
+    columns["GPS time [ms]"] = columns["GPS time [ms]"][:3000]
+    assert open_recording(write(tmp_path / "two.csv", columns)).read(["Ay"])["Ay"].time is None
