@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from tests.logs.planted import PlantedDrive
 
@@ -71,3 +73,46 @@ def test_a_second_time_of_the_same_rows_is_no_clock_of_its_own(car, tmp_path):
     # A time that ends early rules no columns that go on.
     columns["GPS time [ms]"] = columns["GPS time [ms]"][:3000]
     assert open_recording(write(tmp_path / "two.csv", columns)).read(["Ay"])["Ay"].time is None
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "channel"),
+    [
+        ("Angle de dérive", "deg", "sideslip"),
+        ("Angolo di assetto", "deg", "sideslip"),
+        ("Angle au volant", "deg", "steering_wheel_angle"),
+        ("Angle de braquage roue avant", "deg", "delta"),
+        ("Vitesse roue avant gauche", "km/h", "wheel_speed_fl"),
+        ("Velocità ruota posteriore destra", "km/h", "wheel_speed_rr"),
+        ("Velocidad rueda delantera izquierda", "km/h", "wheel_speed_fl"),
+        ("Pression de freinage", "bar", "brake_pressure"),
+        ("n_FL_rpm", "rpm", "wheel_speed_fl"),
+        ("Drehzahl VL", "rpm", "wheel_speed_fl"),
+        ("omega_RR", "rad/s", "wheel_speed_rr"),
+        ("Angle de roulis", "deg", ""),
+        ("Wankwinkel", "deg", ""),
+        ("Angle de chasse", "deg", ""),
+        ("Steering rate FL", "rad/s", ""),
+        ("engine rpm", "rpm", ""),
+    ],
+)
+def test_names_of_other_languages_and_of_wheels_by_their_unit(name, unit, channel):
+    found = meanings(RawChannelInfo(name, "column", None, unit))
+    assert (found[0].channel if found else "") == channel
+
+
+def test_an_angle_of_something_else_is_no_steering(car, tmp_path):
+    """A roll angle follows the curvature as a steer angle does, and its size may make a wheelbase."""
+    t = np.arange(0.0, 40.0, 0.01)
+    columns = {
+        "Temps (s)": t,
+        "Vitesse véhicule (km/h)": car.at("vx", t) * 3.6,
+        "Vitesse de lacet (deg/s)": car.at("r", t) * DEG,
+        "Accélération transversale (m/s²)": car.at("ay", t),
+        "Angle au volant (°)": car.at("delta", t) * DEG * 15.4,
+        "Angle de roulis (°)": car.at("ay", t) * 0.8,
+        "Angle de dérive (°)": np.arctan2(car.at("vy", t), car.at("vx", t)) * DEG,
+    }
+    draft = draft_map(open_recording(write(tmp_path / "log.csv", columns, ";")))
+    assert draft.of("delta").status == "open" and draft.of("delta").sources == ("Angle au volant",)
+    assert draft.of("sideslip").sources == ("Angle de dérive",)

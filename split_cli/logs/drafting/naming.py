@@ -272,8 +272,13 @@ def is_command(name: str) -> bool:
 
 
 def _said_by_unit(info: RawChannelInfo) -> list[str]:
-    """Return the word that a unit stands for where the name leaves it out: M_Rad_VL in N m is a torque."""
+    """Return the word that a unit stands for where the name leaves it out: M_Rad_VL in N m is a torque.
+
+    What turns at a corner of the car, n_FL in rpm, is a wheel.
+    """
     unit = find_unit(stated_unit(info) or "")
+    if unit is not None and unit.si == "rad/s" and concepts_of(tokens_of(info.name))[0] & {*CORNERS}:
+        return ["wheel"]
     return ["torque"] if unit is not None and unit.si == "N m" else []
 
 
