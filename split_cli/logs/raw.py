@@ -14,7 +14,7 @@ TIME_COLUMNS = tuple(
     """
     t time timestamp timestamps elapsed_time sec seconds __time %time ts gps_tow tow itow gps_itow gps_time
     time_of_week sow logmonotime tempo timeus zeit zeitstempel 时间 时间戳 temps tiempo unix_time unix epoch utc
-    utc_time time_utc elapsed datetime date_time date/time stamp
+    utc_time time_utc elapsed seconds_elapsed datetime date_time date/time stamp
     """.split()
 )
 """Names of columns that hold the time, in lower case, blanks as underscores, without ``_ms`` and the like."""
@@ -169,7 +169,7 @@ def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
     parted = {re.sub(r"(?<=[a-z0-9])(?=[A-Z])|[\s.]+", "_", info.name.strip()): info for info in named}
     names = {name.lower(): info for name, info in parted.items()}
     joined = {name.replace("_", ""): info for name, info in names.items()}
-    bare = {re.sub(r"_(s|sec|ms|us|ns)$", "", name).replace("_", ""): info for name, info in names.items()}
+    bare = {re.sub(r"_(s|secs?|seconds|ms|us|ns)$", "", name).replace("_", ""): info for name, info in names.items()}
     for name in (name.replace("_", "") for name in TIME_COLUMNS):
         info = joined.get(name, bare.get(name))
         if info is not None and info.type_name != "text":

@@ -116,3 +116,21 @@ def test_an_angle_of_something_else_is_no_steering(car, tmp_path):
     draft = draft_map(open_recording(write(tmp_path / "log.csv", columns, ";")))
     assert draft.of("delta").status == "open" and draft.of("delta").sources == ("Angle au volant",)
     assert draft.of("sideslip").sources == ("Angle de dérive",)
+
+
+@pytest.mark.parametrize("clock", [True, False])
+def test_a_simulators_clock_and_rates_in_degrees_are_known(car, tmp_path, clock):
+    """CARLA's snapshot counts `elapsed_seconds`. Without it, deg/s read as rad/s made 57 times the rate of rows."""
+    t = np.arange(0.0, 40.0, 0.05)
+    columns = {
+        "frame": 1000.0 + np.arange(len(t)),
+        "elapsed_seconds": 12.3 + t,
+        "location.x": car.at("X", t),
+        "location.y": -car.at("Y", t),
+        "rotation.yaw": -3.0 * car.at("yaw", t) * DEG,
+        "angular_velocity.z": -3.0 * car.at("r", t) * DEG,
+    }
+    if not clock:
+        del columns["elapsed_seconds"]
+    line = draft_map(open_recording(write(tmp_path / "carla.csv", columns))).time
+    assert line.startswith("time: {source: elapsed_seconds, unit: s}" if clock else "time: {period: 0.05}")

@@ -7,6 +7,7 @@ import numpy as np
 
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.gather import row_rate_from_path, row_rate_from_speed, row_rate_from_yaw
+from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import quoted
 from split_cli.logs.drafting.meeting_clocks import MOVED
 from split_cli.logs.drafting.naming import spelled_without_unit, stated_unit, words_of
@@ -242,10 +243,14 @@ def _rate_from_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, R
     for yaw in (c for c in candidates if c.channel == "yaw" and c.sources[0] in signals):
         for rate in (c for c in candidates if c.channel == "r" and c.sources[0] in signals):
             pair = [signals[c.sources[0]].values * (find_unit(c.unit).factor if c.unit else 1.0) for c in (yaw, rate)]
-            if not yaw.unit and is_cut_in_degrees(pair[0]):
+            in_degrees = not rate.unit and float(np.nanquantile(np.abs(pair[1]), 0.99)) > NO_CAR_EXCEEDS["r"][0]
+            if in_degrees:
+                pair[1] = np.radians(pair[1])
+            # One who counts turning in degrees counts the angle so too.
+            if not yaw.unit and (in_degrees or is_cut_in_degrees(pair[0])):
                 pair[0] = np.radians(pair[0])
             found = row_rate_from_yaw(*pair)
-            if found:
+            if found and _SHORTEST < 1.0 / found < _LONGEST:
                 return found
     return None
 

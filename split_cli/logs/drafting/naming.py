@@ -11,7 +11,7 @@ from split_cli.signals import TWO_WORDS, find_unit
 _UNIT_WORDS = {
     word: unit.symbol
     for word in """
-        mps mps2 mpss kph kmh kmph mph kn knots rad radps deg degps dps degree degrees rpm s sec us ns nm bar
+        mps mps2 mpss kph kmh kmph mph kn knots rad radps deg degps dps degree degrees rpm s sec seconds us ns nm bar
         kpa pct percent mm m ft g n fps ftps lbft ftlb
     """.split()
     if (unit := find_unit(word))
