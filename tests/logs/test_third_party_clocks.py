@@ -4,11 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from split_cli.errors import ClockError
+from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.drafting.naming import meanings
-from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import PlantedDrive
 
 DEG = 180.0 / np.pi
@@ -134,3 +138,28 @@ def test_a_simulators_clock_and_rates_in_degrees_are_known(car, tmp_path, clock)
         del columns["elapsed_seconds"]
     line = draft_map(open_recording(write(tmp_path / "carla.csv", columns))).time
     assert line.startswith("time: {source: elapsed_seconds, unit: s}" if clock else "time: {period: 0.05}")
+
+
+@pytest.mark.parametrize("day", [46354.5, 740313.5], ids=["spreadsheet", "datenum"])
+def test_dates_in_days_are_a_clock(car, tmp_path, day):
+    """A spreadsheet saves a moment as days since 1899, MATLAB since the year 0; as seconds rows are 0.1 us apart."""
+    t = np.arange(0.0, 40.0, 0.02)
+    columns = {
+        "DateTime": [f"{day + one / 86400.0:.10f}" for one in t],
+        "vx (m/s)": car.at("vx", t),
+        "vy (m/s)": car.at("vy", t),
+        "yaw rate (rad/s)": car.at("r", t),
+        "ay (m/s^2)": car.at("ay", t),
+        "road wheel angle (rad)": car.at("delta", t),
+        "wheel torque (lb-ft)": car.at("T", t) / 1.3558179483,
+    }
+    recording = open_recording(write(tmp_path / "log.csv", columns))
+    draft = draft_map(recording)
+    assert draft.time.startswith("time: {source: DateTime, unit: d}")
+    assert draft.of("T").unit == "lbf ft" and draft.of("T").status == "judged"
+    drafted = yaml.safe_load(render_draft(draft, "log.csv"))
+    made = assemble_drive(recording, map_from_mapping(drafted), car.vehicle)
+    assert np.abs(made.drive["r"] - car.at("r", made.drive["t"])).max() < 1e-3
+    del drafted["time"]
+    with pytest.raises(ClockError, match="probably in d"):
+        assemble_drive(recording, map_from_mapping(drafted), car.vehicle)

@@ -369,8 +369,8 @@ def _common_time(
     # Subtract before the conversion: nanoseconds since 1970 lose nothing then.
     time = convert_to_si(values - first, unit or "s", where=recording.name)
     step = float(np.median(np.abs(np.diff(time[finite])))) if finite.sum() > 1 else 0.0
-    if step > _SLOWEST:
-        fits = unit_of_time(raw.values[finite])
+    fits = unit_of_time(raw.values[finite])
+    if step > _SLOWEST or (unit in (None, "s") and fits == "d"):
         error = ClockError(
             f"samples of {column!r} are {step:.3g} s apart, its unit being taken as {unit or 's'}",
             where=recording.name,

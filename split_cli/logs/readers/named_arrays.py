@@ -247,7 +247,7 @@ def _clocks_of_lengths(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _in_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
     """Return a time in seconds; a clock that states no unit tells it by its steps."""
     time = np.asarray(values, dtype=np.float64).ravel()
-    return time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit or unit_of_time(time), 1.0)
+    return time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "d": 86400.0}.get(unit or unit_of_time(time), 1.0)
 
 
 def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, Callable[[], np.ndarray]]]:
