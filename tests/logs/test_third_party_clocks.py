@@ -1,5 +1,6 @@
 """Faults first seen in logs of a first contact: several clocks in one table, units of the clock, names of angles."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
+from split_cli.workflows.ingesting.ingest import open_logs
 from tests.logs.planted import PlantedDrive
+from tests.logs.readers_support import write_mcap
 
 DEG = 180.0 / np.pi
 
@@ -163,3 +166,34 @@ def test_dates_in_days_are_a_clock(car, tmp_path, day):
     del drafted["time"]
     with pytest.raises(ClockError, match="probably in d"):
         assemble_drive(recording, map_from_mapping(drafted), car.vehicle)
+
+
+def test_two_files_of_messages_are_one_drive_by_their_clocks(car, tmp_path):
+    """One recorder began 3 s after the other. A stamp in one topic stood for all, and each file counted from 0."""
+    start = 1_700_000_000
+
+    def recorded(name: str, topics: dict[str, tuple[float, dict[str, str]]], first: float) -> Path:
+        messages = []
+        for topic, (rate, fields) in topics.items():
+            for t in np.arange(first, 40.0, 1.0 / rate):
+                time = start * 10**9 + round(t * 1e9)
+                content = {field: float(car.at(channel, t)) for field, channel in fields.items()}
+                content |= {"header": {"stamp": {"sec": time // 10**9, "nanosec": time % 10**9}}}
+                content["speeds"] = [float(car.at("vx", t)) * k for k in range(4)]
+                messages.append((topic, time, time, json.dumps(content).encode()))
+        messages.sort(key=lambda message: message[1])
+        return write_mcap(tmp_path / name, ("J", "jsonschema", b""), "json", messages)
+
+    motion = {"/odom": (100.0, {"vx": "vx", "vy": "vy"}), "/gnss": (20.0, {"x": "X"})}
+    inputs = {"/imu": (50.0, {"yaw_rate": "r", "acc_y": "ay"}), "/drive": (25.0, {"angle": "delta"})}
+    joined = open_logs([recorded("a.mcap", motion, 0.0), recorded("b.mcap", inputs, 3.0)])
+    read = joined.read(["/odom/vx", "/gnss/x", "/imu/yaw_rate", "/drive/angle", "/imu/speeds[3]"])
+    for name, channel, factor in (
+        ("/odom/vx", "vx", 1.0),
+        ("/gnss/x", "X", 1.0),
+        ("/imu/yaw_rate", "r", 1.0),
+        ("/drive/angle", "delta", 1.0),
+        ("/imu/speeds[3]", "vx", 3.0),
+    ):
+        signal = read[name]
+        assert signal.values == pytest.approx(factor * car.at(channel, signal.time - start), abs=1e-4)
