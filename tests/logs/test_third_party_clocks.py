@@ -197,3 +197,21 @@ def test_two_files_of_messages_are_one_drive_by_their_clocks(car, tmp_path):
     ):
         signal = read[name]
         assert signal.values == pytest.approx(factor * car.at(channel, signal.time - start), abs=1e-4)
+
+
+@pytest.mark.parametrize("jump", [3600.0, 1.7e9], ids=["a pause", "a clock set by a satellite receiver"])
+def test_what_follows_a_long_pause_is_judged_too(car, tmp_path, jump):
+    """The draft's clock covers 20 minutes; a log whose clock is set after a second lost all that it could judge."""
+    t = np.arange(0.0, 40.0, 0.02)
+    columns = {
+        "time [s]": [f"{one:.3f}" for one in np.where(t < 0.9, t, t + jump)],
+        "vx [km/h]": car.at("vx", t) * 3.6,
+        "yaw rate [deg/s]": car.at("r", t) * DEG,
+        "ay [g]": car.at("ay", t) / 9.80665,
+        "delta": car.at("delta", t),
+        "wheel torque [Nm]": car.at("T", t),
+    }
+    draft = draft_map(open_recording(write(tmp_path / "log.csv", columns)))
+    assert {c: draft.of(c).status for c in ("vx", "T", "r", "ay", "delta")} == {
+        "vx": "judged", "T": "judged", "r": "unsided", "ay": "unsided", "delta": "unsided"
+    }  # fmt: skip
