@@ -9,6 +9,7 @@ import yaml
 
 from split_cli.errors import ClockError
 from split_cli.logs.assembling.assemble import assemble_drive
+from split_cli.logs.drafting.candidates import candidates_of
 from split_cli.logs.drafting.naming import meanings
 from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.raw import RawChannelInfo
@@ -215,3 +216,26 @@ def test_what_follows_a_long_pause_is_judged_too(car, tmp_path, jump):
     assert {c: draft.of(c).status for c in ("vx", "T", "r", "ay", "delta")} == {
         "vx": "judged", "T": "judged", "r": "unsided", "ay": "unsided", "delta": "unsided"
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "unit"),
+    [
+        ("yaw_rate_rad_per_s", "r", "rad/s"),
+        ("Yaw_deg_per_s", "r", "deg/s"),
+        ("yawRateDegPerSec", "r", "deg/s"),
+        ("vx_m_per_s", "vx", "m/s"),
+        ("speed_kilometers_per_hour", "vx", "km/h"),
+        ("accel_x_m_per_s2", "ax", "m/s^2"),
+        ("accel_y_m_per_s_squared", "ay", "m/s^2"),
+        ("/imu/yaw_rate_rad_per_s", "r", "rad/s"),
+        ("/odom/pose/pose/orientation/yaw", "yaw", None),
+    ],
+)
+def test_units_in_words_at_the_end_of_a_name(tmp_path, name, channel, unit):
+    """What ends with `_per_s` was in seconds, and so no channel at all."""
+    t = np.arange(0.0, 20.0, 0.05)
+    path = write(tmp_path / "log.csv", {"time [s]": t, name: np.sin(t)})
+    recording = open_recording(path)
+    [found] = candidates_of(recording, recording.channels())
+    assert (found.channel, found.unit) == (channel, unit)
