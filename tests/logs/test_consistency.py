@@ -437,3 +437,20 @@ def test_forces_by_slip_speed_are_told_from_those_by_slip_angle(by_slip_speed, a
     drive = one_run(columns, 0.01)
     fitted, errors = Checks(drive.columns, drive, car, {}).sideslip_fit()
     assert abs(fitted[0] - arm) < max(4.0 * errors[0], 0.05 * arm)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(12.0, "turns of a motor"), (3.6, "is in km/h"), (1.0 / road_car().wheel_radius, "is in rad/s")],
+)
+def test_wheel_speeds_of_motors_blame_no_speed_of_the_car(drive, factor, words):
+    """Four motors behind a reduction: v_x was said to be in m/s though it says km/h, and both accelerations wrong."""
+    t = np.arange(0.0, 110.0, 0.01)
+    columns = {
+        channel: drive.at(channel, t) for channel in ("vx", "vy", "r", "ax", "ay", "delta", "T", "X", "Y", "yaw")
+    }
+    for corner, side in (("fl", -1), ("fr", 1), ("rl", -1), ("rr", 1)):
+        columns[f"wheel_speed_{corner}"] = factor * (columns["vx"] + side * 0.75 * columns["r"])
+    found = check_consistency(one_run(columns, 0.01), drive.vehicle, {}).findings
+    assert {finding.channel for finding in found} == {f"wheel_speed_{corner}" for corner in ("fl", "fr", "rl", "rr")}
+    assert all(words in finding.text and "decides" not in finding.text for finding in found)
