@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import yaml
@@ -239,3 +240,30 @@ def test_units_in_words_at_the_end_of_a_name(tmp_path, name, channel, unit):
     recording = open_recording(path)
     [found] = candidates_of(recording, recording.channels())
     assert (found.channel, found.unit) == (channel, unit)
+
+
+def test_tables_of_pandas_in_hdf5_have_their_titles(car, tmp_path):
+    """Of a frame of several types each block has its list of titles; a table has a field for each column."""
+    t = np.arange(0.0, 20.0, 0.05)
+    floats = {"time": t, "vx": car.at("vx", t)}
+    whole = {"gear": np.full(len(t), 3), "yaw_rate": np.round(1000.0 * car.at("r", t)).astype(np.int64)}
+    with h5py.File(tmp_path / "frame.h5", "w") as file:
+        group = file.create_group("df")
+        for number, block in enumerate((floats, whole)):
+            group[f"block{number}_items"] = np.array([name.encode() for name in block])
+            group[f"block{number}_values"] = np.column_stack(list(block.values()))
+    read = open_recording(tmp_path / "frame.h5").read(["df.vx", "df.yaw_rate", "df.gear"])
+    assert read["df.vx"].values == pytest.approx(car.at("vx", t)) and np.all(read["df.gear"].values == 3)
+    assert read["df.yaw_rate"].values == pytest.approx(whole["yaw_rate"])
+
+    kinds = [("index", "<i8"), ("vx", "<f8"), ("note", "S4"), ("values_block_0", "<f8", (2,))]
+    rows = np.zeros(len(t), dtype=kinds)
+    rows["vx"], rows["values_block_0"] = car.at("vx", t), np.column_stack([car.at("r", t), t])
+    with h5py.File(tmp_path / "table.h5", "w") as file:
+        file["df/table"] = rows
+    table = open_recording(tmp_path / "table.h5")
+    assert table.read(["df.table.vx"])["df.table.vx"].values == pytest.approx(car.at("vx", t))
+    assert table.read(["df.table.values_block_0[0]"])["df.table.values_block_0[0]"].values == pytest.approx(
+        car.at("r", t)
+    )
+    assert any(note.count == 2 and "data_columns=True" in note.what for note in table.notes)
