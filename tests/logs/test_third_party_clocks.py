@@ -12,7 +12,7 @@ from split_cli.errors import ClockError
 from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.drafting.candidates import candidates_of
 from split_cli.logs.drafting.naming import meanings
-from split_cli.logs.drafting.suggest import draft_map, render_draft
+from split_cli.logs.drafting.suggest import draft_map, hints_on_the_form, render_draft
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
@@ -267,3 +267,14 @@ def test_tables_of_pandas_in_hdf5_have_their_titles(car, tmp_path):
         car.at("r", t)
     )
     assert any(note.count == 2 and "data_columns=True" in note.what for note in table.notes)
+
+
+def test_rows_without_their_last_separators_are_told_with_both_numbers(car, tmp_path):
+    """An exporter that cuts empty cells off leaves titles that fit half of the rows: there are titles."""
+    t = np.arange(0.0, 10.0, 0.02)
+    columns = {"time [s]": t, "r [rad/s]": car.at("r", t), "time [s] ": t[:200], "vx [m/s]": car.at("vx", t[:200])}
+    path = write(tmp_path / "log.csv", columns)
+    path.write_text("\n".join(line.rstrip(",") for line in path.read_text().splitlines()) + "\n")
+    recording = open_recording(path)
+    [advice] = hints_on_the_form(recording, recording.channels())
+    assert "4 titles stand before 2 columns of values" in advice and "separators" in advice
