@@ -278,3 +278,18 @@ def test_rows_without_their_last_separators_are_told_with_both_numbers(car, tmp_
     recording = open_recording(path)
     [advice] = hints_on_the_form(recording, recording.channels())
     assert "4 titles stand before 2 columns of values" in advice and "separators" in advice
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1.0, "m/s"), (3.6, "km/h")])
+def test_a_lateral_velocity_beside_a_speed_in_km_h_is_in_the_unit_that_a_y_tells(car, tmp_path, factor, unit):
+    """A service writes `speed_kmh` beside `v_lat` of its estimator: v_y in km/h was 3.6 times too small."""
+    t = np.arange(0.0, 40.0, 0.02)
+    columns = {
+        "time [s]": t,
+        "speed_kmh": car.at("vx", t) * 3.6,
+        "v_lat": car.at("vy", t) * factor,
+        "yaw_rate_dps": car.at("r", t) * DEG,
+        "acc_y_ms2": car.at("ay", t),
+    }
+    found = draft_map(open_recording(write(tmp_path / "log.csv", columns))).of("vy")
+    assert found.status == "assumed" and (found.unit or "m/s") == unit
