@@ -223,14 +223,22 @@ class SplitStamp:
     key: str  # of `STAMP_PARTS`: what the part counts
 
     def joined(self, whole: np.ndarray, part: np.ndarray, first: float = 0.0) -> np.ndarray | None:
-        """Return the time since `first` [s]; None where a part reaches a whole second: it is another clock's."""
+        """Return the time since `first` [s]; None where a part reaches a whole second: it is another clock's.
+
+        Beside a time that counts parts of a second itself, milliseconds say the same again.
+        """
         size = STAMP_PARTS[self.key]
-        return None if np.any(part * size >= 1.0) else (whole - first) + size * part
+        again = self.key == "milliseconds" and np.any(whole % 1.0 > 0.0)
+        return None if again or np.any(part * size >= 1.0) else (whole - first) + size * part
 
 
-STAMP_PARTS = {"nanoseconds": 1e-9, "microseconds": 1e-6}
+STAMP_PARTS = {"nanoseconds": 1e-9, "microseconds": 1e-6, "milliseconds": 1e-3}
 """What the second column of a split stamp counts, by its key in a map [s]."""
 _PART_WORDS = {"n": "nanoseconds", "u": "microseconds", "m": "microseconds"}
+
+
+_MILLISECONDS = re.compile(r"milli(second)?s?|msecs?|ms", re.IGNORECASE)
+"""Names of a column that holds what is left of a second beside a clock of whole ones."""
 
 
 def split_stamps(infos: Sequence[RawChannelInfo]) -> list[SplitStamp]:
@@ -249,6 +257,9 @@ def split_stamps(infos: Sequence[RawChannelInfo]) -> list[SplitStamp]:
         whole = next((match[1] + word for word in words if match[1] + word in names), None)
         if whole is not None:
             (called if timed else others).append(SplitStamp(whole, name, _PART_WORDS[match[2][0].lower()]))
+    clock, parts = time_column(infos), [name for name in names if _MILLISECONDS.fullmatch(name.strip())]
+    if clock is not None and len(parts) == 1 and clock.name != parts[0]:
+        others.append(SplitStamp(clock.name, parts[0], "milliseconds"))
     return [*called, *others]
 
 

@@ -293,3 +293,27 @@ def test_a_lateral_velocity_beside_a_speed_in_km_h_is_in_the_unit_that_a_y_tells
     }
     found = draft_map(open_recording(write(tmp_path / "log.csv", columns))).of("vy")
     assert found.status == "assumed" and (found.unit or "m/s") == unit
+
+
+@pytest.mark.parametrize("fine", [False, True], ids=["whole seconds", "a time that is fine itself"])
+def test_milliseconds_beside_a_clock_of_the_day_are_its_parts(car, tmp_path, fine):
+    """A logger writes 23:59:58 and 120 in two columns; by the first alone rows came once a second."""
+    t = np.arange(0.0, 20.0, 0.04)
+    day = (86398.0 + t) % 86400.0
+    clock = [f"{int(s // 3600):02}:{int(s // 60) % 60:02}:{s % 60:0{6 if fine else 2}.{3 if fine else 0}f}" for s in
+             (day if fine else np.floor(day + 1e-6))]  # fmt: skip
+    columns = {
+        "Time": clock,
+        "Millisecond": [f"{round(s * 1000) % 1000}" for s in day],
+        "vx [m/s]": car.at("vx", t),
+        "vy [m/s]": car.at("vy", t),
+        "yaw rate [rad/s]": car.at("r", t),
+        "road wheel angle [rad]": car.at("delta", t),
+        "wheel torque [Nm]": car.at("T", t),
+    }
+    recording = open_recording(write(tmp_path / "log.csv", columns))
+    draft = draft_map(recording)
+    assert ("milliseconds: Millisecond" in draft.time) is not fine
+    made = assemble_drive(recording, map_from_mapping(yaml.safe_load(render_draft(draft, "log.csv"))), car.vehicle)
+    assert made.drive["t"][-1] == pytest.approx(t[-1], abs=0.05)
+    assert np.abs(made.drive["r"] - car.at("r", made.drive["t"])).max() < 1e-3

@@ -359,7 +359,7 @@ def _common_time(
         raise LogError(f"the time column {column!r} holds no number", where=recording.name, advice=_TIME_ADVICE)
     if stamp := signal_map.time.stamp:
         first = float(np.floor(raw.values[finite][0]))
-        joined = stamp.joined(raw.values, signals[stamp.part].values, first)
+        joined = stamp.joined(over_midnight(raw.values), signals[stamp.part].values, first)
         if joined is None:
             what, advice = f"{stamp.part} reaches a whole second", f"Name the column that holds the {stamp.key}."
             raise MapError(what, where=recording.name, advice=advice)

@@ -63,6 +63,7 @@ def clock_of_rows(
     for stamp in split_stamps(infos):
         whole, part = (recording.read([name])[name].values for name in (stamp.whole, stamp.part))
         # A whole second of nanoseconds is none: the stamp of another clock, or one that was read wrongly.
+        whole = over_midnight(whole)
         time = stamp.joined(whole, part, float(np.nanmin(whole)))
         if time is not None:
             line = f"time: {{source: {quoted(stamp.whole)}, {stamp.key}: {quoted(stamp.part)}}}"
