@@ -92,6 +92,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("0.1ms", "s", 1e-4), "100us"),
     (Unit("ns", "s", 1e-9), "nsec nanoseconds"),
     (Unit("min", "s", 60.0), "minutes"),
+    (Unit("d", "s", 86400.0), "day days"),
     (Unit("m", "m", 1.0), "metre metres meter meters"),
     (Unit("mm", "m", 1e-3), ""),
     (Unit("cm", "m", 1e-2), ""),
@@ -119,7 +120,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("N mm", "N m", 1e-3), "Nmm N.mm N-mm newton-mm newtonmillimetre newtonmillimeter"),
     (Unit("kN m", "N m", 1e3), "kNm kN.m"),
     (Unit("lbf in", "N m", _POUND_FORCE * 0.0254), "lbin in-lb in-lbf inlb lbf.in lb-in"),
-    (Unit("lbf ft", "N m", _POUND_FORCE * 0.3048), "lbft ft-lb ft-lbf ftlb lbf.ft lbf-ft"),
+    (Unit("lbf ft", "N m", _POUND_FORCE * 0.3048), "lbft ft-lb ft-lbf ftlb lbf.ft lbf-ft lb-ft lb.ft"),
     (Unit("N", "N", 1.0), "newton"),
     (Unit("kN", "N", 1e3), ""),
     (Unit("lbf", "N", _POUND_FORCE), ""),
@@ -287,6 +288,34 @@ TWO_WORDS = {
     "deg_s": "deg/s",
 }
 """Units as the two last words of a name (``v_y_cm_s``), whose last alone would be another."""
+_PER = re.compile(
+    r"(?P<name>.*(?:_|(?<=[a-z0-9])(?=[A-Z])))(?P<above>[A-Za-z]+?)_?[Pp]er_?(?P<below>[A-Za-z]+?)"
+    r"(?P<square>_?(?:2|[Ss]q(?:uared)?))?"
+)
+_SHORT = {
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("km", "kilometer", "kilometers", "kilometre", "kilometres"), "km"),
+    **dict.fromkeys(("ft", "foot", "feet"), "ft"),
+    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
+    **dict.fromkeys(("deg", "degree", "degrees"), "deg"),
+    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
+    **dict.fromkeys(("h", "hr", "hour"), "h"),
+}
+"""Words of which a unit at the end of a name is made, with their symbols."""
+_LONGEST_NAME = 200
+"""Characters, beyond which a name is not searched for words of a unit: the search takes their square."""
+
+
+def with_short_unit(name: str) -> str:
+    """Return a name whose unit is written in words, ``speed_m_per_s`` or ``rateDegPerSec``, with it as ``_m_s``."""
+    found = _PER.fullmatch(name) if len(name) < _LONGEST_NAME and "per" in name.lower() else None
+    if found is None:
+        return name
+    above, below = (_SHORT.get(found[part].lower()) for part in ("above", "below"))
+    short = f"{above}_{below}{'2' if found['square'] else ''}"
+    return f"{found['name'].rstrip('_')}_{short}" if short in TWO_WORDS else name
+
+
 _SUFFIXES = {
     suffix: suffix
     for suffix in """
@@ -331,7 +360,7 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
     match = _BARRED.fullmatch(text) or _BRACKETED.match(text)
     if match and match["name"] and match["unit"].strip().lower() not in ("x", "y", "z"):
         return match["name"].strip(' "'), symbol_of(match["unit"])
-    lowered = text.lower()
+    lowered = with_short_unit(text).lower()
     for suffix in _SUFFIX_ORDER:
         if lowered.endswith("_" + suffix):
             return text, _SUFFIX_UNITS[suffix].symbol

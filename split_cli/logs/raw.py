@@ -14,7 +14,7 @@ TIME_COLUMNS = tuple(
     """
     t time timestamp timestamps elapsed_time sec seconds __time %time ts gps_tow tow itow gps_itow gps_time
     time_of_week sow logmonotime tempo timeus zeit zeitstempel 时间 时间戳 temps tiempo unix_time unix epoch utc
-    utc_time time_utc elapsed datetime date_time date/time stamp
+    utc_time time_utc elapsed seconds_elapsed datetime date_time date/time stamp
     """.split()
 )
 """Names of columns that hold the time, in lower case, blanks as underscores, without ``_ms`` and the like."""
@@ -169,7 +169,7 @@ def time_column(infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
     parted = {re.sub(r"(?<=[a-z0-9])(?=[A-Z])|[\s.]+", "_", info.name.strip()): info for info in named}
     names = {name.lower(): info for name, info in parted.items()}
     joined = {name.replace("_", ""): info for name, info in names.items()}
-    bare = {re.sub(r"_(s|sec|ms|us|ns)$", "", name).replace("_", ""): info for name, info in names.items()}
+    bare = {re.sub(r"_(s|secs?|seconds|ms|us|ns)$", "", name).replace("_", ""): info for name, info in names.items()}
     for name in (name.replace("_", "") for name in TIME_COLUMNS):
         info = joined.get(name, bare.get(name))
         if info is not None and info.type_name != "text":
@@ -191,11 +191,16 @@ def counts_rows(name: str) -> bool:
     return bool(re.search(counter, name.lower()))
 
 
+_DAYS = ((36892.0, 73051.0), (730852.0, 767011.0))
+"""The years 2001 to 2100 in days as spreadsheets count them (from 30 December 1899), and as MATLAB's datenum does."""
+
+
 def unit_of_time(values: np.ndarray) -> str:
     """Return the unit of a clock that states none.
 
     No other clock gets as far as nanoseconds since 1970, in the years 2001 to 2100. They show it where rows were
-    written in bursts, too. With other clocks the samples of a drive are 0.2 ms to 1.5 s apart.
+    written in bursts, too. With other clocks the samples of a drive are 0.2 ms to 1.5 s apart. Spreadsheets and
+    MATLAB count days: what moves by less than a second of them, from a day of those years, is such a date.
     """
     finite = values[np.isfinite(values)]
     steps = np.diff(finite)
@@ -204,6 +209,8 @@ def unit_of_time(values: np.ndarray) -> str:
     sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     if len(finite) and 1e18 <= finite[0] <= 4.1e18:
         return "ns"
+    if len(finite) and any(first <= finite[0] <= last for first, last in _DAYS) and 2e-4 < step * 86400.0 < 1.5:
+        return "d"
     return next((unit for unit, size in sizes.items() if 2e-4 < step * size < 1.5), "s")
 
 
@@ -216,14 +223,22 @@ class SplitStamp:
     key: str  # of `STAMP_PARTS`: what the part counts
 
     def joined(self, whole: np.ndarray, part: np.ndarray, first: float = 0.0) -> np.ndarray | None:
-        """Return the time since `first` [s]; None where a part reaches a whole second: it is another clock's."""
+        """Return the time since `first` [s]; None where a part reaches a whole second: it is another clock's.
+
+        Beside a time that counts parts of a second itself, milliseconds say the same again.
+        """
         size = STAMP_PARTS[self.key]
-        return None if np.any(part * size >= 1.0) else (whole - first) + size * part
+        again = self.key == "milliseconds" and np.any(whole % 1.0 > 0.0)
+        return None if again or np.any(part * size >= 1.0) else (whole - first) + size * part
 
 
-STAMP_PARTS = {"nanoseconds": 1e-9, "microseconds": 1e-6}
+STAMP_PARTS = {"nanoseconds": 1e-9, "microseconds": 1e-6, "milliseconds": 1e-3}
 """What the second column of a split stamp counts, by its key in a map [s]."""
 _PART_WORDS = {"n": "nanoseconds", "u": "microseconds", "m": "microseconds"}
+
+
+_MILLISECONDS = re.compile(r"milli(second)?s?|msecs?|ms", re.IGNORECASE)
+"""Names of a column that holds what is left of a second beside a clock of whole ones."""
 
 
 def split_stamps(infos: Sequence[RawChannelInfo]) -> list[SplitStamp]:
@@ -242,6 +257,9 @@ def split_stamps(infos: Sequence[RawChannelInfo]) -> list[SplitStamp]:
         whole = next((match[1] + word for word in words if match[1] + word in names), None)
         if whole is not None:
             (called if timed else others).append(SplitStamp(whole, name, _PART_WORDS[match[2][0].lower()]))
+    clock, parts = time_column(infos), [name for name in names if _MILLISECONDS.fullmatch(name.strip())]
+    if clock is not None and len(parts) == 1 and clock.name != parts[0]:
+        others.append(SplitStamp(clock.name, parts[0], "milliseconds"))
     return [*called, *others]
 
 

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
+from split_cli.logs.checking.checks import Checks
 from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.kinematics import Kinematics, block_interval, fit_linear, fit_slope
 from tests.factories import one_run, road_car
@@ -423,3 +424,33 @@ def test_sideslip_and_turning_go_with_the_path_where_speed_and_direction_change_
     assert across.slope == pytest.approx(1.0, abs=0.03) and across.correlation > 0.995
     plain, without_that = (fit_slope(k.signal("r"), rate, k.moving) for rate in k.course_rates())
     assert abs(without_that.slope - 1.0) < 0.5 * abs(plain.slope - 1.0) and without_that.correlation > 0.995
+
+
+@pytest.mark.parametrize(("by_slip_speed", "arm"), [(True, 1.5), (True, 2.7), (False, 1.5)])
+def test_forces_by_slip_speed_are_told_from_those_by_slip_angle(by_slip_speed, arm):
+    """v_y = p r - q v_x a of tyres, and p r - q a of contacts in physics engines, in turns at all speeds."""
+    rng, car, t = np.random.default_rng(2), road_car(), np.arange(0.0, 60.0, 0.01)
+    vx = 14.0 + 7.0 * np.sin(0.41 * t)
+    lateral = 3.5 * np.sin(0.83 * t) * np.sin(0.11 * t + 0.3)
+    vy = arm * lateral / vx - (0.07 if by_slip_speed else 0.005 * vx) * lateral
+    columns = {"vx": vx, "vy": vy + 0.005 * rng.standard_normal(len(t)), "r": lateral / vx}
+    drive = one_run(columns, 0.01)
+    fitted, errors = Checks(drive.columns, drive, car, {}).sideslip_fit()
+    assert abs(fitted[0] - arm) < max(4.0 * errors[0], 0.05 * arm)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(12.0, "turns of a motor"), (3.6, "is in km/h"), (1.0 / road_car().wheel_radius, "is in rad/s")],
+)
+def test_wheel_speeds_of_motors_blame_no_speed_of_the_car(drive, factor, words):
+    """Four motors behind a reduction: v_x was said to be in m/s though it says km/h, and both accelerations wrong."""
+    t = np.arange(0.0, 110.0, 0.01)
+    columns = {
+        channel: drive.at(channel, t) for channel in ("vx", "vy", "r", "ax", "ay", "delta", "T", "X", "Y", "yaw")
+    }
+    for corner, side in (("fl", -1), ("fr", 1), ("rl", -1), ("rr", 1)):
+        columns[f"wheel_speed_{corner}"] = factor * (columns["vx"] + side * 0.75 * columns["r"])
+    found = check_consistency(one_run(columns, 0.01), drive.vehicle, {}).findings
+    assert {finding.channel for finding in found} == {f"wheel_speed_{corner}" for corner in ("fl", "fr", "rl", "rr")}
+    assert all(words in finding.text and "decides" not in finding.text for finding in found)

@@ -105,3 +105,15 @@ def test_log_time_instead_of_header_time_makes_channels_late_and_the_estimate_se
     found = {e.channel: e for e in results[0].quality.delays}
     # The odometry arrives 5 ms after its stamp on average, the IMU 1.5 ms: the IMU looks 3.5 ms early.
     assert found["ax"].delay == pytest.approx(-0.0035, abs=max(0.001, 3.0 * found["ax"].error))
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_small_car_whose_tyre_curve_bends_has_its_v_y_at_the_cg(tmp_path, sample_logs, seed):
+    """Forces by slip speed left 0.45 of what a straight tyre curve did, and ingest said `position: front_axle`."""
+    settings = SimulateSettings(
+        car="f1tenth_car", track="f1tenth", driver="racer", aggressiveness=0.6, laps=1.0, seed=seed
+    )
+    simulate_log(settings, tmp_path / "lap.mcap")
+    car = sample_logs / "f1tenth_car.yaml"
+    results, _, _ = ingest_logs([tmp_path / "lap.mcap"], tmp_path / "lap.parquet", vehicle_path=car)
+    assert not results[0].quality.consistency.findings

@@ -64,3 +64,26 @@ def test_groups_on_four_clocks_become_what_asammdf_resamples_them_to(tmp_path):
                 assert np.max(np.abs(drive[channel][inside] - theirs)) < 0.004 * spread, name
                 ours_off, theirs_off = (float(np.std(v - truth)) for v in (drive[channel][inside], theirs))
                 assert ours_off < 0.6 * theirs_off, name
+
+
+def test_texts_bytes_and_whole_arrays_beside_the_numbers_do_not_end_ingest(tmp_path):
+    """A gear in letters beside the speeds made ingest fail, and no map could leave it out."""
+    asammdf = needed("asammdf")
+    car, path = PlantedDrive(seconds=21.0), tmp_path / "drive.mf4"
+    t = np.arange(0.0, 20.0, 0.02)
+    array = np.array([(row,) for row in np.arange(3.0 * len(t)).reshape(-1, 3)], dtype=[("points", "<f8", (3,))])
+    channels = ("vx", "vy", "r", "delta", "T")
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(car.at(channel, t), t, name=channel) for channel in channels])
+        file.append([asammdf.Signal(np.array([b"D"] * len(t)), t, name="gear", encoding="utf-8")])
+        file.append([asammdf.Signal(np.zeros((len(t), 8), np.uint8), t, name="payload")])
+        file.append([asammdf.Signal(array, t, name="points")])
+        file.save(path, overwrite=True)
+    recording = open_recording(path)
+    kinds = {info.name: info.type_name for info in recording.channels()}
+    assert kinds["gear"] == kinds["payload"] == "text" and "points" not in kinds
+    entries = {channel: {"source": channel} for channel in channels}
+    made = assemble_drive(recording, map_from_mapping({"name": "own", "channels": entries}), car.vehicle)
+    t_of_drive = made.quality.origin + made.drive["t"]
+    assert np.abs(made.drive["r"] - car.at("r", t_of_drive)).max() < 1e-4
+    assert "points[2]" in made.drive.columns and "gear" not in made.drive.columns

@@ -359,7 +359,7 @@ def _common_time(
         raise LogError(f"the time column {column!r} holds no number", where=recording.name, advice=_TIME_ADVICE)
     if stamp := signal_map.time.stamp:
         first = float(np.floor(raw.values[finite][0]))
-        joined = stamp.joined(raw.values, signals[stamp.part].values, first)
+        joined = stamp.joined(over_midnight(raw.values), signals[stamp.part].values, first)
         if joined is None:
             what, advice = f"{stamp.part} reaches a whole second", f"Name the column that holds the {stamp.key}."
             raise MapError(what, where=recording.name, advice=advice)
@@ -369,8 +369,8 @@ def _common_time(
     # Subtract before the conversion: nanoseconds since 1970 lose nothing then.
     time = convert_to_si(values - first, unit or "s", where=recording.name)
     step = float(np.median(np.abs(np.diff(time[finite])))) if finite.sum() > 1 else 0.0
-    if step > _SLOWEST:
-        fits = unit_of_time(raw.values[finite])
+    fits = unit_of_time(raw.values[finite])
+    if step > _SLOWEST or (unit in (None, "s") and fits == "d"):
         error = ClockError(
             f"samples of {column!r} are {step:.3g} s apart, its unit being taken as {unit or 's'}",
             where=recording.name,

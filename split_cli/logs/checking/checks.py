@@ -41,8 +41,8 @@ _GRIP_SECONDS = 1.0
 _FAR_BETTER = 0.25
 """Variance that a place of v_y leaves, of what a factor leaves, from which on it is a place [1]."""
 _BY_SLIP_SPEED = 0.5
-"""Variance of v_y that forces by slip speed leave, of what those by slip angle leave, from which on they are by
-slip speed [1]: a car of MuJoCo leaves 0.26 to 0.43, tyres 0.9 to 1.6."""
+"""Variance of v_y that forces by slip speed leave, of what a tyre curve leaves, below which they are by slip
+speed [1]: a car of MuJoCo leaves 0.26 to 0.43 of a straight curve's, tyres 0.9 to 1.6."""
 _LEAST_ARM = 0.15
 """Of the wheelbase, below which a place is not distinguished from the CG [1]."""
 _SIGN_ONLY = 5.0
@@ -413,8 +413,10 @@ class Checks:
             target, one = vy[use], np.ones_like(r)
             # A tyre's force follows the slip angle, that of a physics engine's contact the slip speed.
             laws = [np.stack([part[use] for part in (r, -by * path, by * turning, one)], axis=1) for by in (vx, one)]
-            left = [np.var(target - law @ np.linalg.lstsq(law, target, rcond=None)[0]) for law in laws]
-            design = laws[int(left[1] < _BY_SLIP_SPEED * left[0])]
+            # Near a steady speed a tyre whose curve bends looks like a contact, unless it may bend here too.
+            bent = np.column_stack([laws[0], (vx * path**3)[use]])
+            left = [np.var(target - law @ np.linalg.lstsq(law, target, rcond=None)[0]) for law in (*laws, bent)]
+            design = laws[int(left[1] < _BY_SLIP_SPEED * min(left[0], left[2]))]
             self._sideslip = fit_linear(design, target)
             p, p_error = self._sideslip[0][0], self._sideslip[1][0]
             if 3.0 * p_error > 0.5 * self.vehicle.cg_to_rear_axle:

@@ -63,6 +63,8 @@ _STEERING_RATIOS = (8.0, 25.0)
 HIGHEST_RATIO = 20.0
 """Of an engine's speed to a wheel's, in first gear [1]: gearbox times final drive reach 13 to 17 in passenger cars.
 Judgement."""
+_REDUCTIONS = (5.0, HIGHEST_RATIO)
+"""Of a motor's speed to that of the wheel that it drives alone [1]: electric race cars have 8 to 16. Judgement."""
 _RADIUS_RATIOS = (0.7, 1.4)
 """Of a wheel's radius as stated to the one that it rolls on [1]: all tyres of one class of cars."""
 
@@ -88,6 +90,10 @@ def known_mistakes(channel: str, vehicle: Vehicle | None) -> list[Mistake]:
         for stated, unit, factor in (("km/h", "mph", _MILE_IN_KM), ("mph", "km/h", 1.0 / _MILE_IN_KM)):
             what = f"was converted from {stated} although it is in {unit}"
             known += _factor(channel, 1.0 / factor, what, f"set `unit: {unit}`", RARE, unit)
+    if channel.startswith("wheel_speed"):
+        what = "counts the turns of a motor, before its reduction"
+        remedy = "set `scale:` to 1 over the ratio of the reduction, or leave it out"
+        known.append(Mistake(channel, *_REDUCTIONS, False, what, remedy, DOUBLE + 1.0))
     if channel.startswith("wheel_speed") and vehicle is not None:
         for factor, unit in ((1.0, "rad/s"), (30.0 / np.pi, "rpm")):
             turns = factor / vehicle.wheel_radius

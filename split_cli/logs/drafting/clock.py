@@ -7,6 +7,7 @@ import numpy as np
 
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.gather import row_rate_from_path, row_rate_from_speed, row_rate_from_yaw
+from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import quoted
 from split_cli.logs.drafting.meeting_clocks import MOVED
 from split_cli.logs.drafting.naming import spelled_without_unit, stated_unit, words_of
@@ -62,6 +63,7 @@ def clock_of_rows(
     for stamp in split_stamps(infos):
         whole, part = (recording.read([name])[name].values for name in (stamp.whole, stamp.part))
         # A whole second of nanoseconds is none: the stamp of another clock, or one that was read wrongly.
+        whole = over_midnight(whole)
         time = stamp.joined(whole, part, float(np.nanmin(whole)))
         if time is not None:
             line = f"time: {{source: {quoted(stamp.whole)}, {stamp.key}: {quoted(stamp.part)}}}"
@@ -104,7 +106,7 @@ def _time_of_column(
     values = signals[info.name].values
     unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
     fits = unit_of_time(values)
-    unit = unit if unit in ("s", "ms", "0.1ms", "us", "ns", "min") else fits
+    unit = unit if unit in ("s", "ms", "0.1ms", "us", "ns", "min", "d") else fits
     if fits != unit and not _SHORTEST < _usual_step(values) * find_unit(unit).factor < _LONGEST:
         remark = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
         line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {remark}"
@@ -242,10 +244,14 @@ def _rate_from_yaw(candidates: Sequence[TrialCandidate], signals: Mapping[str, R
     for yaw in (c for c in candidates if c.channel == "yaw" and c.sources[0] in signals):
         for rate in (c for c in candidates if c.channel == "r" and c.sources[0] in signals):
             pair = [signals[c.sources[0]].values * (find_unit(c.unit).factor if c.unit else 1.0) for c in (yaw, rate)]
-            if not yaw.unit and is_cut_in_degrees(pair[0]):
+            in_degrees = not rate.unit and float(np.nanquantile(np.abs(pair[1]), 0.99)) > NO_CAR_EXCEEDS["r"][0]
+            if in_degrees:
+                pair[1] = np.radians(pair[1])
+            # One who counts turning in degrees counts the angle so too.
+            if not yaw.unit and (in_degrees or is_cut_in_degrees(pair[0])):
                 pair[0] = np.radians(pair[0])
             found = row_rate_from_yaw(*pair)
-            if found:
+            if found and _SHORTEST < 1.0 / found < _LONGEST:
                 return found
     return None
 

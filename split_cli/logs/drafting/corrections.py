@@ -35,6 +35,8 @@ _SIBLINGS = {
     "r": ("yaw",),
     "sideslip": ("yaw", "r"),
 }
+_TWICE = 0.5
+"""Units of speed of less [m/s] make a rate more than twice as large as it is."""
 _SYMBOLS = {"ax": "a_x against", "ay": "a_y against", "r": "r against", "vx": "v_x against"}
 """How checks that judge a channel begin."""
 _STATED = "; unit as the file says"
@@ -110,9 +112,16 @@ def as_siblings(chosen: dict[str, Suggestion], verdict: Consistency) -> dict[str
             continue
         rate = other.channel == "r" or channel == "r"
         unit = _ANGLE_OF_RATE.get(other.unit) if rate else other.unit
-        if unit is not None:
+        if channel == "vy" and find_unit(unit or "m/s").factor < _TWICE and _a_y_goes_with_its_rate(verdict):
+            # In the other unit its rate would be more than twice as large, and a_y would go better without it.
+            made[channel] = replace(s, reason="a_y goes better with dv_y/dt in m/s^2")
+        elif unit is not None:
             made[channel] = replace(s, unit=unit, reason=f"taken in {unit} as {other.channel} has it")
     return made
+
+
+def _a_y_goes_with_its_rate(verdict: Consistency) -> bool:
+    return any(r.holds and r.leaf == "ay" and r.name.endswith("dv_y/dt") for r in verdict.relations)
 
 
 def _with_zero(s: Suggestion, shift: float) -> Suggestion:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 from split_cli.logs.drafting.vocabulary import CORNERS, concepts_of, read_concepts, tokens_of, unfolded
 from split_cli.logs.raw import RawChannelInfo
-from split_cli.signals import TWO_WORDS, find_unit
+from split_cli.signals import TWO_WORDS, find_unit, with_short_unit
 
 _UNIT_WORDS = {
     word: unit.symbol
     for word in """
-        mps mps2 mpss kph kmh kmph mph kn knots rad radps deg degps dps degree degrees rpm s sec us ns nm bar
+        mps mps2 mpss kph kmh kmph mph kn knots rad radps deg degps dps degree degrees rpm s sec seconds us ns nm bar
         kpa pct percent mm m ft g n fps ftps lbft ftlb
     """.split()
     if (unit := find_unit(word))
@@ -155,6 +155,7 @@ def words_of(name: str) -> list[str]:
     parts = re.split(r"(?<=[\w\]])\.(?=[A-Za-z])", _wheel_in_front(tail))
     # Of orientation.w the w alone says nothing.
     tail = "_".join(parts[-2:]) if len(parts[-1]) == 1 or _directs(parts) else parts[-1]
+    tail = with_short_unit(tail)
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", tail)
     return [word for word in re.split(r"[^A-Za-z0-9]+", spaced.lower()) if word]
 
@@ -257,7 +258,7 @@ def _own_part(info: RawChannelInfo) -> str:
 
 def spelled_without_unit(info: RawChannelInfo) -> str:
     """Return the name without the unit that it ends with, parts joined by underscores, capitals kept."""
-    words = [word for word in re.split(r"[^\w]+|_", _own_part(info)) if word]
+    words = [word for word in re.split(r"[^\w]+|_", with_short_unit(_own_part(info))) if word]
     lowered = [word.lower() for word in words]
     if len(words) > 2 and tuple(lowered[-2:]) in _LAST_TWO:
         return "_".join(words[:-2])
@@ -272,8 +273,13 @@ def is_command(name: str) -> bool:
 
 
 def _said_by_unit(info: RawChannelInfo) -> list[str]:
-    """Return the word that a unit stands for where the name leaves it out: M_Rad_VL in N m is a torque."""
+    """Return the word that a unit stands for where the name leaves it out: M_Rad_VL in N m is a torque.
+
+    What turns at a corner of the car, n_FL in rpm, is a wheel.
+    """
     unit = find_unit(stated_unit(info) or "")
+    if unit is not None and unit.si == "rad/s" and concepts_of(tokens_of(info.name))[0] & {*CORNERS}:
+        return ["wheel"]
     return ["torque"] if unit is not None and unit.si == "N m" else []
 
 
@@ -287,7 +293,7 @@ def meanings(info: RawChannelInfo) -> tuple[Meaning, ...]:
     if (bare, stated_unit(info)) in _LETTERS:
         return (Meaning(_LETTERS[bare, stated_unit(info)], 2),)
     if info.name.startswith("/") and re.search(
-        r"orientation|rotation|covariance|quaternion|header\.(seq|stamp)", info.name
+        r"(orientation|rotation)(?!\W+yaw)|covariance|quaternion|header\.(seq|stamp)", info.name
     ):
         return ()
     if _JUDGED & set(tokens_of(info.name)):

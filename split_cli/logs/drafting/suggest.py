@@ -466,6 +466,14 @@ def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) 
                 "--types IMU LOG > imu.csv`), and start again with all of them and --together. Else write a row "
                 "of titles.",
             )
+        unfit = next(
+            (found[0] for n in recording.notes if (found := re.search(r"\d+ titles stand .* values", n.what))), ""
+        )
+        if unfit:
+            return (
+                f"{recording.name}: {unfit}. Give each row as many cells as there are titles: where the last ones are "
+                "empty, their separators are needed too.",
+            )
         return (
             f"{recording.name} has no row of titles: write one as its first line, with units, for instance "
             "`time [s],vx [m/s],yaw_rate [deg/s]`, and start again.",

@@ -63,6 +63,8 @@ class Trial:
     ) -> None:
         self.signals, self.vehicle, self.time_is_known = signals, vehicle, time_is_known
         self.time = None if time is None else _without_restarts(time)
+        if self.time is not None and all(s.time is None for s in signals.values()):
+            self.time = _with_short_pauses(self.time)
         self.torques: list[list[TrialCandidate]] = []
         self._sound: dict[str, np.ndarray] = {}
         stamps = [self.time if s.time is None else s.time for s in signals.values()]
@@ -290,6 +292,20 @@ def _without_restarts(time: np.ndarray) -> np.ndarray:
         before = np.nanmax(moved[:begin])
         moved[begin:end] += before - np.nanmin(moved[begin:end]) + 10.0 * _GAP
     return moved
+
+
+def _with_short_pauses(time: np.ndarray) -> np.ndarray:
+    """Return a table's time with every long pause cut short, shape (N,).
+
+    A logger that paused for an hour, or whose clock was set while it ran, is judged before and after that.
+    """
+    stamps = np.unique(time[np.isfinite(time)])
+    steps = np.diff(stamps)
+    longest = max(10.0 * _GAP, 50.0 * float(np.median(steps))) if len(steps) else 0.0
+    beyond = np.where(steps > longest, steps - longest, 0.0)
+    if not beyond.any():
+        return time
+    return np.interp(time, stamps, stamps - np.concatenate([[0.0], np.cumsum(beyond)]))
 
 
 def _without_gaps(grid: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -35,7 +35,7 @@ _WORDS: dict[str, str] = {
     "wheel": "wheel wheels whl whls roadwheel roue roues rueda ruedas ruota ruote 轮 车轮",
     "road": "road tire tyre",
     "torque": "torque torques trq tq moment mom drehmoment couple par coppia 转矩 扭矩 力矩",
-    "brake": "brake brakes braking brk brems bremse frein freins freno freni 制动 刹车",
+    "brake": "brake brakes freinage frenata frenado braking brk brems bremse frein freins freno freni 制动 刹车",
     "pressure": "pressure press pres prs druck pression presion pressione 压力",
     "throttle": (
         "throttle thr thrt gas accelerator app tps fahrpedal gaspedal accelerateur acelerador acceleratore 油门"
@@ -44,7 +44,7 @@ _WORDS: dict[str, str] = {
     "engine": "engine eng motor mot mgu vesc gearbox transmission getriebe kurbelwelle 发动机 电机",
     "current": "current curr strom",
     "drive": "drive drv antrieb antriebs total sum axle axles powertrain net gesamt summe 总 驱动",
-    "slip": "slip sideslip beta schwimm bodyslip 侧偏",
+    "slip": "slip sideslip beta schwimm bodyslip derive deriva assetto 侧偏",
     "east": "east easting ost ostwert rechtswert",
     "north": "north northing nord nordwert hochwert",
     "world": "world map global earth inertial utm enu ned ground over abs",
@@ -52,10 +52,10 @@ _WORDS: dict[str, str] = {
     "fr": "fr rf r1 vr wfr cfr",
     "rl": "rl lr lb l2 hl wrl crl",
     "rr": "rr rb r2 hr wrr crr",
-    "front": "front frnt vorn vorne vorder vorderachse va 前",
-    "rear": "rear hinten hinter hinterachse ha 后",
-    "left": "left links 左",
-    "right": "right rechts 右",
+    "front": "front frnt avant anteriore delantera delantero vorn vorne vorder vorderachse va 前",
+    "rear": "rear hinten arriere posteriore trasera trasero hinter hinterachse ha 后",
+    "left": "left gauche sinistra sinistro izquierda izquierdo links 左",
+    "right": "right droite droit destra destro derecha derecho rechts 右",
     "command": (
         "cmd cmded command commanded commands demand demanded dmd request requested req desired target "
         "goal setpoint reference ref plan planned predicted soll sollwert 目标 期望 指令"
@@ -67,6 +67,7 @@ _WORDS: dict[str, str] = {
         "roll rolling pitch pitching tilt bank bearing course slope grade altitude height kappa curvature "
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
         "sats hdop aax aay aaz residual spring damper jounce suspension steps engine_speed orientation quaternion "
+        "roulis tangage rollio beccheggio balanceo cabeceo wank nick "
         "quat opp opponent rival obstacle ghost prev previous"
     ),
     "driver": "driver fahrer",
@@ -89,7 +90,7 @@ _WORDS: dict[str, str] = {
         "estimated estimate filt filtered filter raw ins imu gps gnss dgps odo odom odometry vbox ecu can "
         "obd esp abs1 state states signal sig value val fused kf ekf ukf local frame field header twist "
         "pf amcl slam msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 "
-        "of in the at from to s de del des di du la le della sm tm ii 2d "
+        "of in the at from to s de del des di du la le au aux della sm tm ii 2d "
         "3d dev device coor sys e1 sim simulated model true truth gt log data input "
         "output stellung stand rohwert wert 车辆 车身 质心 开度 实际 测量"
     ),
@@ -228,6 +229,8 @@ def read_concepts(words: list[str]) -> tuple[str, int] | None:
     if found is None:
         return None
     channel, weight = found
+    if unknown and channel == "delta" and concepts <= {"user", "angle"}:
+        return None  # an angle of something else
     if channel == "vx" and weight == 1 and {"n", "e", "d", "u"} & set(words):
         return None  # along north, east, down or up
     inputs = (

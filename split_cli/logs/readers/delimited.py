@@ -23,6 +23,7 @@ from split_cli.logs.raw import (
     note_once,
 )
 from split_cli.logs.readers.clock_of_day import packed_clock
+from split_cli.logs.readers.column_clocks import clocks_of_columns, with_clock
 from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_grouped, sniff, unwrapped
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import split_name_and_unit, symbol_of
@@ -66,6 +67,15 @@ def open_delimited(path: Path) -> RawRecording:
         for name, (index, unit) in columns.items()
     ]
 
+    def numbers(name: str) -> np.ndarray:
+        index = columns[name][0]
+        return read_columns(path, sniffed.dialect, width, {index: name}, [])[index]
+
+    clocks, origin = clocks_of_columns(infos, numbers)
+    if clocks:
+        count = len({id(time) for time in clocks.values()})
+        note_once(notes, "columns of time, each the clock of the columns behind it", path.name, count)
+
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
         for info in infos:
             if info.type_name == "text" and info.name in names:
@@ -82,9 +92,10 @@ def open_delimited(path: Path) -> RawRecording:
                 what = "column of hours, minutes and seconds in one number, read as seconds since midnight"
                 note_once(notes, what, f"{path.name}, column {name}")
                 values[index] = clock
-        return {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
+        found = {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
+        return {name: with_clock(signal, clocks.get(name)) for name, signal in found.items()}
 
-    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+    return LazyTableRecording(path.name, path, infos, load, origin, notes=notes)
 
 
 def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, tuple[int, str | None]]:

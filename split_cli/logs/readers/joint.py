@@ -1,5 +1,6 @@
 """Several files that were recorded together, each with a clock of its own, as one recording."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,8 +48,9 @@ class JointRecording:
         clocks: dict[int, set[str]] = {}
         for part in parts:
             infos = part.channels()
-            time = time_column(infos)
-            stamps = split_stamps(infos)
+            # Messages have times of their own; a stamp inside one topic is none of the others.
+            time = None if part.clocks else time_column(infos)
+            stamps = [] if part.clocks else split_stamps(infos)
             clocks[id(part)] = {name for stamp in stamps for name in (stamp.whole, stamp.part)}
             if time is None and stamps:
                 self._split[id(part)] = stamps[0]
@@ -77,9 +79,9 @@ class JointRecording:
     def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
         """Return the named signals, each on the clock of its file; see `Recording.read`."""
         read: dict[str, RawSignal] = {}
-        places = {name: nearest_column(self._places, name, self.name) for name in names}
+        places = {name: self._place_of(name) for name in names}
         for part in self.parts:
-            own = {name: info.name for name, (of, info) in places.items() if of is part}
+            own = {name: inside for name, (of, inside) in places.items() if of is part}
             if not own:
                 continue
             time = self._time.get(id(part))
@@ -95,14 +97,22 @@ class JointRecording:
             moved = self._moved.get(id(part), 0.0)
             for name, inside in own.items():
                 signal = signals[inside]
-                time = signal.time if stamps is None else stamps
+                time = stamps if signal.time is None else signal.time + part.origin
                 time = time if time is None or not moved else time + moved
                 read[name] = RawSignal(name, time, signal.values, signal.unit)
         return {name: read[name] for name in names}
 
     def part_of(self, name: str) -> RawRecording:
         """Return the file that a channel is of."""
-        return self._places[name][0]
+        return self._place_of(name)[0]
+
+    def _place_of(self, name: str) -> tuple[RawRecording, str]:
+        """Return the file that a name is of, and the name inside; of an array the first element is listed."""
+        listed = name if name in self._places else re.sub(r"\[\d+\]", "[0]", name)
+        if listed not in self._places:
+            listed = name
+        part, info = nearest_column(self._places, listed, self.name)
+        return part, info.name if listed == name else name[len(listed) - len(info.name) :]
 
     def move(self, part: RawRecording, seconds: float) -> None:
         """Add seconds to the clock of a file."""
@@ -123,7 +133,7 @@ class JointRecording:
 
 
 def _own_clock(part: RawRecording, infos: Sequence[RawChannelInfo]) -> bool:
-    """Whether a table's signals carry their own times, as those of MATLAB's structures do."""
-    vectors = [info.name for info in infos if info.type_name == "vector"][:1]
+    """Whether a table's signals carry their own times, as those of MATLAB's structures and of some tables do."""
+    vectors = [info.name for info in infos if info.type_name in ("vector", "column")][:1]
     read = part.read(vectors) if vectors else {}
     return any(signal.time is not None for signal in read.values())

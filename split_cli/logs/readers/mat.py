@@ -12,7 +12,7 @@ import numpy as np
 
 from split_cli.errors import LogError, damaged
 from split_cli.logs import scratch
-from split_cli.logs.budget import MOST_FIELDS, Unfolded, refuse_unpacked_size
+from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
 from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.readers.named_arrays import VALUE_FIELDS, recording_of_vectors
@@ -21,6 +21,7 @@ from split_cli.logs.scratch import set_aside
 _DEEPEST = 8
 _DEEP = f"variables within more than {_DEEPEST} others, left out"
 _MANY = f"elements of cells and arrays of structures beyond the first {MOST_FIELDS:,}, left out"
+_PICKLED = "columns without names: pandas pickles them. Write with to_parquet, or to_hdf(..., data_columns=True)"
 _ODD = "variables that are neither real numbers nor text, left out"
 _ELSEWHERE = "links to other files, or to what was read already, left out"
 _UNIT_FIELDS = ("unit", "units")
@@ -299,7 +300,11 @@ class _Hdf5:
     def _read(self, item: Any, name: str, unit: str) -> None:
         if item.attrs.get("MATLAB_empty", 0) or item.attrs.get("MATLAB_class", b"") in (b"char", "char"):
             return
-        if item.dtype.kind not in "biuf" or item.ndim > 2:
+        columns = [field for field in item.dtype.names or () if item.dtype[field].base.kind in "biuf"]
+        if item.dtype.kind in "OS" and item.ndim == 1:
+            self.leaves += _list_of_texts(item, name)
+            return
+        if (item.dtype.kind not in "biuf" and not columns) or item.ndim > 2 - bool(columns):
             # HDF5 of other programs keeps text in kinds of its own.
             self.left[_ODD] += item.dtype.kind not in "OSU"
             return
@@ -314,8 +319,29 @@ class _Hdf5:
         self._unfolded.add(place, item.nbytes)
         own = next((_attribute(item.attrs[key]) for key in item.attrs if key.lower() in _UNIT_FIELDS), "")
         titled = f"{name} [{own.replace('.', ' ')}]" if own else _with_unit(name, unit)
+        if columns:
+            rows = item[()]  # a table of PyTables or h5py: a field a column
+            blocks = [field for field in columns if field.startswith("values_block_")]
+            self.left[_PICKLED] += sum(math.prod(item.dtype[field].shape) for field in blocks)
+            self.leaves += [(f"{name}.{field}", _aside(np.atleast_2d(rows[field].T).T)) for field in columns]
+            return
         # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
         self.leaves.append((titled, _aside(np.atleast_2d(np.asarray(item[()])).T)))
+
+
+def _list_of_texts(item: Any, name: str) -> list[tuple[str, np.ndarray]]:
+    """Return a list of texts of HDF5, the titles of a matrix perhaps; nothing where there are none or too many."""
+    import h5py
+
+    if not 1 < item.size <= MOST_FIELDS or h5py.check_string_dtype(item.dtype) is None:
+        return []
+    texts = []
+    for row in range(item.size):  # one by one: each may lead to the same long text elsewhere in the file
+        raw = item[row]
+        if len(raw) > LONGEST_NAME:
+            return []
+        texts.append(raw.decode(errors="replace").strip())
+    return [(name, np.array(texts))]
 
 
 def _attribute(value: Any) -> str:

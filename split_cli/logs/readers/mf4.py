@@ -19,6 +19,8 @@ from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import symbol_of
 
+_TEXT_3, _TEXT_4 = range(7, 9), range(6, 15)
+"""Data types of MDF 3 and 4 that are no numbers: texts, bytes, and dates of CANopen."""
 _BUS_EVENT = re.compile(r"(CAN|LIN|FLX|ETH|MOST|K_LINE)_\w*(Frame|Error|Event|Symbol|PDU)\b")
 
 
@@ -94,7 +96,8 @@ def _open_within(path: Path, databases: Sequence[Path], copies: str, open_files:
     infos = []
     for name, (group, index) in places.items():
         rows, unit = file.groups[group].channel_group.cycles_nr, file.get_channel_unit(group=group, index=index)
-        infos.append(RawChannelInfo(name, "mdf", int(rows), symbol_of(unit)))
+        kind = "text" if _is_text(file, group, index) else "mdf"
+        infos.append(RawChannelInfo(name, kind, int(rows), symbol_of(unit)))
     if not any(info.count for info in infos):
         raise LogError("holds no samples", where=path.name, advice="Export it again.")
     notes: list[ReadNote] = []
@@ -150,7 +153,8 @@ def _places(file: Any) -> dict[str, tuple[int, int]]:
         master = file.masters_db.get(number)
         label = (getattr(group.channel_group, "acq_name", None) or f"group{number}").strip()
         for index, channel in enumerate(group.channels):
-            if index != master and channel.name:
+            whole_array = bool(getattr(group, "channel_dependencies", None) and group.channel_dependencies[index])
+            if index != master and channel.name and not whole_array:  # its elements are channels too
                 channels.append((channel.name, label, number, index))
     names = Counter(name for name, *_ in channels)
     places: dict[str, tuple[int, int]] = {}
@@ -158,6 +162,12 @@ def _places(file: Any) -> dict[str, tuple[int, int]]:
         address = name if names[name] == 1 else f"{label}.{name}"
         places[address if address not in places else f"group{number}.{name}"] = (number, index)
     return places
+
+
+def _is_text(file: Any, group: int, index: int) -> bool:
+    """Whether a channel is recorded as text or as bytes; a number with names for its values is none."""
+    kinds = _TEXT_4 if file.version >= "4" else _TEXT_3
+    return file.groups[group].channels[index].data_type in kinds
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Named arrays as a recording: what MATLAB files and NumPy archives have in common."""
 
+import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -136,7 +137,8 @@ def _with_titles(leaves: Sequence[tuple[str, np.ndarray]]) -> list[tuple[str, np
         structure = name.rpartition(".")[0]
         beside = [
             texts
-            for place, texts in lists.items()
+            # Of several lists the one named most like the matrix: pandas stores block1_values and block1_items.
+            for place, texts in sorted(lists.items(), key=lambda entry: -len(os.path.commonprefix([entry[0], name])))
             if structure in ((inside := place.rpartition(".")[0]), inside.rpartition(".")[0])
             and values.ndim == 2
             and values.shape.count(len(texts)) == 1
@@ -247,7 +249,7 @@ def _clocks_of_lengths(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _in_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
     """Return a time in seconds; a clock that states no unit tells it by its steps."""
     time = np.asarray(values, dtype=np.float64).ravel()
-    return time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit or unit_of_time(time), 1.0)
+    return time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "d": 86400.0}.get(unit or unit_of_time(time), 1.0)
 
 
 def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, Callable[[], np.ndarray]]]:
