@@ -82,6 +82,14 @@ def test_a_second_time_of_the_same_rows_is_no_clock_of_its_own(car, tmp_path):
     # A time that ends early rules no columns that go on.
     columns["GPS time [ms]"] = columns["GPS time [ms]"][:3000]
     assert open_recording(write(tmp_path / "two.csv", columns)).read(["Ay"])["Ay"].time is None
+    # Nor does the hour, minute and second of the same rows, in one number that jumps by 40 at a full minute.
+    of_day = 10 * 3600.0 + 35 * 60.0 + 40.0 + t
+    minutes, seconds = np.divmod(of_day, 60.0)
+    hours, minutes = np.divmod(minutes, 60.0)
+    columns["GPS time"] = 1e4 * hours + 100.0 * minutes + seconds
+    del columns["GPS time [ms]"], columns["Ay [m/s^2]"]
+    columns["Ay [m/s^2]"] = car.at("ay", t)
+    assert open_recording(write(tmp_path / "three.csv", columns)).read(["Ay"])["Ay"].time is None
 
 
 @pytest.mark.parametrize(

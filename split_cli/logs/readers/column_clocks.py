@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.logs.raw import TIME_COLUMNS, RawChannelInfo, RawSignal, unit_of_time
-from split_cli.logs.readers.clock_of_day import over_midnight
+from split_cli.logs.readers.clock_of_day import over_midnight, packed_clock
 from split_cli.signals import find_unit
 
 _CALLED_TIME = re.compile(r"(?i)(?<![a-z])(time|timestamp|zeit|zeitstempel|temps|tempo|tiempo)(?![a-z])")
@@ -40,14 +40,16 @@ def clocks_of_columns(
 
     Notes
     -----
-    A clock rises from row to row, and ends where its columns end. That there are several shows where some end
+    Hours, minutes and seconds in one number are a clock of the day, as `packed_clock` reads them. A clock rises from row to row, and ends where its columns end. That there are several shows where some end
     before others, or where two of the same rows do not count the same time.
     """
     behind = _possible_clocks(infos)
     clocks: dict[str, np.ndarray] = {}
     for name in behind:
         time = read(name)
-        time = over_midnight(time[: np.count_nonzero(np.isfinite(time))])
+        time = time[: np.count_nonzero(np.isfinite(time))]
+        of_day = packed_clock(time)
+        time = over_midnight(time) if of_day is None else of_day
         if len(time) < _FEWEST or not np.all(np.diff(time) > 0.0):
             return {}, 0.0
         clocks[name] = time
