@@ -58,7 +58,7 @@ def _promising_mergers(explore: Explorer, chosen: Fit, named: Sequence[bool]) ->
     here = objective.left_by(chosen.terms)
     sensitivity = sensitivity_of(objective, chosen)
     owner = np.repeat(np.arange(len(parts)), [len(part.values) for part in parts])
-    free = free_to_form_error(objective, chosen)
+    free = free_to_form_error(objective, chosen, together=False)
     seen = free.T @ chosen.residuals
     own = chosen.cost - float(seen @ seen)
     gone = {

@@ -296,14 +296,21 @@ def _normal(form_error: np.ndarray) -> np.ndarray:
     return np.eye(form_error.shape[1]) + form_error.T @ form_error
 
 
-def form_error_columns(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
-    """Return M of an explanation's parts, shape (R, 18 a part), see `costs_beside_form_error`."""
-    return _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))])
+def form_error_columns(objective: MarginalLikelihood, fit: Fit, *, together: bool = True) -> np.ndarray:
+    """Return M of an explanation's parts, shape (R, 18 a part), see `costs_beside_form_error`.
+
+    `together` as of `free_to_form_error`.
+    """
+    return _columns(objective, [(fit.terms, k) for k in range(len(fit.parts))], together=together)
 
 
-def free_to_form_error(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
-    """Return N, shape (R, 18 a part), with N N^T = I - (I + M M^T)^-1, see `costs_beside_form_error`."""
-    form_error = form_error_columns(objective, fit)
+def free_to_form_error(objective: MarginalLikelihood, fit: Fit, *, together: bool = True) -> np.ndarray:
+    """Return N, shape (R, 18 a part), with N N^T = I - (I + M M^T)^-1, see `costs_beside_form_error`.
+
+    Unless `together`, each part is wrong by a share of its own effect, those that scale one curve too: for asking
+    which of them it is.
+    """
+    form_error = form_error_columns(objective, fit, together=together)
     lower = np.linalg.cholesky(_normal(form_error))
     return solve_triangular(lower, form_error.T, lower=True, overwrite_b=True).T
 
@@ -321,13 +328,15 @@ def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
     return columns[:, np.linalg.norm(columns, axis=0) > 0.0]
 
 
-def _columns(objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]]) -> np.ndarray:
+def _columns(
+    objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], *, together: bool = True
+) -> np.ndarray:
     """Return M, shape (R, 18 a part), of parts given as terms and the number of one of them."""
     share = objective.policy.selection.form_error_share
     out = np.empty((len(objective.weight), 18 * len(parts)))
     left = [_left_by_all(one, parts) for one in objective.evidence]
     for own, (terms, k) in zip(np.split(out, max(len(parts), 1), axis=1), parts, strict=False):
-        varied = _varied(objective, terms, k, [several[id(terms)] for several in left])
+        varied = _varied(objective, terms, k, [several[id(terms)] for several in left], together=together)
         np.multiply(share, objective.whiten(varied), out=own)
     return out
 
@@ -352,7 +361,12 @@ def _costs(form_error: np.ndarray, normal: np.ndarray, residuals: Sequence[np.nd
 
 
 def _varied(
-    objective: MarginalLikelihood, terms: tuple[Term, ...], k: int, left: Sequence[np.ndarray] = ()
+    objective: MarginalLikelihood,
+    terms: tuple[Term, ...],
+    k: int,
+    left: Sequence[np.ndarray] = (),
+    *,
+    together: bool = True,
 ) -> np.ndarray:
     """Return what one term adds, piece by piece and times each function, as residuals, shape (R, 18).
 
@@ -361,7 +375,7 @@ def _varied(
     left = left or [one.defects(terms) for one in objective.evidence]
     return objective.stack(
         [
-            one.whitener(_varied_by(one, *_effect(one, terms, k, own), _functions(one)))
+            one.whitener(_varied_by(one, *_effect(one, terms, k, own, together=together), _functions(one)))
             for one, own in zip(objective.evidence, left, strict=True)
         ]
     )
@@ -372,13 +386,16 @@ def _left_by_all(one: Evidence, parts: Sequence[tuple[tuple[Term, ...], int]]) -
     return {number: one.defects(terms) for number, terms in {id(terms): terms for terms, _ in parts}.items()}
 
 
-def _effect(one: Evidence, terms: tuple[Term, ...], k: int, left: np.ndarray) -> tuple[np.ndarray, bool]:
+def _effect(
+    one: Evidence, terms: tuple[Term, ...], k: int, left: np.ndarray, *, together: bool = True
+) -> tuple[np.ndarray, bool]:
     """Return the defects that term k takes off beyond the others, (N - 1, 3), and whether it errs by axle.
 
     Terms that scale the tyres' curve are one change of it, and may nearly cancel: of these the first has what they
-    do together, and the others have none.
+    do together, and the others have none; unless `together`, each has its own.
     """
-    alike = [number for number, term in enumerate(terms) if term.scales_curve] if terms[k].scales_curve else [k]
+    several = together and terms[k].scales_curve
+    alike = [number for number, term in enumerate(terms) if term.scales_curve] if several else [k]
     others = tuple(term for number, term in enumerate(terms) if number not in alike)
     # A heavier car goes up the curves of its tyres: what asks them for other forces errs with them.
     by_axle = (terms[k].through_tires or alters_body(terms[k])) and not alters_inputs(terms[k])

@@ -40,8 +40,9 @@ def clocks_of_columns(
 
     Notes
     -----
-    Hours, minutes and seconds in one number are a clock of the day, as `packed_clock` reads them. A clock rises from row to row, and ends where its columns end. That there are several shows where some end
-    before others, or where two of the same rows do not count the same time.
+    Hours, minutes and seconds in one number are a clock of the day, as `packed_clock` reads them. A clock rises
+    from row to row, and ends where its columns end. That there are several shows where some end before others, or
+    where two of the same rows do not count the same time.
     """
     behind = _possible_clocks(infos)
     clocks: dict[str, np.ndarray] = {}
