@@ -42,6 +42,11 @@ class EffectSpec:
     parameters: Mapping[str, float] = field(default_factory=dict)
     variant: str = ""
 
+    @property
+    def label(self) -> str:
+        """``term`` or ``term (variant)``."""
+        return f"{self.term} ({self.variant})" if self.variant else self.term
+
 
 @dataclass(frozen=True)
 class Vehicle:

@@ -118,7 +118,7 @@ def _trained_set(path: Path) -> FileDescription:
         ("trust", trained.trust.words()),
         *([("intervals", _ONE_DRIVE)] if lone else []),
         *([("intervals hold", _NEAR_POINTS)] if trained.trust.origin == "held-out" else []),
-        *((f"found beyond the file: {effect.term}", _numbers(effect.parameters)) for effect in trained.found),
+        *((f"found beyond the file: {effect.label}", _numbers(effect.parameters)) for effect in trained.found),
         ("length scales", f"{_named(trained.features.names, kernel.length_scales)} ({kernel.origin})"),
         ("signal deviation", _named(_LABELS, np.sqrt(kernel.signal_variance))),
         ("noise deviation", _named(_LABELS, np.sqrt(kernel.noise_variance))),

@@ -19,6 +19,7 @@ from split_cli.scoring.found_lags import lag_notes
 from split_cli.scoring.likeliest_lag import likeliest_lag, with_steer_lag
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import write_vehicle
+from split_cli.workflows.info import describe_file
 from split_cli.workflows.training.train import train_set
 from tests.factories import MissingForce, make_drive, road_car
 
@@ -90,6 +91,9 @@ def test_training_puts_the_lag_into_the_set_and_says_so(late, tmp_path):
     assert [effect.term for effect in made.found] == ["steer_lag"]
     assert made.found[0].parameters["tau"] == pytest.approx(TAU, rel=0.1)
     assert made.nominal_vehicle.digest() == road_car().digest()
+    assert made.found[0].variant == "learned"  # a set of an older version has a lag that acts everywhere
+    described = dict(describe_file(tmp_path / "car.split").facts)
+    assert described["found beyond the file: steer_lag (learned)"] == f"tau {made.found[0].parameters['tau']:.4g}"
     (note,) = lag_notes(made)
     assert "steering follows its command 0.0" in note and note in result.notes and note in reservations(made)
 
