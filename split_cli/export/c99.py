@@ -25,6 +25,11 @@ from split_cli.learning.trust import kept_share, supported_variance
 _KNOWLEDGE_TEXT = """
  * Of the steering's lag the share acts that the set knows, 1 - v/S0 at the step's start, with the variance v of the
  * process and S0 its prior: far from all that was learned the wheel has the commanded angle."""
+#: How what evaluates the constants begins, and how where a term asks what the set knows; the rest is in `model.c.in`.
+_EVALUATE = "void {name}_evaluate(const real *z, real *mean, real *variance, real *jacobian)"
+_ANSWER = """\
+/* With `open` also the share of the prior's variance that the labels leave of each output, whatever the trust. */
+static void answer(const real *z, real *mean, real *variance, real *jacobian, real *open)"""
 #: The C that evaluates each kind of constants.
 _TEMPLATES = {BcmTables: "committee.c.in", TableData: "table.c.in", ProjectionData: "projection.c.in"}
 _KEYWORDS = frozenset(
@@ -120,8 +125,9 @@ def c_source(
     with_step = graph.features is not None
     table_text, table_bytes = _tables(tables)
     values = {**_texts(tables, graph, provenance, name, plain), "TABLES": table_text, **_predictor_values(tables)}
-    values["CLEAREST"] = str(clearest)
-    parts = {"robust": getattr(tables, "robust", False), "knowledge": with_step and graph.asks_knowledge}
+    asks = with_step and graph.asks_knowledge
+    values |= {"CLEAREST": str(clearest), "EVALUATE": _ANSWER if asks else _EVALUATE.format(name=name)}
+    parts = {"robust": getattr(tables, "robust", False), "knowledge": asks}
     kept = [part for part, needed in parts.items() if needed]
     values["PREDICTOR"] = fill(template(_TEMPLATES[type(tables)]), values, kept)
     values["VALID"] = straight_line(valid, "valid_region", real, "1 where the valid region holds z, else 0.")
@@ -130,7 +136,7 @@ def c_source(
     step_header, step_body = _step(values, graph, provenance, real) if with_step else ("", "")
     header = fill(template("model.h.in"), {**values, "STEP_DECLARATIONS": step_header})
     # Values are put in once; text that was put in is not searched again for placeholders.
-    source = fill(template("model.c.in"), {**values, "STEP": step_body})
+    source = fill(template("model.c.in"), {**values, "STEP": step_body}, kept)
     needs = graph.needs_place_and_time
     return CSource(name, real, header, source, with_step, tables.feature_count, needs, memory, table_bytes)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.search import Course, Range
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import EffectSpec, Vehicle
 
 __all__ = ["Candidate", "Range", "build_candidates"]
 
@@ -121,7 +121,7 @@ class Candidate:
     @property
     def label(self) -> str:
         """``term`` or ``term (variant)``."""
-        return f"{self.term} ({self.variant})" if self.variant else self.term
+        return EffectSpec(self.term, variant=self.variant).label
 
 
 def build_candidates(vehicle: Vehicle, series: Series) -> list[Candidate]:
