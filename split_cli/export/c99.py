@@ -28,7 +28,7 @@ _KNOWLEDGE_TEXT = """
 #: How what evaluates the constants begins, and how where a term asks what the set knows; the rest is in `model.c.in`.
 _EVALUATE = "void {name}_evaluate(const real *z, real *mean, real *variance, real *jacobian)"
 _ANSWER = """\
-/* With `open` also the share of the prior's variance that the labels leave of each output, whatever the trust. */
+/* With `open` also the share of the prior's variance that the labels leave of the output that they show best. */
 static void answer(const real *z, real *mean, real *variance, real *jacobian, real *open)"""
 #: The C that evaluates each kind of constants.
 _TEMPLATES = {BcmTables: "committee.c.in", TableData: "table.c.in", ProjectionData: "projection.c.in"}

@@ -47,18 +47,28 @@ def predictor_function(constants: Constants, name: str) -> casadi.Function:
     return committee_function(constants, name)
 
 
-def knowledge_function(constants: Constants, output: int) -> casadi.Function:
-    """Return z -> the share of the prior's variance that labels explain, from 0 to 1, whatever the trust.
+def correction_function(constants: Constants, clearest: int | None = None) -> casadi.Function:
+    """Return what a step asks in one query: z -> the mean and, with `clearest`, how much the set knows.
 
     Parameters
     ----------
-    output : int
-        The one whose variance counts: `Kernel.clearest`.
+    clearest : int, optional
+        The output whose variance counts (`Kernel.clearest`): the second answer is the share of the prior's that
+        labels explain, from 0 to 1, whatever the trust.
+
+    Notes
+    -----
+    The predictor is written out, not called, so that no variance is evaluated that nobody asked for.
     """
-    plain = replace(constants, trust=np.ones(3), doubt=np.zeros(3))
+    process = predictor_function(replace(constants, trust=np.ones(3), doubt=np.zeros(3)), "process")
     z = casadi.MX.sym("z", constants.feature_count)
-    left = predictor_function(plain, "process")(z)[1][output] / float(constants.signal_variance[output])
-    return casadi.Function("knowledge", [z], [casadi.fmax(1.0 - left, 0.0)])
+    mean, variance = process.call([z], True, False)
+    # CasADi drops what is multiplied by zero, and with it the answer to a query that is not a number.
+    answers = [casadi.DM(np.maximum(constants.trust, 1e-300)) * mean]
+    if clearest is not None:
+        left = variance[clearest] / float(constants.signal_variance[clearest])
+        answers.append(casadi.fmax(1.0 - left, 0.0))
+    return casadi.Function("correction", [z], answers)
 
 
 def committee_function(tables: BcmTables, name: str) -> casadi.Function:
@@ -212,22 +222,17 @@ def _sparse(matrix: scipy.sparse.csc_matrix) -> casadi.DM:
 
 
 def model_step(
-    predict: casadi.Function,
-    graph: NominalGraph,
-    name: str,
-    plain: bool = False,
-    knowledge: casadi.Function | None = None,
+    correction: casadi.Function, graph: NominalGraph, name: str, plain: bool = False
 ) -> casadi.Function | None:
     """Return (x, u, h[, p]) -> x_next: linearised exact nominal step plus the residual; None without features.
 
     Parameters
     ----------
-    predict : casadi.Function
-        The predictor.
+    correction : casadi.Function
+        Whose first answer is the mean, as those of `correction_function` and of the predictor are. Where the graph
+        asks, the second is how much the set knows.
     plain : bool
         Whether the set's labels are plain differences, so that h g itself is added.
-    knowledge : casadi.Function, optional
-        As `knowledge_function` makes it; needed where the graph asks.
 
     Notes
     -----
@@ -235,7 +240,7 @@ def model_step(
     exact to rounding while the velocity Jacobian's norm times h is below about 8; no branch, so any number of
     derivatives is right.
     """
-    return None if graph.features is None else memory_step(predict, graph, name, plain, knowledge)
+    return None if graph.features is None else memory_step(correction, graph, name, plain)
 
 
 def casadi_answer(predict: casadi.Function) -> ExportAnswer:

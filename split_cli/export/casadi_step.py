@@ -8,15 +8,13 @@ from split_cli.export.memory import Memory, nothing_kept, present
 from split_cli.export.symbolic import NominalGraph
 
 
-def memory_step(
-    predict: casadi.Function, graph: NominalGraph, name: str, plain: bool, knowledge: casadi.Function | None
-) -> casadi.Function:
+def memory_step(correction: casadi.Function, graph: NominalGraph, name: str, plain: bool) -> casadi.Function:
     """Return (x, u, h[, p]) -> x_next over states of terms and past commands.
 
     Parameters are those of `casadi_function.model_step`.
     """
     given = step_arguments(graph)
-    return named_function(graph, name, given, stepped(graph, given, predict, plain, knowledge), "x_next")
+    return named_function(graph, name, given, stepped(graph, given, correction, plain), "x_next")
 
 
 def step_arguments(graph: NominalGraph) -> dict[str, casadi.MX]:
@@ -27,11 +25,23 @@ def step_arguments(graph: NominalGraph) -> dict[str, casadi.MX]:
 
 
 def step_begun(
-    graph: NominalGraph, given: dict[str, casadi.MX], knowledge: casadi.Function | None
-) -> tuple[Memory, casadi.MX, casadi.MX, casadi.MX]:
-    """Return the memory, what acts as a step begins, the rates of arriving commands and plays, and the situation.
+    graph: NominalGraph, given: dict[str, casadi.MX], correction: casadi.Function, written_out: bool = False
+) -> tuple[Memory, casadi.MX, casadi.MX, casadi.MX, casadi.MX]:
+    """Return what a step begins with.
 
-    The situation is [t, s], and how much the set knows where a term asks.
+    Parameters
+    ----------
+    correction : casadi.Function
+        As `casadi_function.model_step` takes it.
+    written_out : bool
+        Whether it stands in the graph in place of a call. Then an answer that is not used costs nothing, and what
+        is differentiated is not saved with every function that calls it.
+
+    Returns
+    -------
+    tuple
+        The memory, what acts, the rates of arriving commands and plays, the situation and the mean. The situation
+        is [t, s], and how much the set knows where a term asks.
     """
     memory = graph.memory or nothing_kept(1.0)
     x, u, h, p = (given[label] for label in ("x", "u", "h", "p"))
@@ -44,16 +54,13 @@ def step_begun(
         dragged = present(graph.jumps)(ended, place_time)[0]
         moving += [(dragged[k] - acting[8 + play]) / h for k, play in enumerate(memory.plays)]
     state = x if graph.memory is None else casadi.vertcat(acting, x[6:8])
-    return memory, acting, casadi.vertcat(*moving), _situation(graph, place_time, state, u, knowledge)
+    answers = correction.call([present(graph.features)(state, u)[0]], written_out, False)
+    return memory, acting, casadi.vertcat(*moving), _situation(graph, place_time, answers), answers[0]
 
 
-def _situation(
-    graph: NominalGraph, place_time: casadi.MX, state: casadi.MX, u: casadi.MX, knowledge: casadi.Function | None
-) -> casadi.MX:
-    """Return [t, s], and how much the set knows at the features of a state where a term asks."""
-    if not graph.asks_knowledge:
-        return place_time
-    return casadi.vertcat(place_time, present(knowledge)(present(graph.features)(state, u)[0]))
+def _situation(graph: NominalGraph, place_time: casadi.MX, answers: list[casadi.MX]) -> casadi.MX:
+    """Return [t, s], and how much the set knows where a term asks."""
+    return casadi.vertcat(place_time, answers[1]) if graph.asks_knowledge else place_time
 
 
 def casadi_substeps(graph: NominalGraph) -> int:
@@ -71,9 +78,8 @@ def whether_interval_fits(memory: Memory, h: casadi.MX) -> casadi.MX:
 def stepped(
     graph: NominalGraph,
     given: dict[str, casadi.MX],
-    predict: casadi.Function,
+    correction: casadi.Function,
     plain: bool,
-    knowledge: casadi.Function | None,
     tau: casadi.MX | None = None,
 ) -> casadi.MX:
     """Return the state after a step, with a share tau of each correction where one is given.
@@ -84,11 +90,9 @@ def stepped(
     and in between they move evenly. Plays move as evenly to where the end drags them.
     Where there are delays, any interval but that of the past commands gives not-a-number.
     """
-    memory, acting, moving, situation = step_begun(graph, given, knowledge)
+    memory, acting, moving, situation, residual = step_begun(graph, given, correction)
     x, u, h = given["x"], given["u"], given["h"]
     f, A = whole_model(graph, memory)(acting, moving, situation)
-    state = x if graph.memory is None else casadi.vertcat(acting, x[6:8])
-    residual = predict(present(graph.features)(state, u)[0])[0]
     residual = residual if tau is None else tau * residual
     substeps = casadi_substeps(graph)
     change = h * residual if plain else linear_response(A[3:6, 3:6], residual, h, substeps)
@@ -102,9 +106,7 @@ def stepped(
     return following + whether_interval_fits(memory, h) if memory.line else following
 
 
-def memory_functions(
-    predict: casadi.Function, graph: NominalGraph, name: str, knowledge: casadi.Function | None = None
-) -> tuple[casadi.Function, ...]:
+def memory_functions(correction: casadi.Function, graph: NominalGraph, name: str) -> tuple[casadi.Function, ...]:
     """Return ``NAME_start``, ``NAME_rates`` and, with delays, ``NAME_arrived``; nothing without memory.
 
     ``start`` fills what follows the first eight states, steady; ``rates`` is x' of the first 8 + S, the
@@ -123,11 +125,11 @@ def memory_functions(
     given = {"x": x, "u": u, "arrived": arrived, "p": p} if memory.line else {"x": x, "u": u, "p": p}
     acting = casadi.vertcat(x[:6], arrived if memory.line else x[6:8], x[8:])
     state = casadi.vertcat(acting, x[6:8])
-    rates = graph.rates(acting[2:], _situation(graph, place_time, state, u, knowledge))[0]
-    residual = predict(graph.features(state, u)[0])[0]
+    answers = correction.call([graph.features(state, u)[0]])
+    rates = graph.rates(acting[2:], _situation(graph, place_time, answers))[0]
     sine, cosine = casadi.sin(x[2]), casadi.cos(x[2])
     pose = casadi.vertcat(x[3] * cosine - x[4] * sine, x[3] * sine + x[4] * cosine, x[5])
-    whole = casadi.vertcat(pose, rates[:3] + residual, u, rates[3:])
+    whole = casadi.vertcat(pose, rates[:3] + answers[0], u, rates[3:])
     functions.append(named_function(graph, f"{name}_rates", given, whole, "rates"))
     if memory.line:
         x = casadi.MX.sym("x", memory.whole)

@@ -66,7 +66,7 @@ def observation() -> casadi.Function:
 
 
 def trust_functions(
-    predict: casadi.Function, graph: NominalGraph, name: str, plain: bool, knowledge: casadi.Function | None = None
+    correction: casadi.Function, graph: NominalGraph, name: str, plain: bool
 ) -> tuple[casadi.Function, ...]:
     """Return ``NAME_step_trusted`` and ``NAME_observe``; nothing where there is no step.
 
@@ -83,11 +83,11 @@ def trust_functions(
         return ()
     given, tau = step_arguments(graph), casadi.MX.sym("tau", 3)
     x, h, trust = given["x"], given["h"], casadi.MX.sym("trust", TRUST_SIZE)
-    shared = stepped(graph, given, predict, plain, knowledge, tau)
+    shared = stepped(graph, given, correction, plain, tau)
     taking = {"x": x, "u": given["u"], "h": h, "tau": tau, "p": given["p"]}
     step = named_function(graph, f"{name}_step_trusted", taking, shared, "x_next")
     velocity, x_end = casadi.MX.sym("v", 3), casadi.MX.sym("x_end", x.shape[0])
-    nominal = _nominal_step(graph, {**given, "x": casadi.vertcat(x[:3], velocity, x[6:])}, knowledge)
+    nominal = _nominal_step(graph, {**given, "x": casadi.vertcat(x[:3], velocity, x[6:])}, correction)
     transition = casadi.jtimes(nominal, velocity, casadi.DM.eye(3))
     nominal, transition = casadi.substitute([nominal, transition], [velocity], [x[3:6]])
     response = casadi.jtimes(shared[3:6], tau, casadi.DM.eye(3))
@@ -97,9 +97,9 @@ def trust_functions(
     return step, named_function(graph, f"{name}_observe", taking, after, "trust_next")
 
 
-def _nominal_step(graph: NominalGraph, given: dict[str, casadi.MX], knowledge: casadi.Function | None) -> casadi.MX:
+def _nominal_step(graph: NominalGraph, given: dict[str, casadi.MX], correction: casadi.Function) -> casadi.MX:
     """Return the velocities after a nominal step of Runge-Kutta."""
-    memory, acting, moving, situation = step_begun(graph, given, knowledge)
+    memory, acting, moving, situation, _ = step_begun(graph, given, correction, written_out=True)
     size, beside = acting.shape[0], situation.shape[0]
     y, m, dt = casadi.MX.sym("y", size + beside), casadi.MX.sym("m", moving.shape[0]), casadi.MX.sym("dt")
     model = whole_model(graph, memory, drawn=True)

@@ -15,8 +15,8 @@ from split_cli.export.c_check import check_c, selftest_source
 from split_cli.export.casadi_function import (
     CasadiFunctions,
     check_casadi,
+    correction_function,
     generate_c,
-    knowledge_function,
     model_step,
     predictor_function,
 )
@@ -245,11 +245,11 @@ def predictor_tables(predictor: Predictor, real: str = "double") -> Constants:
 def casadi_functions(tables: Constants, graph: NominalGraph, name: str, training_set: TrainingSet) -> CasadiFunctions:
     """Return the predictor, the model step and the valid region as CasADi functions."""
     predict = predictor_function(tables, name)
-    knowledge = knowledge_function(tables, training_set.kernel.clearest) if graph.asks_knowledge else None
-    step = model_step(predict, graph, f"{name}_step", training_set.plain, knowledge)
+    correction = correction_function(tables, training_set.kernel.clearest if graph.asks_knowledge else None)
+    step = model_step(correction, graph, f"{name}_step", training_set.plain)
     valid = valid_function(training_set, f"{name}_valid")
-    trust = trust_functions(predict, graph, name, training_set.plain, knowledge)
-    return CasadiFunctions(predict, step, memory_functions(predict, graph, name, knowledge), trust, valid)
+    trust = trust_functions(correction, graph, name, training_set.plain)
+    return CasadiFunctions(predict, step, memory_functions(correction, graph, name), trust, valid)
 
 
 def acados_source(name: str, graph: NominalGraph, horizon: float) -> str:

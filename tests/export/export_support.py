@@ -40,7 +40,8 @@ def source_of(training_set: TrainingSet, real: str = "double", name: str = "car"
     graph = build_nominal(SingleTrack(training_set.vehicle), training_set.features)
     tables = predictor_tables(make_predictor(predictor, training_set), real)
     provenance = provenance_of(training_set, predictor)
-    return c_source(tables, graph, provenance, name, valid_function(training_set), training_set.plain)
+    clearest = training_set.kernel.clearest
+    return c_source(tables, graph, provenance, name, valid_function(training_set), training_set.plain, clearest)
 
 
 def oracle_of(training_set: TrainingSet, queries: int, real: str = "double", predictor: str = "bcm") -> Oracle:

@@ -314,7 +314,7 @@ MUTATIONS = {
     "the residual sees late torque": ("w[STATES] = command[0];", "w[STATES] = state[6] + ZERO * command[0];"),
     "slopes without the play": ("drive[play[k]] = h != ZERO ?", "drive[play[k]] = h == ZERO ?"),
     "a trust that mixes up the velocities": ("running->driven[4 * column + k % 4]", "running->driven[k]"),
-    "a right-hand side without residual": ("rates[3 + o] += g[o];", "rates[3 + o] += ZERO * g[o];"),
+    "a right-hand side without residual": ("rates[3 + o] += at.g[o];", "rates[3 + o] += ZERO * at.g[o];"),
 }
 
 

@@ -28,6 +28,7 @@ from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
 from tests.export.effect_cases import STEP, Exported
+from tests.export.export_support import source_of
 from tests.export.test_export_corrected import WINDOW, lagging_drive
 from tests.factories import road_car
 
@@ -103,6 +104,31 @@ def test_exports_step_as_rollouts_do(exported, learned):
         np.testing.assert_allclose(found[:6], after, rtol=0.0, atol=1e-11)
         car.call("step", x, u, STEP, exact)
         np.testing.assert_allclose(np.asarray(step(x, u, STEP)).ravel(), exact, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_a_step_asks_the_predictor_once(learned, compiler, tmp_path, real):
+    """Mean, slopes and what is known are answers to one query, since all are asked at one place."""
+    training_set = learned[0]
+    source = source_of(training_set, real)
+    entry = "real *open)\n{\n"
+    assert source.source.count(entry) == 1
+    text = source.source.replace(entry, f"{entry}    asked += 1;\n").replace("\nenum {", "\nint asked;\nenum {", 1)
+    (tmp_path / "car.h").write_text(source.header)
+    (tmp_path / "car.c").write_text(text)
+    compiler.build([tmp_path / "car.c"], tmp_path / "car.so", ["-std=c99", "-O0", "-shared", "-fPIC"])
+    library = ctypes.CDLL(str(tmp_path / "car.so"))
+    x = np.array([1.0, 2.0, 0.3, 10.0, 0.2, 0.2, 300.0, 0.02, 0.03], dtype=real)
+    u, end, size = np.array([50.0, 0.3], dtype=real), np.empty(9, dtype=real), len(x)
+    A, B = np.empty((size, size), dtype=real), np.empty((size, 2), dtype=real)
+    step = (ctypes.c_float if real == "float" else ctypes.c_double)(STEP)
+    calls = {"step": (x, u, step, end), "step_rk4": (x, u, step, 4, end), "linearise": (x, u, step, A, B)}
+    calls["rates"] = (x, u, end)
+    asked = ctypes.c_int.in_dll(library, "asked")
+    for name, arguments in calls.items():
+        before = asked.value
+        getattr(library, f"car_{name}")(*(a.ctypes if isinstance(a, np.ndarray) else a for a in arguments))
+        assert asked.value == before + 1, name
 
 
 def test_where_nothing_is_known_the_step_is_that_of_the_vehicle_file(exported):
