@@ -65,12 +65,17 @@ class Predictor(ABC):
         """Return the mean alone at queries `z`, shape (N, 3); cheaper where the variance costs more."""
         return self.predict(z).mean
 
+    def mean_and_knowledge(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean (N, 3) and what `knowledge` does (N,) at queries `z`: two answers for one prediction."""
+        found = self.predict(z)
+        return found.mean, self.training_set.kernel.knowledge(found.variance)
+
     def knowledge(self, z: np.ndarray) -> np.ndarray:
         """Return the share of the prior's variance that labels explain at queries `z`, from 0 to 1, shape (N,).
 
         How far the correction is trusted does not count. `Kernel.knowledge` says of which output it is.
         """
-        return self.training_set.kernel.knowledge(self.predict(z).variance)
+        return self.mean_and_knowledge(z)[1]
 
     @abstractmethod
     def jacobian(self, z: np.ndarray) -> np.ndarray:

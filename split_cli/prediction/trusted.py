@@ -44,9 +44,10 @@ class TrustedPredictor(Predictor):
         believed: np.ndarray = self.share * self.inner.mean(z)
         return believed
 
-    def knowledge(self, z: np.ndarray) -> np.ndarray:
-        """Return the share of the prior's variance that labels explain, whatever the trust, shape (N,)."""
-        return self.inner.knowledge(z)
+    def mean_and_knowledge(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the believed mean (N, 3), and the share of the variance that labels explain whatever the trust."""
+        mean, known = self.inner.mean_and_knowledge(z)
+        return self.share * mean, known
 
     def jacobian(self, z: np.ndarray) -> np.ndarray:
         """Return the believed mean's Jacobian, shape (N, 3, D)."""

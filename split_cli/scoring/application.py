@@ -27,8 +27,15 @@ class Correction:
     features: FeatureSet
     z: np.ndarray  # (rows of the drive, D): recorded features
     residual: Callable[[np.ndarray], np.ndarray]  # features (N, D) to g (N, 3)
-    # Features (N, D) to how much the set knows there, (N,): `Predictor.knowledge`. Asked where a lag depends on it.
-    knowledge: Callable[[np.ndarray], np.ndarray] = lambda at: np.ones(len(at))
+    # Features (N, D) to g (N, 3) and how much the set knows there (N,), as `Predictor.mean_and_knowledge`: asked where
+    # a lag depends on it. Without it all is known.
+    informed: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
+
+    def answers(self, at: np.ndarray, asks_knowledge: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return g (N, 3) at features `at` (N, D) and how much is known there (N,): all of it unless a model asks."""
+        if asks_knowledge and self.informed is not None:
+            return self.informed(at)
+        return self.residual(at), np.ones(len(at))
 
 
 def future_rows(drive: Drive, row: int) -> np.ndarray:
@@ -68,13 +75,17 @@ def correction_from(predictor: Predictor, drive: Drive, z: np.ndarray, starts: n
     features = predictor.training_set.features
     if not predictor.needs_context:
         begun = predictor.beginning(starts)
-        return Correction(features, z, begun.mean, begun.knowledge)
+        return Correction(features, z, begun.mean, begun.mean_and_knowledge)
     situated = [predictor.at(z[future_rows(drive, row)]) for row in starts]
 
-    def each(answer: Callable[[Predictor, np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
-        return lambda at: np.concatenate([answer(s, at[i : i + 1]) for i, s in enumerate(situated)])
+    def mean(at: np.ndarray) -> np.ndarray:
+        return np.concatenate([s.mean(at[i : i + 1]) for i, s in enumerate(situated)])
 
-    return Correction(features, z, each(lambda s, at: s.mean(at)), each(lambda s, at: s.knowledge(at)))
+    def informed(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        both = [s.mean_and_knowledge(at[i : i + 1]) for i, s in enumerate(situated)]
+        return np.concatenate([one for one, _ in both]), np.concatenate([known for _, known in both])
+
+    return Correction(features, z, mean, informed)
 
 
 def left_by_model(predictor: Predictor, drive: Drive, z: np.ndarray, labels: Labels) -> np.ndarray:
@@ -94,7 +105,7 @@ def left_by_model(predictor: Predictor, drive: Drive, z: np.ndarray, labels: Lab
     model = SingleTrack(predictor.training_set.vehicle)
     if not model.asks_knowledge or not len(labels):
         return labels.y
-    knowledge = correction_from(predictor, drive, z, labels.row).knowledge(z[labels.row])
+    _, knowledge = correction_from(predictor, drive, z, labels.row).answers(z[labels.row], True)
     left = np.empty_like(labels.y)
     for rows, piece in pieces(model, drive, labels.row, labels.window):
         local, known = labels.row[rows] - piece.first, knowledge[rows]

@@ -121,14 +121,24 @@ def baseline_tallies(held: HeldOutSamples, model: SingleTrack, variance: np.ndar
     }
 
 
-def predictor_tally(held: HeldOutSamples, predictor: Predictor) -> tuple[ScoreTally, Prediction, Labels]:
-    """Return a predictor's tally on a drive's test samples, its predictions, and what they are compared with."""
+def labels_left(held: HeldOutSamples, predictor: Predictor) -> Labels:
+    """Return a drive's test samples with what the model of a predictor's set leaves of each, however it is trusted."""
     tested = held.labels.take(held.tested)
-    tested = replace(tested, y=left_by_model(predictor, held.drive, held.z, tested))
+    return replace(tested, y=left_by_model(predictor, held.drive, held.z, tested))
+
+
+def predictor_tally(held: HeldOutSamples, predictor: Predictor, tested: Labels) -> tuple[ScoreTally, Prediction]:
+    """Return a predictor's tally on a drive's test samples and its predictions of them.
+
+    Parameters
+    ----------
+    tested : Labels
+        As `labels_left` returns them for this predictor.
+    """
     prediction = predict_rows(predictor, held.drive, held.z, tested.row)
     noise = predictor.training_set.kernel.noise_variance
     tally = ScoreTally.of(tested.y - prediction.mean, tested.accepted, prediction.variance + noise)
-    return tally, prediction, tested
+    return tally, prediction
 
 
 def score(name: str, tally: ScoreTally, baselines: dict[str, ScoreTally], **known: Any) -> Score:

@@ -155,13 +155,12 @@ def _one_step(
         at = features_at(correction.features, model, drive, rows, state[:, -3:], correction.z)
         finite &= np.isfinite(at).all(axis=1)
         at = np.where(finite[:, None], at, 0.0)
-        if model.asks_knowledge:
-            windows = windows.knowing(correction.knowledge(at))
+        residual, known = correction.answers(at, model.asks_knowledge)
+        windows = windows.knowing(known) if model.asks_knowledge else windows
     jacobian = windows.jacobian(model, state)
     finite &= np.isfinite(jacobian).all(axis=(1, 2))
     after = windows.predict(model, state, jacobian, _MOST_SUBSTEPS)
     if correction is not None:
-        residual = correction.residual(np.where(finite[:, None], at, 0.0))
         horizon = window * drive.period
         phi = phi_matrix(np.where(finite[:, None, None], jacobian, 0.0), horizon)
         after[:, -3:] += horizon * np.einsum("nij,nj->ni", phi, residual)

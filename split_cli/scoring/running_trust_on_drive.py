@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from split_cli.learning.labels import inputs_along
+from split_cli.learning.labels import Labels, inputs_along
 from split_cli.learning.pieces import pieces
 from split_cli.learning.running_trust import RunningTrust
 from split_cli.prediction import Prediction, Predictor
 from split_cli.prediction.trusted import TrustedPredictor, untrusted
-from split_cli.scoring.application import left_by_model
 from split_cli.scoring.evaluation import HeldOutSamples
 from split_cli.vehicle.integration import phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
@@ -26,12 +25,14 @@ class FollowedPredictor(Predictor):
         Its set holds the stored trust, which the running one never exceeds.
     held : HeldOutSamples
         The drive as the model of the set labels it. Only its test samples count: on the others the set learned.
+    tested : Labels
+        These samples, as `labels_left` returns them for the predictor.
     """
 
-    def __init__(self, predictor: Predictor, held: HeldOutSamples) -> None:
+    def __init__(self, predictor: Predictor, held: HeldOutSamples, tested: Labels) -> None:
         super().__init__(predictor.training_set)
         self.inner, self.name = untrusted(predictor), predictor.name
-        self._known, self._shares = _shares_along(self.inner, held)
+        self._known, self._shares = _shares_along(self.inner, held, tested)
 
     def shares(self, rows: np.ndarray) -> np.ndarray:
         """Return the running trust at rows of the drive, (N, 3); the stored one until its first interval ends."""
@@ -68,26 +69,28 @@ def _transition(model: SingleTrack, windows: Windows, velocity: np.ndarray, jaco
     return np.stack(columns, axis=2)
 
 
-def _shares_along(inner: Predictor, held: HeldOutSamples) -> tuple[np.ndarray, np.ndarray]:
+def _shares_along(inner: Predictor, held: HeldOutSamples, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
     """Return rows of the drive, ascending, and the shares that are known from each of them on, (N, 3)."""
-    labels = held.labels.take(held.tested)
     trust = RunningTrust(inner.training_set.trust.share, labels.horizon)
     known = labels.row + labels.window
     shares = np.tile(trust.share, (len(labels) + 1, 1))  # the last is for no row
     model, driven_to = SingleTrack(inner.training_set.vehicle), -1
-    left = left_by_model(inner, held.drive, held.z, labels)
     for span, piece in pieces(model, held.drive, labels.row, labels.window):
         rows = labels.row[span] - piece.first
         velocity = np.stack([piece.drive[name][rows] for name in ("vx", "vy", "r")], axis=1)
         z = held.z[labels.row[span]]
         windows = inputs_along(model, piece.drive, piece.recording).windows(rows, labels.window)
-        windows = windows.knowing(inner.knowledge(z)) if model.asks_knowledge else windows
+        if model.asks_knowledge:
+            mean, share = inner.mean_and_knowledge(z)
+            windows = windows.knowing(share)
+        else:
+            mean = inner.mean(z)
         jacobian = windows.jacobian(model, velocity)
         held_for = labels.horizon * phi_matrix(jacobian, labels.horizon)
         transition = _transition(model, windows, velocity, jacobian)
-        rate = left[span][:, :, None]
+        rate = labels.y[span][:, :, None]
         innovation = (labels.horizon * rate if labels.plain else held_for @ rate)[:, :, 0]
-        response = held_for * inner.mean(z)[:, None, :]
+        response = held_for * mean[:, None, :]
         for k in range(len(rows)):
             row = int(labels.row[span][k])
             if row != driven_to:

@@ -111,4 +111,4 @@ def _correction(model: ComparedModel, drive: Drive) -> Correction | None:
         return None
     z = model.trained.features.compute(SingleTrack(model.vehicle), drive)
     predictor = make_predictor(model.predictor, model.trained)
-    return Correction(model.trained.features, z, predictor.mean, predictor.knowledge)
+    return Correction(model.trained.features, z, predictor.mean, predictor.mean_and_knowledge)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,14 @@ from split_cli.learning.trust import Trust
 from split_cli.logs.drive import Drive, open_drive
 from split_cli.logs.drive_metadata import ingest_found
 from split_cli.logs.laps import first_lap
-from split_cli.prediction import PREDICTORS, Prediction, Predictor, make_predictor
+from split_cli.prediction import PREDICTORS, Predictor, make_predictor
 from split_cli.scoring.application import time_per_query
 from split_cli.scoring.evaluation import (
     HeldOutSamples,
     Score,
     ScoreTally,
     baseline_tallies,
+    labels_left,
     pooled_noise_floor,
     predictor_tally,
     rollout_trajectories,
@@ -337,24 +339,30 @@ def _score_predictors(
     for features, held, training_set in labelled_sets:
         longest = max(held, key=lambda h: len(h.tested))
         rows = longest.labels.row[longest.tested]
-        spent: dict[str, float] = {}  # of one query [s]: how far its answer is believed costs nothing
+        # How far an answer is believed changes neither the time of one query [s] nor what it is compared with.
+        spent: dict[str, float] = {}
+        compared: dict[str, list[Labels]] = {}
         for name, way in _named(settings, training_set):
             believed = replace(training_set, trust=Trust.full()) if way == PLAIN else training_set
             progress(f"{features}: {name}{way} on {training_set.size} points")
             predictor = make_predictor(name, believed)
+            if name not in compared:
+                compared[name] = list(engine.map(_called, [(labels_left, h, predictor) for h in held]))
             asked = [predictor] * len(held)
+            pairs = list(zip(held, compared[name], strict=True))
             if way == RUNNING:
-                asked = list(engine.map(_followed, [(predictor, h) for h in held]))
-            parts = list(engine.map(_tally, list(zip(held, asked, strict=True))))
+                asked = list(engine.map(_called, [(FollowedPredictor, predictor, *pair) for pair in pairs]))
+            jobs = [(predictor_tally, h, one, tested) for (h, tested), one in zip(pairs, asked, strict=True)]
+            parts = list(engine.map(_called, jobs))
             label = f"{name}{way}"
             known = {"features": features, "points": training_set.size}
             known["uses_recorded_future"] = predictor.needs_context
-            tally = tallies[label, features] = _sum([part for part, *_ in parts])
+            tally = tallies[label, features] = _sum([part for part, _ in parts])
             if name not in spent:
                 spent[name] = time_per_query(predictor, longest.drive, longest.z, rows)
             scores.append(score(label, tally, pooled, time_per_query=spent[name], **known))
             predictors[label, features] = (held, asked)
-            for h, own, (part, prediction, tested) in zip(held, baselines, parts, strict=True):
+            for (h, tested), own, (part, prediction) in zip(pairs, baselines, parts, strict=True):
                 by_drive.append(score(label, part, own, drive=h.drive.name, **known))
                 noise = training_set.kernel.noise_variance
                 traces.append(Trace(label, features, h, tested, prediction, noise))
@@ -362,12 +370,10 @@ def _score_predictors(
     return scores + (by_drive if len(baselines) > 1 else []), traces, tallies, predictors
 
 
-def _followed(job: tuple[Predictor, HeldOutSamples]) -> Predictor:
-    return FollowedPredictor(*job)
-
-
-def _tally(job: tuple[HeldOutSamples, Predictor]) -> tuple[ScoreTally, Prediction, Labels]:
-    return predictor_tally(*job)
+def _called(job: tuple) -> Any:
+    """Call the first of a job with the others."""
+    function, *arguments = job
+    return function(*arguments)
 
 
 def _named(settings: EvaluationSettings, training_set: TrainingSet) -> list[tuple[str, str]]:
@@ -485,7 +491,7 @@ def _sizes(
         for size, chosen in informative_sets(training_set.vehicle, candidates, training_set.kernel, asked):
             progress(f"{features}: full on the {chosen.size} most informative samples")
             predictor = make_predictor("full", chosen)
-            tally = _sum([predictor_tally(h, predictor)[0] for h in held])
+            tally = _sum([predictor_tally(h, predictor, labels_left(h, predictor))[0] for h in held])
             known = {"features": features, "points": chosen.size}
             scores.append(SizeScore(size, score("full", tally, pooled, **known)))
     return scores

@@ -89,10 +89,10 @@ def test_exports_step_as_rollouts_do(exported, learned):
     z = training_set.features.compute(model, drive)
     starts = (501 * np.arange(10)[:, None] + np.arange(50, 450, 100)).ravel()
     correction = correction_from(predictor, drive, z, starts)
-    known = correction.knowledge(z[starts])
+    known = correction.answers(z[starts], True)[1]
     assert known.min() < 0.3 and known.max() > 0.9
     (expected,) = roll_out(model, drive, starts, 1, WINDOW, correction).transpose(1, 0, 2)
-    whole = roll_out(model, drive, starts, 1, WINDOW, replace(correction, knowledge=lambda at: np.ones(len(at))))
+    whole = roll_out(model, drive, starts, 1, WINDOW, replace(correction, informed=None))
     assert np.abs(whole[:, 0] - expected).max() > 1e-4
     memory = inputs_along(model, drive).situation.states
     commands = np.stack([drive["T"], drive["delta"]], axis=1)

@@ -7,15 +7,18 @@ import numpy as np
 from split_cli.learning.features import Z1, Z2, FeatureSet
 from split_cli.learning.in_memory import train_in_memory
 from split_cli.learning.labels import compute_labels
+from split_cli.learning.trust import Trust
 from split_cli.prediction import make_predictor
 from split_cli.scoring.application import correction_from, features_at, future_rows, left_by_model, predict_rows
-from split_cli.scoring.evaluation import HeldOutSamples, baseline_tallies, predictor_tally, score
+from split_cli.scoring.evaluation import HeldOutSamples, baseline_tallies, labels_left, predictor_tally, score
 from split_cli.scoring.metrics import ErrorSums
+from split_cli.scoring.report import EvaluationSettings
 from split_cli.scoring.rollouts import roll_out
 from split_cli.scoring.splits import hold_out_blocks
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
+from split_cli.workflows.evaluate import evaluate
 from tests.factories import MissingForce, make_drive, make_training_set, road_car
 
 CAR = road_car()
@@ -44,7 +47,7 @@ def test_fitc_is_given_its_own_future_row_by_row_in_scores_and_rollouts():
     np.testing.assert_allclose(correction.residual(z[rows]), found.mean, atol=1e-12)
     kernel = trained.kernel
     explained = 1.0 - found.variance[:, kernel.clearest] / kernel.signal_variance[kernel.clearest]
-    np.testing.assert_allclose(correction.knowledge(z[rows]), explained, atol=1e-12)
+    np.testing.assert_allclose(correction.answers(z[rows], True)[1], explained, atol=1e-12)
 
 
 def test_features_follow_the_models_state_and_take_inputs_as_recorded():
@@ -80,7 +83,8 @@ def test_scores_are_those_of_the_errors_themselves():
     model = SingleTrack(CAR)
     held = HeldOutSamples(drive, hold_out_blocks(drive, 10, 0.3, 0.5), labels, Z2.compute(model, drive))
     predictor = make_predictor("bcm", make_training_set(points=500))
-    tally, prediction, tested = predictor_tally(held, predictor)
+    tested = labels_left(held, predictor)
+    tally, prediction = predictor_tally(held, predictor, tested)
     np.testing.assert_array_equal(tested.row, labels.row[held.tested])
     tested = labels.take(held.tested)
     np.testing.assert_array_equal(prediction.mean, predictor.predict(tested.z).mean)
@@ -131,6 +135,26 @@ def test_a_lag_acts_as_far_as_the_set_knows_in_one_step_and_in_rollouts(monkeypa
     # In pieces as at once: what the wheel remembers is handed on.
     monkeypatch.setattr("split_cli.learning.pieces.PIECE_ROWS", 100)
     np.testing.assert_allclose(left_by_model(predictor, drive, z, labels), left, rtol=0.0, atol=1e-10)
+
+
+def test_what_a_model_leaves_is_worked_out_once_for_all_ways_to_trust_it(monkeypatch):
+    trained, drive, z, labels = of_a_part()
+    trained = replace(trained, trust=Trust((0.5, 0.9, 0.8), "held-out", 9, (1.0, 1.0, 1.0)))
+    asked = []
+
+    def counted(predictor, *arguments):
+        asked.append(predictor.name)
+        return left_by_model(predictor, *arguments)
+
+    monkeypatch.setattr("split_cli.scoring.evaluation.left_by_model", counted)
+    settings = EvaluationSettings(predictors=("bcm", "projected"), rollout=())
+    run = evaluate([drive], CAR, settings, trained)
+    assert asked == ["bcm", "projected"] and len(run.traces) == 6
+    for trace in run.traces:
+        predictor = make_predictor(trace.name.split(",")[0], trained)
+        rows = np.isin(labels.row, trace.tested.row)
+        expected = left_by_model(predictor, drive, z, labels.take(rows))
+        np.testing.assert_allclose(trace.tested.y, expected, rtol=0.0, atol=1e-12)
 
 
 def test_without_such_a_lag_labels_are_what_is_left():

@@ -11,7 +11,7 @@ from split_cli.learning.labels import compute_labels
 from split_cli.logs.drive import Drive
 from split_cli.prediction import Predictor, make_predictor
 from split_cli.scoring.application import predict_rows
-from split_cli.scoring.evaluation import HeldOutSamples, rollout_trajectories
+from split_cli.scoring.evaluation import HeldOutSamples, labels_left, rollout_trajectories
 from split_cli.scoring.rollouts import score_rollouts
 from split_cli.scoring.running_trust_on_drive import FollowedPredictor
 from split_cli.scoring.splits import hold_out_blocks, whole_drive
@@ -28,6 +28,10 @@ def whole(drive: Drive) -> HeldOutSamples:
     )
 
 
+def followed_along(predictor: Predictor, held: HeldOutSamples) -> FollowedPredictor:
+    return FollowedPredictor(predictor, held, labels_left(held, predictor))
+
+
 @pytest.fixture(scope="module")
 def predictor() -> Predictor:
     """Of a set that is trusted whole."""
@@ -37,7 +41,7 @@ def predictor() -> Predictor:
 
 def errors(held: HeldOutSamples, predictor: Predictor) -> dict[str, np.ndarray]:
     """Return root mean square errors of rollouts of 1 s, shape (3,), nominal, as stored and followed."""
-    ways = {("stored", ""): (held, predictor), ("followed", ""): (held, FollowedPredictor(predictor, held))}
+    ways = {("stored", ""): (held, predictor), ("followed", ""): (held, followed_along(predictor, held))}
     starts, rolled = rollout_trajectories(held, SingleTrack(CAR), ways, 20)
     sums = score_rollouts(held.drive, starts, held.labels.window, rolled)
     return {name: sums.rmse[-1] for (name, _), sums in sums.items()}
@@ -60,7 +64,7 @@ def test_shares_rest_on_what_was_driven_before(predictor):
     row = 120
     columns = {name: np.concatenate([drive[name][:row], other[name][row:]]) for name in drive.columns}
     mixed = Drive("mixed", columns, drive.segment, drive.period, metadata=drive.metadata)
-    found, changed = (FollowedPredictor(predictor, whole(d)) for d in (drive, mixed))
+    found, changed = (followed_along(predictor, whole(d)) for d in (drive, mixed))
     before, after = np.arange(row), np.arange(row + 25, len(drive))
     np.testing.assert_array_equal(found.shares(before), changed.shares(before))
     assert not np.array_equal(found.shares(after), changed.shares(after))
@@ -76,7 +80,7 @@ def test_rows_that_train_say_nothing(predictor):
     columns = {name: np.where(split.test, drive[name], other[name]) for name in drive.columns}
     mixed = Drive("mixed", columns, drive.segment, drive.period, metadata=drive.metadata)
     shares = [
-        FollowedPredictor(predictor, replace(whole(one), split=split)).shares(np.arange(len(drive)))
+        followed_along(predictor, replace(whole(one), split=split)).shares(np.arange(len(drive)))
         for one in (drive, mixed)
     ]
     assert shares[0].any()
@@ -85,7 +89,7 @@ def test_rows_that_train_say_nothing(predictor):
 
 def test_its_predictions_are_the_sets_times_the_shares(predictor):
     held = whole(make_drive(1, segments=2, seconds=5.0, terms=[LIKE], vehicle=CAR))
-    followed, rows = FollowedPredictor(predictor, held), np.array([0, 40, 41, 300])
+    followed, rows = followed_along(predictor, held), np.array([0, 40, 41, 300])
     found = predict_rows(followed, held.drive, held.z, rows)
     raw = predictor.predict(held.z[rows])
     np.testing.assert_allclose(found.mean, followed.shares(rows) * raw.mean)

@@ -79,7 +79,7 @@ def evaluation_charts(run: EvaluationRun) -> tuple[Chart, ...]:
     predictor = make_predictor(trace.name.split(",")[0], own)
     if not predictor.needs_context:
         z = own.features.compute(SingleTrack(vehicle), part)
-        correction = Correction(own.features, z, predictor.mean, predictor.knowledge)
+        correction = Correction(own.features, z, predictor.mean, predictor.mean_and_knowledge)
         subjects.append(Subject(f"with {trace.name}", "learned", part, vehicle, correction))
     learned = LearnedForces(trace.name, trace.tested.row, trace.prediction)
     residuals = [
