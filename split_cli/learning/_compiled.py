@@ -18,6 +18,10 @@ _JITTERS = np.array([0.0, 1e-13, 1e-12, 1e-11, 1e-10])
 
 # ---- the update of cells ---------------------------------------------------------------------------------------
 
+# Columns of the points of a cell, behind their D features: one array, since Python takes 50 ns to hand over each, and
+# a cell of thousands is not in the processor's cache.
+_GAMMA, _CLOCK = -2, -1
+
 
 @compiled(cache=True)
 def _correlation(a: ndarray, b: ndarray, inverse_scales: ndarray) -> float:
@@ -164,9 +168,7 @@ def update_cells(
     threshold: float,
     forgetting: float,
     count: ndarray,
-    z: ndarray,
-    gamma: ndarray,
-    clock: ndarray,
+    points: ndarray,
     sums: ndarray,
     origin: ndarray,
 ) -> tuple[ndarray, int, int]:
@@ -184,8 +186,9 @@ def update_cells(
         Reciprocal length scales.
     threshold, forgetting : float
         Forgetting 0 is off.
-    count, z, gamma, clock, origin : ndarray, shape (C,), (C, M, D), (C, M), (C, M), (C, M)
-        The cells, altered in place; `origin` receives the sample that fills a slot.
+    count, points, origin : ndarray, shape (C,), (C, M, D + 2), (C, M)
+        The cells, altered in place: of each point the features, the gain and its time. `origin` receives the
+        sample that fills a slot.
     sums : ndarray, shape (C, M, M + 3)
         Over all labels: the lower triangle of `information`, and behind its columns `absorbed` of `TrainingSet`.
         Of shape (C, 0, 0) where they are not kept.
@@ -195,28 +198,30 @@ def update_cells(
     (ndarray of int8, int, int)
         What became of each sample, repairs by jitter, and the first cell no jitter could repair or -1.
     """
-    capacity = z.shape[1]
+    capacity = points.shape[1]
     outcome = np.zeros(len(samples), dtype=np.int8)
     # Only triangles that were written are read; filling the rest costs more than a small cell's update.
     low, inverse = np.empty((capacity, capacity)), np.empty((capacity, capacity))
-    k, absorbs = np.empty((3, max(capacity, z.shape[2]))), sums.shape[1] > 0
+    k, absorbs = np.empty((3, max(capacity, len(inverse_scales)))), sums.shape[1] > 0
     repairs = 0
     for group in range(len(cell_of_group)):
         c = cell_of_group[group]
-        jitter = _refresh(z[c], count[c], 0, inverse_scales, low, inverse, gamma[c])
-        weakest = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
+        own = points[c]
+        gamma, clock = own[:, _GAMMA], own[:, _CLOCK]
+        jitter = _refresh(own, count[c], 0, inverse_scales, low, inverse, gamma)
+        weakest = _least(gamma, clock, count[c], 0.0, 0.0)
         for position in range(groups[group], groups[group + 1]):
             sample = order[position]
             n = count[c]
             slot, least = weakest
             if forgetting > 0.0:
-                slot, least = _least(gamma[c], clock[c], n, clock_new[sample], forgetting)
+                slot, least = _least(gamma, clock, n, clock_new[sample], forgetting)
                 # A cell with room whose points grow old must let them go too, or they never leave.
                 bound = least if n == capacity else min(threshold, least)
             else:
                 bound = least if n == capacity else threshold
             # Here and not in a call, which would count references to ten arrays for each sample.
-            spans = _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, bound)
+            spans = _spanned_by(samples[sample], own, n, inverse_scales, inverse, k, bound)
             if spans <= n:
                 if absorbs:
                     _span(spans, inverse, k)
@@ -224,14 +229,14 @@ def update_cells(
                 continue
             outcome[sample], slot, jitter = _take(
                 c, sample, clock_new[sample], samples, inverse_scales, threshold, forgetting, slot,
-                jitter, low, inverse, k, count, z, gamma, clock, sums,
+                jitter, low, inverse, k, count, points, sums,
             )  # fmt: skip
             origin[c, slot] = sample
             if jitter < 0:
                 return outcome, repairs, c
             if jitter > 0:
                 repairs += 1
-            weakest = _least(gamma[c], clock[c], count[c], 0.0, 0.0)
+            weakest = _least(gamma, clock, count[c], 0.0, 0.0)
     return outcome, repairs, -1
 
 
@@ -245,25 +250,23 @@ def update_cell(
     threshold: float,
     forgetting: float,
     count: ndarray,
-    z: ndarray,
-    gamma: ndarray,
-    clock: ndarray,
+    points: ndarray,
     sums: ndarray,
 ) -> tuple[int, int, int]:
     """Offer row `sample` of `samples` to one cell: `update_cells` for a label alone, to the bit.
 
-    Every array that Python hands over costs some 50 ns, and so do two that are made here: none only sorts. Returns
+    Every array that Python hands over costs some 50 ns, and so does one that is made here: none only sorts. Returns
     what became of the sample, the slot of one that was taken, and the repairs by jitter, -1 when none sufficed.
     """
-    n = count[cell]
-    room = min(n + 1, z.shape[1])  # short rows lie together in memory
-    low, inverse = np.empty((room, room)), np.empty((room, room))
-    k = np.empty((3, max(room, z.shape[2])))
-    jitter = _refresh(z[cell], n, 0, inverse_scales, low, inverse, gamma[cell])
-    slot, least = _least(gamma[cell], clock[cell], n, time, forgetting)
-    full = n == z.shape[1]
+    n, own = count[cell], points[cell]
+    room = min(n + 1, len(own))  # short rows lie together in memory
+    work = np.empty((2 * room + 3, max(room, len(inverse_scales))))
+    low, inverse, k = work[:room], work[room : 2 * room], work[2 * room :]
+    jitter = _refresh(own, n, 0, inverse_scales, low, inverse, own[:, _GAMMA])
+    slot, least = _least(own[:, _GAMMA], own[:, _CLOCK], n, time, forgetting)
+    full = n == len(own)
     bound = least if full else min(threshold, least) if forgetting > 0.0 else threshold
-    spans = _spanned_by(samples[sample], z[cell], n, inverse_scales, inverse, k, bound)
+    spans = _spanned_by(samples[sample], own, n, inverse_scales, inverse, k, bound)
     if spans <= n:
         if sums.shape[1] > 0:
             _span(spans, inverse, k)
@@ -271,7 +274,7 @@ def update_cell(
         return 0, 0, 0
     became, slot, jitter = _take(
         cell, sample, time, samples, inverse_scales, threshold, forgetting, slot,
-        jitter, low, inverse, k, count, z, gamma, clock, sums,
+        jitter, low, inverse, k, count, points, sums,
     )  # fmt: skip
     return became, slot, -1 if jitter < 0 else int(jitter > 0)
 
@@ -291,37 +294,36 @@ def _take(
     inverse: ndarray,
     k: ndarray,
     count: ndarray,
-    z: ndarray,
-    gamma: ndarray,
-    clock: ndarray,
+    points: ndarray,
     sums: ndarray,
 ) -> tuple[int, int, int]:
     """Take a sample into cell `c`, whose factors and jitter are those of `_refresh`, in place of `slot` without room.
 
     Returns what became of it (`_INSERTED`, `_REPLACED`), its slot, and the jitter that the cell needs then.
     """
-    capacity, n, absorbs = z.shape[1], count[c], sums.shape[1] > 0
+    own, n, absorbs = points[c], count[c], sums.shape[1] > 0
+    capacity, dimension = len(own), len(inverse_scales)
     if n < capacity and (
-        forgetting <= 0.0 or _spanned_by(samples[sample], z[c], n, inverse_scales, inverse, k, threshold) > n
+        forgetting <= 0.0 or _spanned_by(samples[sample], own, n, inverse_scales, inverse, k, threshold) > n
     ):
         slot, became = n, _INSERTED
         count[c] = n + 1
     else:
         became = _REPLACED
-    for feature in range(z.shape[2]):  # a row put into another would compile the words of an error
-        k[2, feature] = z[c, slot, feature]
-        z[c, slot, feature] = samples[sample, feature]
-    clock[c, slot] = now
+    for feature in range(dimension):  # a row put into another would compile the words of an error
+        k[2, feature] = own[slot, feature]
+        own[slot, feature] = samples[sample, feature]
+    own[slot, _CLOCK] = now
     same = slot if jitter == 0 else 0
-    jitter = _refresh(z[c], count[c], same, inverse_scales, low, inverse, gamma[c])
+    jitter = _refresh(own, count[c], same, inverse_scales, low, inverse, own[:, _GAMMA])
     if absorbs and jitter >= 0:
         if became == _REPLACED:
-            _spanned_by(k[2], z[c], n, inverse_scales, inverse, k, -1.0)
+            _spanned_by(k[2], own, n, inverse_scales, inverse, k, -1.0)
             _span(n, inverse, k)
             _hand_over(slot, n, k, sums[c])
         sums[c, slot, slot] += 1.0
         for output in range(3):
-            sums[c, slot, capacity + output] += samples[sample, z.shape[2] + output]
+            sums[c, slot, capacity + output] += samples[sample, dimension + output]
     return became, slot, jitter
 
 

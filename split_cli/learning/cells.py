@@ -20,6 +20,8 @@ from split_cli.vehicle.parameters import Vehicle
 DEFAULT_CAPACITY = 10
 DEFAULT_THRESHOLD = 1e-3
 _POINT_ARRAYS = ("z", "y", "gamma", "t", "source", "row")
+#: What the compiled update takes as one array: a point's features, its gain, and its time on the clock of learning.
+_COLUMNS: dict[str, int | slice] = {"z": slice(None, -2), "gamma": -2, "clock": -1}
 
 
 def empty_set(
@@ -188,10 +190,9 @@ def warm_up() -> None:
 
     whole, one = np.zeros(1, dtype=np.int64), np.ones(2)
     window_errors(one, one, one, one, one, whole, 1, 1.0, np.ones(16), False, one)
-    z, sample = np.zeros((1, 1)), np.zeros((1, 4))
-    cells = np.zeros((1, 1, 1)), z.copy(), z.copy(), np.zeros((1, 1, 4))
+    sample, cells = np.zeros((1, 4)), (np.zeros((1, 1, 3)), np.zeros((1, 1, 4)))
     origin = np.zeros((1, 1), dtype=np.int64)
-    update_cells(np.arange(2), whole, whole, sample, z[0], one[:1], 0.5, 0.0, whole.copy(), *cells, origin)
+    update_cells(np.arange(2), whole, whole, sample, np.zeros(1), one[:1], 0.5, 0.0, whole.copy(), *cells, origin)
     update_cell(0, 0, 0.0, sample, one[:1], 0.5, 0.0, whole.copy(), *cells)
     cell_number(np.zeros(1), one, np.ones((5, 1)), 62)
 
@@ -241,26 +242,32 @@ class _Cells:
         self.numbers = training_set.cell_numbers.tolist()
         self.position = {number: index for index, number in enumerate(self.numbers)}
         self.count = np.diff(training_set.offsets).astype(np.int64)
-        names = (*_POINT_ARRAYS, "clock", "sums")
+        names = ("points", "sums", *(name for name in _POINT_ARRAYS if name not in _COLUMNS))
         self.slots = {name: self._blank(name, len(self.numbers)) for name in names}
         #: Which of the samples offered together each slot was written from; -1 between offers.
         self.origin = np.full((len(self.numbers), training_set.capacity), -1, dtype=np.int64)
         filled = self._filled()
         for name in _POINT_ARRAYS:
-            self.slots[name][filled] = getattr(training_set, name)
+            self.values(name)[filled] = getattr(training_set, name)
         starts = np.array([source.start_time for source in training_set.sources])
         begin = np.array(self.base[:-1]) - starts
-        self.slots["clock"][filled] = begin[training_set.source] + training_set.t
+        self.values("clock")[filled] = begin[training_set.source] + training_set.t
         if self.absorbs:
             sums, room = self.slots["sums"], training_set.capacity
             sums[:, :, :room][_pairs(filled)], sums[:, :, room:][filled] = training_set.sums()
 
     def _blank(self, name: str, cells: int) -> np.ndarray:
+        room = self.set.capacity
         if name == "sums":
-            room = self.set.capacity
             return np.zeros((cells, room, room + 3) if self.absorbs else (cells, 0, 0))
-        like = self.set.t if name == "clock" else getattr(self.set, name)
-        return np.zeros((cells, self.set.capacity, *like.shape[1:]), dtype=like.dtype)
+        if name == "points":
+            return np.zeros((cells, room, len(self.inverse_scales) + 2))
+        like = getattr(self.set, name)
+        return np.zeros((cells, room, *like.shape[1:]), dtype=like.dtype)
+
+    def values(self, name: str) -> np.ndarray:
+        """Return what every slot holds by its name, shape (C, M) or (C, M, D): a view."""
+        return self.slots["points"][:, :, _COLUMNS[name]] if name in _COLUMNS else self.slots[name]
 
     def _filled(self) -> np.ndarray:
         return np.arange(self.set.capacity) < self.count[: len(self.numbers), None]
@@ -318,9 +325,7 @@ class _Cells:
             self.set.threshold,
             self.set.forgetting or 0.0,
             self.count,
-            self.slots["z"],
-            self.slots["gamma"],
-            self.slots["clock"],
+            self.slots["points"],
             self.slots["sums"],
             self.origin,
         )
@@ -356,9 +361,7 @@ class _Cells:
             self.set.threshold,
             self.set.forgetting or 0.0,
             self.count,
-            slots["z"],
-            slots["gamma"],
-            slots["clock"],
+            slots["points"],
             slots["sums"],
         )
         if repairs:
@@ -412,7 +415,7 @@ class _Cells:
         # A cell is entered when a sample is offered, and its first sample always stays.
         order = np.argsort(numbers)
         filled = self._filled()[order]
-        arrays = {name: self.slots[name][order][filled] for name in _POINT_ARRAYS}
+        arrays = {name: self.values(name)[order][filled] for name in _POINT_ARRAYS}
         if self.absorbs:
             sums, room = self.slots["sums"][order], self.set.capacity
             lower = np.tril(sums[:, :, :room])

@@ -68,7 +68,7 @@ class OnlineSet:
     def cell(self, position: int) -> tuple[np.ndarray, np.ndarray]:
         """Return features (n, D) and labels (n, 3) of the cell at `position`, in slot order."""
         count = self._cells.count[position]
-        return self._cells.slots["z"][position, :count], self._cells.slots["y"][position, :count]
+        return self._cells.values("z")[position, :count], self._cells.slots["y"][position, :count]
 
     def begin_drive(self, name: str, start_time: float) -> None:
         """Begin a drive, which becomes a source of the set."""

@@ -123,8 +123,7 @@ def our_update(stream: Samples) -> list[Timed]:
     shape = (int(cells.max()) + 1, s.capacity)
     settings = (np.concatenate([stream.z, stream.y], axis=1), 1.0 / s.kernel.length_scales, s.threshold, 0.0)
     state = (
-        np.zeros(shape[0], dtype=np.int64), np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape),
-        np.zeros((*shape, s.capacity + 3)),
+        np.zeros(shape[0], dtype=np.int64), np.zeros((*shape, 5)), np.zeros((*shape, s.capacity + 3)),
     )  # fmt: skip
     times, taken = [], []
     for sample, cell in enumerate(cells.tolist()):
@@ -135,10 +134,10 @@ def our_update(stream: Samples) -> list[Timed]:
             taken.append(sample)
 
     @njit
-    def loop(cells, taken, samples, inverse_scales, threshold, forgetting, count, z, gamma, clock, sums):
+    def loop(cells, taken, samples, inverse_scales, threshold, forgetting, count, points, sums):
         for sample in taken:
             at = cells[sample]
-            update_cell(at, sample, 0.0, samples, inverse_scales, threshold, forgetting, count, z, gamma, clock, sums)
+            update_cell(at, sample, 0.0, samples, inverse_scales, threshold, forgetting, count, points, sums)
 
     rows, means = np.array(taken), []
     for _ in range(5):
