@@ -377,12 +377,13 @@ def _read_blocks(
     }
     columns: dict[int, GrowingColumn] = {}
     bad: Counter[int] = Counter()
-    for share, block in _blocks(path, dialect, options):
+    for share, blocks in _blocks(path, dialect, options):
         # Rows like the first ones fill the file: room for all and a twentieth more spares copies.
-        columns = columns or {index: GrowingColumn(expected=int(1.05 * block.num_rows / share)) for index in indices}
-        for index in indices:
-            for cells in block.column(str(index)).chunks:
-                if pa.types.is_string(cells.type):
+        rows = sum(block.num_rows for block in blocks)
+        columns = columns or {index: GrowingColumn(expected=int(1.05 * rows / share)) for index in indices}
+        for block in blocks:
+            for index, cells in zip(indices, block.columns, strict=True):
+                if kind == pa.string():
                     numbers, none = _numbers(cells, dialect.decimal)
                     bad[index] += none
                 else:
@@ -393,8 +394,8 @@ def _read_blocks(
     return values, bad, sum(ragged)
 
 
-def _blocks(path: Path, dialect: Dialect, options: dict[str, Any]) -> Iterator[tuple[float, Any]]:
-    """Yield tables of some rows each, and the share of the file that each is, at least where it is a plain one.
+def _blocks(path: Path, dialect: Dialect, options: dict[str, Any]) -> Iterator[tuple[float, list[Any]]]:
+    """Yield batches of some rows each, and the share of the file that they are, at least where it is a plain one.
 
     Where there are several processors, threads parse the rows of one table together, while the one before is used.
     """
@@ -410,7 +411,7 @@ def _blocks(path: Path, dialect: Dialect, options: dict[str, Any]) -> Iterator[t
             rows = _rewritten(stream.get_stream(dialect.offset, size), dialect)
             share = min(options["read_options"].block_size / size, 1.0) if size else 1.0
             for block in arrow_csv.open_csv(rows, **options):
-                yield share, pa.Table.from_batches([block])
+                yield share, [block]
             return
         parts = list(_parts(path, dialect.offset, end))
 
@@ -422,7 +423,7 @@ def _blocks(path: Path, dialect: Dialect, options: dict[str, Any]) -> Iterator[t
             for place, (first, last) in enumerate(parts):
                 table = coming.pop().result()
                 coming += [ahead.submit(parsed, *part) for part in parts[place + 1 : place + 2]]
-                yield (last - first) / size, table
+                yield (last - first) / size, table.to_batches()
                 del table
 
 
