@@ -107,6 +107,9 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("rad", "rad", 1.0), "radian radians"),
     (Unit("mrad", "rad", 1e-3), ""),
     (Unit("deg", "rad", _DEGREE), "° degree degrees"),
+    (Unit("cdeg", "rad", 1e-2 * _DEGREE), "centideg centidegrees"),
+    (Unit("gon", "rad", np.pi / 200.0), ""),
+    (Unit("rev", "rad", 2.0 * np.pi), "turn turns revolution revolutions"),
     (Unit("rad/s", "rad/s", 1.0), "radps rad/sec rad.s-1"),
     (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec deg.s-1 dps"),
     (Unit("mdeg/s", "rad/s", 1e-3 * _DEGREE), "mdps milli-dps millidps"),
@@ -119,6 +122,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("N m", "N m", 1.0), "Nm N.m N-m newtonmetre newtonmeter newton-m newton-metre newton-meter"),
     (Unit("N mm", "N m", 1e-3), "Nmm N.mm N-mm newton-mm newtonmillimetre newtonmillimeter"),
     (Unit("kN m", "N m", 1e3), "kNm kN.m"),
+    (Unit("kgf m", "N m", STANDARD_GRAVITY), "kgfm kgf.m kgf-m"),
     (Unit("lbf in", "N m", _POUND_FORCE * 0.0254), "lbin in-lb in-lbf inlb lbf.in lb-in"),
     (Unit("lbf ft", "N m", _POUND_FORCE * 0.3048), "lbft ft-lb ft-lbf ftlb lbf.ft lbf-ft lb-ft lb.ft"),
     (Unit("N", "N", 1.0), "newton"),
@@ -179,7 +183,19 @@ def find_unit(symbol: str) -> Unit | None:
 
 
 def _known_unit(spelled: str) -> Unit | None:
-    return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower()) or _quotient(spelled)
+    return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower()) or _quotient(spelled) or _part_of_ten(spelled)
+
+
+_PART_OF_TEN = re.compile(r"(1e-\d{1,2}|0\.0*1)([^\d.].*)", re.IGNORECASE)
+"""A power of ten before a unit, of a step that a whole number counts: 1e-7deg, 0.01 m/s."""
+
+
+def _part_of_ten(spelled: str) -> Unit | None:
+    found = _PART_OF_TEN.fullmatch(spelled)
+    unit = _known_unit(found[2]) if found else None
+    if found is None or unit is None or unit.offset:
+        return None
+    return Unit(f"{float(found[1]):g} {unit.symbol}", unit.si, float(found[1]) * unit.factor)
 
 
 #: Words within a unit's name. Some lack letters, since bus databases cut names (``Unit_MeterPerSeconSquar``).

@@ -119,7 +119,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     bare = {note.where for note in recording.notes if note.what.startswith("not readable")}
     undefined = dict.fromkeys(i.type_name for i in infos if i.name in bare and "/" in i.type_name)
     mapped = {s.channel: s for s in suggestions if s.status != "open"}
-    by_wheels = trial.outer_wheels_are_faster(trial.columns(mapped))
+    by_wheels = trial.outer_wheels_are_faster({**trial.speed_of_wheels(mapped), **trial.columns(mapped)})
     left_by = what_tells_left(mapped, infos, by_wheels)
     if not left_by:
         suggestions = [without_a_side(s) for s in suggestions]
@@ -145,6 +145,7 @@ def _usable(
     opened: list[Suggestion] = []
     usable: dict[str, list[TrialCandidate]] = {}
     copies = copies_of_others(candidates, trial.signals)
+    candidates = [trial.with_unit_of_the_fix(candidate) for candidate in candidates]
     for candidate in candidates:
         reason = trial.unusable(candidate) or copies.get(candidate.sources, "")
         if reason:
@@ -172,7 +173,7 @@ def _judged(
     suggestions = [_as_course(s, consistency, trial, corrected) if s.channel == "yaw" else s for s in suggestions]
     in_doubt = {s.channel for s in suggestions if s.status == "open"}
     clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
-    turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
+    turning = {**trial.speed_of_wheels(corrected), **trial.motion_of_pose(clear, ("vx", "r")), **clear}
     steering = read_steering(corrected, turning, trial.vehicle)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
     alone = {
