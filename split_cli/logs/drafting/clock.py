@@ -115,7 +115,7 @@ def _time_of_column(
         return _rows_or_seconds(info.name, values, _rate_from_motion(candidates, signals)[0])
     also = f"   # also rises: {', '.join(others)}" if others else ""
     line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
-    values = over_midnight(values) if unit == "s" else values
+    values = over_midnight(values, 1.0 / find_unit(unit).factor)
     return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
 
 

@@ -1,0 +1,182 @@
+"""Ways of writing rows, titles, cells and clocks that were first met in logs as sixty kinds of programs write them."""
+
+import numpy as np
+import pytest
+
+from split_cli.logs.assembling.assemble import assemble_drive
+from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.readers.cells import number_of
+from split_cli.logs.readers.clock_of_day import counted_clock, over_midnight
+from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.signal_map import map_from_mapping
+from split_cli.workflows.ingesting.ingest import open_logs
+from split_cli.workflows.ingesting.init import init_project
+from split_cli.workflows.sources import find_sources, left_alone
+from tests.logs.planted import PlantedDrive, write_table
+
+DEG = 180.0 / np.pi
+CHANNELS = {"Speed": ("vx", 3.6, "km/h"), "YawRate": ("r", DEG, "deg/s"), "LatAcc": ("ay", 1.0, "m/s^2")}
+
+
+@pytest.fixture(scope="module")
+def car() -> PlantedDrive:
+    return PlantedDrive(seconds=40.0)
+
+
+@pytest.fixture(scope="module")
+def rows(car):
+    """Return time and values of three channels in the units of a logger, row by row."""
+    t = np.arange(0.0, 40.0, 0.02)
+    return np.column_stack([t, *(factor * car.at(channel, t) for channel, factor, _ in CHANNELS.values())])
+
+
+def check(recording, car, names=tuple(CHANNELS)):
+    """Compare what a recording holds with the truth, in the units that it states."""
+    read = recording.read(list(names))
+    for name, (channel, factor, unit) in zip(names, CHANNELS.values(), strict=True):
+        t = np.arange(0.0, 40.0, 0.02)
+        good = np.isfinite(read[name].values)
+        assert read[name].unit in (unit, None) and np.count_nonzero(good) == len(t)
+        assert read[name].values[good] == pytest.approx(factor * car.at(channel, t), abs=1e-4 * factor)
+
+
+def lines_of(rows, separator):
+    return [separator.join(f"{value:.6f}" for value in row) for row in rows]
+
+
+def test_rows_above_the_values_that_begin_with_their_label(rows, car, tmp_path):
+    """The row of comments, next to the values, was taken for the names."""
+    numbered = [f"{n}\t{line}" for n, line in enumerate(lines_of(rows, "\t"))]
+    head = ["Vehicle:\tXC", "", "Name\tTime\t" + "\t".join(CHANNELS), "Unit\ts\tkm/h\tdeg/s\tm/s2"]
+    head += ["Comment\ttime\tspeed of travel\tgyro\tacceleration"]
+    (tmp_path / "log.txt").write_text("\n".join([*head, *numbered]))
+    check(open_recording(tmp_path / "log.txt"), car)
+    traced = [("trace_values," if n == 0 else ",") + line for n, line in enumerate(lines_of(rows, ","))]
+    head = ["meta_end,,,,", "name,time," + ",".join(CHANNELS), "path,,Plant/v,Plant/r,Plant/a"]
+    (tmp_path / "log.csv").write_text("\n".join([*head, "unit,s,km/h,deg/s,m/s^2", *traced]))
+    recording = open_recording(tmp_path / "log.csv")
+    check(recording, car)
+    assert draft_map(recording).time == "time: {source: time, unit: s}"
+
+
+def test_titles_that_commas_part_stand_above_values_that_blanks_part(rows, car, tmp_path):
+    """The titles of POSPac hold blanks themselves: they were called too many for the values."""
+    titles = "TIME, Z ANGULAR RATE, Y ACCELERATION, GROUND SPEED\n( TIME IN Sec, RATE IN Degrees )\n\n"
+    order = rows[:, [0, 2, 3, 1]]
+    (tmp_path / "log.txt").write_text(titles + "\n".join(lines_of(order, "   ")))
+    names = ("GROUND SPEED", "Z ANGULAR RATE", "Y ACCELERATION")
+    check(open_recording(tmp_path / "log.txt"), car, names)
+
+
+@pytest.mark.parametrize(
+    "form", ["t:{:.0f},v:{:.6f},yaw_rate:{:.6f},ay:{:.6f}", "t={:.0f} v={:.6f}  yaw_rate={:.6f} ay={:.6f}"]
+)
+def test_lines_of_names_with_values_are_a_table(form, rows, car, tmp_path):
+    written = [form.format(1e3 * row[0], *row[1:]) for row in rows]
+    (tmp_path / "log.log").write_text("Booting...\nGPS: waiting\n" + "\n".join(written) + "\n")
+    recording = open_recording(tmp_path / "log.log")
+    check(recording, car, ("v", "yaw_rate", "ay"))
+    draft = draft_map(recording)
+    assert draft.time == "time: {source: t, unit: ms}" and draft.of("r").unit == "deg/s"
+    assert [note.count for note in recording.notes if "another form" in note.what] == [1]  # GPS: is a pair
+
+
+@pytest.mark.parametrize("lines", [["12:00:01,1.5,2.5"] * 9, ["a: 1"] * 9, ["x:hello,y:world"] * 9])
+def test_other_lines_are_no_names_with_values(lines):
+    from split_cli.logs.readers.labelled_lines import is_labelled
+
+    assert not is_labelled("\n".join([*lines, ""]).encode())
+
+
+def test_cells_with_their_unit_are_read_in_si(rows, car, tmp_path):
+    """A dashboard scales each cell by itself: 950 mm/s beside 1.2 m/s."""
+    written = [f"{r[0]:.3f},{r[1] / 3.6 * (1e3 if n % 2 else 1):.4f} {'mm/s' if n % 2 else 'm/s'},"
+               f"{r[2]:.5f} °/s,{r[3]:.5f} m/s²" for n, r in enumerate(rows)]  # fmt: skip
+    (tmp_path / "log.csv").write_text("Time,speed,yaw_rate,lat_acc\n" + "\n".join(written))
+    recording = open_recording(tmp_path / "log.csv")
+    read = recording.read(["speed", "yaw_rate"])
+    t = np.arange(0.0, 40.0, 0.02)
+    assert (read["speed"].unit, read["yaw_rate"].unit) == ("m/s", "rad/s")
+    assert read["speed"].values == pytest.approx(car.at("vx", t), abs=1e-3)
+    assert read["yaw_rate"].values == pytest.approx(car.at("r", t), abs=1e-5)
+
+
+@pytest.mark.parametrize("cell", ["5200.12 N", "3D", "12 laps", "v 3 m", "1-2 m"])
+def test_other_cells_are_no_number_with_a_unit(cell):
+    assert np.isnan(number_of(cell, "."))
+
+
+def test_a_count_behind_the_point_without_leading_zeros_is_read_as_such(rows, car, tmp_path):
+    """12.5 for 12.005 s: 71 % of the rows were lost, and the others at wrong times."""
+    stamps = [f"{1_718_000_000 + int(t)}.{round(1e6 * (t % 1.0)):d}" for t in rows[:, 0]]
+    written = [f"{stamp},{line}" for stamp, line in zip(stamps, lines_of(rows[:, 1:], ","), strict=True)]
+    (tmp_path / "log.csv").write_text("time," + ",".join(CHANNELS) + "\n" + "\n".join(written))
+    time = open_recording(tmp_path / "log.csv").read(["time"])["time"].values
+    assert time - 1_718_000_000 == pytest.approx(rows[:, 0], abs=1e-6)
+    # A clock that starts again rises in neither reading, and one with all its digits in the usual one.
+    assert counted_clock(["1.5", "1.50", "0.5", "0.6"]) is None
+    assert counted_clock(["1.05", "1.10", "1.15"]) == pytest.approx([1.05, 1.10, 1.15])
+
+
+@pytest.mark.parametrize(("second", "unit"), [(1.0, "s"), (1e3, "ms")])
+def test_a_clock_of_the_week_goes_on_over_its_end(second, unit, rows, car, tmp_path):
+    tow = (604_780.0 + rows[:, 0]) % 604_800.0 * second
+    titles = f"GPS TOW ({unit}),Speed (km/h),YawRate (deg/s),LatAcc (m/s^2)"
+    write_table(tmp_path / "log.csv", dict(zip(titles.split(","), [tow, *rows.T[1:]], strict=True)), fmt="%.6f")
+    recording = open_recording(tmp_path / "log.csv")
+    sources = {"vx": "Speed", "r": "YawRate", "ay": "LatAcc", "vy": "LatAcc", "T": "LatAcc", "delta": "YawRate"}
+    entries = {c: {"source": s, "unit": "m/s"} if c == "vy" else {"source": s} for c, s in sources.items()}
+    entries["vy"] |= {"scale": 0.1}
+    entries["T"] = {"source": "LatAcc", "unit": "N m", "scale": 100.0}
+    entries["delta"] = {"source": "YawRate", "unit": "deg", "scale": 0.1}
+    named = map_from_mapping({"time": {"source": "GPS TOW", "unit": unit}, "channels": entries})
+    drive = assemble_drive(recording, named, car.vehicle).drive
+    assert len(np.unique(drive.segment)) == 1
+    assert drive.columns["vx"] == pytest.approx(car.at("vx", drive.columns["t"]), abs=0.01)
+    # An hour counter that falls far from the end of a week began anew.
+    assert over_midnight(np.array([400_000.0, 400_001.0, 5.0])) == pytest.approx([400_000.0, 400_001.0, 5.0])
+
+
+def test_a_value_beside_the_number_of_its_parameter_is_a_signal(rows, car, tmp_path):
+    written = [
+        f'"{50_000 + row[0] + 0.001 * k:.3f}";"{name}";"{row[k + 1]:.6f}";"{unit}";"";'
+        for row in rows
+        for k, (name, (_, _, unit)) in enumerate(CHANNELS.items())
+    ]
+    (tmp_path / "log.csv").write_text('"SECONDS";"PID";"VALUE";"UNITS";"LATITUDE";\n' + "\n".join(written))
+    check(open_recording(tmp_path / "log.csv"), car)
+
+
+def test_files_of_one_drive_meet_by_a_clock_in_words_of_any_title(rows, car, tmp_path):
+    """The column of dates counted as no time, though the file alone was read by it."""
+    day = "2026-11-28T14:03:{:06.3f}Z"
+    for name, column in (("gps", 1), ("gyro", 2)):
+        written = [f'"{1e3 * r[0]:.3f}","{day.format(r[0])}","{r[column]:.6f}"' for r in rows]
+        (tmp_path / f"{name}.csv").write_text(f'"cts","date","{[*CHANNELS][column - 1]}"\n' + "\n".join(written))
+    read = open_logs([tmp_path / "gps.csv", tmp_path / "gyro.csv"]).read(["Speed", "YawRate"])
+    assert read["Speed"].time == pytest.approx(read["YawRate"].time)
+    assert np.diff(read["Speed"].time) == pytest.approx(0.02, abs=1e-6)
+
+
+def test_the_next_step_bridges_whole_seconds_beside_milliseconds(rows, tmp_path):
+    """Stamps of whole seconds, five rows each, come every second: the printed command had been refused."""
+    write_table(tmp_path / "obd.csv", {"time": np.floor(1_718_000_000 + rows[::10, 0]), "speed_kmh": rows[::10, 1]})
+    stamps = 1e3 * (1_718_000_000 + rows[:, 0])
+    imu = {"timestamp_ms": stamps, "yaw_rate_dps": rows[:, 2], "ay_ms2": rows[:, 3]}
+    write_table(tmp_path / "imu.csv", imu, fmt="%.9f")
+    step = init_project([tmp_path / "obd.csv", tmp_path / "imu.csv"], tmp_path / "car", together=True).next_steps[-1]
+    assert "--gap 2.5" in step
+
+
+def test_a_folder_of_a_phone_holds_a_file_for_each_sensor(rows, tmp_path):
+    """A table about the device, without a row of numbers, had been refused as a log."""
+    folder = tmp_path / "phone"
+    for name, (title, column) in {"Gyroscope": ("YawRate (deg/s)", 2), "Location": ("Speed (km/h)", 1)}.items():
+        folder.mkdir(exist_ok=True)
+        write_table(folder / f"{name}.csv", {"Time (s)": rows[:, 0], title: rows[:, column]})
+    (folder / "device.csv").write_text('"property","value"\n"deviceModel","X"\n')
+    assert [source.name for source in find_sources([folder])] == ["Gyroscope.csv", "Location.csv"]
+    assert left_alone([folder]) == {".csv": 1}
+    steps = init_project([folder], tmp_path / "car").next_steps
+    assert any(f"split init {folder} --together -o " in step for step in steps)
+    assert "not judged; by" in (tmp_path / "car" / "map.yaml").read_text()
