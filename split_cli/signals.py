@@ -293,6 +293,8 @@ def convert_to_si(
 
 _BARRED = re.compile(r'"?(?P<name>[^"|]+)"?\|"?(?P<unit>[^"|]*)"?(\|[-+.\deE]*)+')
 _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$")
+_BEHIND = re.compile(r"^(?P<name>.*\S)(?:\s*,\s+|\s+in\s+|\s+/\s+)(?P<unit>[^\s,]+)$")
+"""A unit behind a comma, behind "in", or as divisor of its quantity (DIN 1313): ``Yaw rate, deg/s``, ``v / m/s``."""
 TWO_WORDS = {
     "m_s": "m/s",
     "m_s2": "m/s^2",
@@ -373,6 +375,9 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
     text = header.strip().lstrip("#").strip().strip('"').strip()
     if _INDEXED.search(text):
         return text, None
+    behind = _BEHIND.match(text)
+    if behind and find_unit(behind["unit"]) and not behind["unit"].isdigit():
+        return behind["name"], symbol_of(behind["unit"])
     match = _BARRED.fullmatch(text) or _BRACKETED.match(text)
     if match and match["name"] and match["unit"].strip().lower() not in ("x", "y", "z"):
         return match["name"].strip(' "'), symbol_of(match["unit"])

@@ -13,7 +13,7 @@ from split_cli.logs.drive import read_drive, write_drive
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
-from split_cli.signals import STANDARD_GRAVITY, find_unit
+from split_cli.signals import STANDARD_GRAVITY, find_unit, split_name_and_unit
 from split_cli.workflows.ingesting.init import init_project
 from tests.logs.planted import PlantedDrive, write_table
 
@@ -141,6 +141,7 @@ def test_a_raster_and_a_number_alone_are_no_unit_of_steps(raster):
         ("m_wheelSpeedRL", "wheel_speed_rl", None),
         ("Yaw_cdeg", "yaw", "cdeg"),
         ("Spd_cms", "vx", "cm/s"),
+        ("rwa_rad", "delta", "rad"),
     ],
 )
 def test_names_of_sensors_of_units_and_of_turning(name, channel, unit):
@@ -203,3 +204,31 @@ def test_wheels_judge_units_and_sides_where_no_speed_is_recorded(gyro, accelerom
     assert (found["r"].scale, found["ay"].scale) == (gyro, accelerometer)
     assert draft.left == "the wheels outside a turn, which are faster"
     assert "m over the wheelbase" in draft.of("delta").reason and "minus" not in draft.of("delta").reason
+
+
+@pytest.mark.parametrize(
+    ("title", "name", "unit"),
+    [
+        ("Yaw rate, °/s", "Yaw rate", "deg/s"),
+        ("Gierrate in °/s", "Gierrate", "deg/s"),
+        ("v / m/s", "v", "m/s"),
+        ("Lateral acceleration, m/s²", "Lateral acceleration", "m/s^2"),
+        ("Speed, front left", "Speed, front left", None),
+        ("car in front", "car in front", None),
+    ],
+)
+def test_a_unit_stands_behind_a_comma_an_in_or_a_stroke(title, name, unit):
+    assert split_name_and_unit(title) == (name, unit)
+
+
+def test_a_torque_of_the_drive_beside_those_of_the_brakes_is_marked(car, drafted):
+    """It was called judged, by the moments in which the car is driven, and the brakes were not used."""
+    t = np.arange(0.0, 40.0, 0.02)
+    torque, corners = car.at("T", t), ("FL", "FR", "RL", "RR")
+    columns = {"t_s": t, "vx_mps": car.at("vx", t), "vy_mps": car.at("vy", t), "yawrate_radps": car.at("r", t)}
+    driven = {f"DriveTrq_{c}_Nm": 0.25 * np.maximum(torque, 0.0) for c in corners}
+    braked = {f"BrakeTrq_{c}_Nm": 0.25 * np.maximum(-torque, 0.0) for c in corners}
+    draft, _ = drafted({**columns, **driven, **braked})
+    assert draft.of("T").status == "assumed" and "add the brakes to `sum:`" in draft.of("T").reason
+    draft, _ = drafted({**columns, **{f"WheelTrq_{c}_Nm": 0.25 * torque for c in corners}})
+    assert draft.of("T").status == "judged"

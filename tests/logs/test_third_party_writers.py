@@ -1,5 +1,8 @@
 """Ways of writing rows, titles, cells and clocks that were first met in logs as sixty kinds of programs write them."""
 
+import base64
+import struct
+
 import numpy as np
 import pytest
 
@@ -180,3 +183,39 @@ def test_a_folder_of_a_phone_holds_a_file_for_each_sensor(rows, tmp_path):
     steps = init_project([folder], tmp_path / "car").next_steps
     assert any(f"split init {folder} --together -o " in step for step in steps)
     assert "not judged; by" in (tmp_path / "car" / "map.yaml").read_text()
+
+
+def test_titles_of_several_lines_in_quotes_are_one_row(rows, car, tmp_path):
+    """A spreadsheet with the unit under the name in one cell was told that its titles do not fit its rows."""
+    titles = ['"Time\n(s)"', *(f'"{name}\r\n({unit})"' for name, (_, _, unit) in CHANNELS.items())]
+    (tmp_path / "log.csv").write_bytes((",".join(titles) + "\n" + "\n".join(lines_of(rows, ","))).encode())
+    check(open_recording(tmp_path / "log.csv"), car)
+
+
+def test_rows_whose_cells_all_say_what_they_hold_are_units_or_nothing(rows, car, tmp_path):
+    """Simulink's Data Inspector writes units, types and interpolation so, under the names."""
+    head = ["time," + ",".join(CHANNELS), '"","Unit: km/h","Unit: deg/s","Unit: m/s^2"']
+    head += ['"",' + ",".join(['"Type: double"'] * 3), '"",' + ",".join(['"Interp: zoh"'] * 3)]
+    (tmp_path / "log.csv").write_text("\n".join([*head, *lines_of(rows, ",")]))
+    recording = open_recording(tmp_path / "log.csv")
+    check(recording, car)
+    assert [info.unit for info in recording.channels()][1:] == ["km/h", "deg/s", "m/s^2"]
+
+
+def test_frames_of_python_can_in_base_64_are_decoded(rows, car, tmp_path):
+    """With their DBC they had been listed as four columns of numbers."""
+    pytest.importorskip("can")
+    signals = 'BO_ 256 ESP: 8 E\n SG_ Speed : 0|16@1+ (0.01,0) [0|655] "km/h" E\n'
+    signals += ' SG_ YawRate : 16|16@1- (0.01,0) [-300|300] "deg/s" E\n'
+    (tmp_path / "bus.dbc").write_text(f'VERSION ""\nBU_: E\n{signals}')
+    frames = ["timestamp,arbitration_id,extended,remote,error,dlc,data"]
+    for row in rows:
+        data = struct.pack("<Hhxxxx", round(100.0 * row[1]), round(100.0 * row[2]))
+        frames.append(f"{1_718_000_000 + row[0]:.6f},0x100,0,0,0,8,{base64.b64encode(data).decode()}")
+    frames.append("1718000041.0,0x100,0,0,0,8,%%%")
+    (tmp_path / "log.csv").write_text("\n".join(frames))
+    read = open_recording(tmp_path / "log.csv", message_paths=[tmp_path / "bus.dbc"]).read(
+        ["/ESP/Speed", "/ESP/YawRate"]
+    )
+    assert read["/ESP/Speed"].values == pytest.approx(rows[:, 1], abs=0.0051)
+    assert read["/ESP/YawRate"].values == pytest.approx(rows[:, 2], abs=0.0051)

@@ -12,7 +12,7 @@ _UNIT_WORDS = {
     word: unit.symbol
     for word in """
         mps mps2 mpss kph kmh kmph mph kn knots rad radps deg cdeg degps dps degree degrees rpm s sec seconds us ns
-        nm bar kpa pct percent mm m ft g n fps ftps lbft ftlb
+        nm bar kpa pct percent mm m ft g mg n fps ftps lbft ftlb
     """.split()
     if (unit := find_unit(word))
 }
@@ -96,7 +96,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("steering_wheel_angle", 3, r"stw_?ang\w*|steer_?whl\w*"),
     ("steering_wheel_angle", 3, r"delta_?(d|h|hw|sw|driver|hand\w*)"),
     ("steering_wheel_angle", 3, r"steering_?wheel_?(angle_?)?\w*|lws_?angle|sas_?angle|wheel_?angle_?driver"),
-    ("delta", 3, r"delta(_?(f|wheel|front|road))?|df|road_?wheel_?angle"),
+    ("delta", 3, r"delta(_?(f|wheel|front|road))?|df|road_?wheel_?angle|rwa"),
     ("delta", 3, r"(steer(ing)?_?)?tire_?angle|tyre_angle|(m_)?front_?wheels?_?angle"),
     ("delta", 1, r"steer(ed|ing)?(_?(angle|ang|pos\w*|cmd|command|actual|measured|rad|input))?"),
     ("delta", 1, r"st_?angle|steering_?angle_?\d?"),

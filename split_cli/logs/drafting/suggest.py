@@ -49,7 +49,7 @@ from split_cli.logs.drafting.vector_axes import (
     unit_by_gravity,
 )
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.drafting.wheel_torques import PARTS, note_on_engine, torques_alike
+from split_cli.logs.drafting.wheel_torques import PARTS, note_on_brakes, note_on_engine, torques_alike
 from split_cli.logs.listing import with_all_elements
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, time_column, turned
 from split_cli.logs.readers.named_values import NAMES, VALUES
@@ -238,8 +238,9 @@ def _with_sideslip(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
 
 
 def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo]) -> Suggestion:
-    """Mark a torque that may be the engine's."""
-    why = note_on_engine(s.sources, [info.name for info in infos])
+    """Mark a torque that may be the engine's, or that lacks the brakes that are recorded beside it."""
+    names = [info.name for info in infos if info.type_name != "text"]
+    why = note_on_engine(s.sources, names) or note_on_brakes(s.sources, names)
     return replace(s, status="assumed", reason=f"{why}; {s.reason}") if why and s.status != "open" else s
 
 

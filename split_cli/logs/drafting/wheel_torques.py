@@ -77,3 +77,25 @@ def note_on_engine(sources: Sequence[str], names: Sequence[str]) -> str:
                 "gear ratio times efficiency makes it T, where one gear is driven"
             )
     return ""
+
+
+def note_on_brakes(sources: Sequence[str], names: Sequence[str]) -> str:
+    """Return what to say of a torque of the drive beside which those of brakes are recorded; empty where none is.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Recorded names that T is made of.
+    names : sequence of str
+        All recorded names.
+    """
+
+    def brakes(name: str) -> bool:
+        concepts = concepts_of(tokens_of(name))[0]
+        return {"brake", "torque"} <= concepts and not concepts & {"drive", "command", "other"}
+
+    others = [name for name in names if name not in sources and brakes(name)]
+    if not others or any(map(brakes, sources)):
+        return ""
+    shown = ", ".join(others[:4]) + (" and others" if len(others) > 4 else "")
+    return f"without {shown}: add the brakes to `sum:`, with `scale: -1` where their torque is positive"

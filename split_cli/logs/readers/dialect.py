@@ -25,6 +25,8 @@ _SEPARATORS = (",", ";", "\t", "|")
 _BLANKS = " "
 _CHECKED_ROWS = 200
 _CONFIRMING_ROWS = 3
+_TITLED_LINES = 60
+"""In which a row of titles of several lines is looked for [1]: 30 columns of two lines each, or more; judgement."""
 _ROWS_BELOW = 20
 _FEWEST_GROUPS = 2
 """Of several columns each, that make a row of groups [1]: one is the name of a table, or of its driver."""
@@ -33,6 +35,9 @@ _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
 _QUANTITY = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)(?:\s+([^\W\d][^\s,;]{0,9}|°/s)|\s*([%°]))")
 """A number with its unit behind it in one cell, as dashboards write it: 12.3 km/h, 45 %."""
+_NUMBER_IN_FRONT = re.compile(r'\s*"?[+-]?\d')
+_LABELLED_CELL = re.compile(r"([A-Za-z]{2,12}): ?(.*)")
+"""What a cell above the values holds, said in each of them: Unit: m/s (Simulation Data Inspector)."""
 _GROUPED = {
     ".": re.compile(r"^[+-]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*\.\d+$"),
     ",": re.compile(r"^[+-]?\d{1,3}([.' \u00a0\u202f])\d{3}(\1\d{3})*,\d+$"),
@@ -109,6 +114,7 @@ def sniff(path: Path) -> Sniffed:
         lines.pop()
     if "\ufffd" in text[:1000] or sum(ch < " " and ch not in "\t\r\n\f" for ch in text[:1000]) > 5:
         raise LogError("is neither a known log nor text", where=path.name, advice=KNOWN_FORMATS)
+    lines = _joined_titles(lines)
     quoted = _is_quoted_whole(lines)
     plain = [unwrapped(line) for line in lines] if quoted else lines
     for separator, decimal in _candidates(plain):
@@ -122,6 +128,22 @@ def sniff(path: Path) -> Sniffed:
     what = "is no table of numbers: no rows of numbers were found in its beginning"
     advice = "Values are expected in columns, separated by comma, semicolon, tab or blanks."
     raise NoTableError(what, where=path.name, advice=advice)
+
+
+def _joined_titles(lines: list[str]) -> list[str]:
+    """Return lines with those of one row put together whose quoted titles go over several lines, as in spreadsheets.
+
+    Rows of values come after them: there a quote that is never closed would take the rows behind it.
+    """
+    made: list[str] = []
+    for number, line in enumerate(lines[:_TITLED_LINES]):
+        if made and made[-1].count('"') % 2 and not _NUMBER_IN_FRONT.match(line):
+            made[-1] += line
+        else:
+            made.append(line)
+        if number and _NUMBER_IN_FRONT.match(line):
+            return made + lines[number + 1 :]
+    return made + lines[_TITLED_LINES:]
 
 
 def unwrapped(line: str) -> str:
@@ -306,6 +328,7 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
     above = [_parted_by_commas(row, width) for row in rows[:first] if any(cell.strip() for cell in row)]
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
+    above = [row for row in map(_without_labels, above) if row]
     titles = [n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)]
     if not titles:
         worded = [row for row in rows[:first] if sum(_WORD.search(cell) is not None for cell in row) > 1]
@@ -319,6 +342,15 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     units = units or _units_of_labview(rows[:first], width)
     groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
     return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups)
+
+
+def _without_labels(row: list[str]) -> list[str]:
+    """Return a row whose cells all say that they are units without that word; empty where they say anything else."""
+    found = [_LABELLED_CELL.fullmatch(cell.strip()) for cell in row if cell.strip()]
+    words = {match[1].lower() if match else "" for match in found}
+    if len(found) < 2 or len(words) > 1 or "" in words:
+        return row
+    return [cell.partition(":")[2].strip() for cell in row] if words <= {"unit", "units"} else []
 
 
 def _parted_by_commas(row: list[str], width: int) -> list[str]:
