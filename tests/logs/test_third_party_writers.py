@@ -9,7 +9,7 @@ import pytest
 from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.readers.cells import number_of
-from split_cli.logs.readers.clock_of_day import counted_clock, over_midnight
+from split_cli.logs.readers.clock_of_day import counted_clock, over_midnight, spread_over_seconds
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.workflows.ingesting.ingest import open_logs
@@ -161,14 +161,28 @@ def test_files_of_one_drive_meet_by_a_clock_in_words_of_any_title(rows, car, tmp
     assert np.diff(read["Speed"].time) == pytest.approx(0.02, abs=1e-6)
 
 
-def test_the_next_step_bridges_whole_seconds_beside_milliseconds(rows, tmp_path):
-    """Stamps of whole seconds, five rows each, come every second: the printed command had been refused."""
-    write_table(tmp_path / "obd.csv", {"time": np.floor(1_718_000_000 + rows[::10, 0]), "speed_kmh": rows[::10, 1]})
-    stamps = 1e3 * (1_718_000_000 + rows[:, 0])
+def test_rows_of_a_clock_of_whole_seconds_are_spread_over_them(rows, car, tmp_path):
+    """Five rows a second with one stamp: four of them were dropped, and the next command was refused for a gap."""
+    write_table(tmp_path / "obd.csv", {"time": np.floor(1_718_000_000.4 + rows[::10, 0]), "speed_kmh": rows[::10, 1]})
+    stamps = 1e3 * (1_718_000_000.4 + rows[:, 0])
     imu = {"timestamp_ms": stamps, "yaw_rate_dps": rows[:, 2], "ay_ms2": rows[:, 3]}
     write_table(tmp_path / "imu.csv", imu, fmt="%.9f")
+    speed = open_logs([tmp_path / "obd.csv", tmp_path / "imu.csv"]).read(["speed_kmh"])["speed_kmh"]
+    assert speed.time - 1_718_000_000.4 == pytest.approx(rows[::10, 0], abs=1e-3)
     step = init_project([tmp_path / "obd.csv", tmp_path / "imu.csv"], tmp_path / "car", together=True).next_steps[-1]
-    assert "--gap 2.5" in step
+    assert "--gap 0.5" in step
+
+
+def test_only_seconds_of_alike_numbers_of_rows_are_spread():
+    even = np.repeat(np.arange(20.0), 5)
+    assert spread_over_seconds(even) == pytest.approx(np.arange(100) / 5.0)
+    cut = even[3:-2]  # the first second ends where the second one begins
+    assert spread_over_seconds(cut) == pytest.approx(np.arange(100)[3:-2] / 5.0)
+    lost = np.delete(even, [31, 32])
+    assert np.all(np.diff(spread_over_seconds(lost)) > 0.0)
+    unlike = np.repeat(np.arange(20.0), [1, 9] * 10)
+    for other in (np.arange(100.0), even + 0.5, unlike, even[::-1], np.concatenate([even, even])):
+        assert spread_over_seconds(other) is None
 
 
 def test_a_folder_of_a_phone_holds_a_file_for_each_sensor(rows, tmp_path):
@@ -209,6 +223,7 @@ def test_frames_of_python_can_in_base_64_are_decoded(rows, car, tmp_path):
     signals += ' SG_ YawRate : 16|16@1- (0.01,0) [-300|300] "deg/s" E\n'
     (tmp_path / "bus.dbc").write_text(f'VERSION ""\nBU_: E\n{signals}')
     frames = ["timestamp,arbitration_id,extended,remote,error,dlc,data"]
+    rows = rows[::20]
     for row in rows:
         data = struct.pack("<Hhxxxx", round(100.0 * row[1]), round(100.0 * row[2]))
         frames.append(f"{1_718_000_000 + row[0]:.6f},0x100,0,0,0,8,{base64.b64encode(data).decode()}")
@@ -219,3 +234,41 @@ def test_frames_of_python_can_in_base_64_are_decoded(rows, car, tmp_path):
     )
     assert read["/ESP/Speed"].values == pytest.approx(rows[:, 1], abs=0.0051)
     assert read["/ESP/YawRate"].values == pytest.approx(rows[:, 2], abs=0.0051)
+
+
+@pytest.mark.parametrize(("packed", "south", "west"), [(False, True, False), (True, False, True), (True, True, True)])
+def test_coordinates_have_the_sign_of_the_half_that_stands_behind_them(packed, south, west, car, tmp_path):
+    """Without it a track in the south is a mirror image: every sign of a sound car was turned, and called judged."""
+    t = np.arange(0.0, 40.0, 0.1)
+    half = (-1.0 if south else 1.0), (-1.0 if west else 1.0)
+    radius, at = 6_378_137.0, (half[0] * 39.02, half[1] * 9.01)
+    lat = at[0] + DEG * car.at("Y", t) / radius
+    lon = at[1] + DEG * car.at("X", t) / radius / np.cos(at[0] / DEG)
+
+    def cell(degrees, wide):
+        whole, part = divmod(abs(degrees), 1.0)
+        return f"{100 * whole + 60.0 * part:0{wide}.7f}" if packed else f"{abs(degrees):.9f}"
+
+    rows = ["time_s,Latitude,N/S,Longitude,E/W,speed_mps,yaw_rate_dps,ay_mps2"]
+    for k in range(len(t)):
+        motion = (car.at("vx", t[k]), DEG * car.at("r", t[k]), car.at("ay", t[k]))
+        place = f"{cell(lat[k], 12)},{'S' if south else 'N'},{cell(lon[k], 13)},{'W' if west else 'E'}"
+        rows.append(f"{t[k]:.2f},{place}," + ",".join(f"{value:.6f}" for value in motion))
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    recording = open_recording(tmp_path / "log.csv")
+    read = recording.read(["Latitude", "Longitude"])
+    assert read["Latitude"].values == pytest.approx(lat, abs=1e-8)
+    assert read["Longitude"].values == pytest.approx(lon, abs=1e-8)
+    draft = draft_map(recording)
+    assert {draft.of(c).scale for c in ("r", "ay")} == {1.0} and draft.left == "east and north"
+    assert {draft.of(c).status for c in ("r", "ay", "X", "Y")} == {"judged"}
+
+
+def test_a_fix_is_read_in_the_unit_of_angles_that_its_file_states(car, tmp_path):
+    t = np.arange(0.0, 40.0, 0.1)
+    radius = 6_378_137.0
+    lat, lon = 0.9 + car.at("Y", t) / radius, 0.17 + car.at("X", t) / radius / np.cos(0.9)
+    columns = {"t": t, "latitude [rad]": lat, "longitude [rad]": lon, "v_fwd [m/s]": car.at("vx", t)}
+    write_table(tmp_path / "log.csv", {**columns, "yaw_rate [rad/s]": car.at("r", t)})
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert {draft.of(c).status for c in ("X", "Y", "vx", "r")} == {"judged"}

@@ -190,7 +190,7 @@ def _judged(
     suggestions = [as_bearing_by_name(s, corrected, clear.get("yaw")) if s.channel == "yaw" else s for s in suggestions]
     suggestions = [unit_by_gravity(s, triples, trial.signals) for s in suggestions]
     suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
-    suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
+    suggestions = [_as_engines(s, infos, clear.get("T")) if s.channel == "T" else s for s in suggestions]
     suggestions = _in_pairs(doubt_of_height(without_the_tilted(suggestions), triples, trial.signals, trial.time))
     suggestions = [read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions]
     steered = [s.left_open(hand) if hand and s.status != "open" else s for s in steering]
@@ -237,10 +237,10 @@ def _with_sideslip(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
     ]
 
 
-def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo]) -> Suggestion:
+def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo], torque: np.ndarray | None) -> Suggestion:
     """Mark a torque that may be the engine's, or that lacks the brakes that are recorded beside it."""
     names = [info.name for info in infos if info.type_name != "text"]
-    why = note_on_engine(s.sources, names) or note_on_brakes(s.sources, names)
+    why = note_on_engine(s.sources, names) or note_on_brakes(s.sources, names, torque)
     return replace(s, status="assumed", reason=f"{why}; {s.reason}") if why and s.status != "open" else s
 
 

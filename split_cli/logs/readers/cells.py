@@ -1,6 +1,7 @@
 """One cell of a text as a number: with marks between thousands, a coordinate, a time in words, or with its unit."""
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -60,6 +61,28 @@ def degrees_of(cell: str) -> float:
         return _HALVES[half] * float(decimal.replace(",", "."))
     parts = [float((part or "0").replace(",", ".")) for part in (degrees, minutes, seconds)]
     return _HALVES[half] * (parts[0] + parts[1] / 60.0 + parts[2] / 3600.0)
+
+
+def with_halves(values: np.ndarray, letters: Sequence[str]) -> np.ndarray:
+    """Return coordinates in degrees, shape (N,): negative where a column beside them says south or west.
+
+    Receivers write degrees and minutes in one number there, ddmm.mmmm, as NMEA 0183 does; degrees otherwise.
+
+    Parameters
+    ----------
+    values : ndarray
+        As recorded, shape (N,), NaN where missing.
+    letters : sequence of str
+        N, S, E or W, of each row.
+    """
+    signs = np.array([_HALVES.get(letter.strip(), np.nan) for letter in letters])
+    limit = 180.0 if {"E", "W"} & {letter.strip() for letter in letters} else 90.0
+    finite = values[np.isfinite(values)]
+    if not len(finite) or finite.max() <= limit:
+        return signs * values
+    with np.errstate(invalid="ignore"):
+        degrees, minutes = np.divmod(values, 100.0)
+    return signs * (degrees + minutes / 60.0)
 
 
 _SPAN = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?) (sec|min|hr)$")

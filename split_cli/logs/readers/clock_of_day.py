@@ -114,3 +114,29 @@ def counted_clock(cells: Sequence[str]) -> np.ndarray | None:
     second = 10.0 ** max(len(match[2]) for match in found if match)
     time = np.array([int(match[1]) + int(match[2]) / second if match else np.nan for match in found])
     return time if np.all(np.diff(time[np.isfinite(time)]) >= 0.0) else None
+
+
+_FEWEST_SECONDS = 10
+_ALIKE = 0.2
+"""Share by which the rows of a second may differ from the usual number [1], or by one."""
+
+
+def spread_over_seconds(time: np.ndarray) -> np.ndarray | None:
+    """Return a clock of whole seconds with the rows of each second spread evenly over it, shape (N,) [s].
+
+    Rows that come at a steady rate are then no later and no earlier than their distance. None for a clock with parts
+    of seconds, or whose seconds have unlike numbers of rows.
+    """
+    if len(time) < 2 * _FEWEST_SECONDS or not np.all(np.isfinite(time)) or np.any(time != np.floor(time)):
+        return None
+    seconds, first, counts = np.unique(time, return_index=True, return_counts=True)
+    usual = float(np.median(counts))
+    inner = counts[1:-1]
+    alike = np.abs(inner - usual) <= max(_ALIKE * usual, 1.0)
+    if len(seconds) < _FEWEST_SECONDS or usual < 2.0 or np.any(np.diff(time) < 0.0) or np.mean(alike) < 1.0 - _ALIKE:
+        return None
+    # A second that lacks rows has them at their usual distance; the first one ends with the second.
+    rows = np.maximum(counts, usual)
+    place = np.arange(len(time)) - np.repeat(first, counts)
+    late = np.where(np.arange(len(seconds)) == 0, rows - counts, 0.0)
+    return time + (place + np.repeat(late, counts)) / np.repeat(rows, counts)

@@ -21,9 +21,10 @@ from split_cli.logs.raw import (
     ReadNote,
     UniqueNames,
     note_once,
+    split_stamps,
 )
-from split_cli.logs.readers.cells import number_of, seconds_of
-from split_cli.logs.readers.clock_of_day import counted_clock, falls_within_seconds, packed_clock
+from split_cli.logs.readers.cells import number_of, seconds_of, with_halves
+from split_cli.logs.readers.clock_of_day import counted_clock, falls_within_seconds, packed_clock, spread_over_seconds
 from split_cli.logs.readers.column_clocks import clocks_of_columns, with_clock
 from split_cli.logs.readers.dialect import (
     EMPTY_CELLS,
@@ -82,6 +83,7 @@ def open_delimited(path: Path) -> RawRecording:
 
     if sniffed.dialect.filled_to:
         note_once(notes, "empty cells at the ends of rows are cut off: rows filled up", path.name)
+    halves, parted = _halves(sniffed), split_stamps(infos)
     clocks, origin = clocks_of_columns(infos, numbers)
     if clocks:
         count = len({id(time) for time in clocks.values()})
@@ -103,9 +105,17 @@ def open_delimited(path: Path) -> RawRecording:
             if clock is None and _CALLED_CLOCK.search(name) and falls_within_seconds(values[index]):
                 clock = counted_clock(_cells_of(path, sniffed.dialect, width, index))
                 what = "column of seconds with a count behind the point, without leading zeros: 12.5 is 12.005 s"
+            if clock is None and _CALLED_CLOCK.search(name) and unit in (None, "s") and not parted:
+                clock = spread_over_seconds(values[index])
+                what = "clock of whole seconds: the rows of each are spread evenly over it"
             if clock is not None and len(clock) == len(values[index]):
                 note_once(notes, what, f"{path.name}, column {name}")
                 values[index] = clock
+            if index in halves:
+                letters = _cells_of(path, sniffed.dialect, width, halves[index])
+                values[index] = with_halves(values[index], letters)
+                what = "coordinate with the half of the globe in the column behind it, read as degrees"
+                note_once(notes, what, f"{path.name}, column {name}")
         found = {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
         return {name: with_clock(signal, clocks.get(name)) for name, signal in found.items()}
 
@@ -183,6 +193,16 @@ def _is_text(sniffed: Sniffed, index: int) -> bool:
     # An infinite value is a number that cleaning counts and drops; what is no number at all is NaN here.
     numeric = sum(not np.isnan(number_of(cell, sniffed.dialect.decimal)) for cell in cells)
     return bool(cells) and 2 * numeric < len(cells)
+
+
+def _halves(sniffed: Sniffed) -> dict[int, int]:
+    """Return the columns of numbers behind which a column says north or south, or east or west, with that column."""
+    found = {}
+    for index in range(1, len(sniffed.header)):
+        letters = {row[index].strip() for row in sniffed.rows if index < len(row)} - {""}
+        if letters and (letters <= {"N", "S"} or letters <= {"E", "W"}) and not _is_text(sniffed, index - 1):
+            found[index - 1] = index
+    return found
 
 
 def _is_clock(sniffed: Sniffed, index: int) -> bool:
