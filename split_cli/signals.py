@@ -90,6 +90,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("ms", "s", 1e-3), "msec millisecond milliseconds"),
     (Unit("us", "s", 1e-6), "μs usec microseconds"),
     (Unit("0.1ms", "s", 1e-4), "100us"),
+    (Unit("0.1us", "s", 1e-7), "100ns"),
     (Unit("ns", "s", 1e-9), "nsec nanoseconds"),
     (Unit("min", "s", 60.0), "minutes"),
     (Unit("d", "s", 86400.0), "day days"),

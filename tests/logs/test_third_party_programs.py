@@ -10,7 +10,7 @@ from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.naming import meanings, stated_unit
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.drive import read_drive, write_drive
-from split_cli.logs.raw import RawChannelInfo
+from split_cli.logs.raw import RawChannelInfo, unit_of_time
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.signals import STANDARD_GRAVITY, find_unit, split_name_and_unit
@@ -142,6 +142,10 @@ def test_a_raster_and_a_number_alone_are_no_unit_of_steps(raster):
         ("Yaw_cdeg", "yaw", "cdeg"),
         ("Spd_cms", "vx", "cm/s"),
         ("rwa_rad", "delta", "rad"),
+        ("RoadWheelAngle_mrad", "delta", "mrad"),
+        ("AccelerationSway", "ay", None),
+        ("AccelerationSurge", "ax", None),
+        ("OrientationYawVelocity", "r", None),
     ],
 )
 def test_names_of_sensors_of_units_and_of_turning(name, channel, unit):
@@ -232,3 +236,25 @@ def test_a_torque_of_the_drive_beside_those_of_the_brakes_is_marked(car, drafted
     assert draft.of("T").status == "assumed" and "add the brakes to `sum:`" in draft.of("T").reason
     draft, _ = drafted({**columns, **{f"WheelTrq_{c}_Nm": 0.25 * torque for c in corners}})
     assert draft.of("T").status == "judged"
+
+
+@pytest.mark.parametrize("name", ["q{}", "attitude.q[{}]"])
+def test_a_numbered_quaternion_begins_with_its_real_part(name, car, drafted):
+    names = tuple(name.format(k) for k in range(4))
+    t = np.arange(0.0, 40.0, 0.02)
+    half, still = 0.5 * car.at("yaw", t), np.zeros(len(t))
+    four = dict(zip(names, (np.cos(half), still, still, np.sin(half)), strict=True))
+    columns = {"time": t, **four, "pos_x": car.at("X", t), "pos_y": car.at("Y", t), "gyro_z": car.at("r", t)}
+    draft, _ = drafted(columns)
+    assert draft.of("yaw").sources == (*names[1:], names[0]) and draft.of("yaw").status == "unsided"
+
+
+@pytest.mark.parametrize("epoch", [116_444_736_000_000_000, 621_355_968_000_000_000], ids=["1601", "year 1"])
+def test_ticks_of_windows_are_tenths_of_microseconds(epoch, car, drafted):
+    """They were taken for microseconds: a drive of ten times its length, and nothing said so."""
+    t = np.arange(0.0, 40.0, 0.02)
+    ticks = epoch + 10_000_000 * 1_718_000_000 + np.rint(1e7 * t).astype(np.int64)
+    assert unit_of_time(ticks.astype(float)) == "0.1us"
+    columns = {"timestamp": ticks.astype(float), "v": car.at("vx", t), "r": car.at("r", t)}
+    draft, _ = drafted(columns, fmt="%.18g")
+    assert draft.time == "time: {source: timestamp, unit: 0.1us}"

@@ -12,6 +12,7 @@ from split_cli.logs.readers.cells import number_of
 from split_cli.logs.readers.clock_of_day import counted_clock, over_midnight, spread_over_seconds
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
+from split_cli.signals import find_unit
 from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.ingesting.init import init_project
 from split_cli.workflows.sources import find_sources, left_alone
@@ -272,3 +273,17 @@ def test_a_fix_is_read_in_the_unit_of_angles_that_its_file_states(car, tmp_path)
     write_table(tmp_path / "log.csv", {**columns, "yaw_rate [rad/s]": car.at("r", t)})
     draft = draft_map(open_recording(tmp_path / "log.csv"))
     assert {draft.of(c).status for c in ("X", "Y", "vx", "r")} == {"judged"}
+
+
+def test_a_row_of_the_steps_that_whole_numbers_count_is_one_of_units(rows, car, tmp_path):
+    """`0.01 km/h` under a title is no value of it."""
+    steps = (1e-2, 1e-3, 1e-4)
+    counts = np.rint(rows[:, 1:] / steps)
+    written = [f"{t:.2f};" + ";".join(f"{v:.0f}" for v in values) for t, values in zip(rows[:, 0], counts, strict=True)]
+    head = ["time;" + ";".join(CHANNELS), "s;0.01 km/h;0.001 deg/s;0.0001 m/s^2"]
+    (tmp_path / "log.csv").write_text("\n".join([*head, *written]))
+    recording = open_recording(tmp_path / "log.csv")
+    read = recording.read(list(CHANNELS))
+    for (name, (channel, _, _)), value in zip(CHANNELS.items(), read.values(), strict=True):
+        unit = find_unit(value.unit)
+        assert value.values * unit.factor == pytest.approx(car.at(channel, rows[:, 0]), abs=unit.factor), name

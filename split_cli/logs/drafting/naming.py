@@ -11,8 +11,8 @@ from split_cli.signals import TWO_WORDS, find_unit, with_short_unit
 _UNIT_WORDS = {
     word: unit.symbol
     for word in """
-        mps mps2 mpss kph kmh kmph mph kn knots rad radps deg cdeg degps dps degree degrees rpm s sec seconds us ns
-        nm bar kpa pct percent mm m ft g mg n fps ftps lbft ftlb
+        mps mps2 mpss kph kmh kmph mph kn knots rad mrad radps deg cdeg degps dps mdps degree degrees rpm s sec seconds
+        us ns nm bar kpa pct percent mm m ft g mg n fps ftps lbft ftlb
     """.split()
     if (unit := find_unit(word))
 }
@@ -53,7 +53,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("r", 3, r"(imu_|body_|gyro_|can_)?yaw_?(rate|vel\w*|speed)\w*|psi_?(dot|p|d)|d_?psi"),
     ("r", 3, r"omega(_?z)?|w_?z|gyro_?z"),
     ("r", 3, r"av_?z(_\d)?"),
-    ("r", 3, r"gyro_?yaw\w*|heading_rate|yawdot"),
+    ("r", 3, r"gyro_?yaw\w*|heading_rate|yawdot|orientation_?yaw_?(vel\w*|rate)"),
     ("r", 3, r"z_?(gyro|rate|ang\w*_vel\w*)|ang(ular)?_?(vel\w*|rate|speed)_?z|gps_gyro"),
     ("r", 2, r"rot(ation)?_?(rate_?)?z|turn_rate|rate_z|yr|w_imu|imu_w|gyro_?yaw"),
     ("r", 2, r"imu_g_?z|(imu_)?g_?z_(rps|dps|rad\w*|deg\w*)"),

@@ -230,10 +230,13 @@ def split_line(line: str, separator: str) -> list[str]:
 
 
 def _is_number(cell: str, decimal: str) -> bool:
+    return _is_bare(cell, decimal) or quantity_of(cell, decimal) is not None
+
+
+def _is_bare(cell: str, decimal: str) -> bool:
+    """Tell whether a cell is a number without a unit."""
     pattern = _NUMBER if decimal == "." else _NUMBER_WITH_COMMA
-    if pattern.match(cell.strip()) is not None or is_grouped(cell, decimal):
-        return True
-    return quantity_of(cell, decimal) is not None
+    return pattern.match(cell.strip()) is not None or is_grouped(cell, decimal)
 
 
 def quantity_of(cell: str, decimal: str) -> tuple[float, str] | None:
@@ -276,9 +279,18 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
             continue
         following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
         good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
+        if _counts_steps(row, following, decimal):
+            continue
         if 2 * good >= len(following) and not _words_among_numbers(row, rows[index + 1 :], decimal):
             return index
     return None
+
+
+def _counts_steps(row: list[str], following: list[list[str]], decimal: str) -> bool:
+    """Whether cells hold numbers with units where the rows below hold numbers alone: the steps that these count."""
+    steps = [n for n, cell in enumerate(row) if quantity_of(cell, decimal) is not None]
+    bare = [n for n in steps if all(n < len(later) and _is_bare(later[n], decimal) for later in following)]
+    return bool(following) and len(bare) > 0 and 2 * len(bare) >= len(steps)
 
 
 def _width_of_cut_rows(rows: list[list[str]], separator: str, decimal: str) -> int:
