@@ -98,7 +98,10 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
 
 
 def is_prose(path: Path) -> bool:
-    """Tell a text that is no recording, such as a README.txt beside logs: it holds no rows of numbers."""
+    """Tell a text that is no recording, such as a README.txt beside logs: it holds no rows of numbers.
+
+    A table of titles alone is a recording that ended before it began.
+    """
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
@@ -106,7 +109,7 @@ def is_prose(path: Path) -> bool:
         if not (known or table_of_named_values(head)):
             sniff(path)
     except NoTableError:
-        return bool(head)
+        return bool(head) and not (path.suffix.lower() == ".csv" and b"\n" not in head.strip())
     except (LogError, OSError):
         pass
     return False
