@@ -247,7 +247,7 @@ def stated_unit(info: RawChannelInfo) -> str | None:
     if info.unit and find_unit(info.unit):
         return find_unit(info.unit).symbol
     words = words_of(info.name)
-    if getattr(find_unit(info.name), "si", "") == "m/s":
+    if _is_speed_by_unit(info.name):
         return find_unit(info.name).symbol
     if len(words) > 2 and tuple(words[-2:]) in _LAST_TWO:
         return _LAST_TWO[tuple(words[-2:])]
@@ -282,14 +282,20 @@ def is_command(name: str) -> bool:
     return "command" in concepts_of(tokens_of(name))[0]
 
 
+def _is_speed_by_unit(name: str) -> bool:
+    """Tell whether a column is called by nothing but a unit of speed: Knots, km/h. In brackets it is a row of units."""
+    unit = find_unit(name) if name[:1].isalpha() else None
+    return unit is not None and unit.si == "m/s"
+
+
 def _said_by_unit(info: RawChannelInfo) -> list[str]:
     """Return the word that a unit stands for where the name leaves it out: M_Rad_VL in N m is a torque.
 
     What turns at a corner of the car, n_FL in rpm, is a wheel.
     """
     unit = find_unit(stated_unit(info) or "")
-    if getattr(find_unit(info.name), "si", "") == "m/s":
-        return ["velocity"]  # a column called Knots or km/h
+    if _is_speed_by_unit(info.name):
+        return ["velocity"]
     if unit is not None and unit.si == "rad/s" and concepts_of(tokens_of(info.name))[0] & {*CORNERS}:
         return ["wheel"]
     return ["torque"] if unit is not None and unit.si == "N m" else []
