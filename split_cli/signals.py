@@ -376,8 +376,9 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
     text = header.strip().lstrip("#").strip().strip('"').strip()
     if _INDEXED.search(text):
         return text, None
-    behind = _BEHIND.match(text)
-    if behind and find_unit(behind["unit"]) and not behind["unit"].isdigit():
+    behind = _BEHIND.match(text) if len(text) < _LONGEST_NAME else None
+    # A single capital is a direction: Velocity, N.
+    if behind and find_unit(behind["unit"]) and not re.fullmatch(r"[A-Z]|\d+", behind["unit"]):
         return behind["name"], symbol_of(behind["unit"])
     match = _BARRED.fullmatch(text) or _BRACKETED.match(text)
     if match and match["name"] and match["unit"].strip().lower() not in ("x", "y", "z"):

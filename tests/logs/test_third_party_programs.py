@@ -220,6 +220,7 @@ def test_wheels_judge_units_and_sides_where_no_speed_is_recorded(gyro, accelerom
         ("Lateral acceleration, m/s²", "Lateral acceleration", "m/s^2"),
         ("Speed, front left", "Speed, front left", None),
         ("car in front", "car in front", None),
+        ("Velocity, N", "Velocity, N", None),
     ],
 )
 def test_a_unit_stands_behind_a_comma_an_in_or_a_stroke(title, name, unit):
