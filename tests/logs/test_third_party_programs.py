@@ -156,6 +156,7 @@ def test_names_of_sensors_of_units_and_of_turning(name, channel, unit):
 def test_what_goes_down_is_no_velocity_of_the_car():
     assert not meanings(RawChannelInfo("velocity_down", "column", None))
     assert not meanings(RawChannelInfo("(m/s)", "column", None))  # a row of units in place of the titles
+    assert not meanings(RawChannelInfo("fps", "column", None))  # frames a second
 
 
 def test_g_is_the_gyroscope_beside_accelerations_and_gravity_alone(car, drafted):

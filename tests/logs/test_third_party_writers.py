@@ -207,6 +207,12 @@ def test_titles_of_several_lines_in_quotes_are_one_row(rows, car, tmp_path):
     check(open_recording(tmp_path / "log.csv"), car)
 
 
+def test_inches_before_the_titles_open_no_quote(rows, car, tmp_path):
+    head = ['Rims,15" front', 'Note,"two 15"" rims"', "time," + ",".join(CHANNELS), "s,km/h,deg/s,m/s^2"]
+    (tmp_path / "log.csv").write_text("\n".join([*head, *lines_of(rows, ",")]))
+    check(open_recording(tmp_path / "log.csv"), car)
+
+
 def test_rows_whose_cells_all_say_what_they_hold_are_units_or_nothing(rows, car, tmp_path):
     """Simulink's Data Inspector writes units, types and interpolation so, under the names."""
     head = ["time," + ",".join(CHANNELS), '"","Unit: km/h","Unit: deg/s","Unit: m/s^2"']
@@ -287,3 +293,22 @@ def test_a_row_of_the_steps_that_whole_numbers_count_is_one_of_units(rows, car, 
     for (name, (channel, _, _)), value in zip(CHANNELS.items(), read.values(), strict=True):
         unit = find_unit(value.unit)
         assert value.values * unit.factor == pytest.approx(car.at(channel, rows[:, 0]), abs=unit.factor), name
+
+
+def test_a_gear_and_a_mode_in_letters_are_no_halves_of_the_globe(rows, tmp_path):
+    written = [f"{row[0]:.2f},{900 + n},N,{row[1]:.3f},E" for n, row in enumerate(rows)]
+    (tmp_path / "log.csv").write_text("time,rpm,gear,speed_kmh,mode\n" + "\n".join(written))
+    read = open_recording(tmp_path / "log.csv").read(["rpm", "speed_kmh"])
+    assert read["rpm"].values == pytest.approx(900.0 + np.arange(len(rows)))
+    assert read["speed_kmh"].values == pytest.approx(rows[:, 1], abs=1e-3)
+
+
+def test_a_few_damaged_rows_are_left_out_and_not_filled_up(rows, tmp_path):
+    """A lost separator moves all cells behind it into other columns."""
+    written = lines_of(rows, ",")
+    for n in range(10, 400, 40):
+        written[n] = written[n].replace(",", "", 1)
+    (tmp_path / "log.csv").write_text("time," + ",".join(CHANNELS) + "\n" + "\n".join(written))
+    recording = open_recording(tmp_path / "log.csv")
+    assert len(recording.read(["Speed"])["Speed"].values) == len(rows) - 10
+    assert any(note.count == 10 and "too few" in note.what for note in recording.notes)

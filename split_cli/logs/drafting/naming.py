@@ -283,8 +283,11 @@ def is_command(name: str) -> bool:
 
 
 def _is_speed_by_unit(name: str) -> bool:
-    """Tell whether a column is called by nothing but a unit of speed: Knots, km/h. In brackets it is a row of units."""
-    unit = find_unit(name) if name[:1].isalpha() else None
+    """Tell whether a column is called by nothing but a unit of speed: Knots, km/h.
+
+    In brackets it is of a row of units, and fps counts frames.
+    """
+    unit = find_unit(name) if name[:1].isalpha() and name.lower() != "fps" else None
     return unit is not None and unit.si == "m/s"
 
 

@@ -51,6 +51,7 @@ _LOOKED_AT_BYTES = 1 << 18
 FIRST_UNTITLED = "column1"
 """What the first column is called where others have titles and it has none."""
 _CALLED_CLOCK = re.compile(r"time|clock|utc|stamp|zeit|heure|hora", re.IGNORECASE)
+_CALLED_COORDINATE = re.compile(r"lat|lon|lng|breite|l(ä|ae)nge", re.IGNORECASE)
 _Columns = tuple[dict[int, np.ndarray], Counter[int], int]
 """Values by position, cells of each that are no numbers, and rows that were left out."""
 
@@ -196,13 +197,17 @@ def _is_text(sniffed: Sniffed, index: int) -> bool:
 
 
 def _halves(sniffed: Sniffed) -> dict[int, int]:
-    """Return the columns of numbers behind which a column says north or south, or east or west, with that column."""
+    """Return latitude and longitude with the columns behind them that say north or south, and east or west.
+
+    Empty where it is not both: a gear may be N, and a mode of driving E or S.
+    """
     found = {}
     for index in range(1, len(sniffed.header)):
         letters = {row[index].strip() for row in sniffed.rows if index < len(row)} - {""}
-        if letters and (letters <= {"N", "S"} or letters <= {"E", "W"}) and not _is_text(sniffed, index - 1):
-            found[index - 1] = index
-    return found
+        half = next((half for half in ("NS", "EW") if letters and letters <= set(half)), "")
+        if half and _CALLED_COORDINATE.search(sniffed.header[index - 1]) and not _is_text(sniffed, index - 1):
+            found[half] = (index - 1, index)
+    return dict(found.values()) if len(found) == 2 else {}
 
 
 def _is_clock(sniffed: Sniffed, index: int) -> bool:

@@ -25,6 +25,9 @@ _SEPARATORS = (",", ";", "\t", "|")
 _BLANKS = " "
 _CHECKED_ROWS = 200
 _CONFIRMING_ROWS = 3
+_CUT_SHARE = 0.2
+"""Of rows that are shorter than their titles, from which on a writer cut them off [1]: of damaged ones there are fewer,
+and their cells may stand in other columns. Judgement."""
 _TITLED_LINES = 60
 """In which a row of titles of several lines is looked for [1]: 30 columns of two lines each, or more; judgement."""
 _ROWS_BELOW = 20
@@ -35,6 +38,8 @@ _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
 _QUANTITY = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)(?:\s+([^\W\d][^\s,;]{0,9}|°/s)|\s*([%°]))")
 """A number with its unit behind it in one cell, as dashboards write it: 12.3 km/h, 45 %."""
+_OPEN_QUOTE = re.compile(r'(?:^(?:[^"]*"[^"]*")*[^"]*[,;\t]|^)"[^"]*$')
+"""A quote that begins a cell and is not closed; the inches of a rim are none."""
 _NUMBER_IN_FRONT = re.compile(r'\s*"?[+-]?\d')
 _LABELLED_CELL = re.compile(r"([A-Za-z]{2,12}): ?(.*)")
 """What a cell above the values holds, said in each of them: Unit: m/s (Simulation Data Inspector)."""
@@ -137,7 +142,7 @@ def _joined_titles(lines: list[str]) -> list[str]:
     """
     made: list[str] = []
     for number, line in enumerate(lines[:_TITLED_LINES]):
-        if made and made[-1].count('"') % 2 and not _NUMBER_IN_FRONT.match(line):
+        if made and _OPEN_QUOTE.search(made[-1].replace('""', "")) and not _NUMBER_IN_FRONT.match(line):
             made[-1] += line
         else:
             made.append(line)
@@ -303,7 +308,7 @@ def _width_of_cut_rows(rows: list[list[str]], separator: str, decimal: str) -> i
     lengths = [len(row) for row in rows[first:] if _holds_values(row, decimal)]
     short = sum(length < width for length in lengths)
     titled = any(len(row) == width and _is_title_row(row, width) for row in rows[max(first - 5, 0) : first])
-    if separator == _BLANKS or short < _CONFIRMING_ROWS or max(lengths) > width or not titled:
+    if separator == _BLANKS or short < _CUT_SHARE * len(lengths) or not short or max(lengths) > width or not titled:
         return 0
     return width
 
