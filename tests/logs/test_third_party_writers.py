@@ -174,6 +174,15 @@ def test_rows_of_a_clock_of_whole_seconds_are_spread_over_them(rows, car, tmp_pa
     assert "--gap 0.5" in step
 
 
+def test_whole_seconds_beside_a_finer_clock_are_left_as_they_are(rows, tmp_path):
+    """A phone writes the time of the fix and its own: the one with parts of seconds is the time."""
+    columns = {"GPS Time": np.floor(rows[:, 0]), "Device Time": rows[:, 0], "speed_kmh": rows[:, 1]}
+    write_table(tmp_path / "log.csv", columns)
+    recording = open_recording(tmp_path / "log.csv")
+    assert recording.read(["GPS Time"])["GPS Time"].values == pytest.approx(np.floor(rows[:, 0]))
+    assert draft_map(recording).time.startswith("time: {source: Device Time, unit: s}")
+
+
 def test_only_seconds_of_alike_numbers_of_rows_are_spread():
     even = np.repeat(np.arange(20.0), 5)
     assert spread_over_seconds(even) == pytest.approx(np.arange(100) / 5.0)

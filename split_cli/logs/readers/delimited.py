@@ -106,7 +106,8 @@ def open_delimited(path: Path) -> RawRecording:
             if clock is None and _CALLED_CLOCK.search(name) and falls_within_seconds(values[index]):
                 clock = counted_clock(_cells_of(path, sniffed.dialect, width, index))
                 what = "column of seconds with a count behind the point, without leading zeros: 12.5 is 12.005 s"
-            if clock is None and _CALLED_CLOCK.search(name) and unit in (None, "s") and not parted:
+            finest = _is_finest_clock(sniffed, index) and not parted
+            if clock is None and finest and unit in (None, "s"):
                 clock = spread_over_seconds(values[index])
                 what = "clock of whole seconds: the rows of each are spread evenly over it"
             if clock is not None and len(clock) == len(values[index]):
@@ -214,6 +215,13 @@ def _is_clock(sniffed: Sniffed, index: int) -> bool:
     """Whether every cell is a time in words, such as ``14:05:07,12``, which is read as seconds."""
     cells = [row[index].strip() for row in sniffed.rows if index < len(row) and row[index].strip() not in EMPTY_CELLS]
     return bool(cells) and all(":" in cell and np.isfinite(seconds_of(cell)) for cell in cells)
+
+
+def _is_finest_clock(sniffed: Sniffed, index: int) -> bool:
+    """Whether a column is called a clock, and no other one that is so called changes from row to row more often."""
+    called = [n for n, title in enumerate(sniffed.header) if _CALLED_CLOCK.search(title)]
+    changes = {n: len({row[n] for row in sniffed.rows if n < len(row)}) for n in called}
+    return index in changes and changes[index] == max(changes.values())
 
 
 def _unit_in_cells(sniffed: Sniffed, index: int) -> str | None:
