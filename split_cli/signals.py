@@ -90,6 +90,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("ms", "s", 1e-3), "msec millisecond milliseconds"),
     (Unit("us", "s", 1e-6), "μs usec microseconds"),
     (Unit("0.1ms", "s", 1e-4), "100us"),
+    (Unit("0.1us", "s", 1e-7), "100ns"),
     (Unit("ns", "s", 1e-9), "nsec nanoseconds"),
     (Unit("min", "s", 60.0), "minutes"),
     (Unit("d", "s", 86400.0), "day days"),
@@ -107,6 +108,9 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("rad", "rad", 1.0), "radian radians"),
     (Unit("mrad", "rad", 1e-3), ""),
     (Unit("deg", "rad", _DEGREE), "° degree degrees"),
+    (Unit("cdeg", "rad", 1e-2 * _DEGREE), "centideg centidegrees"),
+    (Unit("gon", "rad", np.pi / 200.0), ""),
+    (Unit("rev", "rad", 2.0 * np.pi), "turn turns revolution revolutions"),
     (Unit("rad/s", "rad/s", 1.0), "radps rad/sec rad.s-1"),
     (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec deg.s-1 dps"),
     (Unit("mdeg/s", "rad/s", 1e-3 * _DEGREE), "mdps milli-dps millidps"),
@@ -119,6 +123,7 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("N m", "N m", 1.0), "Nm N.m N-m newtonmetre newtonmeter newton-m newton-metre newton-meter"),
     (Unit("N mm", "N m", 1e-3), "Nmm N.mm N-mm newton-mm newtonmillimetre newtonmillimeter"),
     (Unit("kN m", "N m", 1e3), "kNm kN.m"),
+    (Unit("kgf m", "N m", STANDARD_GRAVITY), "kgfm kgf.m kgf-m"),
     (Unit("lbf in", "N m", _POUND_FORCE * 0.0254), "lbin in-lb in-lbf inlb lbf.in lb-in"),
     (Unit("lbf ft", "N m", _POUND_FORCE * 0.3048), "lbft ft-lb ft-lbf ftlb lbf.ft lbf-ft lb-ft lb.ft"),
     (Unit("N", "N", 1.0), "newton"),
@@ -179,7 +184,19 @@ def find_unit(symbol: str) -> Unit | None:
 
 
 def _known_unit(spelled: str) -> Unit | None:
-    return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower()) or _quotient(spelled)
+    return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower()) or _quotient(spelled) or _part_of_ten(spelled)
+
+
+_PART_OF_TEN = re.compile(r"(1e-\d{1,2}|0\.0*1)([^\d.].*)", re.IGNORECASE)
+"""A power of ten before a unit, of a step that a whole number counts: 1e-7deg, 0.01 m/s."""
+
+
+def _part_of_ten(spelled: str) -> Unit | None:
+    found = _PART_OF_TEN.fullmatch(spelled)
+    unit = _known_unit(found[2]) if found else None
+    if found is None or unit is None or unit.offset:
+        return None
+    return Unit(f"{float(found[1]):g} {unit.symbol}", unit.si, float(found[1]) * unit.factor)
 
 
 #: Words within a unit's name. Some lack letters, since bus databases cut names (``Unit_MeterPerSeconSquar``).
@@ -277,6 +294,8 @@ def convert_to_si(
 
 _BARRED = re.compile(r'"?(?P<name>[^"|]+)"?\|"?(?P<unit>[^"|]*)"?(\|[-+.\deE]*)+')
 _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$")
+_BEHIND = re.compile(r"^(?P<name>.*\S)(?:\s*,\s+|\s+in\s+|\s+/\s+)(?P<unit>[^\s,]+)$")
+"""A unit behind a comma, behind "in", or as divisor of its quantity (DIN 1313): ``Yaw rate, deg/s``, ``v / m/s``."""
 TWO_WORDS = {
     "m_s": "m/s",
     "m_s2": "m/s^2",
@@ -357,6 +376,10 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
     text = header.strip().lstrip("#").strip().strip('"').strip()
     if _INDEXED.search(text):
         return text, None
+    behind = _BEHIND.match(text) if len(text) < _LONGEST_NAME else None
+    # A single capital is a direction: Velocity, N.
+    if behind and find_unit(behind["unit"]) and not re.fullmatch(r"[A-Z]|\d+", behind["unit"]):
+        return behind["name"], symbol_of(behind["unit"])
     match = _BARRED.fullmatch(text) or _BRACKETED.match(text)
     if match and match["name"] and match["unit"].strip().lower() not in ("x", "y", "z"):
         return match["name"].strip(' "'), symbol_of(match["unit"])

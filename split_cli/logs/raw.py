@@ -195,12 +195,17 @@ _DAYS = ((36892.0, 73051.0), (730852.0, 767011.0))
 """The years 2001 to 2100 in days as spreadsheets count them (from 30 December 1899), and as MATLAB's datenum does."""
 
 
+_TENTHS = ((1.26e17, 1.58e17), (6.31e17, 6.63e17))
+"""The same years in tenths of microseconds, as Windows counts them (from 1601), and .NET (from the year 1)."""
+
+
 def unit_of_time(values: np.ndarray) -> str:
     """Return the unit of a clock that states none.
 
-    No other clock gets as far as nanoseconds since 1970, in the years 2001 to 2100. They show it where rows were
-    written in bursts, too. With other clocks the samples of a drive are 0.2 ms to 1.5 s apart. Spreadsheets and
-    MATLAB count days: what moves by less than a second of them, from a day of those years, is such a date.
+    No other clock gets as far as nanoseconds since 1970, in the years 2001 to 2100, or as the ticks of Windows. They
+    show it where rows were written in bursts, too. With other clocks the samples of a drive are 0.2 ms to 1.5 s apart.
+    Spreadsheets and MATLAB count days: what moves by less than a second of them, from a day of those years, is such
+    a date.
     """
     finite = values[np.isfinite(values)]
     steps = np.diff(finite)
@@ -209,6 +214,8 @@ def unit_of_time(values: np.ndarray) -> str:
     sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     if len(finite) and 1e18 <= finite[0] <= 4.1e18:
         return "ns"
+    if len(finite) and any(first <= finite[0] <= last for first, last in _TENTHS):
+        return "0.1us"
     if len(finite) and any(first <= finite[0] <= last for first, last in _DAYS) and 2e-4 < step * 86400.0 < 1.5:
         return "d"
     return next((unit for unit, size in sizes.items() if 2e-4 < step * size < 1.5), "s")

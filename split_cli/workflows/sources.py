@@ -310,10 +310,13 @@ def _in_folder(folder: Path, base: Path, suffixes: Sequence[str]) -> list[Source
 
 
 def _is_one_of(path: Path, suffixes: Sequence[str]) -> bool:
-    """Tell whether a file is of one of the kinds; a text must hold rows of numbers."""
+    """Tell whether a file is of one of the kinds; a text must hold rows of numbers.
+
+    Phones write a table about the device beside those of their sensors.
+    """
     if not path.name.lower().endswith(tuple(suffixes)):
         return False
-    return not (path.suffix.lower() == ".txt" and path.is_file() and is_prose(path))
+    return not (path.suffix.lower() in (".txt", ".csv") and path.is_file() and is_prose(path))
 
 
 def _place(path: Path, base: Path) -> str:

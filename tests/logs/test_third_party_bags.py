@@ -189,4 +189,4 @@ def test_several_logs_that_differ_are_told_apart(car, tmp_path):
     assert made.draft.of("r").status == "assumed"
     steps = " ".join(made.next_steps)
     assert "Logs differ on r" in steps and "in deg/s" in steps
-    assert "c.csv does not hold r (yaw_rate)" in steps and "begin anew with --together" in steps
+    assert "c.csv does not hold r (yaw_rate)" in steps and "begin anew: split init" in steps

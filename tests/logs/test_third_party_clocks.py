@@ -277,13 +277,23 @@ def test_tables_of_pandas_in_hdf5_have_their_titles(car, tmp_path):
     assert any(note.count == 2 and "data_columns=True" in note.what for note in table.notes)
 
 
-def test_rows_without_their_last_separators_are_told_with_both_numbers(car, tmp_path):
-    """An exporter that cuts empty cells off leaves titles that fit half of the rows: there are titles."""
+def test_rows_without_their_last_separators_are_filled_up(car, tmp_path):
+    """An exporter that cuts empty cells off leaves titles that fit half of the rows: the others had been lost."""
     t = np.arange(0.0, 10.0, 0.02)
     columns = {"time [s]": t, "r [rad/s]": car.at("r", t), "time [s] ": t[:200], "vx [m/s]": car.at("vx", t[:200])}
     path = write(tmp_path / "log.csv", columns)
     path.write_text("\n".join(line.rstrip(",") for line in path.read_text().splitlines()) + "\n")
     recording = open_recording(path)
+    read = recording.read(["r", "vx"])
+    assert read["r"].values == pytest.approx(car.at("r", t)) and read["r"].time == pytest.approx(t)
+    assert read["vx"].values == pytest.approx(car.at("vx", t[:200]))
+    assert any("cut off" in note.what for note in recording.notes)
+
+
+def test_rows_that_all_lack_cells_are_told_with_both_numbers(tmp_path):
+    rows = [f"{0.02 * n},{n}" for n in range(500)]
+    (tmp_path / "log.csv").write_text("\n".join(["time [s],r [rad/s],time [s],vx [m/s]", *rows]))
+    recording = open_recording(tmp_path / "log.csv")
     [advice] = hints_on_the_form(recording, recording.channels())
     assert "4 titles stand before 2 columns of values" in advice and "separators" in advice
 

@@ -5,7 +5,7 @@ import pytest
 
 from split_cli.logs.checking.plausible import is_damaged
 from split_cli.logs.drafting.suggest import draft_map
-from split_cli.logs.readers.delimited import seconds_of
+from split_cli.logs.readers.cells import seconds_of
 from split_cli.logs.readers.opening import open_recording
 
 

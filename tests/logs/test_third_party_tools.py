@@ -6,7 +6,7 @@ import pytest
 from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.drive import read_drive, write_drive
-from split_cli.logs.readers.delimited import degrees_of, seconds_of
+from split_cli.logs.readers.cells import degrees_of, seconds_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import UNITS

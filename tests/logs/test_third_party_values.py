@@ -8,7 +8,7 @@ import pytest
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import RawSignal
-from split_cli.logs.readers.delimited import seconds_of
+from split_cli.logs.readers.cells import seconds_of
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from tests.logs.planted import PlantedDrive

@@ -415,7 +415,8 @@ def _place_and_derive(
         settings = signal_map.derivations.get(name.replace("-", "_"), {})
         time = (grid.index - grid.index[0]) * grid.period
         derived = DERIVATIONS[name].run(DerivationInputs(columns, grid.period, slices, vehicle, settings, time))
-        columns.update({channel: set_aside(values) for channel, values in derived.columns.items()})
+        for channel, values in derived.columns.items():
+            columns[channel] = set_aside(_within_limit(channel, values, conversions))
         if name == "lateral-velocity-from-sideslip" and "sideslip" in gathered.maps:
             # It is v_y where the angle was measured.
             there = {"vy": gathered.maps["sideslip"]}
@@ -438,6 +439,16 @@ def _place_and_derive(
     for name in rest:
         derive(name)
     return made, grid
+
+
+def _within_limit(channel: str, values: np.ndarray, conversions: list[str]) -> np.ndarray:
+    """Return a derived channel, missing where no number is a measurement: of channels that contradict each other."""
+    limit = CHANNELS[channel].limit if channel in CHANNELS else np.inf
+    beyond = np.abs(values) > limit
+    if not beyond.any():
+        return values
+    conversions.append(f"{channel}: {np.count_nonzero(beyond)} rows left out, derived as more than {limit:g}")
+    return np.where(beyond, np.nan, values)
 
 
 def _drive(recording: RawRecording, grid: SampleClock, columns: Mapping[str, np.ndarray]) -> Drive:

@@ -92,6 +92,9 @@ class Converter:
             self.notes.conversions.append(f"{channel}: yaw from the quaternion {source.names[0]}")
             return transform.yaw_from_quaternion(*columns), "rad"
         if source.convert in ("local_x", "local_y"):
+            columns = [transform.fix_in_degrees(signal.values, source.unit, signal.unit) for signal in signals]
+            if source.unit and not all(a is signal.values for a, signal in zip(columns, signals, strict=True)):
+                self.notes.conversions.append(f"{channel}: latitude and longitude in {source.unit}")
             datum = self.map.datum or _first_fix(*columns, where=self.where)
             east, north = transform.local_tangent_plane(*columns, datum)
             self.notes.conversions.append(
@@ -120,7 +123,7 @@ class Converter:
             self.notes.contradictions.append(
                 f"{channel}: the file says {written}, the map says {source.unit}; the map was followed"
             )
-        unit = source.unit or unit
+        unit = unit if source.convert in ("local_x", "local_y") else source.unit or unit
         if unit is None:
             if expected is not None:
                 self.notes.assumed.append(f"{channel} in {expected} (neither file nor map says)")

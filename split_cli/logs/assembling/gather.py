@@ -365,7 +365,7 @@ def _common_time(
             raise MapError(what, where=recording.name, advice=advice)
         return joined, first, f"columns {column} and {stamp.part}"
     first = float(raw.values[finite][0])
-    values = over_midnight(raw.values) if unit in (None, "s") else raw.values
+    values = over_midnight(raw.values, 1.0 / find_unit(unit or "s").factor)
     # Subtract before the conversion: nanoseconds since 1970 lose nothing then.
     time = convert_to_si(values - first, unit or "s", where=recording.name)
     step = float(np.median(np.abs(np.diff(time[finite])))) if finite.sum() > 1 else 0.0

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from split_cli.signals import find_unit
+
 _FLIPPED_IN_FRD = frozenset({"vy", "r", "ay", "delta", "delta_command", "steering_wheel_angle", "sideslip"})
 
 # WGS 84.
@@ -40,6 +42,13 @@ def yaw_from_quaternion(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarr
 def signed(size: np.ndarray, negative: np.ndarray) -> np.ndarray:
     """Return sizes, negative where `negative` is above a half, shapes (N,); missing where either is."""
     return np.where(np.isfinite(negative), np.where(negative > 0.5, -size, size), np.nan)
+
+
+def fix_in_degrees(values: np.ndarray, *units: str | None) -> np.ndarray:
+    """Return a coordinate of a satellite fix in degrees, shape (N,): of the first unit that is one of angles."""
+    known = (find_unit(unit) for unit in units if unit)
+    unit = next((found for found in known if found is not None and found.si == "rad"), None)
+    return values if unit is None or unit.symbol == "deg" else np.degrees(values * unit.factor)
 
 
 def local_tangent_plane(

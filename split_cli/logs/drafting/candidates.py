@@ -105,6 +105,10 @@ def _by_pairs(found: list[TrialCandidate], infos: Sequence[RawChannelInfo]) -> l
     if "e" in lowered and "n" not in lowered:
         # The distance from a path, called an error, is no position.
         found = [c for c in found if c.sources != (lowered["e"].name,)]
+    accelerations = {"ax", "ay"} & set(lowered)
+    if len(accelerations) == 2 and "gz" in lowered and not any(c.channel == "r" for c in found):
+        # Beside a_x and a_y, g is the gyroscope; alone, gx, gy and gz are shares of gravity.
+        found.append(TrialCandidate("r", (lowered["gz"].name,), 2, stated_unit(lowered["gz"])))
     fix = {c.channel: c.sources for c in reversed(found) if c.channel in ("latitude", "longitude")}
     if len(fix) == 2:
         # Beside a latitude, lon is no longitudinal acceleration.

@@ -106,7 +106,7 @@ def _time_of_column(
     values = signals[info.name].values
     unit = info.unit if find_unit(info.unit or "") and find_unit(info.unit).si == "s" else stated_unit(info)
     fits = unit_of_time(values)
-    unit = unit if unit in ("s", "ms", "0.1ms", "us", "ns", "min", "d") else fits
+    unit = unit if unit in ("s", "ms", "0.1ms", "us", "0.1us", "ns", "min", "d") else fits
     if fits != unit and not _SHORTEST < _usual_step(values) * find_unit(unit).factor < _LONGEST:
         remark = f"the file says {unit}, but its rows are as far apart as those of a drive in {fits}"
         line = f"time: {{source: {quoted(info.name)}, unit: {fits}}}   # CHECK: {remark}"
@@ -115,7 +115,7 @@ def _time_of_column(
         return _rows_or_seconds(info.name, values, _rate_from_motion(candidates, signals)[0])
     also = f"   # also rises: {', '.join(others)}" if others else ""
     line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
-    values = over_midnight(values) if unit == "s" else values
+    values = over_midnight(values, 1.0 / find_unit(unit).factor)
     return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
 
 

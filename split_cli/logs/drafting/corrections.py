@@ -15,11 +15,12 @@ from split_cli.logs.drafting.trial import Trial
 from split_cli.signals import find_unit
 
 _UNIT_BY_FACTOR = {
-    ("vx", 3.6): "km/h",
-    ("vy", 3.6): "km/h",
-    ("vx", 2.237): "mph",
-    ("vy", 2.237): "mph",
-    ("vx", 1.944): "kn",
+    **{(channel, 3.6): "km/h" for channel in ("vx", "vy")},
+    **{(channel, 2.237): "mph" for channel in ("vx", "vy")},
+    **{(channel, 1.944): "kn" for channel in ("vx", "vy")},
+    **{(channel, 3.281): "ft/s" for channel in ("vx", "vy")},
+    **{(channel, 100.0): "cm/s" for channel in ("vx", "vy")},
+    **{(channel, 1000.0): "mm/s" for channel in ("vx", "vy")},
     ("r", 57.3): "deg/s",
     ("yaw", 57.3): "deg",
     ("delta", 57.3): "deg",
@@ -65,8 +66,13 @@ def correct(chosen: dict[str, Suggestion], trial: Trial) -> tuple[dict[str, Sugg
                 if channel == "X" and better.unit:
                     chosen["Y"] = replace(chosen["Y"], unit=better.unit)
         swapped = {f.channel for f in verdict.findings if f.check == "swapped"}
-        if {left for left, _ in AXLES} <= swapped and not {"X", "yaw"} & set(chosen):
-            chosen = {**chosen, **_right_positive(chosen, "right-positive, as the wheels outside a turn show")}
+        alone = {} if {"vx", "X", "yaw"} & set(chosen) else trial.speed_of_wheels(chosen)
+        inner = bool(alone) and trial.inner_wheels_are_faster({**alone, **trial.columns(chosen)})
+        if inner or ({left for left, _ in AXLES} <= swapped and not {"X", "yaw"} & set(chosen)):
+            turned = _right_positive(chosen, "right-positive, as the wheels outside a turn show")
+            # All of the car's channels, or the yaw rate alone: as they fit each other.
+            ways = [{**chosen, **turned}, {**chosen, **{c: s for c, s in turned.items() if c == "r"}}]
+            chosen = min(ways, key=lambda way: trial.judge(way).cost)
             changed = True
         if {"ax", "ay"} <= swapped:
             remark = "along this axis by the data, not by its name"

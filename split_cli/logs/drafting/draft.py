@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.derivations import DERIVATIONS, WITHOUT_RATE, derivations_for
-from split_cli.signals import REQUIRED_CHANNELS
+from split_cli.signals import REQUIRED_CHANNELS, find_unit
 
 UNITS_OF = {
     "sideslip": "rad",
@@ -210,6 +210,8 @@ def _entry(s: Suggestion) -> str:
     if s.convert in ("", "pair_mean", "signed"):
         unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel)
         parts += [f"unit: {quoted(unit)}"] if unit else []
+    elif s.unit and getattr(find_unit(s.unit), "si", "m") == "rad" and s.convert in ("local_x", "local_y"):
+        parts.append(f"unit: {quoted(s.unit)}")
     if s.scale != 1.0:
         parts.append(f"scale: {s.scale:g}")
     if s.offset != 0.0:

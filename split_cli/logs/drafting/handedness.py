@@ -10,6 +10,7 @@ from split_cli.logs.checking.relations import Relation
 from split_cli.logs.drafting.draft import NO_SIDE, Suggestion
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.raw import RawChannelInfo, RawSignal
+from split_cli.signals import find_unit
 
 NOT_UP = "z is not up"
 """Said of channels that were taken from another axis than the names say."""
@@ -33,13 +34,24 @@ def path_is_certain(chosen: Mapping[str, Suggestion]) -> bool:
     return "east" in named[0] and "north" in named[1]
 
 
+def _compass_is_certain(chosen: Mapping[str, Suggestion]) -> bool:
+    """Tell whether yaw is counted clockwise from an axis that is north.
+
+    Beside a position whose level axes only the motion shows, it is a compass in a left-handed world (x to the
+    right, z ahead), and in a right-handed one (z back) a mirrored log looks the same.
+    """
+    of_names = "X" not in chosen or NOT_UP not in chosen["X"].reason
+    return "yaw" in chosen and chosen["yaw"].world == "ned" and of_names
+
+
 def is_heading(s: Suggestion, signals: Mapping[str, RawSignal]) -> bool:
     """Tell whether an angle is named a heading and runs from 0 to 360 degrees, as a compass does."""
     if s.convert or not _HEADING.search(s.sources[0]):
         return False
     values = signals[s.sources[0]].values
     finite = values[np.isfinite(values)]
-    whole = 360.0 if s.unit == "deg" else 2.0 * np.pi
+    unit = find_unit(s.unit or "rad")
+    whole = 2.0 * np.pi / (unit.factor if unit is not None else 1.0) * (1.0 + 1e-9)
     return bool(finite.min() >= 0.0 and finite.max() <= whole and finite.max() > 0.5 * whole)
 
 
@@ -78,7 +90,7 @@ def what_tells_left(
         return NO_SIDE
     if path_is_certain(chosen):
         return "east and north"
-    if "yaw" in chosen and chosen["yaw"].world == "ned":
+    if _compass_is_certain(chosen):
         return "the compass"
     if any(s.sources[0].rpartition("/")[0] in of_ros and c in HANDED for c, s in chosen.items()):
         return "the conventions of ROS"
@@ -106,7 +118,7 @@ def channels_with_a_side(chosen: Mapping[str, Suggestion], relations: Sequence[R
     East and north say nothing of a yaw rate that does not follow the turning of X, Y.
     """
     reached = {"hand"} if path_is_certain(chosen) else set()
-    reached |= {"yaw"} if "yaw" in chosen and chosen["yaw"].world == "ned" else set()
+    reached |= {"yaw"} if _compass_is_certain(chosen) else set()
     reached |= {"r"} if by_wheels else set()
     sided = {"hand", *HANDED}
     links = [

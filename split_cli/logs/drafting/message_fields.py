@@ -87,7 +87,10 @@ def _topic_and_field(info: RawChannelInfo) -> tuple[str, str] | None:
 def _quaternions_in_columns(
     infos: Sequence[RawChannelInfo], found: Sequence[tuple[str, tuple[str, ...], str]]
 ) -> list[tuple[str, tuple[str, ...], str]]:
-    """Return the yaw of four columns that differ by a last x, y, z, w and are named as a quaternion."""
+    """Return the yaw of four columns that differ by a last x, y, z, w and are named as a quaternion.
+
+    Numbered from 0, the first one is w (``q0`` to ``q3`` of inertial units, ``q[0]`` of PX4).
+    """
     names = {info.name for info in infos if info.type_name == "column"}
     known = {source for _, sources, _ in found for source in sources}
     made = []
@@ -97,5 +100,10 @@ def _quaternions_in_columns(
             continue
         four = tuple(group[1] + axis for axis in ("xyzw" if name.endswith("w") else "XYZW"))
         if set(four) <= names:
+            made.append(("yaw", four, "yaw_from_quaternion"))
+    for name in sorted(names):
+        numbered = re.fullmatch(r"((?:.*[._])?q(?:uat)?_?\[?)0(\]?)", name, re.IGNORECASE)
+        four = tuple(f"{numbered[1]}{k}{numbered[2]}" for k in (1, 2, 3, 0)) if numbered else ()
+        if numbered and set(four) <= names and not known & set(four):
             made.append(("yaw", four, "yaw_from_quaternion"))
     return made

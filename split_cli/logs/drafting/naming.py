@@ -11,11 +11,13 @@ from split_cli.signals import TWO_WORDS, find_unit, with_short_unit
 _UNIT_WORDS = {
     word: unit.symbol
     for word in """
-        mps mps2 mpss kph kmh kmph mph kn knots rad radps deg degps dps degree degrees rpm s sec seconds us ns nm bar
-        kpa pct percent mm m ft g n fps ftps lbft ftlb
+        mps mps2 mpss kph kmh kmph mph kn knots rad mrad radps deg cdeg degps dps mdps degree degrees rpm s sec seconds
+        us ns nm bar kpa pct percent mm m ft g mg n fps ftps lbft ftlb
     """.split()
     if (unit := find_unit(word))
-} | {"ms2": "m/s^2", "rads": "rad/s", "degs": "deg/s", "percentage": "%", "ftlbf": "lbf ft"}
+}
+_UNIT_WORDS |= {"ms2": "m/s^2", "cms": "cm/s", "mms": "mm/s", "rads": "rad/s", "degs": "deg/s"}
+_UNIT_WORDS |= {"percentage": "%", "ftlbf": "lbf ft"}
 _LAST_TWO = {tuple(words.split("_")): unit for words, unit in TWO_WORDS.items()}
 
 
@@ -51,10 +53,11 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("r", 3, r"(imu_|body_|gyro_|can_)?yaw_?(rate|vel\w*|speed)\w*|psi_?(dot|p|d)|d_?psi"),
     ("r", 3, r"omega(_?z)?|w_?z|gyro_?z"),
     ("r", 3, r"av_?z(_\d)?"),
-    ("r", 3, r"gyro_?yaw\w*|heading_rate|yawdot"),
+    ("r", 3, r"gyro_?yaw\w*|heading_rate|yawdot|orientation_?yaw_?(vel\w*|rate)"),
     ("r", 3, r"z_?(gyro|rate|ang\w*_vel\w*)|ang(ular)?_?(vel\w*|rate|speed)_?z|gps_gyro"),
     ("r", 2, r"rot(ation)?_?(rate_?)?z|turn_rate|rate_z|yr|w_imu|imu_w|gyro_?yaw"),
     ("r", 2, r"imu_g_?z|(imu_)?g_?z_(rps|dps|rad\w*|deg\w*)"),
+    ("r", 2, r"gy_?z"),
     ("r", 1, r"r|w"),
     ("yaw", 3, r"yaw(_?angle)?|psi|true_head(ing)?\d?|unwrapped_yaw"),
     ("yaw", 3, r"vicon_yaw|attitude_yaw|euler_?(yaw|psi|z)|orientation_?yaw"),
@@ -75,6 +78,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("Y", 3, r"(pos_?)?north(ing)?|pos_?n|utm_?n\w*|y_?cg(_tm)?|y_?o|yg|ty"),
     ("ax", 3, r"a_?x(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?x(_?(imu|body|cg))?|x_?acc\w*"),
     ("ax", 3, r"a_?lgt\d?|imu_a(cc\w*)?_?x"),
+    ("ax", 2, r"ac_?x"),
     (
         "ax",
         3,
@@ -85,17 +89,19 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("ax", 3, r"g_?(long|lon)|a_?long|a_?ego"),
     ("ay", 3, r"a_?y(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?y(_?(imu|body|cg))?|y_?acc\w*"),
     ("ay", 3, r"a_?lat\d?|imu_a(cc\w*)?_?y"),
+    ("ay", 2, r"ac_?y"),
     ("ay", 3, r"(g_?force_?|gps_|a_?|acc\w*_?)?lat\w*_?(acc\w*|g|a|force)|g_?force_?lat\w*|g_?lat"),
     ("ay", 3, r"acc\w*_?lat\w*|a_?lat"),
     ("steering_wheel_angle", 3, r"(steering_?wheel|hand_?wheel|str?_?whl|sw)_?(angle|pos\w*|ang|a)?|swa"),
     ("steering_wheel_angle", 3, r"stw_?ang\w*|steer_?whl\w*"),
     ("steering_wheel_angle", 3, r"delta_?(d|h|hw|sw|driver|hand\w*)"),
     ("steering_wheel_angle", 3, r"steering_?wheel_?(angle_?)?\w*|lws_?angle|sas_?angle|wheel_?angle_?driver"),
-    ("delta", 3, r"delta(_?(f|wheel|front|road))?|df|road_?wheel_?angle"),
+    ("delta", 3, r"delta(_?(f|wheel|front|road))?|df|road_?wheel_?angle|rwa"),
     ("delta", 3, r"(steer(ing)?_?)?tire_?angle|tyre_angle|(m_)?front_?wheels?_?angle"),
     ("delta", 1, r"steer(ed|ing)?(_?(angle|ang|pos\w*|cmd|command|actual|measured|rad|input))?"),
     ("delta", 1, r"st_?angle|steering_?angle_?\d?"),
-    ("T", 3, r"T|(wheel_?|total_?|axle_?|drive_?)?torque(_?(wheel\w*|total|cmd|command))?|(t|m|tau)_?wheel\w*|tq"),
+    ("T", 3, r"T|(wheel_?|total_?|axle_?|drive_?)?torque(_?(wheel\w*|total|cmd|command))?|tq"),
+    ("T", 3, r"(t|m|tau)_?wheel(?!_?(sp|vel))\w*"),
     ("T", 3, r"axle_?trq|trq_?whl\w*"),
     ("wheel_torque", 3, rf"(pt_?)?(t|tq|torque|trq)_?(at_?w\w*|whl|wheel)?_?({'|'.join(_CORNER.values())})"),
     ("wheel_torque", 3, r"t_?wheel_?(fl|fr|rl|rr)"),
@@ -185,6 +191,8 @@ def _directs(parts: list[str]) -> bool:
     own, before = (concepts_of(tokens_of(part))[0] for part in parts[-2:][::-1])
     # A position.lat is a latitude, a displacement.lateral is none.
     moved = {"displacement", "displacements"} & set(tokens_of(parts[-2]))
+    if concepts_of(tokens_of(parts[-1]))[1]:
+        return False  # w_z says more than a direction
     return bool(own) and own <= {"long", "lat", "up"} and bool(before & {"velocity", "acceleration", "rate"} or moved)
 
 
@@ -239,6 +247,8 @@ def stated_unit(info: RawChannelInfo) -> str | None:
     if info.unit and find_unit(info.unit):
         return find_unit(info.unit).symbol
     words = words_of(info.name)
+    if _is_speed_by_unit(info.name):
+        return find_unit(info.name).symbol
     if len(words) > 2 and tuple(words[-2:]) in _LAST_TWO:
         return _LAST_TWO[tuple(words[-2:])]
     if len(words) > 1 and words[-1] in _UNIT_WORDS:
@@ -272,12 +282,23 @@ def is_command(name: str) -> bool:
     return "command" in concepts_of(tokens_of(name))[0]
 
 
+def _is_speed_by_unit(name: str) -> bool:
+    """Tell whether a column is called by nothing but a unit of speed: Knots, km/h.
+
+    In brackets it is of a row of units, and fps counts frames.
+    """
+    unit = find_unit(name) if name[:1].isalpha() and name.lower() != "fps" else None
+    return unit is not None and unit.si == "m/s"
+
+
 def _said_by_unit(info: RawChannelInfo) -> list[str]:
     """Return the word that a unit stands for where the name leaves it out: M_Rad_VL in N m is a torque.
 
     What turns at a corner of the car, n_FL in rpm, is a wheel.
     """
     unit = find_unit(stated_unit(info) or "")
+    if _is_speed_by_unit(info.name):
+        return ["velocity"]
     if unit is not None and unit.si == "rad/s" and concepts_of(tokens_of(info.name))[0] & {*CORNERS}:
         return ["wheel"]
     return ["torque"] if unit is not None and unit.si == "N m" else []

@@ -50,7 +50,7 @@ def _of_others(draft: Draft, others: Mapping[str, Draft], mapped: Collection[str
         for s in other.suggestions:
             is_new = s.status not in ("open", "assumed") and s.channel not in {*mapped, *added}
             if is_new and not taken & set(s.sources):
-                added[s.channel] = replace(s, reason=f"{s.reason}; by {name}" if s.reason else f"by {name}")
+                added[s.channel] = replace(s, reason=f"{s.reason}; by {name}")
     return added
 
 

@@ -240,7 +240,9 @@ def _road_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], vehicle: Vehic
 
 def _line(s: Suggestion, unit: str, scale: str) -> str:
     """Return the line of a map that makes a recorded angle or share that of the road wheels."""
-    return f"`delta: {{source: {quoted(s.sources[0])}, unit: {unit}, scale: {scale}}}`"
+    names = ", ".join(map(quoted, s.sources))
+    source = f"[{names}], convert: {s.convert}" if s.convert else names
+    return f"`delta: {{source: {source}, unit: {unit}, scale: {scale}}}`"
 
 
 def _between(reach: float, s: Suggestion) -> str:

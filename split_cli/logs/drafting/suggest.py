@@ -49,7 +49,7 @@ from split_cli.logs.drafting.vector_axes import (
     unit_by_gravity,
 )
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
-from split_cli.logs.drafting.wheel_torques import PARTS, note_on_engine, torques_alike
+from split_cli.logs.drafting.wheel_torques import PARTS, note_on_brakes, note_on_engine, torques_alike
 from split_cli.logs.listing import with_all_elements
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, time_column, turned
 from split_cli.logs.readers.named_values import NAMES, VALUES
@@ -119,7 +119,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     bare = {note.where for note in recording.notes if note.what.startswith("not readable")}
     undefined = dict.fromkeys(i.type_name for i in infos if i.name in bare and "/" in i.type_name)
     mapped = {s.channel: s for s in suggestions if s.status != "open"}
-    by_wheels = trial.outer_wheels_are_faster(trial.columns(mapped))
+    by_wheels = trial.outer_wheels_are_faster({**trial.speed_of_wheels(mapped), **trial.columns(mapped)})
     left_by = what_tells_left(mapped, infos, by_wheels)
     if not left_by:
         suggestions = [without_a_side(s) for s in suggestions]
@@ -145,6 +145,7 @@ def _usable(
     opened: list[Suggestion] = []
     usable: dict[str, list[TrialCandidate]] = {}
     copies = copies_of_others(candidates, trial.signals)
+    candidates = [trial.with_unit_of_the_fix(candidate) for candidate in candidates]
     for candidate in candidates:
         reason = trial.unusable(candidate) or copies.get(candidate.sources, "")
         if reason:
@@ -172,7 +173,7 @@ def _judged(
     suggestions = [_as_course(s, consistency, trial, corrected) if s.channel == "yaw" else s for s in suggestions]
     in_doubt = {s.channel for s in suggestions if s.status == "open"}
     clear = {c: values for c, values in trial.columns(corrected).items() if c not in in_doubt}
-    turning = {**trial.motion_of_pose(clear, ("vx", "r")), **clear}
+    turning = {**trial.speed_of_wheels(corrected), **trial.motion_of_pose(clear, ("vx", "r")), **clear}
     steering = read_steering(corrected, turning, trial.vehicle)
     hand = next((s.reason for s in suggestions if s.status == "open" and "positive is undecided" in s.reason), "")
     alone = {
@@ -189,7 +190,7 @@ def _judged(
     suggestions = [as_bearing_by_name(s, corrected, clear.get("yaw")) if s.channel == "yaw" else s for s in suggestions]
     suggestions = [unit_by_gravity(s, triples, trial.signals) for s in suggestions]
     suggestions = _with_sideslip(suggestions) if "vy" in clear else suggestions
-    suggestions = [_as_engines(s, infos) if s.channel == "T" else s for s in suggestions]
+    suggestions = [_as_engines(s, infos, clear.get("T")) if s.channel == "T" else s for s in suggestions]
     suggestions = _in_pairs(doubt_of_height(without_the_tilted(suggestions), triples, trial.signals, trial.time))
     suggestions = [read_wheel(s, clear, trial.rate) if s.channel.startswith("wheel_speed") else s for s in suggestions]
     steered = [s.left_open(hand) if hand and s.status != "open" else s for s in steering]
@@ -236,9 +237,10 @@ def _with_sideslip(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
     ]
 
 
-def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo]) -> Suggestion:
-    """Mark a torque that may be the engine's."""
-    why = note_on_engine(s.sources, [info.name for info in infos])
+def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo], torque: np.ndarray | None) -> Suggestion:
+    """Mark a torque that may be the engine's, or that lacks the brakes that are recorded beside it."""
+    names = [info.name for info in infos if info.type_name != "text"]
+    why = note_on_engine(s.sources, names) or note_on_brakes(s.sources, names, torque)
     return replace(s, status="assumed", reason=f"{why}; {s.reason}") if why and s.status != "open" else s
 
 

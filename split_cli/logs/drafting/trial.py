@@ -1,18 +1,18 @@
 """Guesses of a draft as SI columns on one clock, to be judged by the consistency checks."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from split_cli.logs.assembling.clean import clock_resets, isolated_spikes
 from split_cli.logs.assembling.synchronize import BRIDGED_SAMPLES, SLOWEST_PERIOD
-from split_cli.logs.assembling.transform import local_tangent_plane, signed, yaw_from_quaternion
+from split_cli.logs.assembling.transform import fix_in_degrees, local_tangent_plane, signed, yaw_from_quaternion
 from split_cli.logs.checking.checks import LEAST_CORRELATION, NOT_RECORDED
 from split_cli.logs.checking.consistency import Consistency, check_consistency
 from split_cli.logs.checking.kinematics import Kinematics
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
-from split_cli.logs.checking.wheel_speeds import outer_wheels
+from split_cli.logs.checking.wheel_speeds import AXLES, outer_wheels
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.handedness import certain_of
 from split_cli.logs.drive import Drive
@@ -25,6 +25,13 @@ _MOST_FLAGS = 8
 """Values that a flag of validity takes at most [1]: two or three bits."""
 _GAP = 0.5
 """Between two rows of a table, from which on what stands between them is not judged, or five usual steps [s]."""
+
+
+_OF_A_FIX = ("local_x", "local_y")
+_COUNTED_FIX = "1e-07 deg"
+"""Of coordinates in whole numbers (u-blox, MAVLink, PX4): 180 degrees are 1.8e9, which four bytes hold."""
+_LEAST_COUNTED = 1e6
+"""A tenth of a degree in that unit [1], beyond what arc minutes (10,800) and NMEA's ddmm.mmm (18,000) reach."""
 
 
 @dataclass(frozen=True)
@@ -118,21 +125,18 @@ class Trial:
     def _beyond_the_globe(self, candidate: TrialCandidate) -> str:
         """Return which coordinate of a fix is none in degrees, empty where both may be."""
         names = {"latitude": candidate.sources[:1], "longitude": (None, *candidate.sources[:1])}.get(
-            candidate.channel, candidate.sources if candidate.convert in ("local_x", "local_y") else ()
+            candidate.channel, candidate.sources if candidate.convert in _OF_A_FIX else ()
         )
         for name, limit in zip(names, (90.0, 180.0), strict=False):
             if name is None:
                 continue
-            values = self.signals[name].values
+            values = fix_in_degrees(self.signals[name].values, candidate.unit, self.signals[name].unit)
             largest = float(np.quantile(np.abs(values[np.isfinite(values)]), 0.99))
             if largest > limit:
-                what = (
-                    "arc minutes, or degrees and minutes as in NMEA (ddmm.mmm)"
-                    if largest < 1e6
-                    else "degrees times 1e7"
+                return (
+                    f"{name} reaches {largest:.4g}, no angle on the globe exceeds {limit:g} deg: arc minutes, or "
+                    "degrees and minutes as in NMEA (ddmm.mmm)? Write the columns in degrees"
                 )
-                beyond = f"{name} reaches {largest:.4g}, no angle on the globe exceeds {limit:g} deg"
-                return f"{beyond}: {what}? Write the columns in degrees"
         return ""
 
     def column(self, s: Suggestion) -> np.ndarray | None:
@@ -145,7 +149,7 @@ class Trial:
         stamps = self.time if raw[0].time is None else raw[0].time
         if stamps is None or len(stamps) != len(values):
             return None
-        unit = find_unit(s.unit) if s.unit else None
+        unit = find_unit(s.unit) if s.unit and s.convert not in _OF_A_FIX else None
         values = (values * s.scale + s.offset) * (unit.factor if unit is not None else 1.0)
         if s.channel == "yaw" and s.world == "ned":
             values = 0.5 * np.pi - values
@@ -160,6 +164,16 @@ class Trial:
         if s.channel in ("X", "Y", "yaw"):
             return _along_a_curve(self.grid, stamps, values)
         return np.interp(self.grid, stamps, values)
+
+    def with_unit_of_the_fix(self, candidate: TrialCandidate) -> TrialCandidate:
+        """Return a coordinate with the unit in which receivers count it in whole numbers; another one as it is."""
+        if candidate.convert not in _OF_A_FIX and candidate.channel not in ("latitude", "longitude"):
+            return candidate
+        read = [self.signals[name] for name in candidate.sources if name in self.signals]
+        values = np.concatenate([s.values[np.isfinite(s.values)] for s in read if s.unit is None] or [np.zeros(0)])
+        largest = float(np.max(np.abs(values), initial=0.0))
+        counted = _LEAST_COUNTED < largest <= 1.8e9 and bool(np.all(values == np.rint(values)))
+        return replace(candidate, unit=_COUNTED_FIX) if counted else candidate
 
     def _without_spikes(self, signal: RawSignal) -> np.ndarray:
         """Return what ingest would keep of a signal; NaN where a sample stands alone, far from its neighbours."""
@@ -176,7 +190,8 @@ class Trial:
     def _combined(self, s: Suggestion | TrialCandidate, values: list[np.ndarray]) -> np.ndarray:
         if s.convert == "yaw_from_quaternion":
             return yaw_from_quaternion(*values)
-        if s.convert in ("local_x", "local_y"):
+        if s.convert in _OF_A_FIX:
+            values = [fix_in_degrees(v, s.unit, self.signals[n].unit) for v, n in zip(values, s.sources, strict=True)]
             finite = np.flatnonzero(np.isfinite(values[0]) & np.isfinite(values[1]) & (values[0] != 0.0))
             if not len(finite):
                 return np.full(len(values[0]), np.nan)
@@ -211,13 +226,36 @@ class Trial:
             made["r"] = k.course_rate()
         return made
 
+    def speed_of_wheels(self, chosen: Mapping[str, Suggestion]) -> dict[str, np.ndarray]:
+        """Return v_x as the mean of both wheels of an axle, the rear one if recorded, with both [m/s], shape (N,).
+
+        Empty where no pair states a unit of speed; one that turns says nothing without its radius.
+        """
+        for pair in AXLES[::-1]:
+            wheels = {c: chosen[c] for c in pair if c in chosen}
+            units = [find_unit(s.unit) for s in wheels.values() if s.unit]
+            if len(units) == 2 and all(unit is not None and unit.si == "m/s" for unit in units):
+                speeds = self.columns(wheels)
+                return {**speeds, "vx": sum(speeds.values()) / 2.0} if len(speeds) == 2 else {}
+        return {}
+
     def outer_wheels_are_faster(self, columns: Mapping[str, np.ndarray]) -> bool:
         """Tell whether the wheels of every axle that is recorded say that r is left-positive."""
+        found = self._outer_wheels(columns)
+        return bool(found) and all(correlation > LEAST_CORRELATION for correlation in found)
+
+    def inner_wheels_are_faster(self, columns: Mapping[str, np.ndarray]) -> bool:
+        """Tell whether both axles say that r is right-positive: the wires of one may be exchanged."""
+        found = self._outer_wheels(columns)
+        return len(found) == len(AXLES) and all(correlation < -LEAST_CORRELATION for correlation in found)
+
+    def _outer_wheels(self, columns: Mapping[str, np.ndarray]) -> list[float]:
+        """Return for each axle how right less left wheel speed goes with r, as a correlation [1]."""
         if "vx" not in columns or not self.time_is_known:
-            return False
+            return []
         k = Kinematics(columns, 1.0 / self.rate, self.slices)
         found = outer_wheels(k, lambda *channels: set(channels) <= set(columns)).values()
-        return bool(found) and all(slope.correlation > LEAST_CORRELATION for slope in found)
+        return [slope.correlation for slope in found]
 
     def _change(self, values: np.ndarray) -> np.ndarray:
         """Return the derivative of a column, shape (N,); across a border of two segments there is none."""
@@ -249,8 +287,12 @@ class Trial:
         pose = {channel: used[channel] for channel, by in sure.items() if channel in used and by in certain}
         motion = self.motion_of_pose(used, ("vx",))
         motion |= self.motion_of_pose(pose, ("r",)) if "r" not in used else {}
+        if not {"vx"} & {*used, *motion} and (rolled := self.speed_of_wheels(chosen)):
+            # They judge the other axle, and no longer themselves.
+            motion |= {"vx": rolled["vx"]}
+            used = {c: v for c, v in used.items() if c not in rolled}
         kinds = {channel: NOT_RECORDED for channel in REQUIRED_CHANNELS if channel not in {*used, *motion}}
-        kinds |= dict.fromkeys(motion, "derived: from the path")
+        kinds |= dict.fromkeys(motion, "derived: from the path or the wheels")
         used |= motion
         if "vx" not in used or len(self.grid) < 200 or not self.time_is_known:
             return Consistency()
@@ -271,7 +313,11 @@ class Trial:
         """Return the usual step between two samples of a suggestion [s]."""
         signal = self.signals[names_of(s)[0]]
         stamps = self.time if signal.time is None else signal.time
-        return 0.0 if stamps is None else float(np.nanmedian(np.diff(stamps[np.isfinite(signal.values)])))
+        if stamps is None:
+            return 0.0
+        # Of rows with one stamp ingest keeps one.
+        steps = np.diff(np.unique(stamps[np.isfinite(signal.values) & np.isfinite(stamps)]))
+        return float(np.median(steps)) if len(steps) else 0.0
 
 
 def _along_a_curve(grid: np.ndarray, stamps: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -232,7 +232,9 @@ def _axes(
         name = kinds["velocity"][2]
         return _Axes(1, 2, f"the car travels along {name}: {NOT_UP}")
     span = sizes("position", without_bias=True)
-    x, y, z = span if span is not None and travel is turning is None else np.zeros(3)
+    # A velocity beside it, of the world too, is as small along the height.
+    level = travel is None or _CLEARLY * travel[1] < min(travel[0], travel[2])
+    x, y, z = span if span is not None and turning is None and level else np.zeros(3)
     if z > _STEEPEST * x and _CLEARLY * y < min(x, z):
         return _Axes(1, None, f"{kinds['position'][1]} changes far less than the other two: {NOT_UP}")
     return None

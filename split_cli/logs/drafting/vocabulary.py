@@ -11,7 +11,7 @@ from functools import lru_cache
 
 _WORDS: dict[str, str] = {
     "velocity": (
-        "v vel velo velocity velocities velocidad velocita speed speeds spd speedo speedometer tacho vitesse "
+        "v vel velo velocity velocities velocidad velocita speed speeds spd speedo speedometer tacho vss vitesse "
         "geschwindigkeit geschw fahrgeschwindigkeit 车速 速度"
     ),
     "acceleration": (
@@ -26,9 +26,13 @@ _WORDS: dict[str, str] = {
     "position": (
         "pose pos posn position center centre loc location coordinate coord displacement displacements 位置 坐标"
     ),
-    "long": ("x xv long longi longitudinal longitudinale lng lngt lgt fwd forward forwards inline lineal laengs 纵向"),
-    "lat": ("y yv lat lateral laterale side sideways quer transverse transversal transversale trasversale 侧向 横向"),
-    "up": "z zv vert vertical up hoch",
+    "long": (
+        "x xv long longi longitudinal longitudinale lng lngt lgt fwd forward forwards surge inline lineal laengs 纵向"
+    ),
+    "lat": (
+        "y yv lat lateral laterale side sideways sway quer transverse transversal transversale trasversale 侧向 横向"
+    ),
+    "up": "z zv vert vertical heave up down hoch",
     "linear": "linear lin",
     "steer": "steer steered steering eps str strg lenk 转向 lenkung braquage direccion sterzo sterzata",
     "handwheel": "handwheel lws lenkrad stw swa sw msw volant volante 方向盘 转向盘",

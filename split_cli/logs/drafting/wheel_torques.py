@@ -2,11 +2,15 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from split_cli.logs.drafting.trial import TrialCandidate
 from split_cli.logs.drafting.vocabulary import concepts_of, place_and_rest, tokens_of
 
 PARTS = ("wheel_torque", "axle_torque")
 """Meanings that together make T."""
+_BRAKES = 0.1
+"""Of the largest torque of the drive, the largest one of braking of what drives alone [1]; a motor's drag is less."""
 _AXLE_OF = {"fl": "front", "fr": "front", "rl": "rear", "rr": "rear", "front": "front", "rear": "rear"}
 
 
@@ -77,3 +81,29 @@ def note_on_engine(sources: Sequence[str], names: Sequence[str]) -> str:
                 "gear ratio times efficiency makes it T, where one gear is driven"
             )
     return ""
+
+
+def note_on_brakes(sources: Sequence[str], names: Sequence[str], torque: np.ndarray | None) -> str:
+    """Return what to say of a torque that hardly brakes beside recorded ones of brakes; empty where none is.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Recorded names that T is made of.
+    names : sequence of str
+        All recorded names.
+    torque : ndarray, optional
+        T, shape (N,) [N m].
+    """
+    if torque is None or -np.nanquantile(torque, 0.01) > _BRAKES * np.nanquantile(torque, 0.99):
+        return ""
+
+    def brakes(name: str) -> bool:
+        concepts = concepts_of(tokens_of(name))[0]
+        return {"brake", "torque"} <= concepts and not concepts & {"drive", "command", "other"}
+
+    others = [name for name in names if name not in sources and brakes(name)]
+    if not others or any(map(brakes, sources)):
+        return ""
+    shown = ", ".join(others[:4]) + (" and others" if len(others) > 4 else "")
+    return f"without {shown}: add the brakes to `sum:`, with `scale: -1` where their torque is positive"

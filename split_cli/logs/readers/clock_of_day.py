@@ -1,11 +1,14 @@
-"""A clock of the day in one number, as loggers write it: HHMMSS.sss, or HHMMSSsss without the point."""
+"""Clocks as loggers write them: of the day in one number (HHMMSS.sss, HHMMSSsss), or with counts behind the point."""
+
+import re
+from collections.abc import Sequence
 
 import numpy as np
 
 _DIGITS_BEHIND = (1.0, 100.0, 1000.0)
 """By which a number is divided to get HHMMSS: none, hundredths or thousandths of a second without a point [1]."""
 _LAST = 235959.9995
-_DAY = 86400.0
+_MINUTE, _DAY, _WEEK = 60.0, 86400.0, 604800.0
 """[s]."""
 _HALF_A_DAY = 43200.0
 """A clock that falls by more has passed midnight [s]."""
@@ -21,17 +24,32 @@ def seconds_of_day(clock: np.ndarray) -> np.ndarray:
     return np.round(over_midnight(hours * 3600.0 + minutes * 60.0 + seconds), 6)
 
 
-def over_midnight(time: np.ndarray) -> np.ndarray:
-    """Return a clock of the day with a day added after each midnight; any other as it is, shape (N,) [s].
+def over_midnight(time: np.ndarray, second: float = 1.0) -> np.ndarray:
+    """Return a clock of the day or of the week with each midnight passed added; any other as it is, shape (N,).
 
-    A clock of the day lies between 0 and a day, and no run that starts again falls by half of one.
+    A clock of the day lies between 0 and a day, and no run that starts again falls by half of one. One of the week,
+    as satellite receivers count it, falls from its last minute to its first.
+
+    Parameters
+    ----------
+    time : ndarray
+        As recorded, shape (N,), NaN where missing.
+    second : float
+        What a second is in it [1].
     """
     kept = np.flatnonzero(np.isfinite(time))
-    passed = np.cumsum(np.diff(time[kept], prepend=time[kept[:1]]) < -_HALF_A_DAY)
-    if not len(kept) or not passed[-1] or time[kept].min() < 0.0 or time[kept].max() > _DAY:
+    if not len(kept) or time[kept].min() < 0.0:
+        return time
+    clock = time[kept] / second
+    period = _DAY if clock.max() <= _DAY else _WEEK
+    before, after = clock[:-1], clock[1:]
+    fell = after - before < -_HALF_A_DAY
+    if period == _WEEK:
+        fell &= (before > _WEEK - _MINUTE) & (after < _MINUTE)
+    if clock.max() > period or not fell.any():
         return time
     moved = np.array(time, dtype=np.float64)
-    moved[kept] += _DAY * passed
+    moved[kept[1:]] += period * second * np.cumsum(fell)
     return moved
 
 
@@ -71,3 +89,54 @@ def packed_clock(values: np.ndarray) -> np.ndarray | None:
         if np.all(moved >= 0.0) and float(np.quantile(moved, 0.99)) < 60.0 - _FULL:
             return whole
     return None
+
+
+_COUNTED = re.compile(r"(\d+)[.,](\d{1,9})")
+_FEWEST_FALLS = 3
+"""Of a clock within a second, from which on its digits are looked at [1]: twice may be rows out of order."""
+
+
+def falls_within_seconds(values: np.ndarray) -> bool:
+    """Tell whether a clock falls by less than a second again and again, shape (N,) [s]."""
+    steps = np.diff(values[np.isfinite(values)])
+    return bool(np.count_nonzero((steps < 0.0) & (steps > -1.0)) >= _FEWEST_FALLS)
+
+
+def counted_clock(cells: Sequence[str]) -> np.ndarray | None:
+    """Return the seconds of a clock that has a count behind its point: 12.5 is 12.005 s, and 12.50 is 12.05 s.
+
+    Programs print whole seconds and milliseconds or microseconds so, one after the other, without leading zeros.
+    Such a clock rises from row to row once it is read so; None for cells of which that is not true.
+    """
+    found = [_COUNTED.fullmatch(cell.strip()) for cell in cells]
+    if not any(found):
+        return None
+    second = 10.0 ** max(len(match[2]) for match in found if match)
+    time = np.array([int(match[1]) + int(match[2]) / second if match else np.nan for match in found])
+    return time if np.all(np.diff(time[np.isfinite(time)]) >= 0.0) else None
+
+
+_FEWEST_SECONDS = 10
+_ALIKE = 0.2
+"""Share by which the rows of a second may differ from the usual number [1], or by one."""
+
+
+def spread_over_seconds(time: np.ndarray) -> np.ndarray | None:
+    """Return a clock of whole seconds with the rows of each second spread evenly over it, shape (N,) [s].
+
+    Rows that come at a steady rate are then no later and no earlier than their distance. None for a clock with parts
+    of seconds, or whose seconds have unlike numbers of rows.
+    """
+    if len(time) < 2 * _FEWEST_SECONDS or not np.all(np.isfinite(time)) or np.any(time != np.floor(time)):
+        return None
+    seconds, first, counts = np.unique(time, return_index=True, return_counts=True)
+    usual = float(np.median(counts))
+    inner = counts[1:-1]
+    alike = np.abs(inner - usual) <= max(_ALIKE * usual, 1.0)
+    if len(seconds) < _FEWEST_SECONDS or usual < 2.0 or np.any(np.diff(time) < 0.0) or np.mean(alike) < 1.0 - _ALIKE:
+        return None
+    # A second that lacks rows has them at their usual distance; the first one ends with the second.
+    rows = np.maximum(counts, usual)
+    place = np.arange(len(time)) - np.repeat(first, counts)
+    late = np.where(np.arange(len(seconds)) == 0, rows - counts, 0.0)
+    return time + (place + np.repeat(late, counts)) / np.repeat(rows, counts)

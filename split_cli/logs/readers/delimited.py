@@ -21,14 +21,24 @@ from split_cli.logs.raw import (
     ReadNote,
     UniqueNames,
     note_once,
+    split_stamps,
 )
-from split_cli.logs.readers.clock_of_day import packed_clock
+from split_cli.logs.readers.cells import number_of, seconds_of, with_halves
+from split_cli.logs.readers.clock_of_day import counted_clock, falls_within_seconds, packed_clock, spread_over_seconds
 from split_cli.logs.readers.column_clocks import clocks_of_columns, with_clock
-from split_cli.logs.readers.dialect import EMPTY_CELLS, Dialect, Sniffed, is_grouped, sniff, unwrapped
+from split_cli.logs.readers.dialect import (
+    EMPTY_CELLS,
+    Dialect,
+    Sniffed,
+    is_grouped,
+    quantity_of,
+    sniff,
+    split_line,
+    unwrapped,
+)
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import split_name_and_unit, symbol_of
 
-_TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 #: What is parsed at once [bytes]; with 4 MB a plain file takes a tenth more processor time. A row must fit into
 #: it, so a wide table gets as much for each column: the widest that is read has 4 MB.
 _BLOCK_BYTES, _BLOCK_BYTES_A_COLUMN = 1 << 20, 200
@@ -41,6 +51,7 @@ _LOOKED_AT_BYTES = 1 << 18
 FIRST_UNTITLED = "column1"
 """What the first column is called where others have titles and it has none."""
 _CALLED_CLOCK = re.compile(r"time|clock|utc|stamp|zeit|heure|hora", re.IGNORECASE)
+_CALLED_COORDINATE = re.compile(r"lat|lon|lng|breite|l(ä|ae)nge", re.IGNORECASE)
 _Columns = tuple[dict[int, np.ndarray], Counter[int], int]
 """Values by position, cells of each that are no numbers, and rows that were left out."""
 
@@ -71,6 +82,9 @@ def open_delimited(path: Path) -> RawRecording:
         index = columns[name][0]
         return read_columns(path, sniffed.dialect, width, {index: name}, [])[index]
 
+    if sniffed.dialect.filled_to:
+        note_once(notes, "empty cells at the ends of rows are cut off: rows filled up", path.name)
+    halves, parted = _halves(sniffed), split_stamps(infos)
     clocks, origin = clocks_of_columns(infos, numbers)
     if clocks:
         count = len({id(time) for time in clocks.values()})
@@ -88,14 +102,36 @@ def open_delimited(path: Path) -> RawRecording:
             raise LogError("holds no rows", where=path.name, advice="Export it again.")
         for name, (index, unit) in chosen.items():
             clock = packed_clock(values[index]) if unit is None and _CALLED_CLOCK.search(name) else None
-            if clock is not None:
-                what = "column of hours, minutes and seconds in one number, read as seconds since midnight"
+            what = "column of hours, minutes and seconds in one number, read as seconds since midnight"
+            if clock is None and _CALLED_CLOCK.search(name) and falls_within_seconds(values[index]):
+                clock = counted_clock(_cells_of(path, sniffed.dialect, width, index))
+                what = "column of seconds with a count behind the point, without leading zeros: 12.5 is 12.005 s"
+            finest = _is_finest_clock(sniffed, index) and not parted
+            if clock is None and finest and unit in (None, "s"):
+                clock = spread_over_seconds(values[index])
+                what = "clock of whole seconds: the rows of each are spread evenly over it"
+            if clock is not None and len(clock) == len(values[index]):
                 note_once(notes, what, f"{path.name}, column {name}")
                 values[index] = clock
+            if index in halves:
+                letters = _cells_of(path, sniffed.dialect, width, halves[index])
+                values[index] = with_halves(values[index], letters)
+                what = "coordinate with the half of the globe in the column behind it, read as degrees"
+                note_once(notes, what, f"{path.name}, column {name}")
         found = {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
         return {name: with_clock(signal, clocks.get(name)) for name, signal in found.items()}
 
     return LazyTableRecording(path.name, path, infos, load, origin, notes=notes)
+
+
+def _cells_of(path: Path, dialect: Dialect, width: int, index: int) -> list[str]:
+    """Return a column as it is written; rows of another number of cells are left out."""
+    with path.open("rb") as stream:
+        stream.seek(dialect.offset)
+        text = stream.read(-1 if dialect.end is None else dialect.end - dialect.offset)
+    rows = (split_line(line, dialect.separator) for line in text.decode(dialect.encoding, "replace").splitlines())
+    filled = (row + [""] * (dialect.filled_to - len(row)) for row in rows if row)
+    return [row[index] for row in filled if len(row) == width]
 
 
 def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, tuple[int, str | None]]:
@@ -119,6 +155,7 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
             unit = symbol_of(stated)
         elif unit is None and _is_clock(sniffed, index):
             unit = "s"
+        unit = _unit_in_cells(sniffed, index) or unit
         if not name and index == 0 and any(sniffed.header) and not _is_text(sniffed, index):
             # The index of a table, which programs write without a title: row numbers, or the time.
             name = FIRST_UNTITLED
@@ -160,124 +197,38 @@ def _is_text(sniffed: Sniffed, index: int) -> bool:
     return bool(cells) and 2 * numeric < len(cells)
 
 
+def _halves(sniffed: Sniffed) -> dict[int, int]:
+    """Return latitude and longitude with the columns behind them that say north or south, and east or west.
+
+    Empty where it is not both: a gear may be N, and a mode of driving E or S.
+    """
+    found = {}
+    for index in range(1, len(sniffed.header)):
+        letters = {row[index].strip() for row in sniffed.rows if index < len(row)} - {""}
+        half = next((half for half in ("NS", "EW") if letters and letters <= set(half)), "")
+        if half and _CALLED_COORDINATE.search(sniffed.header[index - 1]) and not _is_text(sniffed, index - 1):
+            found[half] = (index - 1, index)
+    return dict(found.values()) if len(found) == 2 else {}
+
+
 def _is_clock(sniffed: Sniffed, index: int) -> bool:
     """Whether every cell is a time in words, such as ``14:05:07,12``, which is read as seconds."""
     cells = [row[index].strip() for row in sniffed.rows if index < len(row) and row[index].strip() not in EMPTY_CELLS]
     return bool(cells) and all(":" in cell and np.isfinite(seconds_of(cell)) for cell in cells)
 
 
-def _ungrouped(cell: str) -> str:
-    """Return a number without what stands between its thousands: its last mark that is no digit is the decimal."""
-    whole, mark, part = re.fullmatch(r"(.*)([.,])(\d+)", cell.strip()).groups()
-    return re.sub(r"[^\d+-]", "", whole) + mark + part
+def _is_finest_clock(sniffed: Sniffed, index: int) -> bool:
+    """Whether a column is called a clock, and no other one that is so called changes from row to row more often."""
+    called = [n for n, title in enumerate(sniffed.header) if _CALLED_CLOCK.search(title)]
+    changes = {n: len({row[n] for row in sniffed.rows if n < len(row)}) for n in called}
+    return index in changes and changes[index] == max(changes.values())
 
 
-def number_of(cell: str, decimal: str) -> float:
-    """Return a cell as a number: true and false as 1 and 0, coordinates in degrees, times in seconds; else NaN."""
-    if is_grouped(cell, decimal):
-        cell = _ungrouped(cell)
-    try:
-        # Python takes 1_5 for 15; no logger writes that.
-        return float(cell.replace(decimal, ".") if decimal != "." else cell) if "_" not in cell else seconds_of(cell)
-    except ValueError:
-        folded = cell.lower()
-        if folded in _TRUE or folded in _FALSE:
-            return float(folded in _TRUE)
-        angle = degrees_of(cell)
-        return angle if np.isfinite(angle) else seconds_of(cell)
-
-
-_HALVES = {"N": 1.0, "E": 1.0, "S": -1.0, "W": -1.0}
-_ANGLE = re.compile(
-    r"([NSEW])? *(\d{1,3})°? *"
-    r"(?:(\d{1,2}(?:[.,]\d+)?) *['′’] *(?:(\d{1,2}(?:[.,]\d+)?) *(?:[\"″”]|''))?)? *([NSEW])?$"
-    r"|([NSEW])? *(\d{1,3}[.,]\d+) *° *([NSEW])?$"
-)
-
-
-def degrees_of(cell: str) -> float:
-    """Return a geographic coordinate as degrees, south and west negative; NaN for what is none.
-
-    ``52°06.1234' N``, ``N 52° 6' 7.4"`` or ``52.1057° N``: with the half of the globe that it is on. The letter O
-    is east in German and west in French, so that no value is read from it.
-    """
-    found = _ANGLE.match(cell)
-    if found is None:
-        return float("nan")
-    before, degrees, minutes, seconds, behind, first, decimal, last = found.groups()
-    half = next((letter for letter in (before, behind, first, last) if letter), None)
-    if half is None:
-        return float("nan")
-    if decimal:
-        return _HALVES[half] * float(decimal.replace(",", "."))
-    parts = [float((part or "0").replace(",", ".")) for part in (degrees, minutes, seconds)]
-    return _HALVES[half] * (parts[0] + parts[1] / 60.0 + parts[2] / 3600.0)
-
-
-_SPAN = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?) (sec|min|hr)$")
-"""A duration as MATLAB writes it."""
-_SECONDS = {"sec": 1.0, "min": 60.0, "hr": 3600.0}
-_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+|:\d{3})?)(?:\s*([AaPp])\.?[Mm]\.?)?$")
-_MONTH = re.compile(r"(\d{1,2})([-/. ])([A-Za-z]{3})[a-z]*\2(\d{2,4})")
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-_OF_A_PROGRAM = re.compile(
-    r"[A-Z][a-z]{2} ([A-Z][a-z]{2}) +(\d{1,2}) (\d{1,2}:\d{2}:\d{2}(?:\.\d+)?) "
-    r"(?:[A-Z]{1,5})?(?:([+-])(\d{2}):?(\d{2}))? ?(\d{4})$"
-)
-_DATE = re.compile(r"(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})[ T]+(.+)$")
-_STAMP = re.compile(r"(20\d\d)[-_]?(\d\d)[-_]?(\d\d)[-_T ](\d\d)[-_]?(\d\d)[-_]?(\d\d)(?:[-_.](\d{1,9}))?$")
-"""A moment as it is written in names of files: 2024_04_23_13_15_46_619, 20240423_131546."""
-
-
-def seconds_of(cell: str) -> float:
-    """Return a time written in words as seconds, else NaN.
-
-    ISO 8601 counts from 1970, in UTC where it names no zone. A date in another order does so too; its day comes
-    first where both readings are possible; its month may be a name (``14-Mar-2026``), or it is written as programs
-    print it (``Wed Feb 23 06:51:06 GMT+08:00 2022``). A clock without a date
-    (``10:15:03.25``, ``1:03.25``, ``10:15:03 PM``) counts from 0, as does a span (``0.25 sec``).
-    """
-    from datetime import UTC, datetime
-
-    clock = _CLOCK.match(cell)
-    if clock:
-        hours, minutes, seconds, half = clock.groups()
-        hour = float(hours or 0)
-        if half:
-            hour = hour % 12.0 + (12.0 if half in "Pp" else 0.0)
-        return 3600.0 * hour + 60.0 * float(minutes) + float(re.sub("[,:]", ".", seconds))
-    span = _SPAN.match(cell)
-    if span:
-        return float(span[1]) * _SECONDS[span[2]]
-    if len(cell) < 14:
-        return float("nan")
-    if stamp := _STAMP.match(cell):
-        year, month, day, hour, minute, second, part = stamp.groups()
-        cell = f"{year}-{month}-{day}T{hour}:{minute}:{second}.{(part or '0')[:6]}"
-    spoken = _OF_A_PROGRAM.match(cell)
-    if spoken and spoken[1].lower() in _MONTHS:
-        month, day, clock_of_day, sign, hours, minutes, year = spoken.groups()
-        zone = f"{sign}{hours}:{minutes}" if sign else "+00:00"
-        cell = f"{year}-{_MONTHS.index(month.lower()) + 1:02}-{int(day):02}T{clock_of_day.zfill(8)}{zone}"
-    named = _MONTH.match(cell)
-    if named and named[3].lower() in _MONTHS:
-        cell = f"{named[1]}/{_MONTHS.index(named[3].lower()) + 1}/{named[4]}{cell[named.end() :]}"
-    try:
-        moment = datetime.fromisoformat(cell.replace("/", "-").replace(",", "."))
-    except ValueError:
-        dated = _DATE.match(cell)
-        clock = _CLOCK.match(dated[5].strip()) if dated else None
-        if dated is None or clock is None:
-            return float("nan")
-        first, second, third = int(dated[1]), int(dated[3]), int(dated[4])
-        year, month, day = (first, second, third) if first > 31 else (third, second, first)
-        month, day = (day, month) if month > 12 else (month, day)
-        try:
-            moment = datetime(year + 2000 if year < 100 else year, month, day, tzinfo=UTC)
-        except ValueError:
-            return float("nan")
-        return moment.timestamp() + seconds_of(dated[5].strip())
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+def _unit_in_cells(sniffed: Sniffed, index: int) -> str | None:
+    """Return the SI unit of a column whose cells state their own, in which they are read; None of any other."""
+    cells = [row[index].strip() for row in sniffed.rows if index < len(row) and row[index].strip() not in EMPTY_CELLS]
+    found = {quantity[1] if quantity else "" for quantity in (quantity_of(c, sniffed.dialect.decimal) for c in cells)}
+    return found.pop() or None if len(found) == 1 else None
 
 
 def read_columns(
@@ -406,7 +357,7 @@ def _blocks(path: Path, dialect: Dialect, options: dict[str, Any]) -> Iterator[t
     with pa.OSFile(str(path)) as stream:
         end = stream.size() if dialect.end is None else dialect.end
         size = end - dialect.offset
-        rewritten = dialect.quoted_whole or dialect.separator == " "
+        rewritten = dialect.quoted_whole or dialect.separator == " " or dialect.filled_to > 0
         if rewritten or dialect.encoding.startswith("utf-16") or pa.cpu_count() == 1:
             rows = _rewritten(stream.get_stream(dialect.offset, size), dialect)
             share = min(options["read_options"].block_size / size, 1.0) if size else 1.0
@@ -439,8 +390,8 @@ def _parts(path: Path, first: int, end: int) -> Iterator[tuple[int, int]]:
 
 
 def _rewritten(stream: Any, dialect: Dialect) -> Any:
-    """Return the rest of a file without quotes around whole lines, and with one tab for each run of blanks."""
-    if not dialect.quoted_whole and dialect.separator != " ":
+    """Return the rest of a file without quotes around whole lines, with one tab for each run of blanks, rows filled."""
+    if not dialect.quoted_whole and dialect.separator != " " and not dialect.filled_to:
         return stream
     text = stream.read().decode(dialect.encoding, errors="replace")
     if dialect.quoted_whole:
@@ -448,7 +399,15 @@ def _rewritten(stream: Any, dialect: Dialect) -> Any:
     if dialect.separator == " ":
         # A pattern for blanks at the end of a line takes the square of a long run of them.
         text = "\n".join("\t".join(line.split()) for line in text.splitlines()) + "\n"
+    if dialect.filled_to:
+        text = "\n".join(_with_separators(line, dialect) for line in text.splitlines()) + "\n"
     return io.BytesIO(text.encode(dialect.encoding))
+
+
+def _with_separators(line: str, dialect: Dialect) -> str:
+    """Return a line with the separators of the empty cells that were cut off at its end."""
+    cells = line.count(dialect.separator) if '"' not in line else len(split_line(line, dialect.separator)) - 1
+    return line + dialect.separator * (dialect.filled_to - 1 - cells) if line.strip() else line
 
 
 def _numbers(texts: Any, decimal: str) -> tuple[np.ndarray, int]:

@@ -26,6 +26,11 @@ _SEPARATORS = (",", ";", "\t", "|")
 _BLANKS = " "
 _CHECKED_ROWS = 200
 _CONFIRMING_ROWS = 3
+_CUT_SHARE = 0.2
+"""Of rows that are shorter than their titles, from which on a writer cut them off [1]: of damaged ones there are fewer,
+and their cells may stand in other columns. Judgement."""
+_TITLED_LINES = 60
+"""In which a row of titles of several lines is looked for [1]: 30 columns of two lines each, or more; judgement."""
 _ROWS_BELOW = 20
 _FEWEST_GROUPS = 2
 """Of several columns each, that make a row of groups [1]: one is the name of a table, or of its driver."""
@@ -33,6 +38,13 @@ _MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codec
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
 _PLAIN = {".": _NUMBER, ",": _NUMBER_WITH_COMMA}
+_QUANTITY = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)(?:\s+([^\W\d][^\s,;]{0,9}|°/s)|\s*([%°]))")
+"""A number with its unit behind it in one cell, as dashboards write it: 12.3 km/h, 45 %."""
+_OPEN_QUOTE = re.compile(r'(?:^(?:[^"]*"[^"]*")*[^"]*[,;\t]|^)"[^"]*$')
+"""A quote that begins a cell and is not closed; the inches of a rim are none."""
+_NUMBER_IN_FRONT = re.compile(r'\s*"?[+-]?\d')
+_LABELLED_CELL = re.compile(r"([A-Za-z]{2,12}): ?(.*)")
+"""What a cell above the values holds, said in each of them: Unit: m/s (Simulation Data Inspector)."""
 _GROUPED = {
     ".": re.compile(r"^[+-]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*\.\d+$"),
     ",": re.compile(r"^[+-]?\d{1,3}([.' \u00a0\u202f])\d{3}(\1\d{3})*,\d+$"),
@@ -40,6 +52,8 @@ _GROUPED = {
 """Numbers with a mark between thousands, by the decimal mark: 1.234,5 and 1'234.5."""
 _TYPE = re.compile(r"[fiu]\d{1,2}|(u?int|float)(8|16|32|64)?|double|single|real", re.IGNORECASE)
 """Of a column's values, in a row under the titles, as ETAS writes it (f8)."""
+_LABELS_OF_NAMES = ("name", "names", "channel name", "channel", "channels", "signal name", "signal", "signals", "title")
+"""What stands before the names where each row above the values begins with what it holds (name, unit, comment)."""
 _WORD = re.compile(r"[^\W\d]")
 _UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.'\-\d² ]{0,12}[\])]?$")
 _PATTERN_OF_A_TIME = re.compile(r"(?=.*([hHms]{1,2}|[YyJ]{2,4}))[hHmsfSDdTtMYyJ0#.,:/\- ]{5,}")
@@ -66,6 +80,7 @@ class Dialect:
     # Whether each line stands in quotes as one cell, as a spreadsheet saves a file that it did not split.
     quoted_whole: bool = False
     end: int | None = None  # byte at which the rows end, if not with the file
+    filled_to: int = 0  # cells that shorter rows are filled up to, where the writer cut empty ones off
 
 
 @dataclass(frozen=True)
@@ -106,17 +121,36 @@ def sniff(path: Path) -> Sniffed:
         lines.pop()
     if "\ufffd" in text[:1000] or sum(ch < " " and ch not in "\t\r\n\f" for ch in text[:1000]) > 5:
         raise LogError("is neither a known log nor text", where=path.name, advice=KNOWN_FORMATS)
+    lines = _joined_titles(lines)
     quoted = _is_quoted_whole(lines)
     plain = [unwrapped(line) for line in lines] if quoted else lines
     for separator, decimal in _candidates(plain):
-        rows = [_split(line, separator) for line in plain]
+        rows = [split_line(line, separator) for line in plain]
+        full = _width_of_cut_rows(rows, separator, decimal)
+        rows = [_filled_up(row, full) if full and _holds_values(row, decimal) else row for row in rows]
         first = _first_values(rows, decimal)
         if first is not None:
             offset = len(mark) + sum(len(line.encode(encoding)) for line in lines[:first])
-            return _described(rows, first, Dialect(separator, decimal, encoding, offset, quoted))
+            return _described(rows, first, Dialect(separator, decimal, encoding, offset, quoted, None, full))
     what = "is no table of numbers: no rows of numbers were found in its beginning"
     advice = "Values are expected in columns, separated by comma, semicolon, tab or blanks."
     raise NoTableError(what, where=path.name, advice=advice)
+
+
+def _joined_titles(lines: list[str]) -> list[str]:
+    """Return lines with those of one row put together whose quoted titles go over several lines, as in spreadsheets.
+
+    Rows of values come after them: there a quote that is never closed would take the rows behind it.
+    """
+    made: list[str] = []
+    for number, line in enumerate(lines[:_TITLED_LINES]):
+        if made and _OPEN_QUOTE.search(made[-1].replace('""', "")) and not _NUMBER_IN_FRONT.match(line):
+            made[-1] += line
+        else:
+            made.append(line)
+        if number and _NUMBER_IN_FRONT.match(line):
+            return made + lines[number + 1 :]
+    return made + lines[_TITLED_LINES:]
 
 
 def unwrapped(line: str) -> str:
@@ -136,7 +170,7 @@ def _is_quoted_whole(lines: list[str]) -> bool:
         if line.startswith('"')
         and line.endswith('"')
         and any(separator in line for separator in _SEPARATORS)
-        and all(len(_split(line, separator)) == 1 for separator in _SEPARATORS)
+        and all(len(split_line(line, separator)) == 1 for separator in _SEPARATORS)
     ]
     return len(filled) > 2 and 10 * len(whole) >= 9 * len(filled)
 
@@ -172,7 +206,7 @@ def _candidates(lines: list[str]) -> list[tuple[str, str]]:
         # A decimal comma between commas can be recognised only where cells stand in quotes.
         quoted = any('"' in line for line in tail)
         for decimal in (".",) if separator == "," and not quoted else (".", ","):
-            rows = [_split(line, separator) for line in tail]
+            rows = [split_line(line, separator) for line in tail]
             widths = Counter(map(len, rows))
             width = max(widths, key=lambda w: (widths[w], w), default=0)
             cells = [cell for row in rows if len(row) == width for cell in row]
@@ -191,7 +225,8 @@ _COMMENT_MARK = re.compile(r"^[#%]+[ \t]*(?=[\w\"(\[])")
 """Before a row of titles or units, as NumPy, gnuplot and CarMaker write it; a column called # stays."""
 
 
-def _split(line: str, separator: str) -> list[str]:
+def split_line(line: str, separator: str) -> list[str]:
+    """Return the cells of a line; a mark of a comment before them is taken off."""
     if separator != _BLANKS:
         line = _COMMENT_MARK.sub("", line)
         try:
@@ -204,7 +239,28 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _is_number(cell: str, decimal: str) -> bool:
+    return _is_bare(cell, decimal) or quantity_of(cell, decimal) is not None
+
+
+def _is_bare(cell: str, decimal: str) -> bool:
+    """Tell whether a cell is a number without a unit."""
     return _PLAIN[decimal].match(cell.strip()) is not None or is_grouped(cell, decimal)
+
+
+def quantity_of(cell: str, decimal: str) -> tuple[float, str] | None:
+    """Return value and SI unit of a cell that holds a number with a known unit; None of any other.
+
+    A letter of the half of the globe is no newton.
+    """
+    found = _QUANTITY.fullmatch(cell.strip())
+    unit = find_unit(found[2] or found[3]) if found and found[2] not in ("N", "E", "S", "W") else None
+    if found is None or unit is None:
+        return None
+    try:
+        number = float(found[1].replace(decimal, "."))
+    except ValueError:
+        return None
+    return number * unit.factor + unit.offset, unit.si
 
 
 def is_grouped(cell: str, decimal: str) -> bool:
@@ -233,9 +289,33 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
             continue
         following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
         good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
+        if _counts_steps(row, following, decimal):
+            continue
         if 2 * good >= len(following) and not _words_among_numbers(row, rows[index + 1 :], decimal):
             return index
     return None
+
+
+def _counts_steps(row: list[str], following: list[list[str]], decimal: str) -> bool:
+    """Whether cells hold numbers with units where the rows below hold numbers alone: the steps that these count."""
+    steps = [n for n, cell in enumerate(row) if quantity_of(cell, decimal) is not None]
+    bare = [n for n in steps if all(n < len(later) and _is_bare(later[n], decimal) for later in following)]
+    return bool(following) and len(bare) > 0 and 2 * len(bare) >= len(steps)
+
+
+def _width_of_cut_rows(rows: list[list[str]], separator: str, decimal: str) -> int:
+    """Return how many cells a whole row has, where a writer cut the empty ones at its end off; 0 where none did.
+
+    The rows begin as long as the titles above them, and none is longer.
+    """
+    first = next((n for n, row in enumerate(rows) if _holds_values(row, decimal)), 0)
+    width = len(rows[first]) if rows else 0
+    lengths = [len(row) for row in rows[first:] if _holds_values(row, decimal)]
+    short = sum(length < width for length in lengths)
+    titled = any(len(row) == width and _is_title_row(row, width) for row in rows[max(first - 5, 0) : first])
+    if separator == _BLANKS or short < _CUT_SHARE * len(lengths) or not short or max(lengths) > width or not titled:
+        return 0
+    return width
 
 
 def _words_among_numbers(row: list[str], later: list[list[str]], decimal: str) -> bool:
@@ -268,20 +348,39 @@ def _numbers_the_columns(row: list[str], following: list[list[str]]) -> bool:
 def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     width = len(rows[first])
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
-    above = [row for row in rows[:first] if any(cell.strip() for cell in row)]
+    above = [_parted_by_commas(row, width) for row in rows[:first] if any(cell.strip() for cell in row)]
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
+    above = [row for row in map(_without_labels, above) if row]
     titles = [n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)]
     if not titles:
         worded = [row for row in rows[:first] if sum(_WORD.search(cell) is not None for cell in row) > 1]
         most = max(map(len, worded), default=0)
         return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, most)
-    chosen = _row_of_names(above, titles, width)
+    labelled = [n for n in titles if above[n][0].strip().lower() in _LABELS_OF_NAMES]
+    chosen = labelled[0] if len(labelled) == 1 and len(titles) > 1 else _row_of_names(above, titles, width)
     below = [_filled_up(row, width) for row in above[:chosen]]
     units = next((row for row in below if _is_unit_row(row, width)), None)
     devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
     units = units or _units_of_labview(rows[:first], width)
     groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
     return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups)
+
+
+def _without_labels(row: list[str]) -> list[str]:
+    """Return a row whose cells all say that they are units without that word; empty where they say anything else."""
+    found = [_LABELLED_CELL.fullmatch(cell.strip()) for cell in row if cell.strip()]
+    words = {match[1].lower() if match else "" for match in found}
+    if len(found) < 2 or len(words) > 1 or "" in words:
+        return row
+    return [cell.partition(":")[2].strip() for cell in row] if words <= {"unit", "units"} else []
+
+
+def _parted_by_commas(row: list[str], width: int) -> list[str]:
+    """Return a row of titles that commas part, above values that blanks or tabs part; any other as it is."""
+    if len(row) == width:
+        return row
+    titles = [title.strip() for title in " ".join(row).strip().rstrip(",").split(",")]
+    return titles if len(titles) == width > 1 else row
 
 
 def _filled_up(row: list[str], width: int) -> list[str]:

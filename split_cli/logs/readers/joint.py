@@ -51,6 +51,8 @@ class JointRecording:
             # Messages have times of their own; a stamp inside one topic is none of the others.
             time = None if part.clocks else time_column(infos)
             stamps = [] if part.clocks else split_stamps(infos)
+            if time is None and not stamps and not part.clocks:
+                time = _rising_in_seconds(part, infos)
             clocks[id(part)] = {name for stamp in stamps for name in (stamp.whole, stamp.part)}
             if time is None and stamps:
                 self._split[id(part)] = stamps[0]
@@ -130,6 +132,16 @@ class JointRecording:
             if note not in self._own_notes:
                 self._own_notes.append(note)
         return convert_to_si(signal.values, unit, where=part.name)
+
+
+def _rising_in_seconds(part: RawRecording, infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
+    """Return the first column in a unit of time that never falls, whatever it is called; None if there is none."""
+    for info in infos:
+        if info.type_name == "column" and getattr(find_unit(info.unit or ""), "si", "") == "s":
+            steps = np.diff(part.read([info.name])[info.name].values)
+            if np.any(steps > 0.0) and not np.any(steps < 0.0):
+                return info
+    return None
 
 
 def _own_clock(part: RawRecording, infos: Sequence[RawChannelInfo]) -> bool:

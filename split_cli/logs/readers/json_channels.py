@@ -11,7 +11,7 @@ import numpy as np
 
 from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, UniqueNames, unit_of_time
-from split_cli.logs.readers.delimited import seconds_of
+from split_cli.logs.readers.cells import seconds_of
 from split_cli.logs.readers.json_document import JsonDocument, parsed, plain_number
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import find_unit, split_name_and_unit, symbol_of

@@ -21,7 +21,7 @@ from split_cli.logs.raw import (
     UniqueNames,
     note_once,
 )
-from split_cli.logs.readers.delimited import seconds_of
+from split_cli.logs.readers.cells import seconds_of
 from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, is_channel, open_json_channels
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
 from split_cli.logs.readers.named_values import open_named_rows
@@ -72,6 +72,17 @@ def open_json(path: Path) -> RawRecording:
         return named
     known = _names_of(itertools.chain(beginning, _rows_of_places(path)), path)
     return _table(path, known, lambda: _rows(path, notes), notes)
+
+
+def table_of_rows(path: Path, rows: Callable[[], Iterator[dict[str, Any]]], notes: list[ReadNote]) -> RawRecording:
+    """Return a recording of rows of any form that hold their values by name, read anew for each call of `rows`.
+
+    Raises
+    ------
+    LogError
+        If the first rows hold no number.
+    """
+    return _table(path, _names_of(itertools.islice(rows(), _LISTED_ROWS), path), rows, notes)
 
 
 def _table(

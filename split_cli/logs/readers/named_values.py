@@ -25,13 +25,13 @@ from split_cli.logs.raw import (
     time_column,
     unit_of_time,
 )
-from split_cli.logs.readers.delimited import number_of
+from split_cli.logs.readers.cells import number_of
 from split_cli.logs.readers.dialect import LONGEST_LINE, decoded
 from split_cli.logs.readers.json_document import plain_number
 from split_cli.logs.scratch import GrowingSignal
 from split_cli.signals import find_unit, split_name_and_unit, symbol_of
 
-NAMES = tuple("signal signal_name channel name variable parameter topic key field _field metric sensor".split())
+NAMES = tuple("signal signal_name channel name variable parameter topic key field _field metric sensor pid".split())
 VALUES = ("value", "_value", "val", "data", "reading", "measurement", "signal_value", "physical_value")
 _GROUPS = ("message", "_measurement", "measurement", "message_name", "ecu", "device", "topic")
 _CARS = tuple("vehicle_id vehicle car_id car original_vehicle_id vehicle_number car_number driver".split())

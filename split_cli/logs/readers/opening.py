@@ -14,6 +14,7 @@ from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
 from split_cli.logs.readers.guard import GuardedRecording, guarded
 from split_cli.logs.readers.ibt import is_ibt, open_ibt
 from split_cli.logs.readers.json_rows import is_json, open_json
+from split_cli.logs.readers.labelled_lines import is_labelled, open_labelled
 from split_cli.logs.readers.messages import Container, MessageRecording
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
@@ -97,14 +98,18 @@ def open_recording(path: str | Path, *, message_paths: Sequence[str | Path] = ()
 
 
 def is_prose(path: Path) -> bool:
-    """Tell a text that is no recording, such as a README.txt beside logs: it holds no rows of numbers."""
+    """Tell a text that is no recording, such as a README.txt beside logs: it holds no rows of numbers.
+
+    A table of titles alone is a recording that ended before it began.
+    """
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
-        if not (is_can_log(path, head) or is_pi_toolbox(head) or is_json(head) or table_of_named_values(head)):
+        known = is_can_log(path, head) or is_pi_toolbox(head) or is_json(head) or is_labelled(head)
+        if not (known or table_of_named_values(head)):
             sniff(path)
     except NoTableError:
-        return bool(head)
+        return bool(head) and not (path.suffix.lower() == ".csv" and b"\n" not in head.strip())
     except (LogError, OSError):
         pass
     return False
@@ -194,6 +199,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_json(path)
     if (places := table_of_named_values(head)) is not None:
         return open_named_table(path, places)
+    if is_labelled(head):
+        return open_labelled(path)
     # Version 4 has no magic number; its reader tells whether it is one.
     if head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix.lower() == ".mat" and not _is_hdf5(head)):
         from split_cli.logs.readers.mat import open_mat

@@ -90,7 +90,8 @@ class InitResult:
             steps = [self._what_is_missing(lost, bool(unread)), *steps]
         steps = [*(unread if missing else []), *steps, *self.differences]
         if any(" does not hold " in text for text in self.differences):
-            steps.append("If the logs are parts of one drive, begin anew with --together.")
+            anew = shlex.quote(str(self.map_path.parent) + "_together")
+            steps.append(f"If the logs are parts of one drive, begin anew: split init {self.log} --together -o {anew}")
         run = f"With {', '.join(lost)}, run" if lost else "Run"
         vehicle, maps = shlex.quote(str(self.vehicle_path)), shlex.quote(str(self.map_path))
         derive = "".join(f" --derive {name}" for name in chosen)
@@ -167,7 +168,9 @@ def _to_record(missing: Sequence[str], mapped: set[str]) -> set[str]:
     """Return the channels without which a log makes no drive; the others are derived once these are there."""
     lost = set(missing)
     for channel in reversed(missing):
-        if derivations_for([channel], mapped | lost - {channel}):
+        # What is derived may take another channel that is derived.
+        derived = derivations_for(missing, mapped | lost - {channel})
+        if any(channel in DERIVATIONS[name].makes for name in derived):
             lost.remove(channel)
     return lost
 
