@@ -1,7 +1,7 @@
 """Terms added one at a time while the evidence carries them, and why a further one is refused."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,6 +91,14 @@ def search_forward(
             if best is None:
                 beyond = worth_it(explore.beyond_form_error(chosen))
                 best, _ = _first_believed(explore, chosen, beyond[: rules.considered])
+            both = _hidden_pair(explore, chosen, best)
+            if both is not None:
+                labels = " and ".join(part.candidate.label for part in both.parts[-2:])
+                history.append(f"added {labels}, which hide each other, saves {price_saved(both):.0f}")
+                chosen, dropped = _prune(explore, both)
+                history += dropped
+                alone = None
+                continue
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
             if reason == _ONCE and nuisances < rules.most_nuisances:
@@ -180,6 +188,48 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
         if not reasons[-1]:
             return fit, ""
     return None, next(iter(reasons), "")
+
+
+def _hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
+    """Return an explanation with two terms that save more together than the best one with any other; else None.
+
+    A steering that turns more and a differential that is stiffer nearly cancel in how a car turns. Alone neither
+    saves much, and what stands for the little that is left of both would be added in their place. Each of the two
+    has to be believed as the last to come to the other.
+
+    Parameters
+    ----------
+    best : Fit, optional
+        With the one further term that would be added; where there is none, any two that are worth it will do.
+    """
+    promised = explore.pairs(chosen)
+    if best is not None:
+        own = best.parts[-1].candidate.term
+        firsts = (one for one, *pair in promised if any(line.part.candidate.term == own for line in pair))
+        enough = min(explore.price(best), next(firsts, np.inf))
+    else:
+        enough = explore.price(chosen)
+    rules = explore.rules
+    for one, *pair in promised[: rules.considered]:
+        if one > enough - rules.price:
+            break
+        fit = explore.with_pair(chosen, (pair[0], pair[1]))
+        if fit is None or explore.price(fit) > enough - rules.price or goes_too_far(chosen, fit):
+            continue
+        if all(_is_sure_of(explore, fit, k) for k in (len(fit.parts) - 2, len(fit.parts) - 1)):
+            return fit
+    return None
+
+
+def _is_sure_of(explore: Explorer, fit: Fit, k: int) -> bool:
+    """Return whether a part is sure enough to be named, and would be believed as the last to come to the others."""
+    objective, last = explore.objective, replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
+    rest = fits_without(objective, fit, [k])[0]
+    if fit.parts[k].is_everyday or refusal(explore, rest, sizes_with_form_error(objective, rest.terms), last):
+        return False
+    saved = rest.cost - fit.cost
+    p_value = term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates)
+    return p_value < explore.rules.level and exceeds_simulation_scatter(objective, fit.parts[k].candidate, saved)
 
 
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
