@@ -193,6 +193,26 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     assert values["drive_delay"]["delay"] == pytest.approx(0.12, rel=0.03)
 
 
+def test_two_terms_that_hide_each_other_are_found_beside_a_third(monkeypatch):
+    """Steering that turns more and a stiffer differential: one at a time, two others stand for them."""
+    true = {
+        "steer_offset": {"offset": 0.01},
+        "steer_gain": {"gain": 1.08},
+        "yaw_moment_differential": {"yaw_damping": 2500.0},
+    }
+    objective = noisy_objective(driven(43, [CATALOGUE[term](values) for term, values in true.items()]), 3)
+    explore = explorer(objective, *true, "cg_shift", "tire_stiffness", "yaw_inertia", "aero_downforce")
+    base = nothing(objective)
+    found = forward.search_forward(explore, base, explore(base)).chosen
+    assert set(found.names) == set(true)
+    for part in found.parts:
+        for name, value in true[part.candidate.term].items():
+            assert part.values[name] == pytest.approx(value, rel=0.02)
+    monkeypatch.setattr(forward, "_hidden_pair", lambda explore, chosen, best: None)
+    one_by_one = forward.search_forward(explore, base, explore(base)).chosen
+    assert "steer_gain" not in one_by_one.names and one_by_one.cost > found.cost + 1000.0
+
+
 def test_one_term_is_preferred_to_two_that_say_the_same():
     """Late sensors are late steering and late torque at once; nothing tells them apart but their number."""
     objective = objective_with(steer=partial(behind, delay=0.012), torque=partial(behind, delay=0.012))

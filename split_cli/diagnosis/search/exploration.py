@@ -16,7 +16,6 @@ from split_cli.diagnosis.search.fitting import (
     Fit,
     Part,
     Tangent,
-    costs_of_pairs,
     effect_everywhere,
     fit_parts,
     scan_places,
@@ -132,7 +131,7 @@ class Explorer:
     def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
         return [(one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts]
 
-    def _lines_beside(self, current: Fit) -> list[Tangent]:
+    def lines_beside(self, current: Fit) -> list[Tangent]:
         """Return every start of terms without a place, linearised; faults of commands beside those of sensors.
 
         With a fixed baseline the shared discrepancy is that at the velocities as they are corrected. What a late
@@ -162,7 +161,7 @@ class Explorer:
         """Return what each start of each candidate promises to cost, price included, best first."""
         sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
-        lines = [one for one in self._lines_beside(current) if one.part.candidate.term not in taken]
+        lines = [one for one in self.lines_beside(current) if one.part.candidate.term not in taken]
         for candidate, effect in self._effects:
             if candidate.term not in taken:
                 starts = scan_places(self.objective, current.residuals, candidate, effect)
@@ -172,35 +171,6 @@ class Explorer:
             promises,
             key=lambda one: one[0] / self.variance_inflation + self.rules.price * one[1].part.candidate.complexity,
         )
-
-    def pairs(self, current: Fit) -> list[tuple[float, Tangent, Tangent]]:
-        """Return every two further terms without a place, with what they promise to cost together, best first.
-
-        Each variant takes part with the start that promises most alone. Price is included.
-        """
-        best: dict[str, tuple[float, Tangent]] = {}
-        taken = {part.candidate.term for part in current.parts}
-        lines = [one for one in self._lines_beside(current) if one.part.candidate.term not in taken]
-        sensitivity_of(self.objective, current)
-        for promised, line in map_in_threads(lambda one: (one.cost(current), one), lines):
-            label = line.part.candidate.label
-            if label not in best or promised < best[label][0]:
-                best[label] = promised, line
-        firsts = [line for _, line in best.values()]
-        out = []
-        for (i, j), cost in costs_of_pairs(current, firsts).items():
-            complexity = firsts[i].part.candidate.complexity + firsts[j].part.candidate.complexity
-            out.append((cost / self.variance_inflation + self.rules.price * complexity, firsts[i], firsts[j]))
-        return sorted(out, key=lambda one: one[0])
-
-    def with_pair(self, current: Fit, pair: tuple[Tangent, Tangent]) -> Fit | None:
-        """Return an explanation with two further terms, fitted; None where one of them is another, or denied."""
-        fit = fit_parts(self.objective, (*current.parts, *(one.part for one in pair)), known=current, lines=pair)
-        last = len(fit.parts) - 1
-        impossible = any(
-            self.is_everywhere(fit.parts[k]) or is_denied(self.objective, fit, k) for k in (last - 1, last)
-        )
-        return None if impossible else fit
 
     def first_tangents(self, current: Fit) -> list[Tangent]:
         """Return the most promising start and variant of every other term without a place, linearised."""

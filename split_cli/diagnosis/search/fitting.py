@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -335,34 +334,6 @@ class Tangent:
         normal, score = products[:-1, :-1], products[:-1, -1]
         promised = score @ np.linalg.solve(normal + 1e-9 * np.eye(len(score)), score)
         return float(products[-1, -1] - promised)
-
-
-def costs_of_pairs(current: Fit, lines: Sequence[Tangent]) -> dict[tuple[int, int], float]:
-    """Return what one linear fit of two lines and an explanation promises to cost, by their numbers i < j.
-
-    Lines of one term make no pair.
-
-    Notes
-    -----
-    As `Tangent.cost` of both lines' columns together. All columns are freed of the explanation's own first, so that
-    each pair is a small system of their products.
-    """
-    own = current.sensitivity / (np.linalg.norm(current.sensitivity, axis=0) + 1e-300)
-    basis = np.linalg.qr(own)[0] if own.shape[1] else own
-    slopes = [one.slopes / (np.linalg.norm(one.slopes, axis=0) + 1e-300) for one in lines]
-    rows = np.column_stack([*slopes, *(one.moved for one in lines), current.residuals])
-    rows -= basis @ (basis.T @ rows)
-    products = rows.T @ rows
-    ends = np.cumsum([0, *(one.shape[1] for one in slopes)])
-    columns, residual = [np.arange(a, b) for a, b in pairwise(ends)], len(products) - 1
-    out = {}
-    for i, j in combinations(range(len(lines)), 2):
-        if lines[i].part.candidate.term != lines[j].part.candidate.term:
-            at, here = np.concatenate([columns[i], columns[j]]), [ends[-1] + i, ends[-1] + j, residual]
-            score = products[np.ix_(at, here)].sum(axis=1)
-            normal = products[np.ix_(at, at)] + 1e-9 * np.eye(len(at))
-            out[i, j] = float(products[np.ix_(here, here)].sum() - score @ np.linalg.solve(normal, score))
-    return out
 
 
 def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside: tuple[Term, ...] = ()) -> Tangent:

@@ -10,6 +10,7 @@ from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error
+from split_cli.diagnosis.search.pairs import promised_pairs, with_pair
 from split_cli.diagnosis.search.term_tests import (
     exceeds_simulation_scatter,
     is_denied,
@@ -193,43 +194,41 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
 def _hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
     """Return an explanation with two terms that save more together than the best one with any other; else None.
 
-    A steering that turns more and a differential that is stiffer nearly cancel in how a car turns. Alone neither
-    saves much, and what stands for the little that is left of both would be added in their place. Each of the two
-    has to be believed as the last to come to the other.
+    Each of the two has to be sure, and believed as the last to come to the other.
 
     Parameters
     ----------
     best : Fit, optional
         With the one further term that would be added; where there is none, any two that are worth it will do.
     """
-    promised = explore.pairs(chosen)
+    rules, enough = explore.rules, explore.price(chosen if best is None else best)
+    promised = promised_pairs(explore, chosen)
     if best is not None:
         own = best.parts[-1].candidate.term
-        firsts = (one for one, *pair in promised if any(line.part.candidate.term == own for line in pair))
-        enough = min(explore.price(best), next(firsts, np.inf))
-    else:
-        enough = explore.price(chosen)
-    rules = explore.rules
-    for one, *pair in promised[: rules.considered]:
-        if one > enough - rules.price:
+        with_best = (one for one, *pair in promised if own in {line.part.candidate.term for line in pair})
+        enough = min(enough, next(with_best, np.inf))
+    for promise, first, second in promised[: rules.considered]:
+        if promise > enough - rules.price:
             break
-        fit = explore.with_pair(chosen, (pair[0], pair[1]))
+        fit = with_pair(explore, chosen, (first, second))
         if fit is None or explore.price(fit) > enough - rules.price or goes_too_far(chosen, fit):
             continue
-        if all(_is_sure_of(explore, fit, k) for k in (len(fit.parts) - 2, len(fit.parts) - 1)):
+        if all(_is_sure(explore, fit, k) for k in range(len(chosen.parts), len(fit.parts))):
             return fit
     return None
 
 
-def _is_sure_of(explore: Explorer, fit: Fit, k: int) -> bool:
+def _is_sure(explore: Explorer, fit: Fit, k: int) -> bool:
     """Return whether a part is sure enough to be named, and would be believed as the last to come to the others."""
-    objective, last = explore.objective, replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
+    objective, own = explore.objective, fit.parts[k]
     rest = fits_without(objective, fit, [k])[0]
-    if fit.parts[k].is_everyday or refusal(explore, rest, sizes_with_form_error(objective, rest.terms), last):
-        return False
     saved = rest.cost - fit.cost
-    p_value = term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates)
-    return p_value < explore.rules.level and exceeds_simulation_scatter(objective, fit.parts[k].candidate, saved)
+    if own.is_everyday or not exceeds_simulation_scatter(objective, own.candidate, saved):
+        return False
+    if term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates) >= explore.rules.level:
+        return False
+    last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], own))
+    return not refusal(explore, rest, sizes_with_form_error(objective, rest.terms), last)
 
 
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
