@@ -111,7 +111,7 @@ def test_a_term_that_settles_a_channel_is_no_form_error_of_a_large_one_elsewhere
         assert is_form_error(pair, size, other, left(before), left(after), STANDARD.selection) == refused
     # Not larger than a model-form error in that channel anyway, or of what acts in the same.
     assert not is_form_error(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
-    assert is_form_error(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
+    assert is_form_error(pair, size, np.array([10.0, 0.0, 0.0]), left(1.0), left(0.0), STANDARD.selection)
 
 
 def test_what_settles_a_channel_is_asked_beside_the_form_error_of_what_acts_there(pair, chosen_pair):

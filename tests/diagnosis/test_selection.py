@@ -208,7 +208,7 @@ def test_two_terms_that_hide_each_other_are_found_beside_a_third(monkeypatch):
     for part in found.parts:
         for name, value in true[part.candidate.term].items():
             assert part.values[name] == pytest.approx(value, rel=0.02)
-    monkeypatch.setattr(forward, "_hidden_pair", lambda explore, chosen, best: None)
+    monkeypatch.setattr(forward, "hidden_pair", lambda explore, chosen, best: None)
     one_by_one = forward.search_forward(explore, base, explore(base)).chosen
     assert "steer_gain" not in one_by_one.names and one_by_one.cost > found.cost + 1000.0
 

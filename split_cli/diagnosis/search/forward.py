@@ -92,7 +92,7 @@ def search_forward(
             if best is None:
                 beyond = worth_it(explore.beyond_form_error(chosen))
                 best, _ = _first_believed(explore, chosen, beyond[: rules.considered])
-            both = _hidden_pair(explore, chosen, best)
+            both = hidden_pair(explore, chosen, best)
             if both is not None:
                 labels = " and ".join(part.candidate.label for part in both.parts[-2:])
                 history.append(f"added {labels}, which hide each other, saves {price_saved(both):.0f}")
@@ -191,7 +191,7 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
     return None, next(iter(reasons), "")
 
 
-def _hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
+def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
     """Return an explanation with two terms that save more together than the best one with any other; else None.
 
     Each of the two has to be sure, and believed as the last to come to the other.
