@@ -13,7 +13,7 @@ from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Part, fit_parts, without_parts
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, without_parts
 from split_cli.diagnosis.search.forward import other_beginnings
 from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.diagnosis.search.term_tests import term_size
@@ -211,6 +211,16 @@ def test_two_terms_that_hide_each_other_are_found_beside_a_third(monkeypatch):
     monkeypatch.setattr(forward, "hidden_pair", lambda explore, chosen, best: None)
     one_by_one = forward.search_forward(explore, base, explore(base)).chosen
     assert "steer_gain" not in one_by_one.names and one_by_one.cost > found.cost + 1000.0
+
+
+def test_two_that_cancel_to_what_either_gets_wrong_are_no_pair():
+    """Steering that arrives 40 ms late and is logged 38 ms late, where it is 2 ms late, beside a drag."""
+    objective = noisy_objective(driven(43, [CATALOGUE["aero_drag"]({"drag": 0.5})]), 3)
+    drag, delay, signal = candidates_of(objective, "aero_drag", "steer_delay", "steer_signal_delay")
+    parts = [Part(drag, {"drag": 0.5}), Part(delay, {"delay": 0.04}), Part(signal, {"delay": 0.038})]
+    fit = Fit(tuple(parts), 0.0, np.zeros(1), np.empty((1, 0)))
+    assert forward.cancel(objective, fit)
+    assert not forward.cancel(objective, replace(fit, parts=(*parts[:2], Part(signal, {"delay": 0.02}))))
 
 
 def test_one_term_is_preferred_to_two_that_say_the_same():

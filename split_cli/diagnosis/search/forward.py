@@ -17,8 +17,10 @@ from split_cli.diagnosis.search.term_tests import (
     is_form_error,
     is_spread,
     is_witnessed,
+    over_form_error,
     part_sizes,
     sizes_in_velocity,
+    sizes_of_terms,
     term_p,
     witnessed_p,
 )
@@ -194,7 +196,8 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
 def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
     """Return an explanation with two terms that save more together than the best one with any other; else None.
 
-    Each of the two has to be sure, and believed as the last to come to the other.
+    Each of the two has to be sure, and believed as the last to come to the other. What they do together has to be
+    more than either may get wrong: steering that arrives late and is logged late by as much does next to nothing.
 
     Parameters
     ----------
@@ -213,9 +216,18 @@ def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
         fit = with_pair(explore, chosen, (first, second))
         if fit is None or explore.price(fit) > enough - rules.price or goes_too_far(chosen, fit):
             continue
-        if all(_is_sure(explore, fit, k) for k in range(len(chosen.parts), len(fit.parts))):
+        if not cancel(explore.objective, fit) and all(
+            _is_sure(explore, fit, k) for k in range(len(chosen.parts), len(fit.parts))
+        ):
             return fit
     return None
+
+
+def cancel(objective: MarginalLikelihood, fit: Fit) -> bool:
+    """Return whether the last two parts of a fit together do no more than the model-form error of either."""
+    first, second = (part_sizes(objective, fit, k) for k in (len(fit.parts) - 2, len(fit.parts) - 1))
+    together = sizes_of_terms(objective, fit.terms, fit.terms[:-2])
+    return over_form_error(objective, together, np.maximum(first, second)) < 1.0
 
 
 def _is_sure(explore: Explorer, fit: Fit, k: int) -> bool:
