@@ -216,11 +216,18 @@ def test_two_terms_that_hide_each_other_are_found_beside_a_third(monkeypatch):
 def test_two_that_cancel_to_what_either_gets_wrong_are_no_pair():
     """Steering that arrives 40 ms late and is logged 38 ms late, where it is 2 ms late, beside a drag."""
     objective = noisy_objective(driven(43, [CATALOGUE["aero_drag"]({"drag": 0.5})]), 3)
-    drag, delay, signal = candidates_of(objective, "aero_drag", "steer_delay", "steer_signal_delay")
-    parts = [Part(drag, {"drag": 0.5}), Part(delay, {"delay": 0.04}), Part(signal, {"delay": 0.038})]
-    fit = Fit(tuple(parts), 0.0, np.zeros(1), np.empty((1, 0)))
-    assert forward.cancel(objective, fit)
-    assert not forward.cancel(objective, replace(fit, parts=(*parts[:2], Part(signal, {"delay": 0.02}))))
+    own = {one.term: one for one in candidates_of(objective, "aero_drag", "steer_delay", "steer_signal_delay")}
+
+    def cancels(logged_late: float) -> bool:
+        values = {
+            "aero_drag": {"drag": 0.5},
+            "steer_delay": {"delay": 0.04},
+            "steer_signal_delay": {"delay": logged_late},
+        }
+        parts = tuple(Part(own[term], each) for term, each in values.items())
+        return forward.cancel(objective, Fit(parts, 0.0, np.zeros(1), np.empty((1, 0))))
+
+    assert cancels(0.038) and not cancels(0.02)
 
 
 def test_one_term_is_preferred_to_two_that_say_the_same():
