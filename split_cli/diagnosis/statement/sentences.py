@@ -132,10 +132,14 @@ def everyday_sentence(
     taken_off : bool
         Whether figures of held-out time, with the findings, are without it.
     """
-    most = " and ".join(f"{number(limit)} {parameters[name].unit}".strip() for name, limit in limits.items())
+    most = " and ".join(_limit_in_words(limit, parameters[name].unit) for name, limit in limits.items())
     reasons = f"Up to {most} is usual in sound recordings, so it is no fault."
     reasons += " The held-out errors with the identified effects are without it." if taken_off else ""
     return _stated_as_lead(term, variant, parameters, reasons, None)
+
+
+def _limit_in_words(limit: float, unit: str) -> str:
+    return f"{100.0 * limit:.3g} %" if unit == "1" else f"{number(limit)} {unit}".strip()
 
 
 def _stated_as_lead(term: str, variant: str, parameters: Parameters, reasons: str, vehicle: Vehicle | None) -> str:
