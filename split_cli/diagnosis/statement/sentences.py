@@ -113,10 +113,27 @@ def withdrawn_sentence(
 
 
 def hidden_sentence(
-    term: str, variant: str, parameters: Parameters, size: float, instead: Sequence[str], vehicle: Vehicle
+    term: str,
+    variant: str,
+    parameters: Parameters,
+    size: float,
+    instead: Sequence[str],
+    vehicle: Vehicle,
+    *,
+    apart: bool = False,
 ) -> str:
-    """Return which effect may act beside the findings, its size over noise, and which terms explain as much."""
-    reasons = f"It is {size:.2f} times the noise. What the model gets wrong of the findings may be as large."
+    """Return which effect may act beside the findings, its size over noise, and which terms explain as much.
+
+    Parameters
+    ----------
+    apart : bool
+        Whether it has no name since reality and simulation were driven too differently.
+    """
+    reasons = f"It is {size:.2f} times the noise. "
+    if apart:
+        reasons += "Where one was driven and the other was not, what the vehicle file gets wrong may be as large."
+    else:
+        reasons += "What the model gets wrong of the findings may be as large."
     if instead:
         reasons += f" The same would be explained by {' or '.join(instead)}."
     return _stated_as_lead(term, variant, parameters, reasons, vehicle)
