@@ -13,6 +13,7 @@ from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, Tangent, fit_parts, sensitivity_of
 from split_cli.diagnosis.search.term_tests import is_denied
+from split_cli.vehicle.effects import CATALOGUE, Term
 
 _SMALL = 1e-9  # of a column's length 1: keeps systems of columns that say the same solvable
 
@@ -20,7 +21,9 @@ _SMALL = 1e-9  # of a column's length 1: keeps systems of columns that say the s
 def promised_pairs(explore: Explorer, current: Fit) -> list[tuple[float, Tangent, Tangent]]:
     """Return what every two further terms promise to cost beside an explanation, price included, best first.
 
-    Terms with a place take no part. Each variant of the others does, with the start that promises most alone.
+    Terms with a place take no part. Each variant of the others does, with the start that promises most alone. Two that
+    move commands in time are no pair: steering that lags and is logged late is late by one time, and what is left of
+    the two is what a single track gets wrong of its transients.
     """
     sensitivity_of(explore.objective, current)
     taken = {part.candidate.term for part in current.parts}
@@ -40,7 +43,7 @@ def promised_pairs(explore: Explorer, current: Fit) -> list[tuple[float, Tangent
 
 
 def costs_of_pairs(current: Fit, lines: Sequence[Tangent]) -> Iterator[tuple[int, int, float]]:
-    """Yield the numbers i < j of every two lines of different terms, and what both promise to cost.
+    """Yield the numbers i < j of every two lines that may be a pair, and what both promise to cost.
 
     Notes
     -----
@@ -56,11 +59,17 @@ def costs_of_pairs(current: Fit, lines: Sequence[Tangent]) -> Iterator[tuple[int
     ends = np.cumsum([0, *(one.shape[1] for one in slopes)])
     own = [np.arange(begin, end) for begin, end in pairwise(ends)]
     for i, j in combinations(range(len(lines)), 2):
-        if lines[i].part.candidate.term != lines[j].part.candidate.term:
+        if not _are_one(lines[i], lines[j]):
             columns, moved = np.concatenate([own[i], own[j]]), [ends[-1] + i, ends[-1] + j, len(products) - 1]
             score = products[np.ix_(columns, moved)].sum(axis=1)
             normal = products[np.ix_(columns, columns)] + _SMALL * np.eye(len(columns))
             yield i, j, float(products[np.ix_(moved, moved)].sum() - score @ np.linalg.solve(normal, score))
+
+
+def _are_one(first: Tangent, second: Tangent) -> bool:
+    """Return whether two lines are of one term, or of two that move commands in time."""
+    kinds = [CATALOGUE[line.part.candidate.term] for line in (first, second)]
+    return kinds[0] is kinds[1] or all(kind.acts_late() and kind.actuate is not Term.actuate for kind in kinds)
 
 
 def with_pair(explore: Explorer, current: Fit, pair: tuple[Tangent, Tangent]) -> Fit | None:
