@@ -29,6 +29,9 @@ class Correction:
     residual: Callable[[np.ndarray], np.ndarray]  # features (N, D) to g (N, 3)
     # Features (N, D) to how much the set knows there, (N,): `Predictor.knowledge`. Asked where a lag depends on it.
     knowledge: Callable[[np.ndarray], np.ndarray] = lambda at: np.ones(len(at))
+    # Whether g moves what the terms remember, too, within a step. Labels of a trained set are divided by a Phi that
+    # holds it still, and are multiplied by the same.
+    moves_memory: bool = False
 
 
 def future_rows(drive: Drive, row: int) -> np.ndarray:

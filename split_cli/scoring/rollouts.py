@@ -163,7 +163,12 @@ def _one_step(
     if correction is not None:
         residual = correction.residual(np.where(finite[:, None], at, 0.0))
         horizon = window * drive.period
-        phi = phi_matrix(np.where(finite[:, None, None], jacobian, 0.0), horizon)
+        known = np.where(finite[:, None, None], jacobian, 0.0)
+        phi = (
+            windows.responses(model, state, known, horizon)[0]
+            if correction.moves_memory
+            else phi_matrix(known, horizon)
+        )
         after[:, -3:] += horizon * np.einsum("nij,nj->ni", phi, residual)
     return after
 
