@@ -174,10 +174,12 @@ def diagnose(
     apart = bool(case.simulated) and not _is_common(share, theirs, policy)
     if apart:
         found = replace(found, outcome=with_witnessed_names(outcome), description=None)
-    stated = _mismatch(case, found, policy, improved)
+    stated = _mismatch(case, found, policy, improved, apart=apart)
     hardly = apart or is_far or share < settings.least_share
+    differently = _DRIVEN_DIFFERENTLY.format(ours=100.0 * share, theirs=100.0 * float(np.mean(theirs)))
+    if apart:
+        not_judged += (f"effects of the car: {differently[:1].lower()}{differently[1:]}",)
     if hardly and not stated.findings and not contradictions:
-        differently = _DRIVEN_DIFFERENTLY.format(ours=100.0 * share, theirs=100.0 * float(np.mean(theirs)))
         return _undecided([differently if apart else _FAR_AND_UNNAMED], share, record)
     return replace(stated, compared_share=share, not_judged=not_judged, detectable=detectable, **record)
 
@@ -345,8 +347,8 @@ def _p_of_a_part(selection: Selection) -> float:
     return 1.0 if partly is None else partly.p_value
 
 
-def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: bool) -> Diagnosis:
-    """Say where the difference is, what it is, and whether naming it helps."""
+def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved: bool, *, apart: bool) -> Diagnosis:
+    """Say where the difference is, what it is, and whether naming it helps; `apart` if driven too differently."""
     case = case.judged_with_residue()
     described = found.description or describe(found.outcome, found.scales)
     selection, findings, remainder = described.selection, described.findings, described.remainder
@@ -390,7 +392,11 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         remainder=remainder,
         improvement=improvement,
         gaps=tuple(map(gap_series, case.real, case.keep, forces, after)),
-        leads=(*leads, *find_leads(*searched), *everyday_leads(*searched, taken_off=improvement is not None)),
+        leads=(
+            *leads,
+            *find_leads(*searched, apart=apart),
+            *everyday_leads(*searched, taken_off=improvement is not None),
+        ),
         history=selection.history,
         sentences=summarise(
             "mismatch",

@@ -162,7 +162,11 @@ def _one_step(
     after = windows.predict(model, state, jacobian, _MOST_SUBSTEPS)
     if correction is not None:
         horizon = window * drive.period
-        phi = phi_matrix(np.where(finite[:, None, None], jacobian, 0.0), horizon)
+        jacobian = np.where(finite[:, None, None], jacobian, 0.0)
+        if correction.moves_memory:
+            phi, _ = windows.responses(model, state, jacobian, horizon)
+        else:
+            phi = phi_matrix(jacobian, horizon)
         after[:, -3:] += horizon * np.einsum("nij,nj->ni", phi, residual)
     return after
 

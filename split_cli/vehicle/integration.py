@@ -200,7 +200,7 @@ def _rk4(
 
 
 def phi_matrix(jacobian: np.ndarray, horizon: float) -> np.ndarray:
-    """Return (1/h) times the integral of exp(A s) over 0..h, shape (N, 3, 3).
+    """Return (1/h) times the integral of exp(A s) over 0..h, shape as of A.
 
     It is how a constant rate g that acts during h arrives in the state after h: h Phi g. Truncated Taylor series
     after halving the argument until its norm is at most 1/2, then doubling by
@@ -208,8 +208,8 @@ def phi_matrix(jacobian: np.ndarray, horizon: float) -> np.ndarray:
 
     Parameters
     ----------
-    jacobian : ndarray, shape (N, 3, 3)
-        A, velocity block of the nominal Jacobian.
+    jacobian : ndarray, shape (N, K, K)
+        A: of the velocities (K = 3), or of all that moves with them.
     horizon : float
         h [s].
     """
@@ -218,7 +218,7 @@ def phi_matrix(jacobian: np.ndarray, horizon: float) -> np.ndarray:
     # Halved matrix by matrix: a scaling shared by the batch would let neighbours change the last bits.
     halvings = np.ceil(np.log2(np.maximum(norm, 0.5) / 0.5)).astype(int)
     argument = argument / np.exp2(halvings)[..., None, None]
-    identity = np.eye(3)
+    identity = np.eye(argument.shape[-1])
     phi = np.broadcast_to(identity, argument.shape).copy()
     for k in range(_TAYLOR_TERMS, 0, -1):
         # Horner: phi = I + M/(2) (I + M/3 (I + ...)), since phi_1(M) = sum of M^k/(k+1)!

@@ -360,3 +360,44 @@ class SingleTrack:
             for row in range(3):
                 jacobian[..., row, column] = (after[row] - before[row]) / width
         return jacobian
+
+    def jacobian_with_memory(
+        self,
+        vx: np.ndarray,
+        vy: np.ndarray,
+        r: np.ndarray,
+        T: np.ndarray,
+        delta: np.ndarray,
+        *,
+        states: Mapping[str, np.ndarray],
+        **situation: Any,
+    ) -> np.ndarray:
+        """Return the Jacobian of velocities and the terms' states together, shape (N, 3 + S, 3 + S).
+
+        Parameters
+        ----------
+        states : mapping of str to ndarray of shape (N,)
+            All of `state_names`, in whose order rows and columns follow those of v_x, v_y, r.
+        **situation
+            As for `velocity_derivative`.
+
+        Notes
+        -----
+        `velocity_jacobian` holds the states still: a force that builds up late answers to no velocity there. By
+        central differences of steps 1e-6 (1 + |x|).
+        """
+        names = self.state_names
+        begin = [np.asarray(one, dtype=float) for one in (vx, vy, r, *(states[name] for name in names))]
+
+        def derivative(x: Sequence[np.ndarray]) -> np.ndarray:
+            there = dict(zip(names, x[3:], strict=True))
+            flow = self.flow(x[0], x[1], x[2], T, delta, states=there, **situation)
+            rates = [*self.balance(flow), *(flow.rates[name] for name in names)]
+            return np.stack([np.broadcast_to(rate, np.shape(vx)) for rate in rates], axis=-1)
+
+        columns = []
+        for k, value in enumerate(begin):
+            step = 1e-6 * (1.0 + np.abs(value))
+            ahead, behind = ([*begin[:k], value + side * step, *begin[k + 1 :]] for side in (1.0, -1.0))
+            columns.append((derivative(ahead) - derivative(behind)) / (ahead[k] - behind[k])[..., None])
+        return np.stack(columns, axis=-1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from split_cli.vehicle.effects.recording import Recording, over_samples
-from split_cli.vehicle.integration import NOWHERE, Situation, integrate_recorded
+from split_cli.vehicle.integration import NOWHERE, Situation, integrate_recorded, phi_matrix
 from split_cli.vehicle.single_track import SingleTrack
 
 #: RK4 substeps a sample at most [1]: what needs more stands still or leaves the finite numbers.
@@ -50,10 +50,44 @@ class Windows:
 
     def jacobian(self, model: SingleTrack, state: np.ndarray) -> np.ndarray:
         """Return the velocity Jacobian at the windows' begin, (N, 3, 3), of states as `predict` takes them."""
-        vx, vy, r = state[:, -3:].T
-        situation = self.situation if state.shape[1] == 3 else replace(self.situation, yaw=state[:, 2])
-        torque, steer = self.torque[:, 0], self.steer_angle[:, 0]
-        return model.velocity_jacobian(vx, vy, r, torque, steer, **situation.arguments(model))
+        return model.velocity_jacobian(*self._begin(state), **self._situation(state).arguments(model))
+
+    def responses(
+        self, model: SingleTrack, state: np.ndarray, jacobian: np.ndarray, horizon: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return Phi and exp(A h), their velocity blocks, shape (N, 3, 3) each, with what the terms remember.
+
+        Phi times h is what a constant rate of the velocities makes of them within h; exp(A h) is what is left of a
+        velocity's change at the begin.
+
+        Parameters
+        ----------
+        state : ndarray, shape (N, 3) or (N, 6)
+            As `predict` takes it; windows are those of `RecordedInputs`, so that the terms' states are known.
+        jacobian : ndarray, shape (N, 3, 3)
+            `jacobian` there.
+        horizon : float
+            h [s].
+
+        Notes
+        -----
+        A is the Jacobian of velocities and of the terms' states together. A tyre's force that builds up within h
+        resists most of a rate that is held that long. With the states held still it would resist none of it, so
+        that a force that builds up ever faster would never come to be one that is there at once.
+        """
+        A = jacobian
+        if model.state_names:
+            A = model.jacobian_with_memory(*self._begin(state), **self._situation(state).arguments(model))
+            A = np.where(np.isfinite(A).all(axis=(1, 2), keepdims=True), A, 0.0)
+        phi = phi_matrix(A, horizon)
+        return phi[:, :3, :3], np.eye(3) + horizon * (A @ phi)[:, :3, :3]
+
+    def _begin(self, state: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return v_x, v_y, r, torque and steer angle at the windows' begin."""
+        return (*state[:, -3:].T, self.torque[:, 0], self.steer_angle[:, 0])
+
+    def _situation(self, state: np.ndarray) -> Situation:
+        return self.situation if state.shape[1] == 3 else replace(self.situation, yaw=state[:, 2])
 
     def predict(
         self, model: SingleTrack, state: np.ndarray, jacobian: np.ndarray, most: int = _MOST_SUBSTEPS

@@ -52,6 +52,23 @@ def test_beside_an_instrument_a_term_of_the_car_needs_what_a_first_one_needs(pai
     assert over_form_error(bare, 0.9 * further * size, np.zeros(3)) < 1.0
 
 
+def test_a_force_is_wrong_by_a_share_of_itself_however_well_a_gyroscope_sees_it(pair):
+    """A side force at the front that is 20 times the noise of r: along the car it would be this many times v_x's."""
+    quiet = replace(pair, posterior=ignorant(pair), memo={DISCREPANCY: np.zeros(3)})
+    car, noise = pair.evidence[0].vehicle, pair.evidence[0].series.stated_noise
+    side_force = 20.0 * noise[2] * car.yaw_inertia / car.cg_to_front_axle  # [N s]
+    sizes = np.array([0.0, side_force / car.mass / noise[1], 20.0])
+    allowed = STANDARD.selection.form_error_across * side_force / car.mass / noise[0]
+    assert STANDARD.allowances.unnamed < allowed < 0.5 * STANDARD.selection.form_error_across * sizes[2]
+    along = np.array([1.0, 0.0, 0.0])
+    assert over_form_error(quiet, along, sizes) == pytest.approx(1.0 / allowed)
+    # A force along the car moves the yaw rate by no more than its own ratio: nobody knows its lever arm.
+    turning = np.array([0.0, 0.0, 1.0])
+    assert over_form_error(quiet, turning, 20.0 * along) == pytest.approx(
+        1.0 / (20.0 * STANDARD.selection.form_error_across)
+    )
+
+
 def test_evidence_for_a_further_term_is_what_it_saves_beyond_a_form_error_of_the_shared_discrepancy(pair):
     """No dictionary is exact: its columns times a tenth, their weights integrated out."""
     rng, count = np.random.default_rng(7), len(pair.weight)
@@ -89,12 +106,12 @@ def test_a_term_that_settles_a_channel_is_no_form_error_of_a_large_one_elsewhere
     def left(share: float) -> Fit:
         return Fit((), 0.0, (noise + share * wave).ravel(), np.empty((count, 0)))
 
-    size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
+    size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 10.0, 0.0])
     for before, after, refused in ((1.0, 0.0, False), (1.0, 0.4, False), (1.0, 0.5, True), (0.3, 0.0, True)):
         assert is_form_error(pair, size, other, left(before), left(after), STANDARD.selection) == refused
     # Not larger than a model-form error in that channel anyway, or of what acts in the same.
     assert not is_form_error(pair, size, 0.7 * other, left(1.0), left(1.0), STANDARD.selection)
-    assert is_form_error(pair, size, other[::-1], left(1.0), left(0.0), STANDARD.selection)
+    assert is_form_error(pair, size, np.array([10.0, 0.0, 0.0]), left(1.0), left(0.0), STANDARD.selection)
 
 
 def test_what_settles_a_channel_is_asked_beside_the_form_error_of_what_acts_there(pair, chosen_pair):
@@ -106,7 +123,7 @@ def test_what_settles_a_channel_is_asked_beside_the_form_error_of_what_acts_ther
     wrong = (columns @ rng.standard_normal(columns.shape[1])).reshape(-1, 3)
     wrong *= 5.0 / np.sqrt(np.mean(wrong[:, 0] ** 2))
     assert np.mean(wave**2) * STANDARD.selection.fair_share < np.mean(wrong[:, 0] ** 2)
-    size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 10.0])
+    size, other = np.array([0.5, 0.0, 0.0]), np.array([0.0, 10.0, 0.0])
 
     def refused(parts: tuple[Part, ...], after: float) -> bool:
         before, still = (replace(chosen, parts=parts, residuals=(noise + wrong + k * wave).ravel()) for k in (1, after))

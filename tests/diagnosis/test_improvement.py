@@ -2,19 +2,20 @@
 
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.objective import learn_discrepancy
-from split_cli.diagnosis.innovations.rollouts import Stage, roll_out_stages, shared_rates
+from split_cli.diagnosis.innovations.rollouts import SharedRates, Stage, roll_out_stages, shared_rates
 from split_cli.diagnosis.verdict.improvement import _bootstrap, improvable_removed, measure_improvement
 from split_cli.diagnosis.verdict.label_errors import label_errors
 from split_cli.learning.features import Z2
 from split_cli.learning.labels import compute_labels
 from split_cli.scoring.rollouts import roll_out
-from split_cli.vehicle.effects import CATALOGUE, build_terms
+from split_cli.vehicle.effects import CATALOGUE, Term, build_terms
 from split_cli.vehicle.integration import Situation, integrate_recorded
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
@@ -22,6 +23,17 @@ from tests.diagnosis.recordings import SIGMA, driven, light_evidence, noisy, pre
 from tests.factories import one_run, road_car
 
 RESISTANCE = CATALOGUE["rolling_resistance"]({"force": 450.0})
+
+
+class TurnedFromOutside(Term):
+    """A constant yaw moment that no tyre lets build up."""
+
+    id = "turned_from_outside"
+    units: ClassVar = {"moment": "N m"}
+
+    def external(self, flow):
+        """Add the moment."""
+        flow.moment = flow.moment + self.parameters["moment"]
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +193,28 @@ def test_the_right_term_leaves_the_steps_of_the_car_without_the_fault():
     v, rows = theirs.persistence, theirs.labels.row
     series = prepared(sound)
     np.testing.assert_array_equal(v, (series.measured[rows + theirs.labels.window] - series.measured[rows]) / 0.05)
+
+
+def test_rates_that_are_known_meet_a_tyre_whose_force_builds_up_within_the_step():
+    """A yaw moment that the simulation knows, and relaxation that it lacks: both together are the car."""
+    relaxation, rate = CATALOGUE["tire_relaxation"]({"length": 0.15}), 0.6  # [m], [rad/s^2]
+    car = road_car()
+    turned = TurnedFromOutside({"moment": rate * car.yaw_inertia})
+    one = light_evidence(prepared(noisy(driven(29, (relaxation, turned), runs=12), 29)))
+    count = len(one.series)
+    base = np.tile([0.0, 0.0, rate], (count, 1))
+    known = SharedRates(base, np.zeros((count, 3, 3)), one.series.smooth)
+    everything = np.ones(count, dtype=bool)
+    errors = label_errors(one, (relaxation,), known, known, everything)
+    steps = errors.steps("physics", errors.physics)
+    floor, labels = np.sqrt(errors.floor.mean(axis=0)), np.sqrt(len(steps))
+    np.testing.assert_allclose(np.sqrt(np.mean(steps**2, axis=0)), floor, rtol=0.1)
+    assert np.all(np.abs(steps.mean(axis=0)) < 4.0 * floor / labels)
+    rolled = roll_out_stages(one, {"physics": Stage((relaxation,), known)}, everything, horizons=(0.05, 0.5))
+    for k in range(2):
+        np.testing.assert_allclose(
+            np.sqrt(rolled.squared["physics"][:, k].mean(axis=0)), np.sqrt(rolled.floor[:, k].mean(axis=0)), rtol=0.25
+        )
 
 
 def test_labels_know_where_effects_of_the_vehicle_file_act():

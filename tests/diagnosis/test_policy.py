@@ -97,6 +97,7 @@ BESIDE_THEIR_ALGORITHM = {
     "search/form_error.py": {"_ROWS_AT_ONCE"},
     "search/fitting.py": {"_ITERATIONS", "_JOINT_ITERATIONS", "_REFRESHES", "_LEAST_GAIN", "_PLACES", "_BENT"},
     "search/joint.py": {"_NEAR_NONE", "_NO_EFFECT", "_TRIED"},
+    "search/pairs.py": {"_SMALL"},
     "search/parts_of_drive.py": {"_MOST_BLOCKS"},
     "search/valleys.py": {"_POINTS"},
     "search/variant_choice.py": {"_TINY"},

@@ -13,7 +13,7 @@ from split_cli.diagnosis.innovations.effect_to_noise import effects_to_noise_of
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Part, fit_parts, without_parts
+from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, without_parts
 from split_cli.diagnosis.search.forward import other_beginnings
 from split_cli.diagnosis.search.selection import Selection, nothing
 from split_cli.diagnosis.search.term_tests import term_size
@@ -191,6 +191,43 @@ def test_two_terms_are_found_behind_one_that_is_the_best_alone():
     values = {part.candidate.term: part.values for part in selection.chosen.parts}
     assert values["steer_lag"]["tau"] == pytest.approx(0.05, rel=0.03)
     assert values["drive_delay"]["delay"] == pytest.approx(0.12, rel=0.03)
+
+
+def test_two_terms_that_hide_each_other_are_found_beside_a_third(monkeypatch):
+    """Steering that turns more and a stiffer differential: one at a time, two others stand for them."""
+    true = {
+        "steer_offset": {"offset": 0.01},
+        "steer_gain": {"gain": 1.08},
+        "yaw_moment_differential": {"yaw_damping": 2500.0},
+    }
+    objective = noisy_objective(driven(43, [CATALOGUE[term](values) for term, values in true.items()]), 3)
+    explore = explorer(objective, *true, "cg_shift", "tire_stiffness", "yaw_inertia", "aero_downforce")
+    base = nothing(objective)
+    found = forward.search_forward(explore, base, explore(base)).chosen
+    assert set(found.names) == set(true)
+    for part in found.parts:
+        for name, value in true[part.candidate.term].items():
+            assert part.values[name] == pytest.approx(value, rel=0.02)
+    monkeypatch.setattr(forward, "hidden_pair", lambda explore, chosen, best: None)
+    one_by_one = forward.search_forward(explore, base, explore(base)).chosen
+    assert "steer_gain" not in one_by_one.names and one_by_one.cost > found.cost + 1000.0
+
+
+def test_two_that_cancel_to_what_either_gets_wrong_are_no_pair():
+    """Steering that arrives 40 ms late and is logged 38 ms late, where it is 2 ms late, beside a drag."""
+    objective = noisy_objective(driven(43, [CATALOGUE["aero_drag"]({"drag": 0.5})]), 3)
+    own = {one.term: one for one in candidates_of(objective, "aero_drag", "steer_delay", "steer_signal_delay")}
+
+    def cancels(logged_late: float) -> bool:
+        values = {
+            "aero_drag": {"drag": 0.5},
+            "steer_delay": {"delay": 0.04},
+            "steer_signal_delay": {"delay": logged_late},
+        }
+        parts = tuple(Part(own[term], each) for term, each in values.items())
+        return forward.cancel(objective, Fit(parts, 0.0, np.zeros(1), np.empty((1, 0))))
+
+    assert cancels(0.038) and not cancels(0.02)
 
 
 def test_one_term_is_preferred_to_two_that_say_the_same():

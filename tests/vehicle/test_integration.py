@@ -7,10 +7,11 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
+from split_cli.vehicle.effects import CATALOGUE, Recording, Term
 from split_cli.vehicle.integration import Situation, integrate_recorded, phi_matrix
 from split_cli.vehicle.parameters import EffectSpec
 from split_cli.vehicle.single_track import SingleTrack
-from split_cli.vehicle.windows import substep_count
+from split_cli.vehicle.windows import recorded_inputs, substep_count
 from tests.exact_step import exact_step
 
 
@@ -152,6 +153,66 @@ def test_phi_of_a_matrix_does_not_depend_on_its_neighbours(car):
     together = phi_matrix(A, 0.05)
     alone = np.concatenate([phi_matrix(one[None], 0.05) for one in A])
     np.testing.assert_array_equal(together, alone)
+
+
+class Pushed(Term):
+    """A constant force and moment from outside, which no tyre lets build up."""
+
+    id = "pushed"
+    units = {"lateral": "N", "moment": "N m"}
+
+    def external(self, flow):
+        flow.force_y = flow.force_y + self.parameters["lateral"]
+        flow.moment = flow.moment + self.parameters["moment"]
+
+
+def straight_windows(model, speeds, samples, period):
+    """Windows of straight drives without torque at each of some speeds, (N,), and the states at their begin."""
+    velocity = np.repeat(np.stack([speeds, 0 * speeds, 0 * speeds], axis=1), samples + 1, axis=0)
+    zeros, begins = np.zeros(len(velocity)), np.arange(len(speeds)) * (samples + 1)
+    recording = Recording(period, tuple((begin, begin + samples + 1) for begin in begins.tolist()))
+    inputs = recorded_inputs(model, velocity, zeros, zeros, recording, Situation(zeros, zeros, zeros))
+    return inputs.windows(begins, samples), velocity[begins]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
+def test_a_held_rate_and_a_velocity_meet_forces_that_build_up_meanwhile(car, share):
+    """Phi and exp(A h) beside tyre relaxation, against the model with a push and with another begin."""
+    length, horizon, period = share * car.wheelbase, 0.05, 0.005
+    relaxation = CATALOGUE["tire_relaxation"]({"length": length})
+    model, push = SingleTrack(car, (relaxation,)), np.array([1e-3, 1e-2])  # [m/s^2], [rad/s^2]
+    windows, begin = straight_windows(model, car.minimum_speed * np.array([2.0, 4.0]), 10, period)
+    jacobian = windows.jacobian(model, begin)
+    phi, kept = windows.responses(model, begin, jacobian, horizon)
+    plain = windows.predict(model, begin, jacobian)
+    for column, size in zip((1, 2), push, strict=True):
+        forces = {"lateral": car.mass * size, "moment": 0.0}
+        if column == 2:
+            forces = {"lateral": 0.0, "moment": car.yaw_inertia * size}
+        pushed = windows.predict(SingleTrack(car, (relaxation, Pushed(forces))), begin, jacobian)
+        # The car slows by less than 1 % within the window, and so much A is another one; RK4 adds 0.1 %.
+        np.testing.assert_allclose((pushed - plain) / (horizon * size), phi[:, :, column], atol=3e-3)
+        moved = begin + 1e-3 * np.eye(3)[column]
+        after = (windows.predict(model, moved, jacobian) - plain) / 1e-3
+        np.testing.assert_allclose(after, kept[:, :, column], atol=3e-3)
+    # With the forces held still a rate would arrive as a whole.
+    assert np.all(phi[:, 2, 2] < 0.97) and np.all(phi_matrix(jacobian, horizon)[:, 2, 2] > 0.99)
+
+
+def test_a_force_that_builds_up_ever_faster_resists_as_one_that_is_there_at_once(car):
+    speeds, horizon = car.minimum_speed * np.array([2.0, 4.0]), 0.05
+    at_once = SingleTrack(car, ())
+    windows, begin = straight_windows(at_once, speeds, 10, 0.005)
+    phi, kept = windows.responses(at_once, begin, windows.jacobian(at_once, begin), horizon)
+    apart = []
+    for share in (0.02, 0.01, 0.005):
+        model = SingleTrack(car, (CATALOGUE["tire_relaxation"]({"length": share * car.wheelbase}),))
+        windows, begin = straight_windows(model, speeds, 10, 0.005)
+        ours = windows.responses(model, begin, windows.jacobian(model, begin), horizon)
+        apart.append(max(np.abs(one - other).max() for one, other in zip(ours, (phi, kept), strict=True)))
+    # What is left goes with the time that the force takes.
+    assert apart[0] < 0.2
+    np.testing.assert_allclose(np.divide(apart[1:], apart[:-1]), 0.5, atol=0.1)
 
 
 def full_rk4(model, state, torque_rate, steer_rate, horizon, substeps):

@@ -251,7 +251,7 @@ def _added(stages: Sequence[Stage], z: np.ndarray, drive: Drive, window: int) ->
             out.append(one)
         return np.concatenate(out)
 
-    return Correction(_FEATURES, recorded, residual)
+    return Correction(_FEATURES, recorded, residual, moves_memory=True)
 
 
 def _errors(path: np.ndarray, drive: Drive, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:

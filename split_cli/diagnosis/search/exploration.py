@@ -131,7 +131,7 @@ class Explorer:
     def _effects(self) -> list[tuple[Candidate, np.ndarray]]:
         return [(one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts]
 
-    def _lines_beside(self, current: Fit) -> list[Tangent]:
+    def lines_beside(self, current: Fit) -> list[Tangent]:
         """Return every start of terms without a place, linearised; faults of commands beside those of sensors.
 
         With a fixed baseline the shared discrepancy is that at the velocities as they are corrected. What a late
@@ -161,7 +161,7 @@ class Explorer:
         """Return what each start of each candidate promises to cost, price included, best first."""
         sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
-        lines = [one for one in self._lines_beside(current) if one.part.candidate.term not in taken]
+        lines = [one for one in self.lines_beside(current) if one.part.candidate.term not in taken]
         for candidate, effect in self._effects:
             if candidate.term not in taken:
                 starts = scan_places(self.objective, current.residuals, candidate, effect)

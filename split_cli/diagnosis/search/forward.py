@@ -1,7 +1,7 @@
 """Terms added one at a time while the evidence carries them, and why a further one is refused."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,14 +10,17 @@ from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fits_without
 from split_cli.diagnosis.search.form_error import saved_beside_form_error
+from split_cli.diagnosis.search.pairs import promised_pairs, with_pair
 from split_cli.diagnosis.search.term_tests import (
     exceeds_simulation_scatter,
     is_denied,
     is_form_error,
     is_spread,
     is_witnessed,
+    over_form_error,
     part_sizes,
     sizes_in_velocity,
+    sizes_of_terms,
     term_p,
     witnessed_p,
 )
@@ -91,6 +94,14 @@ def search_forward(
             if best is None:
                 beyond = worth_it(explore.beyond_form_error(chosen))
                 best, _ = _first_believed(explore, chosen, beyond[: rules.considered])
+            both = hidden_pair(explore, chosen, best)
+            if both is not None:
+                labels = " and ".join(part.candidate.label for part in both.parts[-2:])
+                history.append(f"added {labels}, which hide each other, saves {price_saved(both):.0f}")
+                chosen, dropped = _prune(explore, both)
+                history += dropped
+                alone = None
+                continue
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
             if reason == _ONCE and nuisances < rules.most_nuisances:
@@ -180,6 +191,56 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
         if not reasons[-1]:
             return fit, ""
     return None, next(iter(reasons), "")
+
+
+def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
+    """Return an explanation with two terms that save more together than the best one with any other; else None.
+
+    Each of the two has to be sure, and believed as the last to come to the other. What they do together has to be
+    more than either may get wrong: steering that arrives late and is logged late by as much does next to nothing.
+
+    Parameters
+    ----------
+    best : Fit, optional
+        With the one further term that would be added; where there is none, any two that are worth it will do.
+    """
+    rules, enough = explore.rules, explore.price(chosen if best is None else best)
+    promised = promised_pairs(explore, chosen)
+    if best is not None:
+        own = best.parts[-1].candidate.term
+        with_best = (one for one, *pair in promised if own in {line.part.candidate.term for line in pair})
+        enough = min(enough, next(with_best, np.inf))
+    for promise, first, second in promised[: rules.considered]:
+        if promise > enough - rules.price:
+            break
+        fit = with_pair(explore, chosen, (first, second))
+        if fit is None or explore.price(fit) > enough - rules.price or goes_too_far(chosen, fit):
+            continue
+        if not cancel(explore.objective, fit) and all(
+            _is_sure(explore, fit, k) for k in range(len(chosen.parts), len(fit.parts))
+        ):
+            return fit
+    return None
+
+
+def cancel(objective: MarginalLikelihood, fit: Fit) -> bool:
+    """Return whether the last two parts of a fit together do no more than the model-form error of either."""
+    first, second = (part_sizes(objective, fit, k) for k in (len(fit.parts) - 2, len(fit.parts) - 1))
+    together = sizes_of_terms(objective, fit.terms, fit.terms[:-2])
+    return over_form_error(objective, together, np.maximum(first, second)) < 1.0
+
+
+def _is_sure(explore: Explorer, fit: Fit, k: int) -> bool:
+    """Return whether a part is sure enough to be named, and would be believed as the last to come to the others."""
+    objective, own = explore.objective, fit.parts[k]
+    rest = fits_without(objective, fit, [k])[0]
+    saved = rest.cost - fit.cost
+    if own.is_everyday or not exceeds_simulation_scatter(objective, own.candidate, saved):
+        return False
+    if term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates) >= explore.rules.level:
+        return False
+    last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], own))
+    return not refusal(explore, rest, sizes_with_form_error(objective, rest.terms), last)
 
 
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:

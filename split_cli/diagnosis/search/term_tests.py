@@ -220,7 +220,26 @@ def over_form_error(
     unnamed = objective.policy.allowances.unnamed
     first = np.full(len(size), unnamed) if of.any() else np.minimum(unnamed, term_allowances(objective))
     least = np.maximum(first, rules.form_error_share * of)
-    return float(np.max(size / np.maximum(least, across * of.max())))
+    return float(np.max(size / np.maximum(least, across * _reach(objective, of))))
+
+
+def _reach(objective: MarginalLikelihood, of: np.ndarray) -> np.ndarray:
+    """Return how large terms with effect-to-noise ratios `of` (3,) would be if they acted in each channel, (3,).
+
+    What a model gets wrong of a tyre's force is another force of the same tyre, and no larger in another direction
+    than that. A quiet gyroscope sees a side force at an axle far better than a velocity sensor sees the same force
+    along the car: a ratio to noise is no measure of a force. So a force is taken for no more than it would do
+    there, and for no more than it does where it does most.
+
+    Notes
+    -----
+    A force F at an axle changes v_x and v_y by F dt/m and r by F max(l_f, l_r) dt/I_z.
+    """
+    reach = np.zeros(len(of))
+    for one in objective.evidence:
+        gain = np.abs(one.vehicle.force_matrix()).max(axis=1) / one.series.stated_noise
+        reach = np.maximum(reach, np.max(of / gain) * gain)
+    return np.minimum(reach, of.max())
 
 
 def _settled(objective: MarginalLikelihood, both: np.ndarray, rules: SelectionRules) -> np.ndarray:

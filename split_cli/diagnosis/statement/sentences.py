@@ -113,10 +113,27 @@ def withdrawn_sentence(
 
 
 def hidden_sentence(
-    term: str, variant: str, parameters: Parameters, size: float, instead: Sequence[str], vehicle: Vehicle
+    term: str,
+    variant: str,
+    parameters: Parameters,
+    size: float,
+    instead: Sequence[str],
+    vehicle: Vehicle,
+    *,
+    apart: bool = False,
 ) -> str:
-    """Return which effect may act beside the findings, its size over noise, and which terms explain as much."""
-    reasons = f"It is {size:.2f} times the noise. What the model gets wrong of the findings may be as large."
+    """Return which effect may act beside the findings, its size over noise, and which terms explain as much.
+
+    Parameters
+    ----------
+    apart : bool
+        Whether it has no name since reality and simulation were driven too differently.
+    """
+    reasons = f"It is {size:.2f} times the noise. "
+    if apart:
+        reasons += "Where one was driven and the other was not, what the vehicle file gets wrong may be as large."
+    else:
+        reasons += "What the model gets wrong of the findings may be as large."
     if instead:
         reasons += f" The same would be explained by {' or '.join(instead)}."
     return _stated_as_lead(term, variant, parameters, reasons, vehicle)
@@ -132,10 +149,14 @@ def everyday_sentence(
     taken_off : bool
         Whether figures of held-out time, with the findings, are without it.
     """
-    most = " and ".join(f"{number(limit)} {parameters[name].unit}".strip() for name, limit in limits.items())
+    most = " and ".join(_limit_in_words(limit, parameters[name].unit) for name, limit in limits.items())
     reasons = f"Up to {most} is usual in sound recordings, so it is no fault."
     reasons += " The held-out errors with the identified effects are without it." if taken_off else ""
     return _stated_as_lead(term, variant, parameters, reasons, None)
+
+
+def _limit_in_words(limit: float, unit: str) -> str:
+    return f"{100.0 * limit:.3g} %" if unit == "1" else f"{number(limit)} {unit}".strip()
 
 
 def _stated_as_lead(term: str, variant: str, parameters: Parameters, reasons: str, vehicle: Vehicle | None) -> str:

@@ -12,7 +12,7 @@ from split_cli.learning.features import Z2
 from split_cli.learning.labels import Labels, compute_labels
 from split_cli.scoring.noise import covariance_of_ends, white_noise
 from split_cli.vehicle.effects import Term
-from split_cli.vehicle.integration import Situation, phi_matrix
+from split_cli.vehicle.integration import Situation
 from split_cli.vehicle.windows import recorded_inputs
 
 BLOCK_SECONDS = 2.0
@@ -27,13 +27,14 @@ class LabelErrors:
     A label is the rate that a model lacks, and a step's error is what that makes of the velocities: Phi times the
     label. Stages are compared by steps. Phi is that of each model at its own slip angles, and where a tyre reacts
     within the step its inverse is large: labels of a model at wrong slip angles would be small for that reason.
+    What a term remembers follows the velocities within the step, see `Windows.responses`.
     """
 
     labels: Labels  # of the simulation as learned: nominal less the shared discrepancy
     # before, physics: (L, 3): [m/s^2], [m/s^2], [rad/s^2]
     before: np.ndarray
     physics: np.ndarray
-    # phi_before, phi_physics: (L, 3, 3): mean over the step of exp(A s), A the model's Jacobian
+    # phi_before, phi_physics: (L, 3, 3): mean over the step of exp(A s), A the model's Jacobian with its memory
     phi_before: np.ndarray
     phi_physics: np.ndarray
     # persistence, floor: (L, 3): of steps, over their length; the floor is the variance that sensor noise alone makes
@@ -70,7 +71,7 @@ def label_errors(
     labels = labels.take(np.isfinite(labels.y).all(axis=1))
     window, rows = labels.window, labels.row
     span = rows[:, None] + np.arange(window + 1)
-    before, phi, jacobian = _labels_with(evidence, (), labels)
+    before, phi, carried = _labels_with(evidence, (), labels)
     physics, phi_named = (before, phi) if not terms else _labels_with(evidence, terms, labels)[:2]
     moved = (series.measured[rows + window] - series.measured[rows]) / labels.horizon
     held = held_rows[rows] & held_rows[rows + window]
@@ -79,7 +80,6 @@ def label_errors(
     # Which part of the simulation is believed is chosen for each stage apart.
     if shared_named is not None:
         physics = physics - shared_named.base[span[:, :-1]].mean(axis=1)
-    carried = np.eye(3) + labels.horizon * jacobian @ phi
     ends = covariance_of_ends(carried, white_noise(series.noise), window) / labels.horizon**2
     floor = np.diagonal(ends, axis1=1, axis2=2)
     return LabelErrors(labels, before, physics, phi, phi_named, moved, held, floor)
@@ -88,7 +88,7 @@ def label_errors(
 def _labels_with(
     evidence: Evidence, terms: Sequence[Term], labels: Labels
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return labels (L, 3) of the nominal model with terms, Phi and the Jacobian A of each, (L, 3, 3)."""
+    """Return labels (L, 3) of the nominal model with terms, and Phi and exp(A h) of each, (L, 3, 3)."""
     series, rows, window = evidence.series, labels.row, labels.window
     measured, smooth = series.corrected(terms)
     model = extended_model(evidence.vehicle, terms)
@@ -96,9 +96,9 @@ def _labels_with(
     recorded = recorded_inputs(model, smooth, drive["T"], drive["delta"], series.recording, situation, held=drive.held)
     windows = recorded.windows(rows, window)
     jacobian = windows.jacobian(model, measured[rows])
-    phi = phi_matrix(jacobian, labels.horizon)
+    phi, carried = windows.responses(model, measured[rows], jacobian, labels.horizon)
     missed = (measured[rows + window] - windows.predict(model, measured[rows], jacobian)) / labels.horizon
-    return np.linalg.solve(phi, missed[:, :, None])[:, :, 0], phi, jacobian
+    return np.linalg.solve(phi, missed[:, :, None])[:, :, 0], phi, carried
 
 
 def blocks_of_time(times: Sequence[np.ndarray], longest: float = BLOCK_SECONDS) -> np.ndarray:

@@ -17,7 +17,9 @@ from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.diagnosis.verdict.findings import one_excludes_no_effect
 
 
-def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> tuple[Lead, ...]:
+def find_leads(
+    objective: MarginalLikelihood, selection: Selection, variance_inflation: float, *, apart: bool = False
+) -> tuple[Lead, ...]:
     """Return what would explain much, had a car what it would need; and what the named effects may hide.
 
     Parameters
@@ -26,6 +28,8 @@ def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inf
         With what every term explains alone.
     variance_inflation : float
         By which residual autocorrelation widens chi squared.
+    apart : bool
+        Whether reality and simulation were driven too differently for an effect of the car to have a name.
 
     Notes
     -----
@@ -45,11 +49,13 @@ def find_leads(objective: MarginalLikelihood, selection: Selection, variance_inf
             if rest is selection.base or _is_believed(explore, rest, free):
                 found.setdefault(lead.term, lead)
     beyond = sorted(found.values(), key=lambda one: -one.share)
-    hidden = [one for one in _hidden(explore, selection, beside) if one.term not in found]
+    hidden = [one for one in _hidden(explore, selection, beside, apart=apart) if one.term not in found]
     return tuple([*beyond, *hidden][: objective.policy.abstention.most_leads])
 
 
-def _hidden(explore: Explorer, selection: Selection, beside: Sequence[tuple[Fit, Sequence[Fit]]]) -> list[Lead]:
+def _hidden(
+    explore: Explorer, selection: Selection, beside: Sequence[tuple[Fit, Sequence[Fit]]], *, apart: bool
+) -> list[Lead]:
     """Return effects that a car can have and that save beyond chance beside the names, which may yet be their error.
 
     Either this effect acts, or a single track gets that much wrong of the named ones. A term without a name that is
@@ -82,7 +88,7 @@ def _hidden(explore: Explorer, selection: Selection, beside: Sequence[tuple[Fit,
                 instead = tuple(term for term, _, _ in others)
                 taken |= {own.term, *instead}
                 vehicle = objective.evidence[0].vehicle
-                sentence = hidden_sentence(own.term, own.variant, estimates, size, instead, vehicle)
+                sentence = hidden_sentence(own.term, own.variant, estimates, size, instead, vehicle, apart=apart)
                 out.append(Lead(own.term, own.variant, estimates, {}, saved / whole, instead, sentence))
     return out
 

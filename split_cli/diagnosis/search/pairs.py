@@ -1,0 +1,81 @@
+"""Two further terms at once: those that hide each other save little alone, and much together.
+
+A steering that turns more and a differential that is stiffer nearly cancel in how a car turns. What stands for the
+little that is left of both saves more than either of them, and would be found in their place.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from split_cli.diagnosis.parallel import map_in_threads
+from split_cli.diagnosis.search.exploration import Explorer
+from split_cli.diagnosis.search.fitting import Fit, Tangent, fit_parts, sensitivity_of
+from split_cli.diagnosis.search.term_tests import is_denied
+from split_cli.vehicle.effects import CATALOGUE, Term
+
+_SMALL = 1e-9  # of a column's length 1: keeps systems of columns that say the same solvable
+
+
+def promised_pairs(explore: Explorer, current: Fit) -> list[tuple[float, Tangent, Tangent]]:
+    """Return what every two further terms promise to cost beside an explanation, price included, best first.
+
+    Terms with a place take no part. Each variant of the others does, with the start that promises most alone. Two that
+    move commands in time are no pair: steering that lags and is logged late is late by one time, and what is left of
+    the two is what a single track gets wrong of its transients.
+    """
+    sensitivity_of(explore.objective, current)
+    taken = {part.candidate.term for part in current.parts}
+    lines = [one for one in explore.lines_beside(current) if one.part.candidate.term not in taken]
+    promises = map_in_threads(lambda one: one.cost(current), lines)
+    best: dict[str, Tangent] = {}
+    for _, line in sorted(zip(promises, lines, strict=True), key=lambda one: one[0]):
+        best.setdefault(line.part.candidate.label, line)
+    firsts = list(best.values())
+
+    def price(cost: float, *pair: Tangent) -> float:
+        complexity = sum(one.part.candidate.complexity for one in pair)
+        return cost / explore.variance_inflation + explore.rules.price * complexity
+
+    pairs = [(firsts[i], firsts[j], cost) for i, j, cost in costs_of_pairs(current, firsts)]
+    return sorted(((price(cost, *pair), *pair) for *pair, cost in pairs), key=lambda one: one[0])
+
+
+def costs_of_pairs(current: Fit, lines: Sequence[Tangent]) -> Iterator[tuple[int, int, float]]:
+    """Yield the numbers i < j of every two lines that may be a pair, and what both promise to cost.
+
+    Notes
+    -----
+    As `Tangent.cost` of the columns of both lines together. All columns are freed of the explanation's own first,
+    so that each pair is a small system of their products.
+    """
+    slopes = [one.slopes / (np.linalg.norm(one.slopes, axis=0) + 1e-300) for one in lines]
+    rows = np.column_stack([*slopes, *(one.moved for one in lines), current.residuals])
+    if current.sensitivity.shape[1]:
+        basis = np.linalg.qr(current.sensitivity / (np.linalg.norm(current.sensitivity, axis=0) + 1e-300))[0]
+        rows -= basis @ (basis.T @ rows)
+    products = rows.T @ rows
+    ends = np.cumsum([0, *(one.shape[1] for one in slopes)])
+    own = [np.arange(begin, end) for begin, end in pairwise(ends)]
+    for i, j in combinations(range(len(lines)), 2):
+        if not _are_one(lines[i], lines[j]):
+            columns, moved = np.concatenate([own[i], own[j]]), [ends[-1] + i, ends[-1] + j, len(products) - 1]
+            score = products[np.ix_(columns, moved)].sum(axis=1)
+            normal = products[np.ix_(columns, columns)] + _SMALL * np.eye(len(columns))
+            yield i, j, float(products[np.ix_(moved, moved)].sum() - score @ np.linalg.solve(normal, score))
+
+
+def _are_one(first: Tangent, second: Tangent) -> bool:
+    """Return whether two lines are of one term, or of two that move commands in time."""
+    kinds = [CATALOGUE[line.part.candidate.term] for line in (first, second)]
+    return kinds[0] is kinds[1] or all(kind.acts_late() and kind.actuate is not Term.actuate for kind in kinds)
+
+
+def with_pair(explore: Explorer, current: Fit, pair: tuple[Tangent, Tangent]) -> Fit | None:
+    """Return an explanation with two further terms, fitted; None where one of them is denied, or is another."""
+    fit = fit_parts(explore.objective, (*current.parts, *(one.part for one in pair)), known=current, lines=pair)
+    for k in range(len(current.parts), len(fit.parts)):
+        if explore.is_everywhere(fit.parts[k]) or is_denied(explore.objective, fit, k):
+            return None
+    return fit
