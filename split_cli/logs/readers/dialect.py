@@ -274,7 +274,7 @@ def _holds_values(row: list[str], decimal: str) -> bool:
     # The sample of a file has ten thousand cells, nearly all of them plain numbers.
     others = [cell for cell in filled if _PLAIN[decimal].match(cell) is None]
     numbers = len(filled) - len(others)
-    numbers += sum(is_grouped(cell, decimal) or cell.lower() in ("nan", "inf", "-inf") for cell in others)
+    numbers += sum(_is_number(cell, decimal) or cell.lower() in ("nan", "inf", "-inf") for cell in others)
     return numbers > 0 and 2 * numbers >= len(filled)
 
 
