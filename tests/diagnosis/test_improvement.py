@@ -200,7 +200,7 @@ def test_rates_that_are_known_meet_a_tyre_whose_force_builds_up_within_the_step(
     relaxation, rate = CATALOGUE["tire_relaxation"]({"length": 0.15}), 0.6  # [m], [rad/s^2]
     car = road_car()
     turned = TurnedFromOutside({"moment": rate * car.yaw_inertia})
-    one = light_evidence(prepared(noisy(driven(29, (relaxation, turned), runs=12), 29)))
+    one = light_evidence(prepared(noisy(driven(29, (relaxation, turned), runs=8), 29)))
     count = len(one.series)
     base = np.tile([0.0, 0.0, rate], (count, 1))
     known = SharedRates(base, np.zeros((count, 3, 3)), one.series.smooth)
