@@ -43,7 +43,7 @@ from split_cli.cli.verbosity import print_notes
     type=click.FloatRange(0.0, 1.5, min_open=True),
     default=0.18,
     metavar="RAD",
-    help="Largest slip angle.",
+    help="Largest slip angle up to which samples are used and curves are compared [rad].",
 )
 @click.option(
     "--smooth",

@@ -108,13 +108,14 @@ def _feature_sets(context: click.Context, parameter: click.Parameter, texts: tup
 def command(
     drives, vehicle_path, set_path, output, as_json, select, keep_going, engine, scheduler, jobs, **settings
 ) -> int:
-    """Measure the error of predictors beside that of the nominal model.
+    """Measure the error of a corrected model on drives, beside that of the nominal model.
 
-    The table also has persistence, which holds the last value, and the noise floor: the error that sensor noise
-    alone causes. Errors are root mean squares over all drives, in m/s^2 for v_x and v_y and in rad/s^2 for r.
+    With --set, a trained set is judged on whole drives, which it should not have learned. Without --set, a set and
+    its hyperparameters are learned from training blocks of the drives, and the errors are those on held-out blocks.
 
-    Without --set, a set and its hyperparameters are learned from training blocks of the drives. The held-out
-    blocks give the errors.
+    The first table gives the rms error of one step, in m/s^2 for v_x and v_y and in rad/s^2 for r. It also has
+    persistence, the prediction that the velocities stay as they are. The noise floor is the error that sensor
+    noise alone causes.
 
     \b
     Example:

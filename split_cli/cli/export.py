@@ -22,9 +22,8 @@ from split_cli.cli.verbosity import print_notes
     "--predictor",
     default="projected",
     type=click.Choice(["projected", "table", "bcm", "rbcm"]),
-    help="projected: Gaussian process on at most 600 points. "
-    "The choice table: splines through the Gaussian process of all points. "
-    "The choices bcm and rbcm: committee of one Gaussian process a cell, and its robust form.",
+    help="projected: Gaussian process on at most 600 points. table: B-splines of projected, the fastest. "
+    "bcm: Bayesian committee machine of one Gaussian process a cell. rbcm: its robust form.",
 )
 @click.option("--name", metavar="NAME", help="Prefix of files and functions [default: the set's file name].")
 @click.option("--real", default="double", type=click.Choice(["double", "float"]), help="Number type of the C code.")

@@ -48,7 +48,8 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     "--gap",
     type=float,
     metavar="S",
-    help="Longest gap to interpolate over [s]. Default: 0.1, or 2.5 samples of a required channel at 10 Hz.",
+    help="Longest gap to interpolate over [s]. Default: 0.1; 2.5 sampling intervals for a required channel that is "
+    "slower, down to 8 Hz.",
 )
 @click.option(
     "--rate",
@@ -62,7 +63,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     multiple=True,
     callback=_delays,
     metavar="CHANNEL=S",
-    help="Correct a channel that is late by S seconds.",
+    help="Shift a channel that is late by S seconds to earlier times; repeatable.",
 )
 @click.option(
     "--estimate-delays", is_flag=True, help="Estimate and correct delays between channels from kinematic identities."
@@ -71,7 +72,7 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
     "--derive",
     multiple=True,
     metavar="NAME",
-    help="Compute a missing channel. docs/ingest.md lists the names; so does the error for an unknown one.",
+    help="Compute a missing channel; repeatable. docs/ingest.md lists the names; so does the error for an unknown one.",
 )
 @click.option(
     "--topic",
@@ -83,13 +84,18 @@ def _delays(context: click.Context, parameter: click.Parameter, values: tuple[st
 )
 @shared.log_options
 @click.option(
-    "--start", type=float, metavar="S", help="Leave out everything before this time, counted from the first sample."
+    "--start", type=float, metavar="S", help="Leave out everything before this time [s], counted from the first sample."
 )
 @click.option(
-    "--end", type=float, metavar="S", help="Leave out everything after this time, counted from the first sample."
+    "--end", type=float, metavar="S", help="Leave out everything after this time [s], counted from the first sample."
 )
 @click.option(
-    "--cut", "cuts", multiple=True, type=shared.TimeSpan(), metavar="A:B", help="Leave out the time from A to B [s]."
+    "--cut",
+    "cuts",
+    multiple=True,
+    type=shared.TimeSpan(),
+    metavar="A:B",
+    help="Leave out the time from A to B [s], counted from the first sample.",
 )
 @click.option("--keep-going", is_flag=True, help="Continue with the other logs when one fails.")
 @click.option(

@@ -16,7 +16,7 @@ from split_cli.cli.verbosity import StepBar, print_notes
     metavar="LIST",
     help="Inputs of the correction: z2, z1, or a comma-separated list of signals.",
 )
-@click.option("--horizon", type=float, default=0.05, metavar="S", help="Label interval h.")
+@click.option("--horizon", type=float, default=0.05, metavar="S", help="Label interval h [s].")
 @shared.label_options
 @shared.held_option
 @shared.engine_options(None)

@@ -22,7 +22,7 @@ COMMANDS = {
     "ingest": "Read recordings into drives on one clock, in SI units.",
     "label": "Compute the error of the nominal model, sample by sample.",
     "train": "Learn the error of the nominal model from drives into a trained set.",
-    "evaluate": "Score predictors and features on held-out blocks of time.",
+    "evaluate": "Measure the error of a corrected model on drives or held-out blocks.",
     "compare": "Compare models on the same drives.",
     "export": "Write a trained set as C, CasADi, npz or json.",
     "calibrate": "Fit a vehicle file to gentle drives, or convert another project's file.",

@@ -31,7 +31,7 @@ from split_cli.control.policy import MODEL_CAR, P_LONG, SHARE_LEARNED, SHARE_NOM
     type=float,
     multiple=True,
     metavar="M/S",
-    help="Entry speed; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid, on a scaled "
+    help="Entry speed [m/s]; repeatable  [default: 14 for iso3888-1, 10 for iso3888-2, 14 for brake-avoid, on a scaled "
     "course times the root of its scale].",
 )
 @click.option(
@@ -63,14 +63,19 @@ from split_cli.control.policy import MODEL_CAR, P_LONG, SHARE_LEARNED, SHARE_NOM
     help="Use force limits that follow "
     "load transfer, a torque limit and, with a set, the tyre peaks that its labels show.",
 )
-@click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
+@click.option(
+    "--max-torque",
+    type=float,
+    metavar="NM",
+    help="Largest driving torque, total at the wheels [N m]  [default: the vehicle's].",
+)
 @shared.sensor_options
 @click.option(
     "--set",
     "set_output",
     type=shared.OutputPath("file"),
     metavar="FILE",
-    help="Train a new set on the first run, up to where an axle lets go, and write it.",
+    help="Train a new set on the first run, until a slip angle leaves the valid region, and write it.",
 )
 @click.option(
     "--features", default="z2", metavar="LIST", help="Inputs of the correction that --set trains; see `split race`."

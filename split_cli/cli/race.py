@@ -46,10 +46,15 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
     default="auto",
     metavar="NAME",
     help="Predictor that evaluates the set: bcm and projected follow every update, others are rebuilt after each "
-    "lap. The choice auto takes bcm for three features and projected for more.",
+    "lap. With auto it is bcm for three features and projected for more.",
 )
-@click.option("--max-speed", type=float, default=30.0, metavar="M/S", help="Largest speed.")
-@click.option("--max-torque", type=float, metavar="NM", help="Largest driving torque  [default: the vehicle's].")
+@click.option("--max-speed", type=float, default=30.0, metavar="M/S", help="Largest speed [m/s].")
+@click.option(
+    "--max-torque",
+    type=float,
+    metavar="NM",
+    help="Largest driving torque, total at the wheels [N m]  [default: the vehicle's].",
+)
 @shared.grip_option
 @click.option(
     "--p-ellipse",
@@ -62,19 +67,19 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
     "--p-ellipse-lap0",
     type=float,
     metavar="SHARE",
-    help="The same share in lap 0. Each clean lap "
-    f"lets the next one use {SHARE_STEP:.2g} more, up to --p-ellipse, and less on a track that is too "
+    help="The same share in lap 0. After each clean lap it "
+    f"rises by {SHARE_STEP:.2g} up to --p-ellipse, and by less on a track that is too "
     "narrow for the margin. With --learner none it is at "
-    f"most {SHARE_NOMINAL} if the vehicle file assumes the tyres' peaks. [default: --p-ellipse; else "
-    f"{SHARE_LEARNED} if the vehicle file knows the peaks from data, "
-    f"{SHARE_NOMINAL - SHARE_STEP:.2g} if it assumes them].",
+    f"most {SHARE_NOMINAL} if the tyre peaks in the vehicle file are assumed. [default: --p-ellipse if given; else "
+    f"{SHARE_LEARNED} if the peaks are from data, "
+    f"{SHARE_NOMINAL - SHARE_STEP:.2g} if they are assumed].",
 )
 @click.option(
     "--p-unknown",
     type=float,
     metavar="SHARE",
     help="The same share in states "
-    "without training data. The more the data tell of a state, the nearer it is to --p-ellipse  "
+    "without training data. It approaches --p-ellipse as the predicted variance falls  "
     "[default: --p-ellipse].",
 )
 @click.option(
@@ -89,7 +94,7 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
 @click.option(
     "--learn-grip/--no-learn-grip",
     default=True,
-    help="After each lap, move the slip limits to the tyres' peaks that the labels show.",
+    help="After each lap, estimate the tyre peaks from the labels and limit the slip angles by them.",
 )
 @click.option(
     "--margin",
@@ -102,8 +107,8 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
 @click.option(
     "--margin-by-error/--margin-by-laps",
     default=True,
-    help="After each lap, reduce the margin that no lap needed by a fifth and as the learned model's error falls, "
-    "or by a fifth alone. Without a learned model it is always by a fifth.",
+    help="After each lap, reduce the margin that no lap needed by a fifth. With --margin-by-error it also falls with "
+    "the error of the learned model, if there is one.",
 )
 @click.option(
     "--p-long",
@@ -116,15 +121,15 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
     "--guarded/--unguarded",
     default=True,
     help="guarded: force limits "
-    "follow the load transfer, the torque is limited, and the correction assumes the learned tyre peaks "
-    "where it has no data. Without all three: --unguarded.",
+    "follow the load transfer, and the torque is limited. Where the correction has no data, it assumes the learned "
+    "tyre peaks. --unguarded: none of the three.",
 )
 @click.option(
     "--features",
     default="auto",
     metavar="LIST",
     help="Inputs of the correction: z2, z1 or a comma-separated list of these, signals and terms with states. "
-    "The choice auto takes z2 or z2,feature_lag: what has the smaller error on held-out tenths of the laps.",
+    "With auto it is z2 or z2,feature_lag: the one with the smaller error on held-out tenths of the laps.",
 )
 @click.option(
     "--hyperparameters", default="fit", metavar="KIND", help="Kernel: fit (to lap 0), default, or a YAML file."
@@ -257,7 +262,7 @@ def _tell(result) -> None:
     rows = []
     for lap in result.laps:
         share = [a / b if b else None for a, b in zip(lap.error_after, lap.error_before, strict=True)]
-        trust = "/".join("-" if s is None else f"{s:.2f}" for s in share)
+        ratios = "/".join("-" if s is None else f"{s:.2f}" for s in share)
         rows.append(
             [
                 lap.number,
@@ -267,7 +272,7 @@ def _tell(result) -> None:
                 lap.size,
                 lap.cells,
                 *map(three_digits, lap.error_after),
-                trust,
+                ratios,
                 lap.outside,
                 None if lap.outside_at is None else round(lap.outside_at),
                 lap.failures,

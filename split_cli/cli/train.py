@@ -16,14 +16,14 @@ from split_cli.cli.verbosity import StepBar, print_notes
     "--features",
     metavar="LIST",
     help="Inputs of the correction: z2 (default), z1, or a comma-separated list of these, signals and terms with "
-    "states, as z2,feature_lag.",
+    "states. An example is z2,feature_lag.",
 )
 @click.option(
     "--hyperparameters",
     metavar="fit|default|FILE",
     help="Length scales and variances of the kernel; fixed once a set exists. Default: fit.",
 )
-@click.option("--horizon", type=float, metavar="S", help="Label interval h; default 0.05.")
+@click.option("--horizon", type=float, metavar="S", help="Label interval h [s]; default 0.05.")
 @shared.label_options
 @click.option(
     "--capacity",
@@ -49,7 +49,10 @@ from split_cli.cli.verbosity import StepBar, print_notes
     help="Edge length of the cells as a multiple of the standard edge; default 1.",
 )
 @click.option(
-    "--forgetting", type=float, metavar="S", help="Reduce the gain of old points with this time constant; default: off."
+    "--forgetting",
+    type=float,
+    metavar="S",
+    help="Let the gain of old points decay with this time constant [s]; default: off.",
 )
 @click.option(
     "--trust",
@@ -74,7 +77,7 @@ from split_cli.cli.verbosity import StepBar, print_notes
     "--keep-going", is_flag=True, help="Leave out drives that cannot be read or are of another vehicle; exit code 1."
 )
 @shared.engine_options(1)
-@click.option("--per-lap", is_flag=True, help="Also print what each lap added, as in the paper's table.")
+@click.option("--per-lap", is_flag=True, help="Also print a row for each lap, as in the paper's table.")
 @shared.json_option
 def command(
     drives, vehicle_path, output, append, per_lap, keep_going, engine, scheduler, jobs, as_json, **settings
