@@ -266,6 +266,27 @@ def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error
     assert abs(excess([])) < 1e-3 and excess(felt) > 100.0
 
 
+def test_a_nuisance_that_looks_like_a_name_hides_no_alternative():
+    """A biased velocity told as a sensor that is turned beside a little bias: the bias alone explains as much."""
+    biased = fault("velocity_bias", "", {"angle": 0.015, "drift": 0.0})
+    objective = bare_objective(light_evidence(prepared(recording(46, biased, seconds=12.0))))
+    candidates = candidates_of(objective, "sensor_misalignment", "velocity_bias")
+    own = {(one.term, one.variant): one for one in candidates}
+    turned, offset = own["sensor_misalignment", ""], own["velocity_bias", "offset"]
+    parts = [Part(one, dict(one.starts[0])) for one in (turned, offset)]
+    chosen, rest = fit_parts(objective, parts), fit_parts(objective, parts[1:])
+    explore = explorer(objective, *candidates)
+
+    def alone(nuisances: list[int]) -> list[tuple[float, Fit]]:
+        others, _ = rivals_of(explore, chosen, 0, rest, nuisances=nuisances)
+        return [(one.excess, one.fit) for one in others if one.fit.parts[-1].candidate is own["velocity_bias", ""]]
+
+    ((excess, fit),) = alone([1])
+    assert [part.candidate.term for part in fit.parts] == ["velocity_bias"] and excess < explore.rules.price
+    assert fit.parts[0].values["angle"] == pytest.approx(0.015, abs=0.001)
+    assert not alone([])
+
+
 def test_witnesses_speak_for_a_rival_whatever_model_form_error_makes_of_its_cost(late_yaw_rate):
     """A late yaw rate told as late steering: yaw and a_y say which, by what a chi squared of 1.5 is in doubt."""
     candidates = tuple(candidates_of(late_yaw_rate, "channel_delay", "steer_delay"))

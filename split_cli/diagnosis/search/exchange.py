@@ -196,6 +196,25 @@ def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
     return best
 
 
+def in_places_of_two(explore: Explorer, chosen: Fit, k: int, nuisances: Sequence[int]) -> list[Fit]:
+    """Return explanations with one term, the last, in the places of part k and of a nuisance that looks like it.
+
+    A velocity that is biased by a little may stand beside a sensor that is turned. As a nuisance it must not hide
+    that it might have been all there is.
+    """
+    own, fits = chosen.parts[k], []
+    for j in nuisances:
+        term = chosen.parts[j].candidate.term
+        if j != k and term != own.candidate.term and look_alike(own.candidate.term, term):
+            others = [part for i, part in enumerate(chosen.parts) if i not in (j, k)]
+            alike = [one for one in explore.candidates if one.term == term and one.starts]
+            fits += [
+                fit_parts(explore.objective, (*others, Part(one, nearest_start(one, own))), known=chosen)
+                for one in alike
+            ]
+    return fits
+
+
 def inverted_stretch(explore: Explorer, chosen: Fit) -> Fit | None:
     """Return the best explanation with a stretch in the place of the rest of the lap, where that costs less.
 

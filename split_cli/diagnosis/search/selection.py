@@ -11,6 +11,7 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.every_car import explanation_of_every_car, is_shown, physics_of_every_car
 from split_cli.diagnosis.search.exchange import (
     alone,
+    in_places_of_two,
     inverted_stretch,
     is_better_beside_form_error,
     joined,
@@ -360,10 +361,9 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
 
 def _with_rivals(explore: Explorer, selection: Selection, *, better: bool = False) -> Selection:
     """Return a selection with the rivals of each named part; `better` to fit few but those that promise more."""
-    rivals = [
-        rivals_of(explore, selection.chosen, k, rest, better=better) if selection.named[k] else ((), ())
-        for k, rest in enumerate(selection.without)
-    ]
+    nuisances = [k for k, named in enumerate(selection.named) if not named]
+    find = partial(rivals_of, explore, selection.chosen, better=better, nuisances=nuisances)
+    rivals = [find(k, rest) if selection.named[k] else ((), ()) for k, rest in enumerate(selection.without)]
     others, siblings = zip(*rivals, strict=True) if rivals else ((), ())
     return replace(selection, rivals=others, siblings=siblings)
 
@@ -436,20 +436,21 @@ def explaining_as_well(
 
 
 def rivals_of(
-    explore: Explorer, chosen: Fit, k: int, rest: Fit, *, better: bool = False
+    explore: Explorer, chosen: Fit, k: int, rest: Fit, *, better: bool = False, nuisances: Sequence[int] = ()
 ) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
     """Return a part replaced by other terms, and by other variants of its own, best first.
 
     Where the part itself saves more, searched for afresh beside the others, that is one of the latter. Beside the
     few that promise most, those are fitted that may explain as well; with `better` only those that promise to
-    explain more.
+    explain more. Of `nuisances`, parts by number that have no name, those that look like it are rivals as well.
     """
     objective = explore.objective
     variance_inflation = max(explore.variance_inflation, objective.form_error_inflation)
     own = chosen.parts[k].candidate
     reference = objective.block_sums(chosen.residuals**2)
-    rivals = []
-    for fit in explore(rest, chosen.cost if better else _worth_a_fit(explore, chosen, k, rest)):
+    rivals: list[Rival] = []
+    fits = explore(rest, chosen.cost if better else _worth_a_fit(explore, chosen, k, rest))
+    for fit in (*fits, *(() if better else in_places_of_two(explore, chosen, k, nuisances))):
         # What was found first may have led a part into a valley that is not its own: a stretch to other ends.
         of_itself = fit.parts[-1].candidate.label == own.label
         if of_itself and fit.cost > chosen.cost - explore.rules.tie * variance_inflation:
