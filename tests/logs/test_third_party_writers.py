@@ -17,6 +17,7 @@ from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.ingesting.init import init_project
 from split_cli.workflows.sources import find_sources, left_alone
 from tests.logs.planted import PlantedDrive, write_table
+from tests.optional import needed
 
 DEG = 180.0 / np.pi
 CHANNELS = {"Speed": ("vx", 3.6, "km/h"), "YawRate": ("r", DEG, "deg/s"), "LatAcc": ("ay", 1.0, "m/s^2")}
@@ -234,7 +235,7 @@ def test_rows_whose_cells_all_say_what_they_hold_are_units_or_nothing(rows, car,
 
 def test_frames_of_python_can_in_base_64_are_decoded(rows, car, tmp_path):
     """With their DBC they had been listed as four columns of numbers."""
-    pytest.importorskip("can")
+    needed("can")
     signals = 'BO_ 256 ESP: 8 E\n SG_ Speed : 0|16@1+ (0.01,0) [0|655] "km/h" E\n'
     signals += ' SG_ YawRate : 16|16@1- (0.01,0) [-300|300] "deg/s" E\n'
     (tmp_path / "bus.dbc").write_text(f'VERSION ""\nBU_: E\n{signals}')
