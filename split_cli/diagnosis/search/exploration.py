@@ -199,11 +199,11 @@ class Explorer:
         """Return fits of promises, with the second start of a variant where it promises more."""
         found = map_distributed_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
         fits = [fit for several in found for fit in several]
-        return sorted((fit for fit in fits if self._is_possible(fit)), key=self.price)
+        return sorted((fit for fit in fits if self.is_possible(fit, len(fit.parts) - 1)), key=self.price)
 
-    def _is_possible(self, fit: Fit) -> bool:
-        last = len(fit.parts) - 1
-        return not (self.is_everywhere(fit.parts[last]) or is_denied(self.objective, fit, last))
+    def is_possible(self, fit: Fit, k: int) -> bool:
+        """Return whether part k of a fit is the term that it is called, and no yaw denies it."""
+        return not (self.is_everywhere(fit.parts[k]) or is_denied(self.objective, fit, k))
 
     def is_everywhere(self, part: Part) -> bool:
         """Return whether a stretch covers so much of the track that it is none, or a term is another one."""

@@ -21,6 +21,7 @@ _LEAST_GAIN = 0.02  # of a step [chi squared], below which a fit ends
 #: Judgement: nine drives of development keep their verdicts, names and sizes to 0.01 standard errors with it.
 #: Where a step gains nothing derivatives are computed anew, so it decides time and no result.
 _BENT = 0.1
+RIDGE = 1e-9  # of a column's length 1: keeps systems of columns that say the same solvable
 _PLACES = 50  # into which a lap is cut to look for a stretch
 #: What the best of all stretches saves of model-form error beyond any one [chi squared], 2 ln of their number.
 SEARCHED_PLACES = 2.0 * np.log(_PLACES * (_PLACES - 1) / 2)
@@ -323,8 +324,7 @@ class Tangent:
 
         What lies in `free`, shape (R, C), costs less or nothing: a square root of 1 less the rows' precision.
         """
-        columns = np.hstack([self.slopes, current.sensitivity])
-        columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
+        columns = of_length_one(np.hstack([self.slopes, current.sensitivity]))
         here = current.residuals + self.moved
         rows = np.column_stack([columns, here])
         products = rows.T @ rows
@@ -332,8 +332,14 @@ class Tangent:
             seen = free.T @ rows
             products -= seen.T @ seen
         normal, score = products[:-1, :-1], products[:-1, -1]
-        promised = score @ np.linalg.solve(normal + 1e-9 * np.eye(len(score)), score)
+        promised = score @ np.linalg.solve(normal + RIDGE * np.eye(len(score)), score)
         return float(products[-1, -1] - promised)
+
+
+def of_length_one(columns: np.ndarray) -> np.ndarray:
+    """Return columns (R, P) over their lengths; one that is nothing stays nothing."""
+    scaled: np.ndarray = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
+    return scaled
 
 
 def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside: tuple[Term, ...] = ()) -> Tangent:

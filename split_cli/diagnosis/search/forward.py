@@ -239,8 +239,13 @@ def _is_sure(explore: Explorer, fit: Fit, k: int) -> bool:
         return False
     if term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates) >= explore.rules.level:
         return False
-    last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], own))
-    return not refusal(explore, rest, sizes_with_form_error(objective, rest.terms), last)
+    return not is_refused_last(explore, rest, fit, k)
+
+
+def is_refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
+    """Return whether one part of a fit would be refused as the last to come to the others, which leave `rest`."""
+    last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
+    return bool(refusal(explore, rest, sizes_with_form_error(explore.objective, rest.terms), last))
 
 
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:

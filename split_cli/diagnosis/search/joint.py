@@ -16,7 +16,16 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import map_distributed_with
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, Part, Prior, fit_parts, fit_with_prior, fits_without, sensitivity_of
+from split_cli.diagnosis.search.fitting import (
+    Fit,
+    Part,
+    Prior,
+    fit_parts,
+    fit_with_prior,
+    fits_without,
+    of_length_one,
+    sensitivity_of,
+)
 from split_cli.vehicle.effects import CATALOGUE
 
 _NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
@@ -33,8 +42,7 @@ def promised_by_all(explore: Explorer, current: Fit) -> float:
     projection onto [D S], e the residuals left. Of pure noise it saves one for every column.
     """
     lines = [one.slopes for one in explore.first_tangents(current)]
-    columns = np.hstack([*lines, sensitivity_of(explore.objective, current)])
-    columns = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
+    columns = of_length_one(np.hstack([*lines, sensitivity_of(explore.objective, current)]))
     score = columns.T @ current.residuals
     normal = columns.T @ columns + 1e-6 * np.eye(len(score))
     return float(score @ np.linalg.solve(normal, score)) / explore.variance_inflation - len(score)

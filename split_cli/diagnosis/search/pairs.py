@@ -11,11 +11,8 @@ import numpy as np
 
 from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.search.exploration import Explorer
-from split_cli.diagnosis.search.fitting import Fit, Tangent, fit_parts, sensitivity_of
-from split_cli.diagnosis.search.term_tests import is_denied
+from split_cli.diagnosis.search.fitting import RIDGE, Fit, Tangent, fit_parts, of_length_one, sensitivity_of
 from split_cli.vehicle.effects import CATALOGUE, Term
-
-_SMALL = 1e-9  # of a column's length 1: keeps systems of columns that say the same solvable
 
 
 def promised_pairs(explore: Explorer, current: Fit) -> list[tuple[float, Tangent, Tangent]]:
@@ -50,10 +47,10 @@ def costs_of_pairs(current: Fit, lines: Sequence[Tangent]) -> Iterator[tuple[int
     As `Tangent.cost` of the columns of both lines together. All columns are freed of the explanation's own first,
     so that each pair is a small system of their products.
     """
-    slopes = [one.slopes / (np.linalg.norm(one.slopes, axis=0) + 1e-300) for one in lines]
+    slopes = [of_length_one(one.slopes) for one in lines]
     rows = np.column_stack([*slopes, *(one.moved for one in lines), current.residuals])
     if current.sensitivity.shape[1]:
-        basis = np.linalg.qr(current.sensitivity / (np.linalg.norm(current.sensitivity, axis=0) + 1e-300))[0]
+        basis = np.linalg.qr(of_length_one(current.sensitivity))[0]
         rows -= basis @ (basis.T @ rows)
     products = rows.T @ rows
     ends = np.cumsum([0, *(one.shape[1] for one in slopes)])
@@ -62,7 +59,7 @@ def costs_of_pairs(current: Fit, lines: Sequence[Tangent]) -> Iterator[tuple[int
         if not _are_one(lines[i], lines[j]):
             columns, moved = np.concatenate([own[i], own[j]]), [ends[-1] + i, ends[-1] + j, len(products) - 1]
             score = products[np.ix_(columns, moved)].sum(axis=1)
-            normal = products[np.ix_(columns, columns)] + _SMALL * np.eye(len(columns))
+            normal = products[np.ix_(columns, columns)] + RIDGE * np.eye(len(columns))
             yield i, j, float(products[np.ix_(moved, moved)].sum() - score @ np.linalg.solve(normal, score))
 
 
@@ -75,7 +72,4 @@ def _are_one(first: Tangent, second: Tangent) -> bool:
 def with_pair(explore: Explorer, current: Fit, pair: tuple[Tangent, Tangent]) -> Fit | None:
     """Return an explanation with two further terms, fitted; None where one of them is denied, or is another."""
     fit = fit_parts(explore.objective, (*current.parts, *(one.part for one in pair)), known=current, lines=pair)
-    for k in range(len(current.parts), len(fit.parts)):
-        if explore.is_everywhere(fit.parts[k]) or is_denied(explore.objective, fit, k):
-            return None
-    return fit
+    return fit if all(explore.is_possible(fit, k) for k in range(len(current.parts), len(fit.parts))) else None

@@ -27,8 +27,8 @@ from split_cli.diagnosis.search.forward import (
     Found,
     goes_too_far,
     is_beyond_form_error,
+    is_refused_last,
     other_beginnings,
-    refusal,
     search_forward,
     sizes_with_form_error,
 )
@@ -195,7 +195,7 @@ def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
     while left > 1:
         for k in cheapest_first(explore, fit):
             rest = fit_parts(explore.objective, fit.parts[:k] + fit.parts[k + 1 :], known=fit)
-            if _refused_last(explore, rest, fit, k):
+            if is_refused_last(explore, rest, fit, k):
                 fit, left = rest, left - 1
                 break
         else:
@@ -212,12 +212,6 @@ def _named_of_every_car(explore: Explorer, base: Fit, whole: Fit) -> Selection:
     shown = [is_shown(explore, whole, rest) for rest in selection.without]
     named = tuple(one and other for one, other in zip(selection.named, shown, strict=True))
     return _with_rivals(explore, replace(selection, named=named))
-
-
-def _refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
-    """Return whether one part of a fit would be refused as the last to come to the others."""
-    last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
-    return bool(refusal(explore, rest, sizes_with_form_error(explore.objective, rest.terms), last))
 
 
 def _inverted_stretch(explore: Explorer, chosen: Fit, history: list[str]) -> Fit:
@@ -315,7 +309,7 @@ def _lends(explore: Explorer, selection: Selection, k: int) -> bool:
     much = explore.rules.form_error_cost * (selection.base.cost - chosen.cost)
     if own.is_everyday or without.cost - chosen.cost > much:
         return False
-    return _refused_last(explore, without, chosen, k)
+    return is_refused_last(explore, without, chosen, k)
 
 
 def _exchanged_beside_form_error(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
