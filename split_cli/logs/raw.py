@@ -145,6 +145,7 @@ class LazyTableRecording:
     origin: float = 0.0
     clocks: tuple[Clock, ...] = ()
     notes: list[ReadNote] = field(default_factory=list)
+    texts: Callable[[str], list[str]] | None = None  # returns a column of text as it is written
 
     def channels(self) -> list[RawChannelInfo]:
         """Return the columns with their units."""

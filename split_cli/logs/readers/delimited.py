@@ -121,7 +121,10 @@ def open_delimited(path: Path) -> RawRecording:
         found = {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
         return {name: with_clock(signal, clocks.get(name)) for name, signal in found.items()}
 
-    return LazyTableRecording(path.name, path, infos, load, origin, notes=notes)
+    def texts(name: str) -> list[str]:
+        return _cells_of(path, sniffed.dialect, width, columns[name][0])
+
+    return LazyTableRecording(path.name, path, infos, load, origin, notes=notes, texts=texts)
 
 
 def _cells_of(path: Path, dialect: Dialect, width: int, index: int) -> list[str]:

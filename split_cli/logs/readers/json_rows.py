@@ -11,6 +11,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, refuse_many_columns
+from split_cli.logs.one_car import NAMES_OF_CARS
 from split_cli.logs.raw import (
     LazyTableRecording,
     RawChannelInfo,
@@ -103,6 +104,11 @@ def _table(
         note_once(notes, "column names that occur twice, numbered", path.name, unique.renamed)
 
     listed = set(known)
+    cars = [key for key, value in next(rows(), {}).items() if key.lower() in NAMES_OF_CARS and isinstance(value, str)]
+    infos += [RawChannelInfo(key, "text", None) for key in cars if key not in listed]
+
+    def texts(name: str) -> list[str]:
+        return [str((row or {}).get(name) or "") for row in rows()]
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
         missed: dict[str, None] = {}
@@ -134,7 +140,7 @@ def _table(
         read = zip(names, columns, strict=True)
         return {name: RawSignal(name, None, column.finished(), units[name]) for name, column in read}
 
-    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+    return LazyTableRecording(path.name, path, infos, load, notes=notes, texts=texts)
 
 
 def _refuse_rows_of_nothing(numbers: int, size: int, path: Path) -> None:

@@ -109,6 +109,8 @@ class InitResult:
             )
         yield f"Fill in the empty values of {self.vehicle_path}."
         yield from (*lines_on_presets(self.draft.presets), *lines_on_runs(self.draft))
+        if self.draft.rows:
+            yield f"The log {self.draft.rows.partition(': the log ')[2]}: `rows:` in {self.map_path} chooses one."
         if check := [s.channel for s in self.draft.suggestions if s.status == "assumed"]:
             yield f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}."
         if self.draft.time.startswith("# time: {period"):

@@ -1,0 +1,147 @@
+"""Tables with the rows of several cars (a race, a street seen from above): which there are, and the rows of one.
+
+It may import `split_cli.logs.raw` and the errors.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from split_cli.errors import MapError
+from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, ReadNote, time_column
+
+NAMES_OF_CARS = frozenset(
+    """
+    car car_id car_number car_no car_idx car_index carid vehicle vehicle_id vehicle_number vehicle_no
+    original_vehicle_id
+    vehicleid driver driver_id driver_number driver_no driverid track_id trackid agent_id agentid object_id objectid
+    obj_id actor actor_id participant participant_id participantid robot robot_id veh_id vehid rider rider_id
+    """.split()
+)
+"""Titles, in lower case with blanks as underscores, of the column that says whose row it is."""
+_MOST_CARS = 10_000
+_FEWEST_ROWS = 2
+_SHOWN = 6
+
+
+@dataclass(frozen=True)
+class SeveralCars:
+    """What tells the rows of several cars apart."""
+
+    column: str
+    counts: dict[str, int]  # rows of each car by what the column says of it, the most rows first
+
+    def describe(self) -> str:
+        """Return how many cars there are, by which column, and what the first of them are called."""
+        shown = ", ".join([*self.counts][:_SHOWN]) + (", ..." if len(self.counts) > _SHOWN else "")
+        return f"holds the rows of {len(self.counts)} cars by its column {self.column!r} ({shown})"
+
+
+def several_cars(recording: RawRecording) -> SeveralCars | None:
+    """Return what tells several cars apart; None of one car, and of drivers who take turns in it.
+
+    Two cars drive at the same time: rows of one lie between the first and the last of another.
+    """
+    infos = recording.channels()
+    named = [info for info in infos if "_".join(info.name.strip().lower().split()) in NAMES_OF_CARS]
+    for info in named:
+        cars = _cars_of(recording, info)
+        if cars is None:
+            continue
+        called, counts = np.unique(cars, return_counts=True)
+        if not 1 < len(called) <= _MOST_CARS or not np.any(counts >= _FEWEST_ROWS):
+            continue
+        if _at_the_same_time(cars, _time_of(recording, infos, len(cars))):
+            order = np.argsort(-counts, kind="stable")
+            return SeveralCars(info.name, {str(called[n]): int(counts[n]) for n in order})
+    return None
+
+
+def of_one_car(recording: RawRecording, rows: Mapping[str, str]) -> RawRecording:
+    """Return the rows of the car that a map chooses with `rows`, or the recording where it holds one car.
+
+    Raises
+    ------
+    MapError
+        If the recording holds several cars and the map chooses none, or one that has no rows.
+    """
+    for column, value in rows.items():
+        info = next((info for info in recording.channels() if info.name == column), None)
+        cars = _cars_of(recording, info) if info is not None else None
+        if cars is None or value not in cars:
+            known = ", ".join(map(str, np.unique(cars)[:_SHOWN])) if cars is not None else ""
+            advice = f"Its rows are of {known}." if known else "`split ingest LOG --list` shows the columns."
+            raise MapError(f"no row has {value!r} in the column {column!r}", where=recording.name, advice=advice)
+        recording = RowsOfOneCar(recording, cars == value, f"rows in which {column} is not {value}, left out")
+    if rows or hasattr(recording, "parts"):
+        return recording
+    found = several_cars(recording)
+    if found is not None:
+        first = next(iter(found.counts))
+        advice = f"Choose one in the map: `rows: {{{found.column}: {first}}}`."
+        raise MapError(f"{found.describe()}, and a drive is of one", where=recording.name, advice=advice)
+    return recording
+
+
+class RowsOfOneCar:
+    """The rows of a table that are chosen; see `RawRecording`."""
+
+    def __init__(self, inner: RawRecording, kept: np.ndarray, what: str) -> None:
+        self._inner, self._kept = inner, kept
+        self._note = ReadNote(what, inner.name, int(np.count_nonzero(~kept)))
+        self.name: str = inner.name
+        self.path: Path = inner.path
+        self.origin, self.clocks = inner.origin, inner.clocks
+
+    @property
+    def notes(self) -> list[ReadNote]:
+        """Notes of the table, and how many rows are left out."""
+        return [self._note, *self._inner.notes]
+
+    def channels(self) -> list[RawChannelInfo]:
+        """Return the columns; how many rows they have is not said."""
+        return [replace(info, count=None) for info in self._inner.channels()]
+
+    def read(self, names: Sequence[str], clock: Clock | None = None) -> dict[str, RawSignal]:
+        """Return the named columns in the rows that are chosen; see `RawRecording.read`."""
+        return {name: self._of_rows(signal) for name, signal in self._inner.read(names, clock).items()}
+
+    def _of_rows(self, signal: RawSignal) -> RawSignal:
+        if len(signal.values) != len(self._kept):
+            return signal
+        time = signal.time if signal.time is None else signal.time[self._kept]
+        return replace(signal, time=time, values=signal.values[self._kept])
+
+
+def _cars_of(recording: RawRecording, info: RawChannelInfo) -> np.ndarray | None:
+    """Return what a column says of each row, shape (N,), as text; None where it cannot be read."""
+    if info.type_name == "text":
+        texts = getattr(recording, "texts", None)
+        return np.array([text.strip() for text in texts(info.name)], dtype=str) if texts is not None else None
+    signal = recording.read([info.name])[info.name]
+    if signal.time is not None or not np.all(np.mod(signal.values, 1.0)[np.isfinite(signal.values)] == 0.0):
+        return None
+    return np.array([f"{value:.0f}" if np.isfinite(value) else "" for value in signal.values], dtype=str)
+
+
+def _time_of(recording: RawRecording, infos: Sequence[RawChannelInfo], count: int) -> np.ndarray:
+    """Return the clock of the rows in its own unit, shape (N,); their numbers where no column counts time."""
+    found = time_column(infos)
+    values = recording.read([found.name])[found.name].values if found is not None else np.zeros(0)
+    return values if len(values) == count else np.arange(float(count))
+
+
+def _at_the_same_time(cars: np.ndarray, time: np.ndarray) -> bool:
+    """Whether the rows of two cars lie in one stretch of time, by half of the shorter, for any two."""
+    spans = []
+    for car in np.unique(cars[cars != ""])[:_SHOWN]:
+        own = time[(cars == car) & np.isfinite(time)]
+        if len(own) >= _FEWEST_ROWS:
+            spans.append((float(own.min()), float(own.max())))
+    for n, (first, last) in enumerate(spans):
+        for begin, end in spans[n + 1 :]:
+            if min(last, end) - max(first, begin) > 0.5 * min(last - first, end - begin):
+                return True
+    return False
