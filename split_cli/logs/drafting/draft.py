@@ -75,8 +75,8 @@ class Draft:
     # What the vertical axis of the accelerometer tells of left and right, where nothing else does.
     by_gravity: str = ""
     presets: tuple[str, ...] = ()  # whose sources are all recorded
-    rows: str = ""  # the map's line that chooses one of several cars; empty where there is one
     gap: float = 0.0  # what --gap must be for a motion so slowly recorded that ingest refuses it [s]; else 0
+    rows: str = ""  # the map's line that chooses one of several cars; empty where there is one
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""

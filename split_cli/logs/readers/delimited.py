@@ -113,6 +113,10 @@ def open_delimited(path: Path) -> RawRecording:
             if clock is not None and len(clock) == len(values[index]):
                 note_once(notes, what, f"{path.name}, column {name}")
                 values[index] = clock
+            scaled = _by_factor(values[index], sniffed, index)
+            if scaled is not None:
+                note_once(notes, "whole numbers times the factor above them, plus its offset", f"{path.name}, {name}")
+                values[index] = scaled
             if index in halves:
                 letters = _cells_of(path, sniffed.dialect, width, halves[index])
                 values[index] = with_halves(values[index], letters)
@@ -125,6 +129,20 @@ def open_delimited(path: Path) -> RawRecording:
         return _cells_of(path, sniffed.dialect, width, columns[name][0])
 
     return LazyTableRecording(path.name, path, infos, load, origin, notes=notes, texts=texts)
+
+
+def _by_factor(values: np.ndarray, sniffed: Sniffed, index: int) -> np.ndarray | None:
+    """Return whole numbers by the factor and the offset that stand above them; None where there is nothing to do.
+
+    Numbers with parts of ones are quantities already, whatever factor stands above.
+    """
+    cells = [row[index].strip() if row else "" for row in (sniffed.factors, sniffed.offsets)]
+    factor, offset = (number_of(cell, sniffed.dialect.decimal) for cell in cells)
+    factor, offset = factor if np.isfinite(factor) else 1.0, offset if np.isfinite(offset) else 0.0
+    finite = values[np.isfinite(values)]
+    if factor in (0.0, 1.0) or np.any(finite % 1.0 != 0.0):
+        return None
+    return values * factor + offset
 
 
 def _cells_of(path: Path, dialect: Dialect, width: int, index: int) -> list[str]:

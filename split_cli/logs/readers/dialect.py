@@ -54,6 +54,9 @@ _TYPE = re.compile(r"[fiu]\d{1,2}|(u?int|float)(8|16|32|64)?|double|single|real"
 """Of a column's values, in a row under the titles, as ETAS writes it (f8)."""
 _LABELS_OF_NAMES = ("name", "names", "channel name", "channel", "channels", "signal name", "signal", "signals", "title")
 """What stands before the names where each row above the values begins with what it holds (name, unit, comment)."""
+_FACTORS = ("factor", "faktor", "facteur", "scale", "scaling", "gain", "multiplier", "resolution")
+_OFFSETS = ("offset", "offsets", "versatz")
+"""What stands before the factors and the offsets that make whole numbers quantities, in rows above the values."""
 _WORD = re.compile(r"[^\W\d]")
 _UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.'\-\d² ]{0,12}[\])]?$")
 _PATTERN_OF_A_TIME = re.compile(r"(?=.*([hHms]{1,2}|[YyJ]{2,4}))[hHmsfSDdTtMYyJ0#.,:/\- ]{5,}")
@@ -96,6 +99,9 @@ class Sniffed:
     # Where each column comes from, if a further row under the titles tells it (RaceChrono: ``100: gps``).
     devices: list[str] | None = None
     groups: list[str] | None = None  # what a row above the titles calls each column and those beside it
+    # What makes whole numbers quantities, where rows above the values say it: number * factor + offset.
+    factors: list[str] | None = None
+    offsets: list[str] | None = None
 
 
 def sniff(path: Path) -> Sniffed:
@@ -287,6 +293,8 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
     for index, row in enumerate(rows):
         if len(row) != width or not _holds_values(row, decimal) or _numbers_the_columns(row, rows[index + 1 :]):
             continue
+        if _label_of(row) in (*_FACTORS, *_OFFSETS):
+            continue
         following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
         good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
         if _counts_steps(row, following, decimal):
@@ -294,6 +302,16 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
         if 2 * good >= len(following) and not _words_among_numbers(row, rows[index + 1 :], decimal):
             return index
     return None
+
+
+def _label_of(row: list[str]) -> str:
+    """Return what a row begins with, as the label of a row above the values."""
+    return row[0].strip().rstrip(":").lower() if row else ""
+
+
+def _labelled_row(rows: list[list[str]], labels: tuple[str, ...], width: int) -> list[str] | None:
+    """Return the row above the values that begins with one of some labels; None if there is none."""
+    return next((_filled_up(row, width) for row in rows if _label_of(row) in labels and len(row) <= width), None)
 
 
 def _counts_steps(row: list[str], following: list[list[str]], decimal: str) -> bool:
@@ -350,7 +368,7 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
     above = [_parted_by_commas(row, width) for row in rows[:first] if any(cell.strip() for cell in row)]
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
-    above = [row for row in map(_without_labels, above) if row]
+    above = [row for row in map(_without_labels, above) if row and _label_of(row) not in (*_FACTORS, *_OFFSETS)]
     titles = [n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)]
     if not titles:
         worded = [row for row in rows[:first] if sum(_WORD.search(cell) is not None for cell in row) > 1]
@@ -363,7 +381,8 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
     units = units or _units_of_labview(rows[:first], width)
     groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
-    return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups)
+    scaling = [_labelled_row(rows[:first], labels, width) for labels in (_FACTORS, _OFFSETS)]
+    return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups, *scaling)
 
 
 def _without_labels(row: list[str]) -> list[str]:

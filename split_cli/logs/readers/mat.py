@@ -15,6 +15,7 @@ from split_cli.logs import scratch
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
 from split_cli.logs.readers.mat5_structure import check_mat5
+from split_cli.logs.readers.hdf5_attributes import name_of_index, titles_of_block, titles_of_matrix, unpacked
 from split_cli.logs.readers.named_arrays import VALUE_FIELDS, recording_of_vectors
 from split_cli.logs.scratch import set_aside
 
@@ -258,7 +259,8 @@ class _Hdf5:
         units = (_inside(group, key) for key in group if key.lower() in _UNIT_FIELDS)
         unit = next((_text_hdf5(item) for item in units if item is not None), "")
         for key in group:
-            if key.startswith("#") or (unit and key.lower() in _UNIT_FIELDS):
+            # PyTables keeps an index of a table beside it.
+            if key.startswith(("#", "_i_")) or (unit and key.lower() in _UNIT_FIELDS):
                 continue
             if depth > _DEEPEST:
                 self.left[_DEEP] += 1
@@ -321,12 +323,29 @@ class _Hdf5:
         titled = f"{name} [{own.replace('.', ' ')}]" if own else _with_unit(name, unit)
         if columns:
             rows = item[()]  # a table of PyTables or h5py: a field a column
-            blocks = [field for field in columns if field.startswith("values_block_")]
-            self.left[_PICKLED] += sum(math.prod(item.dtype[field].shape) for field in blocks)
-            self.leaves += [(f"{name}.{field}", _aside(np.atleast_2d(rows[field].T).T)) for field in columns]
+            for field in columns:
+                self._add_field(item, name, field, np.atleast_2d(rows[field].T).T)
             return
+        values = np.atleast_2d(np.asarray(item[()]))
+        titles = titles_of_matrix(item.attrs, values.shape[1])
+        if titles:
+            self.leaves += [(f"{name}.{t}", _aside(values[:, k])) for k, t in enumerate(titles)]
+            return
+        scaled = unpacked(values, item.attrs)
         # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
-        self.leaves.append((titled, _aside(np.atleast_2d(np.asarray(item[()])).T)))
+        self.leaves.append((titled, _aside((values if scaled is None else scaled).T)))
+
+    def _add_field(self, item: Any, name: str, field: str, values: np.ndarray) -> None:
+        """Add a field of a table; those of a block of pandas by their titles, under the name of the frame."""
+        is_block = field.startswith("values_block_")
+        titles = titles_of_block(item.attrs, field, values.shape[1]) if is_block and values.ndim == 2 else []
+        frame = name.removesuffix(".table")
+        if titles:
+            self.leaves += [(f"{frame}.{t}", _aside(np.atleast_2d(values[:, k]))) for k, t in enumerate(titles)]
+            return
+        index = name_of_index(item.parent.attrs) if field == "index" else ""
+        self.left[_PICKLED] += math.prod(item.dtype[field].shape) if is_block else 0
+        self.leaves.append((f"{frame}.{index}" if index else f"{name}.{field}", _aside(values)))
 
 
 def _list_of_texts(item: Any, name: str) -> list[tuple[str, np.ndarray]]:

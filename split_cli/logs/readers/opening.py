@@ -18,6 +18,7 @@ from split_cli.logs.readers.labelled_lines import is_labelled, open_labelled
 from split_cli.logs.readers.messages import Container, MessageRecording
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
+from split_cli.logs.readers.rows_of_kinds import open_rows_of_kinds, titles_of_kinds
 
 _HEAD_BYTES = 4096
 _MOST_LISTED = 2000
@@ -106,6 +107,7 @@ def is_prose(path: Path) -> bool:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
         known = is_can_log(path, head) or is_pi_toolbox(head) or is_json(head) or is_labelled(head)
+        known = known or titles_of_kinds(head) is not None
         if not (known or table_of_named_values(head)):
             sniff(path)
     except NoTableError:
@@ -201,6 +203,8 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_named_table(path, places)
     if is_labelled(head):
         return open_labelled(path)
+    if (kinds := titles_of_kinds(head)) is not None:
+        return open_rows_of_kinds(path, *kinds)
     # Version 4 has no magic number; its reader tells whether it is one.
     if head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix.lower() == ".mat" and not _is_hdf5(head)):
         from split_cli.logs.readers.mat import open_mat
