@@ -200,6 +200,11 @@ _TENTHS = ((1.26e17, 1.58e17), (6.31e17, 6.63e17))
 """The same years in tenths of microseconds, as Windows counts them (from 1601), and .NET (from the year 1)."""
 
 
+_BETWEEN_BURSTS, _OF_A_BURST = 0.75, 100.0
+"""Share of the steps below the one that is looked at, and by how much it exceeds the median where rows come in
+bursts: three messages of one instant each, for instance [1]; judgement."""
+
+
 def unit_of_time(values: np.ndarray) -> str:
     """Return the unit of a clock that states none.
 
@@ -212,6 +217,9 @@ def unit_of_time(values: np.ndarray) -> str:
     steps = np.diff(finite)
     steps = steps[steps != 0.0]  # rows that share a stamp of few digits
     step = abs(float(np.median(steps))) if len(steps) else 1.0
+    # Of rows that come in bursts the steps between these tell the unit.
+    between = float(np.quantile(np.abs(steps), _BETWEEN_BURSTS)) if len(steps) else 1.0
+    step = between if between > _OF_A_BURST * step else step
     sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     if len(finite) and 1e18 <= finite[0] <= 4.1e18:
         return "ns"

@@ -207,7 +207,9 @@ def named_by_axis(infos: Sequence[RawChannelInfo]) -> dict[str, RawChannelInfo]:
         if match:
             vectors.setdefault(match[1], {})[int(match[2])] = info
     named = {}
-    for bare, elements in vectors.items():
+    for listed, elements in vectors.items():
+        # A list of values inside its quantity says nothing itself: acceleration.v of openpilot.
+        bare = re.sub(r"(?<=\w)\.([vV]|[Vv]alues?|[Dd]ata)$", "", listed)
         whole = set(re.findall(r"[a-z]+", f"{bare} {elements[min(elements)].type_name}".lower()))
         counted = concepts_of(tokens_of(bare))[0] & {"wheel", "steer", "torque"} or {"joint", "jointstate"} & whole
         if set(elements) == {0, 1, 2} and not counted:

@@ -26,6 +26,7 @@ from split_cli.logs.raw import (
 from split_cli.logs.readers.cells import number_of, seconds_of, with_halves
 from split_cli.logs.readers.clock_of_day import counted_clock, falls_within_seconds, packed_clock, spread_over_seconds
 from split_cli.logs.readers.column_clocks import clocks_of_columns, with_clock
+from split_cli.logs.readers.coordinates import holds_both, in_degrees, of_both, parts_of_angles
 from split_cli.logs.readers.dialect import (
     EMPTY_CELLS,
     Dialect,
@@ -36,6 +37,7 @@ from split_cli.logs.readers.dialect import (
     split_line,
     unwrapped,
 )
+from split_cli.logs.readers.on_change import held_on_change
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import split_name_and_unit, symbol_of
 
@@ -72,11 +74,19 @@ def open_delimited(path: Path) -> RawRecording:
     notes: list[ReadNote] = []
     columns = _columns(sniffed, path, notes)
     width = len(sniffed.header)
+    angles = parts_of_angles(sniffed.header)
+    behind = {place for places in angles.values() for place in places}
+    columns = {
+        name: (place, "deg" if place in angles else u) for name, (place, u) in columns.items() if place not in behind
+    }
+    both = _columns_of_both(sniffed, columns)
     groups = sniffed.groups or [""] * width
     infos = [
         RawChannelInfo(name, "text" if _is_text(sniffed, index) else "column", None, unit, groups[index])
         for name, (index, unit) in columns.items()
     ]
+
+    infos += [RawChannelInfo(name, "column", None, "deg") for name in both]
 
     def numbers(name: str) -> np.ndarray:
         index = columns[name][0]
@@ -95,9 +105,10 @@ def open_delimited(path: Path) -> RawRecording:
             if info.type_name == "text" and info.name in names:
                 advice = "Map a column of numbers; `split ingest LOG --list` tells which are text."
                 raise LogError(f"column {info.name!r} holds text, not numbers", where=path.name, advice=advice)
-        chosen = {name: columns[name] for name in names}
+        chosen = {name: columns[name] for name in names if name not in both}
         titles = {index: name for name, (index, _) in chosen.items()}
-        values = read_columns(path, sniffed.dialect, width, titles, notes)
+        titles |= {place: f"{titles[index]}, part" for index in angles if index in titles for place in angles[index]}
+        values = read_columns(path, sniffed.dialect, width, titles or {0: ""}, notes)
         if not len(next(iter(values.values()))):
             raise LogError("holds no rows", where=path.name, advice="Export it again.")
         for name, (index, unit) in chosen.items():
@@ -113,22 +124,44 @@ def open_delimited(path: Path) -> RawRecording:
             if clock is not None and len(clock) == len(values[index]):
                 note_once(notes, what, f"{path.name}, column {name}")
                 values[index] = clock
+            held = held_on_change(values[index])
+            if held is not None:
+                note_once(notes, "cells written on change alone: the value is held", f"{path.name}, column {name}")
+                values[index] = held
             scaled = _by_factor(values[index], sniffed, index)
             if scaled is not None:
                 note_once(notes, "whole numbers times the factor above them, plus its offset", f"{path.name}, {name}")
                 values[index] = scaled
+            if index in angles:
+                note_once(notes, "coordinate in columns of degrees, minutes and seconds", f"{path.name}, column {name}")
+                values[index] = in_degrees(values[index], *(values[place] for place in angles[index]))
             if index in halves:
                 letters = _cells_of(path, sniffed.dialect, width, halves[index])
                 values[index] = with_halves(values[index], letters)
                 what = "coordinate with the half of the globe in the column behind it, read as degrees"
                 note_once(notes, what, f"{path.name}, column {name}")
         found = {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
+        for name in (name for name in names if name in both):
+            index, place = both[name]
+            cells = _cells_of(path, sniffed.dialect, width, index)
+            found[name] = RawSignal(name, None, of_both(cells, place), "deg")
+            note_once(notes, "two coordinates in each cell", f"{path.name}, column {sniffed.header[index]}")
+        found = {name: found[name] for name in names}
         return {name: with_clock(signal, clocks.get(name)) for name, signal in found.items()}
 
     def texts(name: str) -> list[str]:
         return _cells_of(path, sniffed.dialect, width, columns[name][0])
 
     return LazyTableRecording(path.name, path, infos, load, origin, notes=notes, texts=texts)
+
+
+def _columns_of_both(sniffed: Sniffed, columns: dict[str, tuple[int, str | None]]) -> dict[str, tuple[int, int]]:
+    """Return names for the two coordinates in each cell of a column, with its place and that of the number in it."""
+    found = {}
+    for name, (index, _) in columns.items():
+        called = holds_both(name, [row[index] for row in sniffed.rows if index < len(row)])
+        found |= {f"{name}.{own}": (index, place) for place, own in enumerate(called or ())}
+    return found
 
 
 def _by_factor(values: np.ndarray, sniffed: Sniffed, index: int) -> np.ndarray | None:

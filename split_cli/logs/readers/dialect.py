@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from split_cli.errors import LogError, NoTableError
+from split_cli.logs.readers.coordinates import titles_of_parts
 from split_cli.signals import find_unit
 
 KNOWN_FORMATS = (
@@ -369,6 +370,7 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     above = [_parted_by_commas(row, width) for row in rows[:first] if any(cell.strip() for cell in row)]
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
     above = [row for row in map(_without_labels, above) if row and _label_of(row) not in (*_FACTORS, *_OFFSETS)]
+    above = titles_of_parts(above, width)
     titles = [n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)]
     if not titles:
         worded = [row for row in rows[:first] if sum(_WORD.search(cell) is not None for cell in row) > 1]

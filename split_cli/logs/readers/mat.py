@@ -14,8 +14,8 @@ from split_cli.errors import LogError, damaged
 from split_cli.logs import scratch
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
-from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.readers.hdf5_attributes import name_of_index, titles_of_block, titles_of_matrix, unpacked
+from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.readers.named_arrays import VALUE_FIELDS, recording_of_vectors
 from split_cli.logs.scratch import set_aside
 

@@ -1,0 +1,85 @@
+"""Coordinates in several columns (degrees, minutes and seconds), and both coordinates in one cell."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+_COORDINATE = re.compile(r"(?i)(?<![a-z])(lat|lon|lng|latitude|longitude|breite|l(ä|ae)nge)")
+_PART = re.compile(
+    r"(?i)(?P<stem>.*?)[\s_.(\[]+(?P<part>d|deg|degrees?|°|m|min|minutes?|arcmin|'|s|sec|seconds?|arcsec|\")[)\]]*"
+)
+_TITLED_PARTS = ("deg", "min", "sec")
+_BOTH = re.compile(r"[\[(]?\s*([+-]?\d{1,3}\.\d+)°?\s*[,; ]\s*([+-]?\d{1,3}\.\d+)°?\s*[\])]?")
+_PLACE = re.compile(r"(?i)pos|coord|loc|gps|gnss|fix|lat.?lon|lon.?lat|point|place")
+_MOST = 0.9
+"""Of the filled cells, that hold two coordinates [1]; judgement."""
+
+
+def parts_of_angles(titles: Sequence[str]) -> dict[int, tuple[int, ...]]:
+    """Return the columns of degrees of coordinates, with those behind them that hold minutes, or minutes and seconds.
+
+    The titles have one beginning, ``Lat_deg``, ``Lat_min``, ``Lat_sec``.
+    """
+    found: dict[int, tuple[int, ...]] = {}
+    parted = [_PART.fullmatch(title.strip()) for title in titles]
+    kinds = [(match["stem"].lower(), _kind(match["part"])) if match else ("", "") for match in parted]
+    for place, (stem, kind) in enumerate(kinds):
+        if kind != "d" or not _COORDINATE.search(stem) or (stem, "m") not in kinds[place + 1 : place + 2]:
+            continue
+        seconds = (stem, "s") in kinds[place + 2 : place + 3]
+        found[place] = (place + 1, place + 2) if seconds else (place + 1,)
+    return found
+
+
+def _kind(part: str) -> str:
+    first = part.lower().removeprefix("arc")[:1]
+    return {"°": "d", "'": "m", '"': "s"}.get(first, first)
+
+
+def in_degrees(degrees: np.ndarray, *parts: np.ndarray) -> np.ndarray:
+    """Return an angle [deg] by its degrees, minutes and seconds, shape (N,); the degrees hold its sign."""
+    size = np.abs(degrees) + sum((part / 60.0 ** (n + 1) for n, part in enumerate(parts)), np.zeros(len(degrees)))
+    return np.where(np.signbit(degrees), -size, size)
+
+
+def titles_of_parts(above: Sequence[Sequence[str]], width: int) -> list[list[str]]:
+    """Return rows above the values, the nearest first, with a title for each column under a common one.
+
+    ``Latitude`` over ``(D) (M) (S)`` becomes three titles, where that gives all columns one; other rows stay.
+    """
+    rows = [list(row) for row in above]
+    for place, row in enumerate(rows[:-1]):
+        bare = "".join(cell.strip("()[] ").upper()[:1] if len(cell.strip("()[] ")) == 1 else "." for cell in row)
+        count = bare.count("DMS")
+        titles = rows[place + 1]
+        if len(row) != width or not count or len(titles) != width - 2 * count:
+            continue
+        made, at = [], 0
+        while at < width and titles:
+            title = titles[len(made) - 2 * sum(t.endswith(" sec") for t in made)]
+            triple = bare[at : at + 3] == "DMS"
+            made += [f"{title} {part}" for part in _TITLED_PARTS] if triple else [title]
+            at += 3 if triple else 1
+        rows[place + 1] = made
+        rows[place] = ["" if letter in "DMS" else cell for cell, letter in zip(row, bare, strict=True)]
+    return rows
+
+
+def holds_both(title: str, cells: Sequence[str]) -> tuple[str, str] | None:
+    """Return what the two numbers in each cell of a column are, ``latitude`` and ``longitude``; None of any other.
+
+    The latitude stands first, as people write it, unless the title or a number beyond 90 degrees says otherwise.
+    """
+    filled = [cell.strip() for cell in cells if cell.strip()]
+    pairs = [match for cell in filled if (match := _BOTH.fullmatch(cell))]
+    if not filled or len(pairs) < _MOST * len(filled) or not _PLACE.search(title):
+        return None
+    turned = re.search(r"(?i)lon.?lat|lng.?lat", title) or max(abs(float(pair[1])) for pair in pairs) > 90.0
+    return ("longitude", "latitude") if turned else ("latitude", "longitude")
+
+
+def of_both(cells: Sequence[str], place: int) -> np.ndarray:
+    """Return the first or the second number of each cell, shape (N,); NaN where a cell holds no two."""
+    found = (_BOTH.fullmatch(cell.strip()) for cell in cells)
+    return np.array([float(match[1 + place]) if match else np.nan for match in found])
