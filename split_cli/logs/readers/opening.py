@@ -111,10 +111,27 @@ def is_prose(path: Path) -> bool:
         if not (known or table_of_named_values(head)):
             sniff(path)
     except NoTableError:
-        return bool(head) and not (path.suffix.lower() == ".csv" and b"\n" not in head.strip())
+        return bool(head) and not holds_titles_alone(path)
     except (LogError, OSError):
         pass
     return False
+
+
+def is_list_of_rows(path: Path) -> bool:
+    """Tell a JSON file that is a list of objects by its beginning; one object may be settings."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError:
+        return False
+    return is_json(head) and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"[")
+
+
+def holds_titles_alone(path: Path) -> bool:
+    """Tell a table of one line, such as that of a sensor that recorded nothing."""
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    return path.suffix.lower() == ".csv" and bool(head) and b"\n" not in head.strip()
 
 
 def _open(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
