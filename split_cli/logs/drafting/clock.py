@@ -117,7 +117,8 @@ def _time_of_column(
         return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
     if unit == "s" and stated_unit(info) is None and bool(np.all(np.diff(values) == 1.0)):
         return _rows_or_seconds(info.name, values, _rate_from_motion(candidates, signals)[0])
-    if stated_unit(info) is None and unit == fits and _TICKS.search(info.name):
+    by_epoch = fits == "0.1us" or _counts_since_1970(values)
+    if stated_unit(info) is None and unit == fits and _TICKS.search(info.name) and not by_epoch:
         return _of_ticks(info.name, values, unit, candidates, signals)
     also = f"   # also rises: {', '.join(others)}" if others else ""
     line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"

@@ -258,7 +258,7 @@ def stated_unit(info: RawChannelInfo) -> str | None:
         return _UNIT_WORDS[words[-1]]
     if words[:1] == ["g"] and concepts_of(words[1:])[0] <= {"acceleration", "long", "lat", "up"} and words[1:]:
         return "g"  # g_lat, g_force_lon
-    return "rpm" if "rpm" in words else None
+    return "rpm" if "rpm" in words or "rpm" in tokens_of(info.name) else None
 
 
 def _own_part(info: RawChannelInfo) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from split_cli.errors import LogError, NoTableError
 from split_cli.logs.readers.coordinates import titles_of_parts
+from split_cli.logs.readers.rows_above import LABELS_OF_NAMES, RULED, is_scaling, listed_names, scaling_rows
 from split_cli.signals import find_unit
 
 KNOWN_FORMATS = (
@@ -53,15 +54,20 @@ _GROUPED = {
 """Numbers with a mark between thousands, by the decimal mark: 1.234,5 and 1'234.5."""
 _TYPE = re.compile(r"[fiu]\d{1,2}|(u?int|float)(8|16|32|64)?|double|single|real", re.IGNORECASE)
 """Of a column's values, in a row under the titles, as ETAS writes it (f8)."""
-_LABELS_OF_NAMES = ("name", "names", "channel name", "channel", "channels", "signal name", "signal", "signals", "title")
-"""What stands before the names where each row above the values begins with what it holds (name, unit, comment)."""
-_FACTORS = ("factor", "faktor", "facteur", "scale", "scaling", "gain", "multiplier", "resolution")
-_OFFSETS = ("offset", "offsets", "versatz")
-"""What stands before the factors and the offsets that make whole numbers quantities, in rows above the values."""
 _WORD = re.compile(r"[^\W\d]")
 _UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.'\-\d² ]{0,12}[\])]?$")
 _PATTERN_OF_A_TIME = re.compile(r"(?=.*([hHms]{1,2}|[YyJ]{2,4}))[hHmsfSDdTtMYyJ0#.,:/\- ]{5,}")
 """What a spreadsheet writes as the unit of a clock or a date: hh:mm:ss,000 and TT.MM.JJJJ."""
+
+
+def utf_16_without_mark(head: bytes) -> str:
+    """Return the encoding of a text in UTF-16 whose mark is missing, by its zero bytes; empty of any other."""
+    pairs = head[: len(head) // 2 * 2]
+    for first, encoding in ((0, "utf-16-be"), (1, "utf-16-le")):
+        zeros, others = pairs[first::2], pairs[1 - first :: 2]
+        if len(zeros) > 20 and zeros.count(0) > 0.9 * len(zeros) and others.count(0) == 0:
+            return encoding
+    return ""
 
 
 def decoded(line: bytes) -> str:
@@ -121,7 +127,8 @@ def sniff(path: Path) -> Sniffed:
         whole = len(sample) < _SAMPLE_BYTES
     # A character that the sample's end cuts in two is none of an encoding.
     lines_of_it = sample if whole else sample[: sample.rfind(b"\n") + 1] or sample
-    mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", _encoding(lines_of_it)))
+    unmarked = utf_16_without_mark(sample) or _encoding(lines_of_it)
+    mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", unmarked))
     text = sample[len(mark) :].decode(encoding, errors="replace")
     lines = io.StringIO(text, newline="").readlines()
     if not whole and len(lines) > 1:
@@ -294,7 +301,7 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
     for index, row in enumerate(rows):
         if len(row) != width or not _holds_values(row, decimal) or _numbers_the_columns(row, rows[index + 1 :]):
             continue
-        if _label_of(row) in (*_FACTORS, *_OFFSETS):
+        if is_scaling(row, decimal):
             continue
         following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
         good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
@@ -303,16 +310,6 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
         if 2 * good >= len(following) and not _words_among_numbers(row, rows[index + 1 :], decimal):
             return index
     return None
-
-
-def _label_of(row: list[str]) -> str:
-    """Return what a row begins with, as the label of a row above the values."""
-    return row[0].strip().rstrip(":").lower() if row else ""
-
-
-def _labelled_row(rows: list[list[str]], labels: tuple[str, ...], width: int) -> list[str] | None:
-    """Return the row above the values that begins with one of some labels; None if there is none."""
-    return next((_filled_up(row, width) for row in rows if _label_of(row) in labels and len(row) <= width), None)
 
 
 def _counts_steps(row: list[str], following: list[list[str]], decimal: str) -> bool:
@@ -369,21 +366,25 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
     above = [_parted_by_commas(row, width) for row in rows[:first] if any(cell.strip() for cell in row)]
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
-    above = [row for row in map(_without_labels, above) if row and _label_of(row) not in (*_FACTORS, *_OFFSETS)]
+    above = [row for row in above if not all(RULED.fullmatch(cell.strip()) for cell in row if cell.strip())]
+    above = [row for row in map(_without_labels, above) if row and not is_scaling(row, dialect.decimal)]
     above = titles_of_parts(above, width)
     titles = [n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)]
+    listed = listed_names(rows[:first], width) if not titles else []
+    if listed:
+        return Sniffed(dialect, listed, None, values, False)
     if not titles:
         worded = [row for row in rows[:first] if sum(_WORD.search(cell) is not None for cell in row) > 1]
         most = max(map(len, worded), default=0)
         return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, most)
-    labelled = [n for n in titles if above[n][0].strip().lower() in _LABELS_OF_NAMES]
+    labelled = [n for n in titles if above[n][0].strip().lower() in LABELS_OF_NAMES]
     chosen = labelled[0] if len(labelled) == 1 and len(titles) > 1 else _row_of_names(above, titles, width)
     below = [_filled_up(row, width) for row in above[:chosen]]
     units = next((row for row in below if _is_unit_row(row, width)), None)
     devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
     units = units or _units_of_labview(rows[:first], width)
     groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
-    scaling = [_labelled_row(rows[:first], labels, width) for labels in (_FACTORS, _OFFSETS)]
+    scaling = scaling_rows(rows[:first], width, dialect.decimal)
     return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups, *scaling)
 
 

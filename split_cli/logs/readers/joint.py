@@ -160,7 +160,7 @@ def _rising_in_seconds(part: RawRecording, infos: Sequence[RawChannelInfo]) -> R
 def _counts_since_1970(values: np.ndarray) -> bool:
     """Whether all values lie between the years 2001 and 2100, in s, ms, us or ns."""
     finite = values[np.isfinite(values)]
-    return any(1e9 <= finite.min() * unit and finite.max() * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
+    return any(finite.min() * unit >= 1e9 and finite.max() * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
 
 
 def _own_clock(part: RawRecording, infos: Sequence[RawChannelInfo]) -> bool:

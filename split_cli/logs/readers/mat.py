@@ -164,8 +164,11 @@ def _leaves(name: str, value: Any, depth: int, left: Counter[str]) -> Iterator[t
             return
         labels = [_label(item) for item in items]
         labelled = name.endswith(".signals") and all(labels) and len(set(labels)) == len(labels)
+        called = _names_of_structures(items)
         for index, item in enumerate(items):
-            if labelled:
+            if called:
+                yield from _leaves(f"{name}.{called[index]}", item, depth + 1, left)
+            elif labelled:
                 # Beside the structure's time, so that it is their clock.
                 yield from _leaves(f"{name.removesuffix('.signals')}.{labels[index]}", item.values, depth + 1, left)
             else:
@@ -174,6 +177,18 @@ def _leaves(name: str, value: Any, depth: int, left: Counter[str]) -> Iterator[t
         yield name, value
     elif not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
         left[_ODD] += 1
+
+
+def _names_of_structures(items: Sequence[Any]) -> list[str]:
+    """Return the names of several channels, each a structure with its name in it; empty where they are other ones."""
+    # A cell holds its structure as an array of one.
+    items = [item.ravel()[0] if isinstance(item, np.ndarray) and item.size == 1 else item for item in items]
+    fields = [{key.lower(): key for key in getattr(item, "_fieldnames", ())} for item in items]
+    keys = [next((known[k] for k in ("name", "label", "channel") if k in known), "") for known in fields]
+    if len(items) < 2 or not all(keys) or not all({"data", "values", "value"} & set(known) for known in fields):
+        return []
+    names = [_text(getattr(item, key)).replace(".", "_") for item, key in zip(items, keys, strict=True)]
+    return names if all(names) and len(set(names)) == len(names) else []
 
 
 def _with_unit(name: str, unit: str) -> str:
