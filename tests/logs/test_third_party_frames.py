@@ -41,21 +41,37 @@ FORMS = {
 }
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_lines_of_frames_are_known_by_their_count_of_bytes(form, car, tmp_path):
-    """Time, identifier, a count and so many bytes: each of these was no table, or one of numbers, with its DBC."""
-    needed("can")
-    (tmp_path / "bus.dbc").write_text(DBC)
+def written(form, car):
+    """Return the text of a log, its times [s], and the two quantities in its frames."""
     t = np.arange(0.0, 40.0, 0.1)
     speed, rate = 3.6 * car.at("vx", t), DEG * car.at("r", t)
     head, line = FORMS[form]
     frames = [struct.pack("<Hhxxxx", round(100 * v), round(100 * w)).hex(" ") for v, w in zip(speed, rate, strict=True)]
-    (tmp_path / "bus.log").write_text(head + "\n".join(map(line, t, frames)) + "\n")
+    return head + "\n".join(map(line, t, frames)) + "\n", t, speed, rate
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_lines_of_frames_are_known_by_their_count_of_bytes(form, car, tmp_path):
+    """Time, identifier, a count and so many bytes: each of these was no table, or one of numbers."""
+    text, t, speed, rate = written(form, car)
+    assert is_text_of_frames(text[:4096].encode())
+    (tmp_path / "bus.log").write_text(text)
+    frames = [frame for frame in frames_in_lines(tmp_path / "bus.log") if frame is not None]
+    assert {frame.arbitration_id for frame in frames} == {0x100}
+    values = np.array([struct.unpack("<Hhxxxx", frame.data) for frame in frames]) / 100.0
+    assert values == pytest.approx(np.column_stack([speed, rate]), abs=0.0051)
+    # BusMaster counts tenths of milliseconds.
+    assert np.array([f.timestamp - frames[0].timestamp for f in frames]) == pytest.approx(t, abs=2e-4)
+
+
+def test_lines_of_frames_are_decoded_by_their_data_base(car, tmp_path):
+    needed("can")
+    text, t, speed, _ = written("BusMaster", car)
+    (tmp_path / "bus.log").write_text(text)
+    (tmp_path / "bus.dbc").write_text(DBC)
     recording = open_recording(tmp_path / "bus.log", message_paths=[tmp_path / "bus.dbc"])
-    read = recording.read(["/ESP/Speed", "/ESP/YawRate"])
-    assert read["/ESP/Speed"].values == pytest.approx(speed, abs=0.0051)
-    assert read["/ESP/YawRate"].values == pytest.approx(rate, abs=0.0051)
-    assert read["/ESP/Speed"].time == pytest.approx(t, abs=2e-4)  # BusMaster counts tenths of milliseconds
+    read = recording.read(["/ESP/Speed"])["/ESP/Speed"]
+    assert read.values == pytest.approx(speed, abs=0.0051) and read.time == pytest.approx(t, abs=2e-4)
 
 
 def test_numbers_in_a_table_are_no_bytes():
@@ -137,3 +153,6 @@ def test_drivers_who_take_turns_in_one_car_are_one_car(car, tmp_path):
     rows = [f"{x:.2f},{'A' if x < 20.0 else 'B'},{car.at('vx', x):.5f}" for x in t]
     (tmp_path / "stint.csv").write_text("t,driver,v\n" + "\n".join(rows))
     assert several_cars(open_recording(tmp_path / "stint.csv")) is None
+    seen = [f"{x:.2f},{int(x / 5.0) % 3},{car.at('vx', x):.5f}" for x in t]  # objects that a radar sees again
+    (tmp_path / "radar.csv").write_text("t,object_id,v\n" + "\n".join(seen))
+    assert several_cars(open_recording(tmp_path / "radar.csv")) is None

@@ -18,6 +18,7 @@ from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.rows_of_kinds import titles_of_kinds
 from split_cli.signals import find_unit, split_name_and_unit
 from split_cli.workflows.ingesting.ingest import open_logs
+from split_cli.workflows.ingesting.init import init_project
 from tests.logs.planted import PlantedDrive, write_table
 
 DEG = 180.0 / np.pi
@@ -76,6 +77,8 @@ def test_whole_numbers_are_taken_times_the_factor_above_them(car, t, tmp_path):
     recording = open_recording(tmp_path / "log.csv")
     assert recording.read(["time"])["time"].values == pytest.approx(t)
     check(recording, car, t, CHANNELS, abs_=0.0015)
+    (tmp_path / "real.csv").write_text(head + "\n".join(f";{1000 * x:.0f};100;200;{x:.3f}" for x in t))
+    assert open_recording(tmp_path / "real.csv").read(["Speed"])["Speed"].values[0] == 100.0
     real = [";" + ";".join(f"{v:.4f}" for v in (x, 3.6 * car.at("vx", x), 0.5, 0.5)) for x in t]
     (tmp_path / "real.csv").write_text(head + "\n".join(real))  # quantities already, whatever stands above
     read = open_recording(tmp_path / "real.csv").read(["Speed"])["Speed"]
@@ -202,6 +205,14 @@ def test_two_files_in_two_time_zones_are_brought_together(car, t, tmp_path):
     assert any("moved by 2 h" in note.what and "CHECK" in note.what for note in joined.notes)
 
 
+def test_two_drives_one_behind_the_other_are_not_laid_upon_each_other(car, t, tmp_path):
+    for name, start in (("first", 1.7e9), ("second", 1.7e9 + 1800.0)):
+        write_table(tmp_path / f"{name}.csv", {"epoch_s": start + t, "speed_mps": np.sin(t + start)}, fmt="%.9f")
+    joined = open_logs([tmp_path / "first.csv", tmp_path / "second.csv"])
+    assert not any("moved" in note.what for note in joined.notes)
+    assert joined.read(["second.speed_mps"])["second.speed_mps"].time[0] == pytest.approx(1.7e9 + 1800.0)
+
+
 def test_cells_written_on_change_alone_hold_their_value(car):
     t = np.arange(0.0, 40.0, 0.01)
     angle = np.rint(15.0 * DEG * car.at("delta", t))
@@ -240,6 +251,22 @@ def test_degrees_minutes_and_seconds_in_columns_of_their_own(car, tmp_path):
     read = open_recording(tmp_path / "log.txt").read(["Latitude deg", "Speed"])
     assert read["Latitude deg"].values == pytest.approx(lat, abs=1e-10)
     assert read["Speed"].values == pytest.approx(car.at("vx", t), abs=1e-7)
+
+
+def test_groups_that_are_written_again_in_each_column(tmp_path):
+    """A motion capture had X twice, and the last part of a quaternion was taken for the yaw rate."""
+    head = ",,Rotation,Rotation,Rotation,Rotation,Position,Position,Position\nFrame,Time,X,Y,Z,W,X,Y,Z\n"
+    rows = "\n".join(f"{n},{0.01 * n:.2f},0,{0.1 * n},0,1,{n},0.5,{2 * n}" for n in range(50))
+    (tmp_path / "log.csv").write_text(head + rows)
+    names = [info.name for info in open_recording(tmp_path / "log.csv").channels()]
+    assert [name for name in names[2:] if name != "W"] == [f"{g}.{c}" for g in ("Rotation", "Position") for c in "XYZ"]
+
+
+def test_rows_that_are_equally_far_apart_along_the_track_are_said(car, t, tmp_path):
+    columns = {"Distance [m]": 0.5 * np.arange(len(t)), "Speed [m/s]": car.at("vx", t)}
+    write_table(tmp_path / "log.csv", columns)
+    steps = init_project([tmp_path / "log.csv"], tmp_path / "car").next_steps
+    assert any("rows are 0.5 m apart by Distance, not in time" in step for step in steps)
 
 
 def test_an_angle_just_south_of_the_equator_keeps_its_sign():

@@ -82,7 +82,8 @@ def clock_of_rows(
         return steps
     rate, why = _rate_from_motion(candidates, signals)
     if rate is None:
-        return np.arange(count) * 0.01, _why_no_clock(found, signals) or needed, False
+        why = _by_distance(recording, infos) or _why_no_clock(found, signals) or needed
+        return np.arange(count) * 0.01, why, False
     line = f"time: {{period: {1.0 / rate:.4g}}}   # CHECK: no column of time; {why}"
     return np.arange(count) / rate, line, True
 
@@ -146,6 +147,20 @@ def _rows_or_seconds(name: str, values: np.ndarray, rate: float | None) -> tuple
         return np.arange(len(values)) / rate, line, True
     line = f"time: {{source: {quoted(name)}, unit: s}}   # CHECK: rises by 1 from row to row: seconds, or rows?"
     return values - np.nanmin(values), line, True
+
+
+def _by_distance(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> str:
+    """Return the line for rows that are equally far apart along the track: no period is theirs; else nothing."""
+    for info in infos:
+        if info.type_name == "text" or "dist" not in info.name.lower():
+            continue
+        values = recording.read([info.name])[info.name].values
+        steps = np.diff(values[np.isfinite(values)])
+        usual = float(np.median(steps)) if len(steps) > _FEWEST_STEPS else 0.0
+        if usual > 0.0 and float(np.quantile(np.abs(steps / usual - 1.0), 0.9)) < _EVEN:
+            unit = stated_unit(info) or "of its units"
+            return f"# time: needed: rows are {usual:.4g} {unit} apart by {info.name}, not in time: export them by time"
+    return ""
 
 
 def _why_no_clock(found: RawChannelInfo | None, signals: Mapping[str, RawSignal]) -> str:

@@ -35,6 +35,9 @@ def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) 
             f"{recording.name} has no row of titles: write one as its first line, with units, for instance "
             "`time [s],vx [m/s],yaw_rate [deg/s]`, and start again.",
         )
+    encoded = [note for note in recording.notes if "messages are encoded as" in note.what]
+    if encoded and len(encoded) == len(infos):
+        return tuple(f"{note.where} is {note.what}" for note in encoded[:3])
     texts = {info.name.strip().lower(): info.name for info in infos if info.type_name == "text"}
     numbers = {info.name.strip().lower(): info.name for info in infos if info.type_name != "text"}
     name = next((texts[n] for n in NAMES if n in texts), None)

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 
 from split_cli.logs.drafting.naming import meanings
-from split_cli.logs.raw import RawRecording, RawSignal, ReadNote
+from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, ReadNote
 from split_cli.logs.readers.joint import JointRecording
 
 _RATE = 20.0
@@ -57,10 +57,20 @@ def let_clocks_meet(recording: JointRecording) -> None:
             recording.move(other, shift)
             what = f"{MOVED} {shift:.2f} s, since {b} then goes with {a} (correlation {correlation:.4f})"
             recording.remark(ReadNote(what, other.name))
-        elif zone := _zone(*clocks):
+        elif not _alike(ours, theirs) and (zone := _zone(*clocks)):
             recording.move(other, zone)
             what = f"{MOVED} {zone / 3600.0:g} h: both count from 1970, and differ by the hours of a time zone. CHECK"
             recording.remark(ReadNote(what, other.name))
+
+
+def _alike(ours: list[str], theirs: list[str]) -> bool:
+    """Whether two files measure a quantity both: then they may be two drives, one behind the other."""
+    kinds = [{m.channel for name in names for m in meanings(_bare(name))} & set(_SHARED) for names in (ours, theirs)]
+    return bool(kinds[0] & kinds[1])
+
+
+def _bare(name: str) -> RawChannelInfo:
+    return RawChannelInfo(name, "column", None)
 
 
 def _zone(one: np.ndarray, other: np.ndarray) -> float:

@@ -38,6 +38,7 @@ from split_cli.logs.readers.dialect import (
     unwrapped,
 )
 from split_cli.logs.readers.on_change import held_on_change
+from split_cli.logs.readers.scaling import by_factor
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import split_name_and_unit, symbol_of
 
@@ -128,7 +129,7 @@ def open_delimited(path: Path) -> RawRecording:
             if held is not None:
                 note_once(notes, "cells written on change alone: the value is held", f"{path.name}, column {name}")
                 values[index] = held
-            scaled = _by_factor(values[index], sniffed, index)
+            scaled = by_factor(values[index], sniffed, index)
             if scaled is not None:
                 note_once(notes, "whole numbers times the factor above them, plus its offset", f"{path.name}, {name}")
                 values[index] = scaled
@@ -162,20 +163,6 @@ def _columns_of_both(sniffed: Sniffed, columns: dict[str, tuple[int, str | None]
         called = holds_both(name, [row[index] for row in sniffed.rows if index < len(row)])
         found |= {f"{name}.{own}": (index, place) for place, own in enumerate(called or ())}
     return found
-
-
-def _by_factor(values: np.ndarray, sniffed: Sniffed, index: int) -> np.ndarray | None:
-    """Return whole numbers by the factor and the offset that stand above them; None where there is nothing to do.
-
-    Numbers with parts of ones are quantities already, whatever factor stands above.
-    """
-    cells = [row[index].strip() if row else "" for row in (sniffed.factors, sniffed.offsets)]
-    factor, offset = (number_of(cell, sniffed.dialect.decimal) for cell in cells)
-    factor, offset = factor if np.isfinite(factor) else 1.0, offset if np.isfinite(offset) else 0.0
-    finite = values[np.isfinite(values)]
-    if factor in (0.0, 1.0) or np.any(finite % 1.0 != 0.0):
-        return None
-    return values * factor + offset
 
 
 def _cells_of(path: Path, dialect: Dialect, width: int, index: int) -> list[str]:

@@ -428,9 +428,10 @@ def _row_of_names(above: list[list[str]], titles: list[int], width: int) -> int:
 def _groups(row: list[str], width: int) -> list[str] | None:
     """Return the group of each column, from a row that names several columns at once at the first of them.
 
-    Spreadsheets write a name, and empty cells up to the next. Two groups of several columns make such a row.
+    Spreadsheets write a name, and empty cells up to the next; other programs write it again in each column. Two
+    groups of several columns make such a row.
     """
-    named = [n for n, cell in enumerate(row[:width]) if cell.strip()]
+    named = [n for n, cell in enumerate(row[:width]) if cell.strip() and (n == 0 or cell.strip() != row[n - 1].strip())]
     sizes = [end - begin for begin, end in itertools.pairwise([*named, width])]
     if abs(len(row) - width) > 1 or sum(size > 1 for size in sizes) < _FEWEST_GROUPS:
         return None

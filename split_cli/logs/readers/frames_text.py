@@ -16,8 +16,8 @@ from split_cli.signals import find_unit, split_name_and_unit
 _PARTS = re.compile(r"[^\s,;()\[\]\"]+")
 _BYTE = re.compile(r"(?:0x)?[0-9A-Fa-f]{2}")
 _ID = re.compile(r"(?:0x)?[0-9A-Fa-f]{2,8}[xh]?")
-_SECONDS = re.compile(r"\d+[.,]\d+")
-_CLOCK = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2})[.:,](\d{1,6})")
+_SECONDS = re.compile(r"[0-9]+[.,][0-9]+")
+_CLOCK = re.compile(r"([0-9]{1,2}):([0-9]{1,2}):([0-9]{1,2})[.:,]([0-9]{1,6})")
 _WORDS = frozenset("rx tx r t s x d f b".split())
 """Parts that say where a frame went, or of what kind it is; d, f and b are no identifiers."""
 _LINES, _FEWEST, _SHARE = 60, 5, 0.8
@@ -37,6 +37,8 @@ class _Parts:
 
 def is_text_of_frames(head: bytes) -> bool:
     """Tell lines of frames by the first bytes of a file: most lines with digits are one, and bytes hold letters."""
+    if b"\0" in head:
+        return False
     lines = [line for line in decoded(head.removeprefix(b"\xef\xbb\xbf")).splitlines()[:-1] if re.search(r"\d", line)]
     lines = [line for line in lines if not line.lstrip().startswith(("*", "#", "/"))][:_LINES]
     found = [parts for parts in map(_parts, lines) if parts is not None]
@@ -84,7 +86,7 @@ def _parts(line: str) -> _Parts | None:
     """
     parts = _PARTS.findall(line)
     for place, part in enumerate(parts[1:-1], 1):
-        if not (part.isdigit() and len(part) < 3 and 0 < int(part) <= _MOST_BYTES):
+        if not (part.isdecimal() and part.isascii() and len(part) < 3 and 0 < int(part) <= _MOST_BYTES):
             continue
         data = parts[place + 1 : place + 1 + int(part)]
         behind = parts[place + 1 + int(part) :]
@@ -97,7 +99,7 @@ def _parts(line: str) -> _Parts | None:
         identifier = known[-1]
         timed = [cell for n, cell in enumerate(before) if n != identifier] + behind
         time = next((cell for cell in timed if _SECONDS.fullmatch(cell) or _CLOCK.fullmatch(cell)), None)
-        time = time or next((cell for cell in timed if cell.isdigit() and len(cell) > 2), None)
+        time = time or next((cell for cell in timed if cell.isdecimal() and cell.isascii() and len(cell) > 2), None)
         if time is not None:
             return _Parts(time, before[identifier], tuple(data))
     return None

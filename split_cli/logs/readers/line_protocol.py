@@ -21,6 +21,8 @@ _SHARE, _FEWEST = 0.9, 3
 
 def is_line_protocol(head: bytes) -> bool:
     """Tell the form by the first bytes of a file."""
+    if b"\0" in head:
+        return False
     lines = [line for line in decoded(head).splitlines()[:-1] if line.strip() and not line.startswith("#")]
     known = sum(bool(_LINE.fullmatch(line)) for line in lines)
     return known >= max(_FEWEST, _SHARE * len(lines))

@@ -164,7 +164,7 @@ def _leaves(name: str, value: Any, depth: int, left: Counter[str]) -> Iterator[t
             return
         labels = [_label(item) for item in items]
         labelled = name.endswith(".signals") and all(labels) and len(set(labels)) == len(labels)
-        called = _names_of_structures(items)
+        called = [] if name.endswith(".signals") else _names_of_structures(items)
         for index, item in enumerate(items):
             if called:
                 yield from _leaves(f"{name}.{called[index]}", item, depth + 1, left)

@@ -37,7 +37,7 @@ def titles_of_kinds(head: bytes) -> tuple[str, dict[str, list[str]]] | None:
 
     A row of titles holds a kind, behind the mark of a comment or not, and a name for each cell of its rows.
     """
-    lines = decoded(head.removeprefix(b"\xef\xbb\xbf")).splitlines()[:-1]
+    lines = decoded(head.removeprefix(b"\xef\xbb\xbf")).splitlines()[:-1] if b"\0" not in head else []
     for separator in _SEPARATORS:
         rows = [row for row in (split_line(line, separator) for line in lines) if len(row) > 2]
         valued = Counter((row[0].strip(), len(row)) for row in rows if _holds_values(row))

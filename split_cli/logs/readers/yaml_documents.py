@@ -21,7 +21,7 @@ _SHARE = 0.9
 
 def is_yaml_documents(head: bytes) -> bool:
     """Tell documents of YAML by the first bytes of a file: lines of keys, nested, and a line of dashes behind."""
-    lines = decoded(head).splitlines()[:-1]
+    lines = decoded(head).splitlines()[:-1] if b"\0" not in head else []
     keys = [line for line in lines if line.strip() and line.strip() != "---"]
     dashed = any(line.rstrip() == "---" for line in lines)
     nested = any(line.startswith(("  ", "- ")) for line in keys)

@@ -116,6 +116,8 @@ class InitResult:
             yield f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}."
         if self.draft.time.startswith("# time: {period"):
             yield f"State the time in {self.map_path}, or add --row-rate HZ below: no column of the log counts it."
+        if self.draft.time.startswith("# time: needed: "):
+            yield f"Give the log a clock: {self.draft.time.removeprefix('# time: needed: ')}."
         if not self.draft.left:
             by_gravity = f" {self.draft.by_gravity}" if self.draft.by_gravity else ""
             yield (
