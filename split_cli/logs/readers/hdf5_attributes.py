@@ -1,7 +1,6 @@
 """What stands beside a dataset of HDF5: titles of its columns, and how its whole numbers are scaled."""
 
-import io
-import pickle
+import pickletools
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,26 +11,81 @@ from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS
 _LONGEST = 1 << 20
 """Of a pickled list of titles that is looked at [bytes]: a thousand names have 0.1 MB."""
 _TITLES = ("columns", "column_names", "columnnames", "colnames", "names", "channels", "channel_names", "labels")
+_VALUES = (
+    "INT",
+    "BININT",
+    "LONG",
+    "BINLONG",
+    "FLOAT",
+    "BINFLOAT",
+    "STRING",
+    "UNICODE",
+    "BINUNICODE",
+    "SHORT_BINUNICODE",
+)
+"""Instructions that put a number or a text on the stack, by how their names begin."""
 _FILLS = ("_fillvalue", "missing_value")
 
 
-class _OnlyPlain(pickle.Unpickler):
-    """Lists, tuples, texts and numbers: whatever names a class or a function of Python is refused."""
-
-    def find_class(self, module_name: str, global_name: str) -> Any:
-        """Refuse all."""
-        raise pickle.UnpicklingError(f"{module_name}.{global_name} is no plain value")
-
-
 def _plain(value: Any) -> Any:
-    """Return what PyTables pickled into an attribute, of plain values only; None of anything else."""
+    """Return lists, dictionaries, texts and numbers that PyTables stored in an attribute; None of anything else.
+
+    It stores them as Python's serialization, of whose instructions only those that make such values are followed:
+    none that imports or calls.
+    """
     raw = bytes(value) if isinstance(value, bytes | np.bytes_) else b""
     if not 0 < len(raw) <= _LONGEST:
         return None
     try:
-        return _OnlyPlain(io.BytesIO(raw), encoding="utf-8").load()
-    except Exception:  # pickle raises anything on what is none
+        return _followed(raw)
+    except Exception:  # the instructions of what is none may be anything
         return None
+
+
+def _followed(raw: bytes) -> Any:
+    stack: list[Any] = []
+    marks: list[int] = []
+    memo: dict[int, Any] = {}
+
+    def since_mark() -> list[Any]:
+        begin = marks.pop()
+        taken, stack[begin:] = stack[begin:], []
+        return taken
+
+    for opcode, argument, _ in pickletools.genops(raw):
+        name = opcode.name
+        if name == "STOP":
+            return stack[-1]
+        if name == "MARK":
+            marks.append(len(stack))
+        elif name in ("LIST", "TUPLE"):
+            stack.append(since_mark())
+        elif name == "DICT":
+            items = since_mark()
+            stack.append(dict(zip(items[::2], items[1::2], strict=True)))
+        elif name in ("EMPTY_LIST", "EMPTY_TUPLE", "EMPTY_DICT"):
+            stack.append({} if name == "EMPTY_DICT" else [])
+        elif name in ("APPEND", "APPENDS"):
+            added = since_mark() if name == "APPENDS" else [stack.pop()]
+            stack[-1].extend(added)
+        elif name in ("SETITEM", "SETITEMS"):
+            items = since_mark() if name == "SETITEMS" else [stack.pop(-2), stack.pop()]
+            stack[-1].update(zip(items[::2], items[1::2], strict=True))
+        elif name in ("TUPLE1", "TUPLE2", "TUPLE3"):
+            count = int(name[-1])
+            taken, stack[-count:] = stack[-count:], []
+            stack.append(taken)
+        elif name in ("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"):
+            memo[len(memo) if argument is None else int(argument)] = stack[-1]
+        elif name in ("GET", "BINGET", "LONG_BINGET"):
+            stack.append(memo[int(argument)])
+        elif name in ("NONE", "NEWTRUE", "NEWFALSE"):
+            stack.append({"NONE": None, "NEWTRUE": True, "NEWFALSE": False}[name])
+        elif isinstance(argument, str | int | float) and opcode.arg is not None and name.startswith(_VALUES):
+            stack.append(argument)
+        elif name not in ("PROTO", "FRAME"):
+            return None
+    return None
 
 
 def titles_of_block(attributes: Mapping[str, Any], field: str, width: int) -> list[str]:
