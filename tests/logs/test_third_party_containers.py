@@ -4,6 +4,8 @@ import sqlite3
 import zipfile
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from mcap.writer import Writer
 from scipy.io import netcdf_file, savemat
@@ -11,6 +13,7 @@ from scipy.io import netcdf_file, savemat
 from split_cli.errors import LogError, SplitError
 from split_cli.logs.drafting.naming import meanings, stated_unit
 from split_cli.logs.drafting.suggest import draft_map
+from split_cli.logs.one_car import several_cars
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.cells import number_of
 from split_cli.logs.readers.dialect import utf_16_without_mark
@@ -231,7 +234,13 @@ def test_what_a_program_logs_to_its_console_has_its_time_in_brackets(rows, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("cell", "seconds"), [("0 days 00:00:00.010000", 0.01), ("1 days 00:00:01", 86401.0), ("1 day, 0:01:00", 86460.0)]
+    ("cell", "seconds"),
+    [
+        ("2024-06-10T06:13:20.5+02:00[Europe/Berlin]", 1_717_992_800.5),
+        ("0 days 00:00:00.010000", 0.01),
+        ("1 days 00:00:01", 86401.0),
+        ("1 day, 0:01:00", 86460.0),
+    ],
 )
 def test_a_duration_as_pandas_and_python_write_it(cell, seconds):
     assert number_of(cell, ".") == pytest.approx(seconds)
@@ -309,3 +318,30 @@ def test_channels_listed_above_rows_without_titles(rows, tmp_path):
 def test_a_title_that_is_called_offset_is_no_row_of_offsets():
     assert is_scaling(["Offset", "0", "-40"], ".") and not is_scaling(["Offset", "rpm", "mph"], ".")
     assert is_scaling(["Factor:", "0,01", ""], ",") and not is_scaling(["Factor"], ".")
+
+
+def test_messages_of_several_topics_in_json_lines_keep_their_topics(car, tmp_path):
+    """`mcap cat --json` was said to hold no numbers; two gyros that send alike messages must not become one."""
+    lines = []
+    for x in np.arange(0.0, 40.0, 0.05):
+        for topic, factor in (("/imu/front", 1.0), ("/imu/column", 9.0)):
+            gyro = f'{{"angular_velocity": {{"z": {factor * car.at("r", x):.7f}}}}}'
+            lines.append(f'{{"topic": "{topic}", "log_time": {1.7e9 + x:.3f}, "data": {gyro}}}')
+        lines.append(f'{{"topic": "/car", "log_time": {1.7e9 + x:.3f}, "data": {{"speed": {car.at("vx", x):.5f}}}}}')
+    (tmp_path / "log.jsonl").write_text("\n".join(lines))
+    recording = open_recording(tmp_path / "log.jsonl")
+    names = ["imu.front.angular_velocity.z", "imu.column.angular_velocity.z", "car.speed"]
+    read = recording.read(names)
+    front, column = (read[name].values[np.isfinite(read[name].values)] for name in names[:2])
+    assert column == pytest.approx(9.0 * front, abs=1e-5)
+    draft = draft_map(recording)
+    assert draft.time.startswith("time: {source: log_time")
+
+
+@pytest.mark.parametrize("as_dictionary", [False, True])
+def test_drivers_in_a_parquet_file_are_told_apart(as_dictionary, car, tmp_path):
+    t = np.repeat(np.arange(0.0, 40.0, 0.05), 2)
+    driver = pa.array(["HAM", "RUS"] * (len(t) // 2))
+    driver = driver.dictionary_encode() if as_dictionary else driver
+    pq.write_table(pa.table({"time_s": t, "driver": driver, "speed_mps": car.at("vx", t)}), tmp_path / "race.parquet")
+    assert several_cars(open_recording(tmp_path / "race.parquet")).counts == {"HAM": len(t) // 2, "RUS": len(t) // 2}

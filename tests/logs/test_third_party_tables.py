@@ -11,7 +11,8 @@ import pytest
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.raw import unit_of_time
 from split_cli.logs.readers.clock_of_day import over_midnight
-from split_cli.logs.readers.coordinates import holds_both, in_degrees, parts_of_angles
+from split_cli.logs.readers.coordinates import holds_both, in_degrees, parts_of_angles, parts_of_cells
+from split_cli.logs.readers.dialect import plain_sign
 from split_cli.logs.readers.hdf5_attributes import titles_of_block
 from split_cli.logs.readers.on_change import held_on_change
 from split_cli.logs.readers.opening import open_recording
@@ -291,3 +292,53 @@ def test_both_coordinates_in_one_cell(title, turned, car, tmp_path):
 
 def test_a_pair_of_gains_is_no_place():
     assert holds_both("gains", ["1.5, 2.5"] * 5) is None and holds_both("position", ["1.5", "2.5"]) is None
+
+
+@pytest.mark.parametrize("form", ["\u2212{}", "\u2013{}", "{}-", "({})"])
+def test_a_minus_may_be_a_dash_stand_behind_or_be_brackets(form, car, t, tmp_path):
+    """All negative values were missing: half of a drive was lost, and what was left was called judged."""
+
+    def written(value):
+        text = f"{abs(value):.6f}"
+        return form.format(text) if value < 0.0 else text
+
+    rows = [f"{x:.2f};{written(car.at('ay', x))};{written(DEG * car.at('r', x))}" for x in t]
+    (tmp_path / "log.csv").write_text("time;ay_mps2;yaw_rate_dps\n" + "\n".join(rows))
+    read = open_recording(tmp_path / "log.csv").read(["ay_mps2", "yaw_rate_dps"])
+    assert read["ay_mps2"].values == pytest.approx(car.at("ay", t), abs=1e-6)
+    assert read["yaw_rate_dps"].values == pytest.approx(DEG * car.at("r", t), abs=1e-6)
+
+
+@pytest.mark.parametrize("cell", ["1-2", "2026-11-28", "(a)", "a-", "-", "--"])
+def test_other_dashes_and_brackets_are_no_minus(cell):
+    assert plain_sign(cell) == cell
+
+
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [
+        ('"[0.1, -0.2, {:.6f}]"', "gyro[2]"),
+        ("[0.1 -0.2 {:.6f}]", "gyro[2]"),
+        ("\"{{'x': 0.1, 'y': -0.2, 'z': {:.6f}}}\"", "gyro.z"),
+    ],
+)
+def test_a_list_in_each_cell_is_a_channel_for_each_number(form, name, car, t, tmp_path):
+    """A frame of pandas with the vectors of messages in its cells was a column of text."""
+    rows = [f"{x:.2f},{form.format(car.at('r', x))},{car.at('vx', x):.5f}" for x in t]
+    (tmp_path / "log.csv").write_text("time,gyro,speed_mps\n" + "\n".join(rows))
+    recording = open_recording(tmp_path / "log.csv")
+    assert recording.read([name])[name].values == pytest.approx(car.at("r", t), abs=1e-6)
+    assert parts_of_cells(["[1, 2]"] * 4 + ["[1]"]) == [] and parts_of_cells(["12:30:01"] * 9) == []
+
+
+def test_cells_of_named_numbers_are_judged_in_a_moment_however_they_end():
+    assert parts_of_cells(["a:" + "11:" * 300 + "x"] * 9) == []
+
+
+def test_well_known_text_has_the_longitude_first():
+    assert holds_both("position", ["POINT (10.2 52.1)"] * 5) == ("longitude", "latitude")
+
+
+def test_a_part_of_a_day_between_0_and_1_is_the_time_of_a_spreadsheet():
+    assert unit_of_time(0.58 + np.arange(500) * 0.02 / 86400.0) == "d"
+    assert unit_of_time(np.arange(500) * 0.001) == "s"

@@ -10,7 +10,7 @@ _PART = re.compile(
     r"(?i)(?P<stem>.*?)[\s_.(\[]+(?P<part>d|deg|degrees?|°|m|min|minutes?|arcmin|'|s|sec|seconds?|arcsec|\")[)\]]*"
 )
 _TITLED_PARTS = ("deg", "min", "sec")
-_BOTH = re.compile(r"[\[(]?\s*([+-]?\d{1,3}\.\d+)°?\s*[,; ]\s*([+-]?\d{1,3}\.\d+)°?\s*[\])]?")
+_BOTH = re.compile(r"(?:POINT\s*)?[\[(]?\s*([+-]?\d{1,3}\.\d+)°?\s*[,; ]\s*([+-]?\d{1,3}\.\d+)°?\s*[\])]?")
 _PLACE = re.compile(r"(?i)pos|coord|loc|gps|gnss|fix|lat.?lon|lon.?lat|point|place")
 _MOST = 0.9
 """Of the filled cells, that hold two coordinates [1]; judgement."""
@@ -75,8 +75,49 @@ def holds_both(title: str, cells: Sequence[str]) -> tuple[str, str] | None:
     pairs = [match for cell in filled if (match := _BOTH.fullmatch(cell))]
     if not filled or len(pairs) < _MOST * len(filled) or not _PLACE.search(title):
         return None
-    turned = re.search(r"(?i)lon.?lat|lng.?lat", title) or max(abs(float(pair[1])) for pair in pairs) > 90.0
+    farthest = max(abs(float(pair[1])) for pair in pairs)
+    # Well-known text has the longitude first (OGC 06-103r4).
+    turned = farthest > 90.0 or filled[0].startswith("POINT") or re.search(r"(?i)(lon|lng).?lat", title)
     return ("longitude", "latitude") if turned else ("latitude", "longitude")
+
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_BETWEEN = r"(?:\s*[,;]\s*|\s+)"
+_NAMED = rf"['\"]?\w+['\"]?\s*[:=]\s*{_NUMBER}"
+_LIST = re.compile(rf"[\[(]\s*{_NUMBER}(?:{_BETWEEN}{_NUMBER})+\s*[\])]")
+_PAIRS = re.compile(rf"\{{?\s*{_NAMED}(?:{_BETWEEN}{_NAMED})*\s*\}}?")
+_PAIR = re.compile(rf"['\"]?(\w+)['\"]?\s*[:=]\s*({_NUMBER})")
+_FEWEST_CELLS, _LONGEST_CELL = 5, 1000
+"""Cells that show a form, and characters of one that is looked at [1]; judgement."""
+
+
+def parts_of_cells(cells: Sequence[str]) -> list[str]:
+    """Return what is behind a column's name for each number in its cells: ``[0]`` of a list, ``.x`` of named ones.
+
+    Empty where the cells hold no two numbers, or not as many in each of the first rows.
+    """
+    filled = [cell.strip() for cell in cells if cell.strip()]
+    if len(filled) < _FEWEST_CELLS or max(map(len, filled)) > _LONGEST_CELL:
+        return []
+    if all(map(_LIST.fullmatch, filled)):
+        counts = {len(re.findall(_NUMBER, cell)) for cell in filled}
+        return [f"[{n}]" for n in range(counts.pop())] if len(counts) == 1 else []
+    if all(cell[:1] in "{'\"" or cell[:1].isalpha() for cell in filled) and all(map(_PAIRS.fullmatch, filled)):
+        names = {tuple(name for name, _ in _PAIR.findall(cell)) for cell in filled}
+        return [f".{name}" for name in names.pop()] if len(names) == 1 else []
+    return []
+
+
+def of_cells(cells: Sequence[str], part: str) -> np.ndarray:
+    """Return the numbers of one part of all cells, shape (N,); NaN where a cell lacks it."""
+    values = np.full(len(cells), np.nan)
+    for row, cell in enumerate(cells):
+        if part.startswith("["):
+            numbers = re.findall(_NUMBER, cell)
+            values[row] = float(numbers[int(part[1:-1])]) if len(numbers) > int(part[1:-1]) else np.nan
+        else:
+            values[row] = float(dict(_PAIR.findall(cell)).get(part[1:], "nan"))
+    return values
 
 
 def of_both(cells: Sequence[str], place: int) -> np.ndarray:

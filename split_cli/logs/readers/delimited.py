@@ -26,7 +26,14 @@ from split_cli.logs.raw import (
 from split_cli.logs.readers.cells import number_of, seconds_of, with_halves
 from split_cli.logs.readers.clock_of_day import counted_clock, falls_within_seconds, packed_clock, spread_over_seconds
 from split_cli.logs.readers.column_clocks import clocks_of_columns, with_clock
-from split_cli.logs.readers.coordinates import holds_both, in_degrees, of_both, parts_of_angles
+from split_cli.logs.readers.coordinates import (
+    holds_both,
+    in_degrees,
+    of_both,
+    of_cells,
+    parts_of_angles,
+    parts_of_cells,
+)
 from split_cli.logs.readers.dialect import (
     EMPTY_CELLS,
     Dialect,
@@ -80,14 +87,15 @@ def open_delimited(path: Path) -> RawRecording:
     columns = {
         name: (place, "deg" if place in angles else u) for name, (place, u) in columns.items() if place not in behind
     }
-    both = _columns_of_both(sniffed, columns)
+    both = _columns_in_cells(sniffed, columns)
     groups = sniffed.groups or [""] * width
     infos = [
         RawChannelInfo(name, "text" if _is_text(sniffed, index) else "column", None, unit, groups[index])
         for name, (index, unit) in columns.items()
     ]
 
-    infos += [RawChannelInfo(name, "column", None, "deg") for name in both]
+    units = {name: "deg" if part.startswith("both") else None for name, (_, part) in both.items()}
+    infos += [RawChannelInfo(name, "column", None, unit) for name, unit in units.items()]
 
     def numbers(name: str) -> np.ndarray:
         index = columns[name][0]
@@ -143,10 +151,12 @@ def open_delimited(path: Path) -> RawRecording:
                 note_once(notes, what, f"{path.name}, column {name}")
         found = {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
         for name in (name for name in names if name in both):
-            index, place = both[name]
+            index, part = both[name]
             cells = _cells_of(path, sniffed.dialect, width, index)
-            found[name] = RawSignal(name, None, of_both(cells, place), "deg")
-            note_once(notes, "two coordinates in each cell", f"{path.name}, column {sniffed.header[index]}")
+            is_place = part.startswith("both")
+            values[index] = of_both(cells, int(part[-1])) if is_place else of_cells(cells, part)
+            found[name] = RawSignal(name, None, values[index], "deg" if is_place else None)
+            note_once(notes, "several numbers in each cell", f"{path.name}, column {sniffed.header[index]}")
         found = {name: found[name] for name in names}
         return {name: with_clock(signal, clocks.get(name)) for name, signal in found.items()}
 
@@ -156,12 +166,18 @@ def open_delimited(path: Path) -> RawRecording:
     return LazyTableRecording(path.name, path, infos, load, origin, notes=notes, texts=texts)
 
 
-def _columns_of_both(sniffed: Sniffed, columns: dict[str, tuple[int, str | None]]) -> dict[str, tuple[int, int]]:
-    """Return names for the two coordinates in each cell of a column, with its place and that of the number in it."""
+def _columns_in_cells(sniffed: Sniffed, columns: dict[str, tuple[int, str | None]]) -> dict[str, tuple[int, str]]:
+    """Return names for the numbers in each cell of a column, with its place and which of them each is.
+
+    Two coordinates are called so; a list, or numbers with names, are addressed as those of messages are.
+    """
     found = {}
     for name, (index, _) in columns.items():
-        called = holds_both(name, [row[index] for row in sniffed.rows if index < len(row)])
-        found |= {f"{name}.{own}": (index, place) for place, own in enumerate(called or ())}
+        cells = [row[index] for row in sniffed.rows if index < len(row)]
+        called = holds_both(name, cells)
+        found |= {f"{name}.{own}": (index, f"both{place}") for place, own in enumerate(called or ())}
+        if called is None:
+            found |= {f"{name}{part}": (index, part) for part in parts_of_cells(cells)}
     return found
 
 

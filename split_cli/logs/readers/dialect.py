@@ -258,7 +258,19 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 def _is_bare(cell: str, decimal: str) -> bool:
     """Tell whether a cell is a number without a unit."""
-    return _PLAIN[decimal].match(cell.strip()) is not None or is_grouped(cell, decimal)
+    return _PLAIN[decimal].match(plain_sign(cell.strip())) is not None or is_grouped(cell, decimal)
+
+
+_MINUS = re.compile("^[\u2212\u2012\u2013\ufe63\uff0d](?=[\\d.,])|(?<=[eE])[\u2212\u2012\u2013]")
+_BEHIND_OR_AROUND = re.compile(r"\((\d[\d.,]*)\)|(\d[\d.,]*)-")
+
+
+def plain_sign(cell: str) -> str:
+    """Return a number with a minus in front, where a dash, a minus behind or brackets around, as in books, say it."""
+    if cell.isascii() and cell[-1:] not in (")", "-"):
+        return cell
+    found = _BEHIND_OR_AROUND.fullmatch(cell)
+    return f"-{found[1] or found[2]}" if found else _MINUS.sub("-", cell)
 
 
 def quantity_of(cell: str, decimal: str) -> tuple[float, str] | None:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -29,6 +30,8 @@ from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import split_name_and_unit, symbol_of
 
+_TOPICS = ("topic", "channel", "type", "msg_type", "message_type", "stream", "sensor", "source")
+"""Keys that say which sensor or topic a row is of, as `mcap cat --json` writes them."""
 _LISTED_ROWS = 200
 """Rows whose fields are listed: an event writes fields that the first row lacks [1]."""
 _PLACES, _ROWS_A_PLACE, _BYTES_A_PLACE = 16, 25, 1 << 18
@@ -71,8 +74,33 @@ def open_json(path: Path) -> RawRecording:
     if named is not None:
         named.notes.extend(notes)
         return named
+    topic = _key_of_topics(beginning)
+    if topic:
+        known = _names_of(_by_topic(itertools.chain(beginning, _rows_of_places(path)), topic), path)
+        return _table(path, known, lambda: _by_topic(_rows(path, notes), topic), notes)
     known = _names_of(itertools.chain(beginning, _rows_of_places(path)), path)
     return _table(path, known, lambda: _rows(path, notes), notes)
+
+
+def _key_of_topics(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the key that says of which topic a row is, where rows of several topics hold objects; else nothing."""
+    for key in _TOPICS:
+        topics = [row.get(key) for row in rows]
+        words = {topic for topic in topics if isinstance(topic, str)}
+        nested = any(isinstance(value, dict) for row in rows for value in row.values())
+        if 1 < len(words) < len(rows) and all(isinstance(topic, str) for topic in topics) and nested:
+            return key
+    return ""
+
+
+def _by_topic(rows: Iterable[dict[str, Any]], key: str) -> Iterator[dict[str, Any]]:
+    """Yield rows with what their objects hold under the name of their topic: two sensors may send alike messages."""
+    for row in rows:
+        topic = re.sub(r"[/.]+", ".", str(row.get(key) or "")).strip(".")
+        inside = {name: value for name, value in row.items() if isinstance(value, dict)}
+        plain = {name: value for name, value in row.items() if name not in inside}
+        content = next(iter(inside.values())) if len(inside) == 1 else inside
+        yield {**plain, topic: content} if inside and topic else row
 
 
 def table_of_rows(path: Path, rows: Callable[[], Iterator[dict[str, Any]]], notes: list[ReadNote]) -> RawRecording:

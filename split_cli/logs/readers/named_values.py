@@ -121,6 +121,8 @@ def open_named_rows(
     at = places_in(keys)
     if at is None or not _are_named([str(row.get(keys[at.name], "")) for row in looked_at]):
         return None
+    if not any(np.isfinite(_number(row.get(keys[at.value]), at.decimal)) for row in looked_at):
+        return None
     cells = ([row.get(key) for key in keys] for row in rows)
     return _gathered(path, at, cells)
 

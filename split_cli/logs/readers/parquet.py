@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError, reason_of
-from split_cli.logs.budget import MOST_FIELDS, Unfolded, refuse_many_columns, refuse_unpacked_size
+from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, Unfolded, refuse_many_columns, refuse_unpacked_size
 from split_cli.logs.raw import (
     LazyTableRecording,
     RawChannelInfo,
@@ -129,7 +129,28 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             pa.default_memory_pool().release_unused()
         return {name: RawSignal(name, None, values[name], units[name]) for name in names}
 
-    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+    def texts(name: str) -> list[str]:
+        try:
+            return _texts(_leaf(read(columns[name][0]), columns[name]))
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise _damaged(path, kind, error) from error
+
+    return LazyTableRecording(path.name, path, infos, load, notes=notes, texts=texts)
+
+
+def _texts(column: Any) -> list[str]:
+    """Return a column as texts, each cut to the length of a name: a dictionary may repeat a long one in each row."""
+    found: list[str] = []
+    for chunk in getattr(column, "chunks", [column]):
+        words = [_text(value) for value in getattr(chunk, "dictionary", chunk).to_pylist()]
+        places = chunk.indices.to_pylist() if hasattr(chunk, "dictionary") else range(len(words))
+        found += ["" if place is None else words[place] for place in places]
+    return found
+
+
+def _text(value: Any) -> str:
+    text = value.decode(errors="replace") if isinstance(value, bytes) else str(value or "")
+    return text[:LONGEST_NAME]
 
 
 def _is_text(kind: Any) -> bool:
