@@ -3,6 +3,7 @@
 It may import `split_cli.logs.raw` and the errors.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ NAMES_OF_CARS = frozenset(
     """.split()
 )
 """Titles, in lower case with blanks as underscores, of the column that says whose row it is."""
+_OF_A_LAP = re.compile(r"(?i)lap|sector|stint|run|runde")
 _MOST_CARS = 10_000
 _FEWEST_ROWS = 2
 _SHOWN = 6
@@ -130,8 +132,12 @@ def _cars_of(recording: RawRecording, info: RawChannelInfo) -> np.ndarray | None
 
 
 def _time_of(recording: RawRecording, infos: Sequence[RawChannelInfo], count: int) -> np.ndarray:
-    """Return the clock of the rows in its own unit, shape (N,); their numbers where no column counts time."""
+    """Return the clock of the rows in its own unit, shape (N,); their numbers where no column counts time.
+
+    A clock of the lap starts again for one car too.
+    """
     found = time_column(infos)
+    found = None if found is not None and _OF_A_LAP.search(found.name) else found
     values = recording.read([found.name])[found.name].values if found is not None else np.zeros(0)
     return values if len(values) == count else np.arange(float(count))
 

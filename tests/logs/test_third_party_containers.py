@@ -1,5 +1,6 @@
 """Files in containers that other programs write: workbooks, echoes in YAML, data bases, NetCDF, lines of topics."""
 
+import json
 import sqlite3
 import zipfile
 
@@ -345,3 +346,34 @@ def test_drivers_in_a_parquet_file_are_told_apart(as_dictionary, car, tmp_path):
     driver = driver.dictionary_encode() if as_dictionary else driver
     pq.write_table(pa.table({"time_s": t, "driver": driver, "speed_mps": car.at("vx", t)}), tmp_path / "race.parquet")
     assert several_cars(open_recording(tmp_path / "race.parquet")).counts == {"HAM": len(t) // 2, "RUS": len(t) // 2}
+
+
+@pytest.mark.parametrize("flow", [True, False])
+def test_a_list_in_yaml_is_a_row_for_each_item(flow, rows, tmp_path):
+    """It was called JSON without rows."""
+    form = "- {{t: {:.2f}, speed_mps: {:.7f}, yaw_rate_dps: {:.7f}}}\n"
+    form = form if flow else "- t: {:.2f}\n  speed_mps: {:.7f}\n  yaw_rate_dps: {:.7f}\n"
+    (tmp_path / "log.yaml").write_text("".join(form.format(*row) for row in rows))
+    check(open_recording(tmp_path / "log.yaml"), rows, timed=False)
+
+
+def test_lists_in_json_lines_below_a_list_of_titles(rows, tmp_path):
+    """The brackets were parts of the first and the last title: the time and the steering were lost."""
+    lines = [json.dumps(TITLES), *(json.dumps(row) for row in rows.tolist()), "[1]"]
+    (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n")
+    recording = open_recording(tmp_path / "log.jsonl")
+    check(recording, rows, timed=False)
+    assert draft_map(recording).time == "time: {source: time_s, unit: s}"
+
+
+def test_what_is_measured_is_taken_and_not_what_a_filter_made_of_it(car, tmp_path):
+    """Two channels that are filtered alike fit each other, and the steer angle had the wrong size."""
+    t = np.arange(0.0, 40.0, 0.02)
+    columns = {"time_s": t, "speed_mps": car.at("vx", t), "YawRate_filt_dps": 0.9 * DEG * car.at("r", t - 0.25)}
+    columns |= {"YawRate_dps": DEG * car.at("r", t), "LatAcc_filt_mps2": 0.9 * car.at("ay", t - 0.25)}
+    write_table(tmp_path / "log.csv", {**columns, "LatAcc_mps2": car.at("ay", t)})
+    draft = draft_map(open_recording(tmp_path / "log.csv"))
+    assert draft.of("r").sources == ("YawRate_dps",) and draft.of("ay").sources == ("LatAcc_mps2",)
+    del columns["YawRate_dps"]
+    write_table(tmp_path / "filtered.csv", columns)
+    assert draft_map(open_recording(tmp_path / "filtered.csv")).of("r").sources == ("YawRate_filt_dps",)

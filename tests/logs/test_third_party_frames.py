@@ -156,3 +156,10 @@ def test_drivers_who_take_turns_in_one_car_are_one_car(car, tmp_path):
     seen = [f"{x:.2f},{int(x / 5.0) % 3},{car.at('vx', x):.5f}" for x in t]  # objects that a radar sees again
     (tmp_path / "radar.csv").write_text("t,object_id,v\n" + "\n".join(seen))
     assert several_cars(open_recording(tmp_path / "radar.csv")) is None
+
+
+def test_a_clock_of_the_lap_starts_again_for_one_car(car, tmp_path):
+    t = np.arange(0.0, 40.0, 0.02)
+    rows = [f"{x % 20.0:.2f},{'A' if x < 20.0 else 'B'},{car.at('vx', x):.5f}" for x in t]
+    (tmp_path / "laps.csv").write_text("lap_time_s,driver,v\n" + "\n".join(rows))
+    assert several_cars(open_recording(tmp_path / "laps.csv")) is None

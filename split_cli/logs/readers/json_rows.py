@@ -49,6 +49,8 @@ def is_json(head: bytes) -> bool:
     """Tell JSON by its first characters: an object with a quoted key, or a list of objects or of numbers."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     inside = text[1:].lstrip()[:1]
+    if text[:1] == b"[" and inside == b'"':
+        return _titles_of_lists(text.splitlines()[:-1]) != []
     return (text[:1] == b"{" and inside == b'"') or (text[:1] == b"[" and inside == b"{")
 
 
@@ -63,6 +65,11 @@ def open_json(path: Path) -> RawRecording:
         If it holds no rows of numbers, or more than `MOST_FIELDS` fields.
     """
     with path.open("rb") as stream:
+        titles = _titles_of_lists([stream.readline(LONGEST_ELEMENT) for _ in range(2)])
+        if titles:
+            notes_of_lists: list[ReadNote] = []
+            return table_of_rows(path, lambda: _rows_of_lists(path, titles, notes_of_lists), notes_of_lists)
+        stream.seek(0)
         first = parsed(stream.readline(LONGEST_ELEMENT))
         more = any(not line.isspace() for line in iter(lambda: stream.readline(LONGEST_ELEMENT), b""))
     # A file with one object is a document: as a row it would have one time only.
@@ -101,6 +108,27 @@ def _by_topic(rows: Iterable[dict[str, Any]], key: str) -> Iterator[dict[str, An
         plain = {name: value for name, value in row.items() if name not in inside}
         content = next(iter(inside.values())) if len(inside) == 1 else inside
         yield {**plain, topic: content} if inside and topic else row
+
+
+def _titles_of_lists(lines: Sequence[bytes]) -> list[str]:
+    """Return the titles of lines with a list each, of which the first holds them; empty of another form."""
+    first, second = (parsed(line) for line in lines[:2]) if len(lines) > 1 else (None, None)
+    alike = isinstance(first, list) and isinstance(second, list) and len(first) == len(second) > 1
+    return list(first) if alike and all(isinstance(title, str) for title in first) else []
+
+
+def _rows_of_lists(path: Path, titles: Sequence[str], notes: list[ReadNote]) -> Iterator[dict[str, Any]]:
+    others = 0
+    with path.open("rb") as stream:
+        stream.readline(LONGEST_ELEMENT)
+        while line := stream.readline(LONGEST_ELEMENT):
+            row = parsed(line) if not line.isspace() else None
+            if isinstance(row, list) and len(row) == len(titles):
+                yield dict(zip(titles, row, strict=True))
+            else:
+                others += not line.isspace()
+    if others:
+        note_once(notes, "lines that hold no list of that many, left out", path.name, others)
 
 
 def table_of_rows(path: Path, rows: Callable[[], Iterator[dict[str, Any]]], notes: list[ReadNote]) -> RawRecording:

@@ -30,7 +30,7 @@ def is_yaml_documents(head: bytes) -> bool:
 
 
 def open_yaml_documents(path: Path) -> RawRecording:
-    """Open messages printed as YAML: a column for each number, ``twist.linear.x``, a row for each document.
+    """Open messages printed as YAML: a column for each number, ``twist.linear.x``, a row for each document or item.
 
     Raises
     ------
@@ -58,10 +58,16 @@ def open_yaml_documents(path: Path) -> RawRecording:
 
 
 def _documents(path: Path) -> Iterator[str]:
+    """Yield the documents of a file, or the items of a list that is all that a file holds."""
     held: list[str] = []
     size = 0
     with path.open("rb") as stream:
+        is_list = stream.readline(LONGEST_LINE).startswith(b"- ")
+        stream.seek(0)
         while raw := stream.readline(LONGEST_LINE):
+            if is_list and raw.startswith(b"- "):
+                yield "".join(held)
+                held, size, raw = [], 0, b"  " + raw[2:]
             if raw.rstrip() in (b"---", b"..."):
                 yield "".join(held)
                 held, size = [], 0
