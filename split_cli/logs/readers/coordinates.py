@@ -40,7 +40,7 @@ def _kind(part: str) -> str:
 def in_degrees(degrees: np.ndarray, *parts: np.ndarray) -> np.ndarray:
     """Return an angle [deg] by its degrees, minutes and seconds, shape (N,); the degrees hold its sign."""
     size = np.abs(degrees) + sum((part / 60.0 ** (n + 1) for n, part in enumerate(parts)), np.zeros(len(degrees)))
-    return np.where(np.signbit(degrees), -size, size)
+    return np.asarray(np.where(np.signbit(degrees), -size, size))
 
 
 def titles_of_parts(above: Sequence[Sequence[str]], width: int) -> list[list[str]]:
@@ -55,7 +55,8 @@ def titles_of_parts(above: Sequence[Sequence[str]], width: int) -> list[list[str
         titles = rows[place + 1]
         if len(row) != width or not count or len(titles) != width - 2 * count:
             continue
-        made, at = [], 0
+        made: list[str] = []
+        at = 0
         while at < width and titles:
             title = titles[len(made) - 2 * sum(t.endswith(" sec") for t in made)]
             triple = bare[at : at + 3] == "DMS"

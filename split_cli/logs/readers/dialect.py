@@ -15,8 +15,8 @@ from split_cli.logs.readers.rows_above import LABELS_OF_NAMES, RULED, is_scaling
 from split_cli.signals import find_unit
 
 KNOWN_FORMATS = (
-    "Known are MCAP, rosbag2, ROS 1 bag, CSV, JSON lines, VBO, Pi Toolbox, Parquet, Feather, MAT, NumPy, iRacing, "
-    "MF4, and with --dbc also BLF, ASC, TRC and candump."
+    "Known are MCAP, rosbag2, ROS 1 bag, CSV, Excel, JSON lines, YAML, VBO, Pi Toolbox, Parquet, Feather, MAT, HDF5, "
+    "NetCDF, NumPy, SQLite, iRacing, MF4, and with --dbc also BLF, ASC, TRC and candump."
 )
 EMPTY_CELLS = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--")
 """What loggers write where they measured nothing."""

@@ -77,7 +77,7 @@ def _followed(raw: bytes) -> Any:
             stack.append(taken)
         elif name in ("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"):
             memo[len(memo) if argument is None else int(argument)] = stack[-1]
-        elif name in ("GET", "BINGET", "LONG_BINGET"):
+        elif name in ("GET", "BINGET", "LONG_BINGET") and argument is not None:
             stack.append(memo[int(argument)])
         elif name in ("NONE", "NEWTRUE", "NEWFALSE"):
             stack.append({"NONE": None, "NEWTRUE": True, "NEWFALSE": False}[name])

@@ -86,15 +86,15 @@ def open_rows_of_kinds(path: Path, separator: str, titles: dict[str, list[str]])
             if np.isfinite(value):
                 signal.append(time, value)
     signals = {}
-    for kind, row in columns.items():
+    for kind, titled in columns.items():
         stamps = read[kind][clocks[kind]].finished()[1]
-        unit = find_unit(row[clocks[kind]][1] or "") or find_unit(unit_of_time(stamps))
+        unit = find_unit(titled[clocks[kind]][1] or "") or find_unit(unit_of_time(stamps))
         factor = unit.factor if unit is not None and unit.si == "s" else 1.0
-        for place, ((name, stated), column) in enumerate(zip(row, read[kind], strict=True)):
-            time, values = column.finished() if place != clocks[kind] else (stamps[:0], stamps[:0])
+        for place, ((name, stated), column) in enumerate(zip(titled, read[kind], strict=True)):
+            times, values = column.finished() if place != clocks[kind] else (stamps[:0], stamps[:0])
             if len(values):
                 address = f"{kind}.{name}"
-                signals[address] = RawSignal(address, time * factor, values, stated)
+                signals[address] = RawSignal(address, times * factor, values, stated)
     if not signals:
         raise LogError("holds no rows of numbers", where=path.name, advice="Export it again.")
     notes = [ReadNote("rows of no kind that has titles, or of another length, left out", path.name, others)] * bool(

@@ -55,13 +55,15 @@ def open_spreadsheet(path: Path) -> RawRecording:
                 writer.writerows(_of_one_width(_rows(archive, chosen, texts, path)))
     except (zipfile.BadZipFile, ParseError, NotImplementedError, RuntimeError, EOFError) as error:
         raise damaged(path, error, "Save it again.") from error
-    recording: Any = replace(open_delimited(table), name=path.name, path=path)
+    read: Any = open_delimited(table)
+    recording: Any = replace(read, name=path.name, path=path)
     recording.scratch = scratch  # which lives as long as what is read from it
     others = sum(numbers[name] > 0 for name in sheets) - 1
     if others:
         called = Path(chosen).stem
         recording.notes.append(ReadNote(f"other sheets with numbers, left out: {called} is read", path.name, others))
-    return recording
+    made: RawRecording = recording
+    return made
 
 
 def _numbers(rows: Iterator[list[str]]) -> int:
@@ -80,7 +82,7 @@ def _elements(archive: zipfile.ZipFile, name: str, path: Path) -> Iterator[tuple
     """Yield the elements of a part as they end, their names without the name space; entities are refused."""
     info = archive.getinfo(name)
     refuse_unpacked_size(info.file_size, info.compress_size, name, path.name)
-    parser = XMLPullParser(("end",))
+    parser: Any = XMLPullParser(("end",))
     with archive.open(name) as stream:
         for piece in _pieces(stream):
             if b"<!DOCTYPE" in piece or b"<!ENTITY" in piece:
