@@ -52,15 +52,14 @@ def several_cars(recording: RawRecording) -> SeveralCars | None:
     infos = recording.channels()
     named = [info for info in infos if "_".join(info.name.strip().lower().split()) in NAMES_OF_CARS]
     for info in named:
-        cars = _cars_of(recording, info)
-        if cars is None:
+        found = _cars_of(recording, info)
+        if found is None:
             continue
-        called, counts = np.unique(cars, return_counts=True)
-        if not 1 < len(called) <= _MOST_CARS or not np.any(counts >= _FEWEST_ROWS):
-            continue
-        if _at_the_same_time(cars, _time_of(recording, infos, len(cars))):
-            order = np.argsort(-counts, kind="stable")
-            return SeveralCars(info.name, {str(called[n]): int(counts[n]) for n in order})
+        cars, names = found
+        counts = np.bincount(cars, minlength=len(names))
+        filled = [n for n in np.argsort(-counts, kind="stable") if counts[n] >= _FEWEST_ROWS and names[n]]
+        if len(filled) > 1 and _at_the_same_time(cars, filled, _time_of(recording, infos, len(cars))):
+            return SeveralCars(info.name, {names[n]: int(counts[n]) for n in filled})
     return None
 
 
@@ -74,19 +73,20 @@ def of_one_car(recording: RawRecording, rows: Mapping[str, str]) -> RawRecording
     """
     for column, value in rows.items():
         info = next((info for info in recording.channels() if info.name == column), None)
-        cars = _cars_of(recording, info) if info is not None else None
-        if cars is None or value not in cars:
-            known = ", ".join(map(str, np.unique(cars)[:_SHOWN])) if cars is not None else ""
+        found = _cars_of(recording, info, most=None) if info is not None else None
+        if found is None or value not in found[1]:
+            known = ", ".join(found[1][:_SHOWN]) if found is not None else ""
             advice = f"Its rows are of {known}." if known else "`split ingest LOG --list` shows the columns."
             raise MapError(f"no row has {value!r} in the column {column!r}", where=recording.name, advice=advice)
-        recording = RowsOfOneCar(recording, cars == value, f"rows in which {column} is not {value}, left out")
+        kept = found[0] == found[1].index(value)
+        recording = RowsOfOneCar(recording, kept, f"rows in which {column} is not {value}, left out")
     if rows or hasattr(recording, "parts"):
         return recording
-    found = several_cars(recording)
-    if found is not None:
-        first = next(iter(found.counts))
-        advice = f"Choose one in the map: `rows: {{{found.column}: {first}}}`."
-        raise MapError(f"{found.describe()}, and a drive is of one", where=recording.name, advice=advice)
+    several = several_cars(recording)
+    if several is not None:
+        first = next(iter(several.counts))
+        advice = f"Choose one in the map: `rows: {{{several.column}: {first}}}`."
+        raise MapError(f"{several.describe()}, and a drive is of one", where=recording.name, advice=advice)
     return recording
 
 
@@ -120,15 +120,25 @@ class RowsOfOneCar:
         return replace(signal, time=time, values=signal.values[self._kept])
 
 
-def _cars_of(recording: RawRecording, info: RawChannelInfo) -> np.ndarray | None:
-    """Return what a column says of each row, shape (N,), as text; None where it cannot be read."""
+def _cars_of(
+    recording: RawRecording, info: RawChannelInfo, most: int | None = _MOST_CARS
+) -> tuple[np.ndarray, list[str]] | None:
+    """Return a number for each row, shape (N,), and what the column says of the cars of these numbers.
+
+    None where it cannot be read, says one thing of all rows, or more than `most`.
+    """
     if info.type_name == "text":
         texts = getattr(recording, "texts", None)
-        return np.array([text.strip() for text in texts(info.name)], dtype=str) if texts is not None else None
+        found = texts(info.name) if texts is not None else (np.zeros(0, np.int32), [])
+        return None if len(found[1]) < 2 or (most is not None and len(found[1]) > most) else found
     signal = recording.read([info.name])[info.name]
-    if signal.time is not None or not np.all(np.mod(signal.values, 1.0)[np.isfinite(signal.values)] == 0.0):
+    finite = signal.values[np.isfinite(signal.values)]
+    if signal.time is not None or not len(finite) or finite.min() == finite.max() or np.any(finite % 1.0 != 0.0):
         return None
-    return np.array([f"{value:.0f}" if np.isfinite(value) else "" for value in signal.values], dtype=str)
+    cars, rows = np.unique(signal.values, return_inverse=True)
+    if most is not None and len(cars) > most:
+        return None
+    return rows.astype(np.int32), [f"{car:.0f}" if np.isfinite(car) else "" for car in cars]
 
 
 def _time_of(recording: RawRecording, infos: Sequence[RawChannelInfo], count: int) -> np.ndarray:
@@ -142,7 +152,7 @@ def _time_of(recording: RawRecording, infos: Sequence[RawChannelInfo], count: in
     return values if len(values) == count else np.arange(float(count))
 
 
-def _at_the_same_time(cars: np.ndarray, time: np.ndarray) -> bool:
+def _at_the_same_time(cars: np.ndarray, among: Sequence[int], time: np.ndarray) -> bool:
     """Whether the rows of two cars lie in one stretch of time, by half of the shorter, and take turns there.
 
     An object that a radar sees comes back, and a driver does: their rows stand together for seconds.
@@ -151,7 +161,7 @@ def _at_the_same_time(cars: np.ndarray, time: np.ndarray) -> bool:
     if len(cars) > _LONGEST_RUN * (1 + np.count_nonzero(in_order[1:] != in_order[:-1])):
         return False
     spans = []
-    for car in np.unique(cars[cars != ""])[:_SHOWN]:
+    for car in among[:_SHOWN]:
         own = time[(cars == car) & np.isfinite(time)]
         if len(own) >= _FEWEST_ROWS:
             spans.append((float(own.min()), float(own.max())))

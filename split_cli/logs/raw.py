@@ -145,7 +145,8 @@ class LazyTableRecording:
     origin: float = 0.0
     clocks: tuple[Clock, ...] = ()
     notes: list[ReadNote] = field(default_factory=list)
-    texts: Callable[[str], list[str]] | None = None  # returns a column of text as it is written
+    # Returns of a column of text a number for each row, shape (N,), and the texts that these numbers stand for.
+    texts: Callable[[str], tuple[np.ndarray, list[str]]] | None = None
 
     def channels(self) -> list[RawChannelInfo]:
         """Return the columns with their units."""
@@ -302,6 +303,23 @@ def note_once(notes: list[ReadNote], what: str, where: str, count: int = 1) -> N
     note = ReadNote(what, where, count)
     notes[:] = [other for other in notes if (other.what, other.where) != (note.what, note.where)]
     notes.append(note)
+
+
+class Words:
+    """The texts of a column as numbers, piece by piece: a long column repeats few texts."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+        self._pieces: list[np.ndarray] = []
+
+    def append(self, texts: Sequence[str | None], places: np.ndarray | None = None) -> None:
+        """Add rows: their texts, or those of a dictionary with the place of each row's text in it."""
+        number = np.array([self._numbers.setdefault((t or "").strip(), len(self._numbers)) for t in texts], np.int32)
+        self._pieces.append(number if places is None else number[places])
+
+    def finished(self) -> tuple[np.ndarray, list[str]]:
+        """Return a number for each row, shape (N,), and the texts that these numbers stand for."""
+        return np.concatenate([np.zeros(0, np.int32), *self._pieces]), list(self._numbers)
 
 
 class UniqueNames:

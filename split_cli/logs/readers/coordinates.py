@@ -1,7 +1,7 @@
 """Coordinates in several columns (degrees, minutes and seconds), and both coordinates in one cell."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -125,3 +125,18 @@ def of_both(cells: Sequence[str], place: int) -> np.ndarray:
     """Return the first or the second number of each cell, shape (N,); NaN where a cell holds no two."""
     found = (_BOTH.fullmatch(cell.strip()) for cell in cells)
     return np.array([float(match[1 + place]) if match else np.nan for match in found])
+
+
+def columns_in_cells(columns: Mapping[str, int], rows: Sequence[Sequence[str]]) -> dict[str, tuple[int, str]]:
+    """Return names for the numbers in each cell of a column, with its place and which of them each is.
+
+    Two coordinates are called so; a list, or numbers with names, are addressed as those of messages are.
+    """
+    found = {}
+    for name, index in columns.items():
+        cells = [row[index] for row in rows if index < len(row)]
+        called = holds_both(name, cells)
+        found |= {f"{name}.{own}": (index, f"both{place}") for place, own in enumerate(called or ())}
+        if called is None:
+            found |= {f"{name}{part}": (index, part) for part in parts_of_cells(cells)}
+    return found

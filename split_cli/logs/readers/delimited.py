@@ -3,7 +3,7 @@
 import io
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -20,20 +20,14 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     UniqueNames,
+    Words,
     note_once,
     split_stamps,
 )
 from split_cli.logs.readers.cells import number_of, seconds_of, with_halves
 from split_cli.logs.readers.clock_of_day import counted_clock, falls_within_seconds, packed_clock, spread_over_seconds
 from split_cli.logs.readers.column_clocks import clocks_of_columns, with_clock
-from split_cli.logs.readers.coordinates import (
-    holds_both,
-    in_degrees,
-    of_both,
-    of_cells,
-    parts_of_angles,
-    parts_of_cells,
-)
+from split_cli.logs.readers.coordinates import columns_in_cells, in_degrees, of_both, of_cells, parts_of_angles
 from split_cli.logs.readers.dialect import (
     EMPTY_CELLS,
     Dialect,
@@ -87,7 +81,7 @@ def open_delimited(path: Path) -> RawRecording:
     columns = {
         name: (place, "deg" if place in angles else u) for name, (place, u) in columns.items() if place not in behind
     }
-    both = _columns_in_cells(sniffed, columns)
+    both = columns_in_cells({name: index for name, (index, _) in columns.items()}, sniffed.rows)
     groups = sniffed.groups or [""] * width
     infos = [
         RawChannelInfo(name, "text" if _is_text(sniffed, index) else "column", None, unit, groups[index])
@@ -160,25 +154,10 @@ def open_delimited(path: Path) -> RawRecording:
         found = {name: found[name] for name in names}
         return {name: with_clock(signal, clocks.get(name)) for name, signal in found.items()}
 
-    def texts(name: str) -> list[str]:
-        return _cells_of(path, sniffed.dialect, width, columns[name][0])
+    def texts(name: str) -> tuple[np.ndarray, list[str]]:
+        return _words(path, sniffed.dialect, width, columns[name][0])
 
     return LazyTableRecording(path.name, path, infos, load, origin, notes=notes, texts=texts)
-
-
-def _columns_in_cells(sniffed: Sniffed, columns: dict[str, tuple[int, str | None]]) -> dict[str, tuple[int, str]]:
-    """Return names for the numbers in each cell of a column, with its place and which of them each is.
-
-    Two coordinates are called so; a list, or numbers with names, are addressed as those of messages are.
-    """
-    found = {}
-    for name, (index, _) in columns.items():
-        cells = [row[index] for row in sniffed.rows if index < len(row)]
-        called = holds_both(name, cells)
-        found |= {f"{name}.{own}": (index, f"both{place}") for place, own in enumerate(called or ())}
-        if called is None:
-            found |= {f"{name}{part}": (index, part) for part in parts_of_cells(cells)}
-    return found
 
 
 def _cells_of(path: Path, dialect: Dialect, width: int, index: int) -> list[str]:
@@ -354,7 +333,6 @@ def _read_blocks(
 ) -> _Columns:
     """Return columns as numbers, cells of each that are none, and rows that were left out; block by block."""
     import pyarrow as pa
-    from pyarrow import csv as arrow_csv
 
     ragged: list[bool] = []
 
@@ -363,8 +341,48 @@ def _read_blocks(
         ragged.append(bool((row.text or "").strip()))
         return "skip"
 
+    options = _options(dialect, width, indices, kind, quote, skip)
+    columns: dict[int, GrowingColumn] = {}
+    bad: Counter[int] = Counter()
+    for share, blocks in _blocks(path, dialect, options):
+        # Rows like the first ones fill the file: room for all and a twentieth more spares copies.
+        rows = sum(block.num_rows for block in blocks)
+        columns = columns or {index: GrowingColumn(expected=int(1.05 * rows / share)) for index in indices}
+        for block in blocks:
+            for index, cells in zip(indices, block.columns, strict=True):
+                if kind == pa.string():
+                    numbers, none = _numbers(cells, dialect.decimal)
+                    bad[index] += none
+                else:
+                    numbers = cells.to_numpy(zero_copy_only=False)  # a missing cell becomes NaN
+                columns[index].append(numbers)
+    pa.default_memory_pool().release_unused()
+    values = {index: columns[index].finished() if columns else np.empty(0) for index in indices}
+    return values, bad, sum(ragged)
+
+
+def _words(path: Path, dialect: Dialect, width: int, index: int) -> tuple[np.ndarray, list[str]]:
+    """Return a column of text as numbers and the texts that they stand for, the rows as `_read_blocks` keeps them."""
+    import pyarrow as pa
+
+    dialect, closed = _looked_through(path, dialect)
+    options = _options(dialect, width, [index], pa.string(), '"' if closed else False, lambda row: "skip")
+    words = Words()
+    for _, blocks in _blocks(path, dialect, options):
+        for block in blocks:
+            encoded = block.columns[0].fill_null("").dictionary_encode()
+            words.append(encoded.dictionary.to_pylist(), encoded.indices.to_numpy(zero_copy_only=False))
+    return words.finished()
+
+
+def _options(
+    dialect: Dialect, width: int, indices: list[int], kind: Any, quote: str | bool, skip: Callable[[Any], str]
+) -> dict[str, Any]:
+    """Return how Arrow reads the columns at `indices` as `kind`; `skip` is called with rows of another width."""
+    from pyarrow import csv as arrow_csv
+
     names = [str(index) for index in range(width)]
-    options = {
+    return {
         "read_options": arrow_csv.ReadOptions(
             column_names=names, encoding=dialect.encoding, block_size=max(_BLOCK_BYTES, _BLOCK_BYTES_A_COLUMN * width)
         ),
@@ -383,23 +401,6 @@ def _read_blocks(
             check_utf8=False,
         ),
     }
-    columns: dict[int, GrowingColumn] = {}
-    bad: Counter[int] = Counter()
-    for share, blocks in _blocks(path, dialect, options):
-        # Rows like the first ones fill the file: room for all and a twentieth more spares copies.
-        rows = sum(block.num_rows for block in blocks)
-        columns = columns or {index: GrowingColumn(expected=int(1.05 * rows / share)) for index in indices}
-        for block in blocks:
-            for index, cells in zip(indices, block.columns, strict=True):
-                if kind == pa.string():
-                    numbers, none = _numbers(cells, dialect.decimal)
-                    bad[index] += none
-                else:
-                    numbers = cells.to_numpy(zero_copy_only=False)  # a missing cell becomes NaN
-                columns[index].append(numbers)
-    pa.default_memory_pool().release_unused()
-    values = {index: columns[index].finished() if columns else np.empty(0) for index in indices}
-    return values, bad, sum(ragged)
 
 
 def _blocks(path: Path, dialect: Dialect, options: dict[str, Any]) -> Iterator[tuple[float, list[Any]]]:

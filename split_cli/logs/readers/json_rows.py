@@ -21,6 +21,7 @@ from split_cli.logs.raw import (
     ReadNote,
     TableRecording,
     UniqueNames,
+    Words,
     note_once,
 )
 from split_cli.logs.readers.cells import seconds_of
@@ -163,8 +164,11 @@ def _table(
     cars = [key for key, value in next(rows(), {}).items() if key.lower() in NAMES_OF_CARS and isinstance(value, str)]
     infos += [RawChannelInfo(key, "text", None) for key in cars if key not in listed]
 
-    def texts(name: str) -> list[str]:
-        return [str((row or {}).get(name) or "") for row in rows()]
+    def texts(name: str) -> tuple[np.ndarray, list[str]]:
+        words = Words()
+        for batch in _batched(rows(), _ROWS_AT_ONCE):
+            words.append([str((row or {}).get(name) or "")[:LONGEST_NAME] for row in batch])
+        return words.finished()
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
         missed: dict[str, None] = {}
@@ -197,6 +201,11 @@ def _table(
         return {name: RawSignal(name, None, column.finished(), units[name]) for name, column in read}
 
     return LazyTableRecording(path.name, path, infos, load, notes=notes, texts=texts)
+
+
+def _batched(rows: Iterator[dict[str, Any]], count: int) -> Iterator[list[dict[str, Any]]]:
+    while batch := list(itertools.islice(rows, count)):
+        yield batch
 
 
 def _refuse_rows_of_nothing(numbers: int, size: int, path: Path) -> None:

@@ -16,6 +16,7 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     UniqueNames,
+    Words,
     note_once,
 )
 from split_cli.logs.readers.probe import probe
@@ -129,7 +130,7 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             pa.default_memory_pool().release_unused()
         return {name: RawSignal(name, None, values[name], units[name]) for name in names}
 
-    def texts(name: str) -> list[str]:
+    def texts(name: str) -> tuple[np.ndarray, list[str]]:
         try:
             return _texts(_leaf(read(columns[name][0]), columns[name]))
         except (pa.ArrowException, OSError, ValueError) as error:
@@ -138,14 +139,15 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
     return LazyTableRecording(path.name, path, infos, load, notes=notes, texts=texts)
 
 
-def _texts(column: Any) -> list[str]:
-    """Return a column as texts, each cut to the length of a name: a dictionary may repeat a long one in each row."""
-    found: list[str] = []
+def _texts(column: Any) -> tuple[np.ndarray, list[str]]:
+    """Return a column of text as numbers and its texts, each cut to the length of a name: one may be repeated a lot."""
+    words = Words()
     for chunk in getattr(column, "chunks", [column]):
-        words = [_text(value) for value in getattr(chunk, "dictionary", chunk).to_pylist()]
-        places = chunk.indices.to_pylist() if hasattr(chunk, "dictionary") else range(len(words))
-        found += ["" if place is None else words[place] for place in places]
-    return found
+        encoded = chunk if hasattr(chunk, "dictionary") else chunk.dictionary_encode()
+        texts = [*map(_text, encoded.dictionary.to_pylist()), ""]  # the last one is of what is missing
+        places = encoded.indices.fill_null(len(texts) - 1).to_numpy(zero_copy_only=False)
+        words.append(texts, places)
+    return words.finished()
 
 
 def _text(value: Any) -> str:
