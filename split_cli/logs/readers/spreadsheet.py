@@ -116,9 +116,9 @@ def _rows(archive: zipfile.ZipFile, name: str, texts: list[str], path: Path) -> 
     for tag, element in _elements(archive, name, path):
         if tag == "c":
             place = _column(element.get("r", "")) if element.get("r") else len(row)
-            if not len(row) <= place < MOST_FIELDS:
-                continue
-            row += [""] * (place - len(row)) + [_cell(element, texts)]
+            if len(row) <= place < MOST_FIELDS:
+                row += [""] * (place - len(row)) + [_cell(element, texts)]
+            element.clear()
         elif tag == "row":
             yield row
             row = []
