@@ -20,7 +20,7 @@ from split_cli.logs.readers.opening import is_list_of_rows, is_prose
 LOG_SUFFIXES = tuple(
     """
     .mcap .bag .db3 .csv .txt .vbo .parquet .feather .mat .mf4 .mdf .blf .asc .trc .jsonl .ascii .lvm .tsv .arrow
-    .mcap.zstd .db3.zstd .npz .ibt .json
+    .mcap.zstd .db3.zstd .npz .ibt
     """.split()
 )
 DRIVE_SUFFIXES = (".parquet", ".pq", ".csv")
@@ -314,10 +314,11 @@ def _is_one_of(path: Path, suffixes: Sequence[str]) -> bool:
 
     Settings are written as one object. Phones write a table about the device beside those of their sensors.
     """
+    if path.suffix.lower() == ".json":
+        # Of another file system the content is not looked at, and none is taken there.
+        return ".jsonl" in suffixes and path.is_file() and is_list_of_rows(path)
     if not path.name.lower().endswith(tuple(suffixes)):
         return False
-    if path.suffix.lower() == ".json":
-        return path.is_file() and is_list_of_rows(path)
     return not (path.suffix.lower() in (".txt", ".csv") and path.is_file() and is_prose(path))
 
 
