@@ -3,12 +3,14 @@
 import json
 import sqlite3
 import zipfile
+from datetime import datetime, timedelta
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from mcap.writer import Writer
+from openpyxl import Workbook
 from scipy.io import netcdf_file, savemat
 
 from split_cli.errors import LogError, SplitError
@@ -50,48 +52,55 @@ def check(recording, rows, names=("speed_mps", "yaw_rate_dps"), timed=True, abs_
             assert time - time[0] == pytest.approx(rows[:, 0] - rows[0, 0], abs=1e-4)
 
 
-def workbook(path, sheets, head="", texts=()):
-    """Write a workbook as Excel stores one: a part for each sheet, texts apart."""
-    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("xl/workbook.xml", f'<workbook xmlns="{main}"/>')
-        shared = "".join(f"<si><t>{text}</t></si>" for text in texts)
-        archive.writestr("xl/sharedStrings.xml", f'<sst xmlns="{main}">{shared}</sst>')
-        for number, lines in enumerate(sheets, 1):
-            cells = "".join(f"<row>{''.join(line)}</row>" for line in lines)
-            body = f'{head}<worksheet xmlns="{main}"><sheetData>{cells}</sheetData></worksheet>'
-            archive.writestr(f"xl/worksheets/sheet{number}.xml", body)
+def workbook(path, *sheets):
+    """Write a workbook with the rows of some sheets."""
+    book = Workbook()
+    book.remove(book.active)
+    for number, lines in enumerate(sheets):
+        sheet = book.create_sheet(f"sheet {number}")
+        for line in lines:
+            sheet.append(line)
+    book.save(path)
 
 
-def cell(place, row, value, kind=""):
-    return f'<c r="{"ABCDEFG"[place]}{row}"{kind}><v>{value}</v></c>'
-
-
-def test_the_sheet_of_a_workbook_with_the_most_numbers_is_read(rows, tmp_path):
-    """A workbook was refused: a first sheet about the car, dates in days, empty cells that Excel stores not at all."""
-    about = [[cell(0, 1, 0, ' t="s"'), cell(1, 1, 1573)]]
-    lines = [[cell(0, 1, 1, ' t="s"'), cell(2, 1, 2, ' t="s"'), cell(3, 1, 3, ' t="s"')]]
-    for n, row in enumerate(rows, 2):
-        row = row.tolist()
-        days = 46354.5 + row[0] / 86400.0
-        lines.append([cell(0, n, repr(days)), cell(2, n, repr(row[1])), cell(3, n, repr(row[2]))])
-    lines[5].pop(1)
-    texts = ["mass", "Timestamp", "speed_mps", "yaw_rate_dps"]
-    workbook(tmp_path / "log.xlsx", [about, lines], texts=texts)
+@pytest.mark.parametrize("clock", ["days", "dates"])
+def test_the_sheet_of_a_workbook_with_the_most_numbers_is_read(rows, clock, tmp_path):
+    """A workbook was refused: a first sheet about the car, days or dates, empty cells that Excel stores not at all."""
+    lines = [["Timestamp", None, "speed_mps", "yaw_rate_dps"]]
+    noon = datetime(2026, 11, 28, 12)
+    for t, speed, rate in rows.tolist():
+        moment = 46354.5 + t / 86400.0 if clock == "days" else noon + timedelta(seconds=t)
+        lines.append([moment, None, speed, rate])
+    lines[5][2] = None
+    workbook(tmp_path / "log.xlsx", [["mass", 1573]], lines)
     recording = open_recording(tmp_path / "log.xlsx")
     read = recording.read(["Timestamp", "speed_mps", "yaw_rate_dps"])
     assert np.isnan(read["speed_mps"].values[4])
     assert np.delete(read["speed_mps"].values, 4) == pytest.approx(np.delete(rows[:, 1], 4))
     assert read["yaw_rate_dps"].values == pytest.approx(rows[:, 2])
-    assert draft_map(recording).time == "time: {source: Timestamp, unit: d}"
+    unit = "d" if clock == "days" else "s"
+    assert draft_map(recording).time == f"time: {{source: Timestamp, unit: {unit}}}"
     assert any("other sheets" in note.what for note in recording.notes)
 
 
-def test_a_workbook_that_would_exhaust_memory_is_refused(tmp_path):
-    bomb = '<!DOCTYPE w [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
-    workbook(tmp_path / "bomb.xlsx", [[[cell(0, 1, 1)]]], head=bomb)
+def test_a_workbook_that_would_exhaust_memory_is_refused(rows, tmp_path):
+    workbook(tmp_path / "log.xlsx", [["time", "speed"], *rows[:, :2].tolist()])
+    bomb = b'<!DOCTYPE w [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
+    with zipfile.ZipFile(tmp_path / "log.xlsx") as whole, zipfile.ZipFile(tmp_path / "bomb.xlsx", "w") as other:
+        for name in whole.namelist():
+            other.writestr(name, (bomb if "sheet1" in name else b"") + whole.read(name))
     with pytest.raises(LogError, match="definitions that no program writes"):
         open_recording(tmp_path / "bomb.xlsx")
+
+
+def test_a_workbook_that_was_cut_off_or_lacks_a_part_is_refused(rows, tmp_path):
+    workbook(tmp_path / "log.xlsx", [["time", "speed"], *rows[:, :2].tolist()])
+    with zipfile.ZipFile(tmp_path / "log.xlsx") as whole, zipfile.ZipFile(tmp_path / "part.xlsx", "w") as other:
+        for name in whole.namelist():
+            if not name.endswith("workbook.xml"):
+                other.writestr(name, whole.read(name))
+    with pytest.raises(LogError, match="part.xlsx"):
+        open_recording(tmp_path / "part.xlsx")
 
 
 def echoed(rows):
