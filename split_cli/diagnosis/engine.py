@@ -12,8 +12,10 @@ import numpy as np
 from split_cli.diagnosis.innovations.case import DiagnosisCase, gather_case
 from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Policy
+from split_cli.diagnosis.recording.cleaning import clean_drives, moving
+from split_cli.diagnosis.recording.excitation import idle
 from split_cli.diagnosis.recording.scales import in_sentences, out_of_scale, scales_as_terms
-from split_cli.diagnosis.recording.screening import clean_drives, idle, moving, unfit
+from split_cli.diagnosis.recording.screening import unfit
 from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.diagnosis.recording.witnesses import is_witness_of_position
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation

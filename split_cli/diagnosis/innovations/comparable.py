@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.screening import SMOOTHED_SECONDS
+from split_cli.diagnosis.recording.segment_means import SMOOTHED_SECONDS
 from split_cli.diagnosis.recording.series import extended_model
 
 

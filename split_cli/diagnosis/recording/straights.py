@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.policy import STANDARD, Screening
-from split_cli.diagnosis.recording.screening import measures
+from split_cli.diagnosis.recording.measured import measures
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects.instruments import CROSSFALL
 from split_cli.vehicle.parameters import Vehicle

@@ -21,7 +21,7 @@ from split_cli.diagnosis.recording.kinematics import (
     integral,
     usual_part,
 )
-from split_cli.diagnosis.recording.screening import measures
+from split_cli.diagnosis.recording.measured import measures
 from split_cli.diagnosis.recording.series import VISIBLE, Series
 from split_cli.diagnosis.recording.windows import LEAST_WINDOWS, edge_of, windows_within
 from split_cli.vehicle.effects import Term

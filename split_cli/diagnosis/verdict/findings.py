@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
-from split_cli.diagnosis.recording.screening import measures
+from split_cli.diagnosis.recording.measured import measures
 from split_cli.diagnosis.remainder.autocorrelation import ResidualAutocorrelation, residual_autocorrelation
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
