@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 _Made = TypeVar("_Made")
 
 
-class Recent(Generic[_Made]):
+class RecentResults(Generic[_Made]):
     """Results by key; the one that was asked for longest ago is forgotten first.
 
     Safe between threads: at worst two of them work out the same.
@@ -32,7 +32,7 @@ class Recent(Generic[_Made]):
         """Forget all results."""
         self._known.clear()
 
-    def __reduce__(self) -> tuple[type[Recent], tuple[int]]:
+    def __reduce__(self) -> tuple[type[RecentResults], tuple[int]]:
         # Keys may hold ids of objects, which another process gives to others.
         return type(self), (self.most,)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.recording.witnesses import build_witnesses, late_against_position, usual_parts
+from split_cli.diagnosis.recording.witnesses import build_witnesses, late_against_position, usual_weights_by_kind
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable
@@ -99,7 +99,7 @@ def test_a_witness_contradicts_the_fault_and_agrees_once_it_is_corrected(term, v
     one = fault(term, variant, parameters)
     clean = build_witnesses(prepared(recording(32)))
     scales = {witness.kind: witness.scale for witness in clean}
-    faulty = build_witnesses(prepared(recording(33, one)), usual_parts(clean))
+    faulty = build_witnesses(prepared(recording(33, one)), usual_weights_by_kind(clean))
     # A fault that varies widens what a recording takes for its noise, so that of the clean one is taken.
     faulty = [replace(witness, scale=scales[witness.kind]) for witness in faulty]
     for witness in faulty:
@@ -110,7 +110,7 @@ def test_a_witness_contradicts_the_fault_and_agrees_once_it_is_corrected(term, v
 
 def test_physics_moves_no_witness():
     (heavy,) = (build_witnesses(prepared(recording(34))),)
-    assert {one.kind for one in heavy} == {"across", "turn", "way", "a_x", "a_y"}
+    assert {one.kind for one in heavy} == {"lateral", "yaw", "distance", "a_x", "a_y"}
     for one in heavy:
         np.testing.assert_array_equal(one.rows((CATALOGUE["mass"]({"scale": 1.5}),)), one.rows(()))
 
@@ -194,7 +194,7 @@ def test_a_lateral_velocity_integrated_from_a_y_tells_no_sensor_of_it_and_no_ban
     gone = {candidate.term for candidate in every} - {candidate.term for candidate in told}
     assert gone == {"sensor_lever_arm", "sensor_misalignment", "velocity_bias", "road_bank"}
     assert not {"ay", "vy", "velocity", "imu"} & {candidate.variant for candidate in told if candidate.needs}
-    assert {witness.kind for witness in build_witnesses(one)} >= {"turn", "a_x"}
+    assert {witness.kind for witness in build_witnesses(one)} >= {"yaw", "a_x"}
     assert "a_y" not in {witness.kind for witness in build_witnesses(one)}
 
 
@@ -244,14 +244,14 @@ def test_half_a_degree_of_a_sensor_is_no_fault_where_no_position_tells_it_from_t
 def late_yaw_rate():
     """A yaw rate that is 40 ms late, with position and accelerations as witnesses."""
     series = prepared(recording(42, fault("channel_delay", "r", {"r": 0.04}), seconds=12.0))
-    usual_by_kind = usual_parts(build_witnesses(prepared(recording(43, seconds=12.0))))
+    usual_by_kind = usual_weights_by_kind(build_witnesses(prepared(recording(43, seconds=12.0))))
     return bare_objective(light_evidence(series), kinematics=build_witnesses(series, usual_by_kind))
 
 
 def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error_is():
     """A moved unit: with the velocity alone moved v_y fits as well, and the accelerometer contradicts."""
     series = prepared(recording(44, fault("sensor_lever_arm", "unit", {"dx": 0.8}), seconds=12.0))
-    usual_by_kind = usual_parts(build_witnesses(prepared(recording(45, seconds=12.0))))
+    usual_by_kind = usual_weights_by_kind(build_witnesses(prepared(recording(45, seconds=12.0))))
     evidence, felt = light_evidence(series), [w for w in build_witnesses(series, usual_by_kind) if w.kind == "a_y"]
 
     def excess(kinematics) -> float:
@@ -388,7 +388,7 @@ def test_what_is_not_late_is_not_told_to_be(k):
     """A clean recording, and those of a sensor that is biased or scaled."""
     faults = [] if k is None else [fault(*PLANTED[k])]
     series = prepared(recording(46, *faults))
-    usual_by_kind = usual_parts(build_witnesses(prepared(recording(47))))
+    usual_by_kind = usual_weights_by_kind(build_witnesses(prepared(recording(47))))
     objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series, usual_by_kind))
     names = ("channel_delay", "velocity_bias", "yaw_rate_scale", "yaw_rate_bias", "speed_scale")
     every = tuple(candidates_of(objective, *names))

@@ -59,7 +59,7 @@ def test_a_valley_that_witnesses_refute_is_none():
     drive = noisy(driven(61, runs=4, steer=one_swings), 7)
     drive.columns["r"] = late(drive["r"].reshape(4, -1), LATE, 0.01).ravel()
     series, found = prepared(drive), []
-    for witnesses in ([], [one for one in build_witnesses(series) if one.kind == "turn"]):
+    for witnesses in ([], [one for one in build_witnesses(series) if one.kind == "yaw"]):
         objective = bare_objective(light_evidence(series), kinematics=witnesses)
         rows = 3 * len(objective.evidence[0].at)
         # One block, which drowns what yaw says.

@@ -16,8 +16,8 @@ import numpy as np
 from split_cli.diagnosis.baseline._functions_numba import weighted_functions
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
 from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_ratios
-from split_cli.diagnosis.cache import Recent
-from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, values_of
+from split_cli.diagnosis.cache import RecentResults
+from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, key_of_terms
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.effects.recording import KnownResults, first_order_response
 from split_cli.vehicle.parameters import Vehicle
@@ -52,8 +52,8 @@ class SharedDiscrepancy:
     # taken beside them, and smooth functions are those of the slips and the torque that arrive.
     shared_terms: tuple[Term, ...] = ()
     # Made anew for a copy with another vehicle.
-    _ratios_before: Recent[tuple[Ratios, Series]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    _ratios_cache: RecentResults[tuple[Ratios, Series]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
 
     @property
@@ -132,7 +132,7 @@ class SharedDiscrepancy:
             # The series is kept beside it, so that no other can come to have its id.
             return tire_ratios(some, there, altering), series
 
-        return self._ratios_before((id(series), there.cg_to_front_axle, values_of(altering)), made)[0]
+        return self._ratios_cache((id(series), there.cg_to_front_axle, key_of_terms(altering)), made)[0]
 
     def _weighted(self, series: Series, weights: np.ndarray) -> np.ndarray:
         """Return the sum of the smooth functions times weights by force, shape (3, N), without making each."""

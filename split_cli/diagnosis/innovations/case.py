@@ -17,7 +17,7 @@ from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series
-from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_parts
+from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_weights_by_kind
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
@@ -106,7 +106,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     rewhitened = [rewhitened_with_noise(one, noise, disturbance, discrepancy) for one in simulated]
     posterior = learn_discrepancy(rewhitened, policy.comparison.variance_inflation, rules) if rewhitened else None
     theirs = [one for series in by_role["sim"] for one in build_witnesses(series, rules=rules)]
-    usual_by_kind = usual_parts(theirs)
+    usual_by_kind = usual_weights_by_kind(theirs)
     kinematics = [one for series in by_role["real"] for one in build_witnesses(series, usual_by_kind, rules)]
     if by_role["sim"]:
         # Where the simulation's recordings lack an instrument, nobody knows what is usual.

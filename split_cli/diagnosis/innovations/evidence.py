@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
-from split_cli.diagnosis.cache import Recent
+from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener, cost_by_disturbance
 from split_cli.diagnosis.policy import STANDARD, Believing
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, predicted_by_model
@@ -39,8 +39,8 @@ class Evidence:
     # What the simulation has, too, beyond the vehicle file: a part of the model, see `shared_terms_of`.
     shared_terms: tuple[Term, ...] = ()
     # Made anew for a copy with other arrays.
-    _moved_before: Recent[tuple[np.ndarray, ...]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    _moved_cache: RecentResults[tuple[np.ndarray, ...]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
 
     def rows(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
@@ -72,7 +72,7 @@ class Evidence:
 
     def _moved(self, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         # Velocities are kept with their motion, so that no others can come to have their ids.
-        made = self._moved_before(
+        made = self._moved_cache(
             (id(measured), id(predicted)),
             lambda: (motion(self.series, self.jacobian, measured, predicted), measured, predicted),
         )

@@ -16,13 +16,13 @@ from scipy.linalg import solve_triangular
 from split_cli.diagnosis.baseline.body import alters_body, moved_axles, moves_axles, with_cg_ahead
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
 from split_cli.diagnosis.baseline.tires import alters_tires
-from split_cli.diagnosis.cache import Recent
+from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.innovations.autocovariance import LAG_ROWS, autocovariances, bartlett_sum
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated, weighted_rows
 from split_cli.diagnosis.innovations.projection import damped
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
-from split_cli.diagnosis.recording.series import Series, values_of
+from split_cli.diagnosis.recording.series import Series, key_of_terms
 from split_cli.diagnosis.recording.witnesses import is_integral
 from split_cli.vehicle.effects import Term
 
@@ -173,7 +173,7 @@ class MarginalLikelihood:
 
     def _kinematic_rows(self, one: KinematicResiduals, terms: Sequence[Term]) -> np.ndarray:
         """Return the rows of a witness, shape (W,); only terms that it feels can change them."""
-        felt = [term for term in terms if one.feels(term)]
+        felt = [term for term in terms if one.is_changed_by(term)]
         return self._remembered(("kinematics", id(one)), felt, lambda: one.rows(felt))
 
     def _remembered(
@@ -182,8 +182,8 @@ class MarginalLikelihood:
         """Return what is made of terms, as it was made before for the same values of them."""
         known = self.memo.get(what)
         if known is None:
-            known = self.memo.setdefault(what, Recent(sys.maxsize if for_good else _REMEMBERED))
-        return known(values_of(terms), made)
+            known = self.memo.setdefault(what, RecentResults(sys.maxsize if for_good else _REMEMBERED))
+        return known(key_of_terms(terms), made)
 
     def witness_rows(self, terms: Sequence[Term]) -> np.ndarray:
         """Return what a recording knows twice, terms corrected, shape (W,): the last rows of every stack."""
@@ -201,7 +201,7 @@ class MarginalLikelihood:
         moved = [self._kinematic_rows(one, terms) - self._kinematic_rows(one, without) for one in self.kinematics]
         return max((float(np.sqrt(np.mean(rows**2))) for rows in moved if len(rows)), default=0.0)
 
-    def turns(self, terms: Sequence[Term]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def yaw_rows(self, terms: Sequence[Term]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return what yaw witnesses of each recording, means kept, terms corrected, (W,), and its blocks.
 
         A yaw that was integrated from the yaw rate is none.
@@ -210,7 +210,7 @@ class MarginalLikelihood:
         for one in self.kinematics:
             own = slice(first, first + len(one.begin))
             first = own.stop
-            if one.kind == "turn" and len(one.begin) and not self._is_integral(one.series):
+            if one.kind == "yaw" and len(one.begin) and not self._is_integral(one.series):
                 out.append((self._kinematic_rows(one, terms), self.block[own]))
         return out
 
@@ -302,10 +302,10 @@ class MarginalLikelihood:
 
         Their rows are filtered some at a time, and not at all where witnesses alone feel what differs.
         """
-        known = values_of(self._moving(beside))
+        known = key_of_terms(self._moving(beside))
         for begin in range(0, len(several), _FILTERED_AT_ONCE):
             some = several[begin : begin + _FILTERED_AT_ONCE]
-            moved = [terms for terms in some if values_of(self._moving(terms)) != known]
+            moved = [terms for terms in some if key_of_terms(self._moving(terms)) != known]
             carried = [[self.carried(one, terms) for terms in moved] for one in self.evidence]
             rows = [one.rows_of_each(moved, rates) for one, rates in zip(self.evidence, carried, strict=True)]
             columns = iter(range(len(moved)))

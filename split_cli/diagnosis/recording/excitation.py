@@ -12,7 +12,7 @@ _STEP_SECONDS = 0.5  # over which a change of speed is taken
 _OUTER_SHARE = 0.02  # of samples at each end that a range leaves out
 
 
-def lateral_acceleration(drive: Drive) -> float:
+def largest_lateral_acceleration(drive: Drive) -> float:
     """Return the lateral acceleration |v_x r| that one sample in a hundred exceeds [m/s^2]."""
     return float(np.quantile(np.abs(drive["vx"] * drive["r"]), 1.0 - 0.5 * _OUTER_SHARE))
 
@@ -43,10 +43,10 @@ def idle(real: Sequence[Drive], vehicle: Vehicle, rules: Screening = STANDARD.sc
     for drive in real:
         steady = _range(drive["vx"]) < rules.still_share * np.mean(drive["vx"])
         along = not (derived or (steady and torque_is_constant(drive["T"], vehicle, rules)))
-        if along or lateral_acceleration(drive) > rules.least_acceleration:
+        if along or largest_lateral_acceleration(drive) > rules.least_acceleration:
             return []
     if derived:
-        most = max(map(lateral_acceleration, real))
+        most = max(map(largest_lateral_acceleration, real))
         return [
             f"The real drive hardly turns ({most:.2g} m/s^2 across the car; {rules.least_acceleration:g} are "
             "needed), and its torque is derived from how it moved, so that nothing along the car shows either. A "

@@ -23,7 +23,7 @@ from split_cli.diagnosis.innovations.objective import (
 from split_cli.diagnosis.parallel import map_distributed, map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
-from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_parts
+from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_weights_by_kind
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import FlexiblePiece, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
@@ -234,7 +234,7 @@ class _Sides:
         for k, one in self.positions:
             mask = teaching[k]
             pairs.append((one, mask[np.searchsorted(self.rewhitened[k].at, one.begin).clip(max=len(mask) - 1)]))
-        usual_by_kind = usual_parts(one.select(side) for one, side in pairs)
+        usual_by_kind = usual_weights_by_kind(one.select(side) for one, side in pairs)
         judged = [replace(one.select(~side), usual=usual_by_kind[one.kind]) for one, side in pairs]
         return judged, np.concatenate([~side for _, side in pairs]) if pairs else np.zeros(0, dtype=bool)
 

@@ -6,11 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.cache import Recent, release_memory
+from split_cli.diagnosis.cache import RecentResults, release_memory
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import map_distributed_with, map_in_threads
 from split_cli.diagnosis.policy import SelectionRules
-from split_cli.diagnosis.recording.series import values_of
+from split_cli.diagnosis.recording.series import key_of_terms
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
     Fit,
@@ -41,9 +41,11 @@ class Explorer:
     held: int = 2**27
     # Explanations, the costs that were asked for, and fits beside each.
     _explored: list[tuple[Fit, float, list[Fit]]] = field(default_factory=list, init=False, repr=False, compare=False)
-    _beside: Recent[list[Tangent]] = field(default_factory=lambda: Recent(1), init=False, repr=False, compare=False)
-    _reduced: Recent[tuple[Fit, tuple[Fit, ...]]] = field(
-        default_factory=lambda: Recent(1), init=False, repr=False, compare=False
+    _beside: RecentResults[list[Tangent]] = field(
+        default_factory=lambda: RecentResults(1), init=False, repr=False, compare=False
+    )
+    _reduced: RecentResults[tuple[Fit, tuple[Fit, ...]]] = field(
+        default_factory=lambda: RecentResults(1), init=False, repr=False, compare=False
     )
 
     @property
@@ -151,7 +153,7 @@ class Explorer:
             taken = {part.candidate.term for part in current.parts}
             return map_in_threads(line, [one for one in self._tangents if one.part.candidate.term not in taken])
 
-        return self._beside(values_of(beside), made)
+        return self._beside(key_of_terms(beside), made)
 
     def tangents(self) -> list[Tangent]:
         """Return every start of every term without a place, linearised."""

@@ -7,7 +7,7 @@ import numpy as np
 from split_cli.diagnosis.baseline.discrepancy import features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.excitation import lateral_acceleration, torque_is_constant
+from split_cli.diagnosis.recording.excitation import largest_lateral_acceleration, torque_is_constant
 from split_cli.diagnosis.recording.measured import measures, velocity_is_from_position
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.witnesses import late_against_position
@@ -47,7 +47,7 @@ def what_was_not_excited(
         out.append("drive gain, lag and delay: the torque hardly changes; drive torque steps")
     elif np.quantile(torque, 0.02) > -0.02 * vehicle.max_brake_torque:
         out.append("brake gain: there is no braking; brake hard once")
-    if max(map(lateral_acceleration, drives)) < policy.screening.least_acceleration:
+    if max(map(largest_lateral_acceleration, drives)) < policy.screening.least_acceleration:
         out.append("lateral effects: there are no turns; drive a slalom")
     elif not _leaves_linear_range([one.series for one in real], vehicle, policy):
         out.append("peak grip: no turn comes near the limit; turn harder")
@@ -85,7 +85,7 @@ def _leaves_linear_range(real: Sequence[Series], vehicle: Vehicle, policy: Polic
     bent = (tire.C * np.arctan(tire.B * alpha) for tire, alpha in zip(axles, most, strict=True))
     used = [np.sin(min(one, 0.5 * np.pi)) for one in bent]
     grip = sum(tire.D for tire in axles) / vehicle.mass
-    return max(*used, max(lateral_acceleration(one.drive) for one in real) / grip) > linear
+    return max(*used, max(largest_lateral_acceleration(one.drive) for one in real) / grip) > linear
 
 
 def identifiable(

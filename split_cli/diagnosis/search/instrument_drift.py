@@ -41,7 +41,7 @@ def drift_between_stretches(
     seconds = policy.comparison.least_rows * ROW_SECONDS
     left, patterns, stretches, spent = [], [], [], 0
     for number, one in enumerate(witnesses):
-        causes = np.hstack([one.causes, one.slow_causes])
+        causes = np.hstack([one.error_patterns, one.drift_patterns])
         difference = one.difference(())
         left.append(difference - causes @ np.linalg.lstsq(causes, difference, rcond=1e-9)[0])
         patterns.append(pattern(one))
@@ -134,7 +134,7 @@ def _is_acceleration(one: KinematicResiduals | Witness) -> bool:
 
 def _clearest(fault: Term, witnesses: Sequence[KinematicResiduals | Witness]) -> str:
     """Return the kind of the witness that a fault moves most [rms], in its spreads; empty if it moves none."""
-    felt = [one for one in witnesses if one.feels(fault) and len(one.begin)]
+    felt = [one for one in witnesses if one.is_changed_by(fault) and len(one.begin)]
     lengths = {one.kind: float(np.sqrt(np.mean(_moved(one, fault) ** 2))) / one.scale for one in felt}
     clearest = max(lengths, key=lengths.__getitem__, default="")
     return clearest if clearest and lengths[clearest] else ""

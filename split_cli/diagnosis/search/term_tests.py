@@ -158,7 +158,7 @@ def is_denied(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
     term, rules = fit.terms[k], objective.policy.selection
     if not term.corrects or term.moves_samples:
         return False
-    without, with_it = (objective.turns(terms) for terms in (fit.terms[:k] + fit.terms[k + 1 :], fit.terms))
+    without, with_it = (objective.yaw_rows(terms) for terms in (fit.terms[:k] + fit.terms[k + 1 :], fit.terms))
     agree = objective.policy.self_test.term_margin
     for (before, block), (after, _) in zip(without, with_it, strict=True):
         moved = before - after

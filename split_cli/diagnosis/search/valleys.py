@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.recording.series import values_of
+from split_cli.diagnosis.recording.series import key_of_terms
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of
 from split_cli.diagnosis.search.term_tests import error_of_sum
 
@@ -91,7 +91,7 @@ def _profile(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> tupl
     block to block, and would drown what two instruments say. What was asked for a choice is known for an interval.
     """
     known = objective.memo.setdefault("profiles of delays", {})
-    key = (objective.fixed_baseline, k, name, values_of(fit.terms))
+    key = (objective.fixed_baseline, k, name, key_of_terms(fit.terms))
     if key not in known:
         known[key] = _profile_anew(objective, fit, k, name)
     return known[key]
