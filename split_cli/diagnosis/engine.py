@@ -25,13 +25,18 @@ from split_cli.diagnosis.remainder.spectrum import Line, strongest_line
 from split_cli.diagnosis.search.baselines import SearchOutcome, ends_beyond, search, with_witnessed_names
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.identifiable import identifiable, what_was_not_excited
-from split_cli.diagnosis.search.instrument_drift import beyond_drift
+from split_cli.diagnosis.search.instrument_drift import with_drift_tolerances
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.statement.result import Diagnosis, InputFile
 from split_cli.diagnosis.statement.sentences import acting_in_a_part, summarise
 from split_cli.diagnosis.verdict.detectable import detection_limits
-from split_cli.diagnosis.verdict.everyday import everyday_leads, named_or_everyday
 from split_cli.diagnosis.verdict.findings import Description, confirmed_by_witnesses, describe, is_autocorrelated
+from split_cli.diagnosis.verdict.held_out_judgement import (
+    HeldOutJudgement,
+    fit_without_held_out,
+    judge_names,
+    with_nameless_parts,
+)
 from split_cli.diagnosis.verdict.leads import find_leads
 from split_cli.diagnosis.verdict.planted import planted_saving
 from split_cli.diagnosis.verdict.power import (
@@ -42,8 +47,8 @@ from split_cli.diagnosis.verdict.power import (
     no_match_in_words,
     unseen_in_words,
 )
+from split_cli.diagnosis.verdict.tolerance import named_or_tolerated, tolerance_leads
 from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
-from split_cli.diagnosis.verdict.worth import Worth, fit_without_held_out, judge_names, with_nameless_parts
 from split_cli.logs.drive import Drive
 from split_cli.logs.track_position import places_of
 from split_cli.vehicle.parameters import Vehicle
@@ -149,7 +154,7 @@ def diagnose(
         policy,
         [one.series for one in case.simulated],
     )
-    candidates = beyond_drift(case, candidates, policy)
+    candidates = with_drift_tolerances(case, candidates, policy)
     outcome = search(case, candidates, reach=reach, policy=policy, progress=progress)
     if outcome.self_test.ratio > policy.selection.much_over_noise:
         not_judged += (_MUCH_FORM_ERROR,)
@@ -269,7 +274,7 @@ def _match(
         found.p_value,
         share,
         (*not_judged, *reasons),
-        leads=everyday_leads(objective, found.outcome.selection, found.outcome.variance_inflation, taken_off=False),
+        leads=tolerance_leads(objective, found.outcome.selection, found.outcome.variance_inflation, taken_off=False),
         history=found.outcome.selection.history,
         sentences=summarise("match", reasons=reasons),
         gaps=_gaps(case),
@@ -355,24 +360,24 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
     described = found.description or describe(found.outcome, found.scales)
     selection, findings, remainder = described.selection, described.findings, described.remainder
     structured, unexplained = described.unexplained, described.unexplained or found.line is not None
-    worth, leads = Worth(findings, remainder, None, None), ()
+    judged, leads = HeldOutJudgement(findings, remainder, None, None), ()
     if improved:
         objective = found.outcome.structure.objective
         fit = fit_without_held_out(case, objective, selection.chosen, policy)
-        worth = judge_names(fit, named_or_everyday(selection), findings, remainder)
+        judged = judge_names(fit, named_or_tolerated(selection), findings, remainder)
         gone, reason = (), ""
         # What the simulation shows against itself is called unexplained of no drive: where that is much, much hides.
         if structured or found.outcome.self_test.ratio > policy.selection.much_over_noise:
             confirmed = confirmed_by_witnesses(objective, selection)
-            gone, reason = withdrawn(worth.findings, worth.improvement, worth.corrected, confirmed)
+            gone, reason = withdrawn(judged.findings, judged.improvement, judged.corrected, confirmed)
         if gone:
             structured = unexplained = True
             leads = as_leads(gone, reason, case.vehicle)
             selection, *reported = without_names(selection, findings, remainder, gone)
-            worth = judge_names(fit, named_or_everyday(selection), *reported)
-        worth = with_nameless_parts(fit, named_or_everyday(selection), worth)
-    findings, remainder = worth.findings, worth.remainder
-    improvement, corrected = worth.improvement, worth.corrected
+            judged = judge_names(fit, named_or_tolerated(selection), *reported)
+        judged = with_nameless_parts(fit, named_or_tolerated(selection), judged)
+    findings, remainder = judged.findings, judged.remainder
+    improvement, corrected = judged.improvement, judged.corrected
     forces, after = (
         [gap_forces(one, terms, case.discrepancy_rates(one, terms)) for one in case.real]
         for terms in ((), selection.terms)
@@ -397,7 +402,7 @@ def _mismatch(case: DiagnosisCase, found: _Comparison, policy: Policy, improved:
         leads=(
             *leads,
             *find_leads(*searched, apart=apart),
-            *everyday_leads(*searched, taken_off=improvement is not None),
+            *tolerance_leads(*searched, taken_off=improvement is not None),
         ),
         history=selection.history,
         sentences=summarise(

@@ -198,14 +198,14 @@ def test_a_lateral_velocity_integrated_from_a_y_tells_no_sensor_of_it_and_no_ban
     assert "a_y" not in {witness.kind for witness in build_witnesses(one)}
 
 
-def test_what_any_road_does_to_an_accelerometer_is_everyday():
+def test_what_any_road_does_to_an_accelerometer_is_within_tolerance():
     every = build_candidates(road_car(), prepared(recording(39)))
     both, ahead = (one for one in every if one.label in ("acceleration_bias", "acceleration_bias (ax)"))
     # A crossfall of 2.5 % is 0.245 m/s^2.
-    assert both.is_everyday({"ax": 0.1, "ay": -0.24}) and not both.is_everyday({"ax": 0.1, "ay": -0.3})
-    assert ahead.is_everyday({"ax": 0.2}) and not ahead.is_everyday({"ax": -0.26})
+    assert both.is_within_tolerance({"ax": 0.1, "ay": -0.24}) and not both.is_within_tolerance({"ax": 0.1, "ay": -0.3})
+    assert ahead.is_within_tolerance({"ax": 0.2}) and not ahead.is_within_tolerance({"ax": -0.26})
     (heavy,) = (one for one in every if one.label == "mass")
-    assert not heavy.is_everyday({"scale": 1.0001})
+    assert not heavy.is_within_tolerance({"scale": 1.0001})
 
 
 def test_velocities_of_position_are_late_only_where_they_were_shifted_since():
@@ -235,9 +235,9 @@ def test_half_a_degree_of_a_sensor_is_no_fault_where_no_position_tells_it_from_t
         every = build_candidates(road_car(), one)
         return next(c for c in identifiable(every, [one], road_car()) if c.term == "sensor_misalignment")
 
-    assert not turned(series).is_everyday({"angle": 0.001})
+    assert not turned(series).is_within_tolerance({"angle": 0.001})
     blind = turned(replace(series, drive=without))
-    assert blind.is_everyday({"angle": -0.008}) and not blind.is_everyday({"angle": 0.0095})
+    assert blind.is_within_tolerance({"angle": -0.008}) and not blind.is_within_tolerance({"angle": 0.0095})
 
 
 @pytest.fixture(scope="module")
@@ -397,7 +397,7 @@ def test_what_is_not_late_is_not_told_to_be(k):
 
 def test_a_term_is_one_where_it_saves_twice_what_halves_of_the_simulation_differ_by(late_yaw_rate):
     (one,) = (c for c in candidates_of(late_yaw_rate, "channel_delay") if c.variant == "r")
-    known = replace(late_yaw_rate, own_savings={"channel_delay (r)": 100.0})
+    known = replace(late_yaw_rate, self_test_savings={"channel_delay (r)": 100.0})
     # Sizes go with the root of what they save: 1.96 times the size is 3.84 times the saving.
     assert exceeds_simulation_scatter(known, one, 385.0) and not exceeds_simulation_scatter(known, one, 384.0)
     assert exceeds_simulation_scatter(late_yaw_rate, one, 1.0)

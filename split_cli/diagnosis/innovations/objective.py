@@ -119,7 +119,7 @@ class MarginalLikelihood:
     unnamed_floor: float = 0.0
     term_floors: Mapping[str, float] = field(default_factory=dict)  # the same for terms
     # What each term saves between halves of the simulation, at as many rows.
-    own_savings: Mapping[str, float] = field(default_factory=dict)
+    self_test_savings: Mapping[str, float] = field(default_factory=dict)
     witness_floors: Mapping[str, float] = field(default_factory=dict)  # the same of the witnesses' cost alone
     part_floors: Mapping[str, float] = field(default_factory=dict)  # the same in the best part of the drive
     form_error_inflation: float = 1.0  # by how much what no dictionary holds widens what a term saves by chance

@@ -26,13 +26,13 @@ from split_cli.diagnosis.policy import STANDARD, Policy, SelectionRules
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
-from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.off_centre import with_offset_of_straights
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms, with_chosen
+from split_cli.diagnosis.search.self_test import SelfTest, self_test
 from split_cli.diagnosis.search.term_tests import is_witnessed, term_p, witnessed_p
 from split_cli.diagnosis.search.variant_choice import with_variants_by_rollout
 from split_cli.diagnosis.statement.separation import exact_mimics
@@ -100,15 +100,17 @@ def _search_by_baselines(
         asked = first.structure.objective, first.selection, candidates, first.variance_inflation
         return replace(first, selection=with_offset_of_straights(*asked))
     progress("naming with a fixed baseline")
-    again = search_again(candidates, objective, known_fixed())
-    again = named_as_first(first, again, candidates)
-    found = settled(first, again, objective.policy.selection)
+    again = search_with_fixed_baseline(candidates, objective, known_fixed())
+    again = with_names_of_first(first, again, candidates)
+    found = reconciled(first, again, objective.policy.selection)
     asked = found if any(found.selection.named) else again
     late = with_late_channel(asked.structure.objective, asked.selection, candidates, asked.variance_inflation)
     return found if late is None else replace(asked, selection=late, objectives=found.objectives)
 
 
-def search_again(candidates: Sequence[Candidate], objective: MarginalLikelihood, known: SelfTest) -> SearchOutcome:
+def search_with_fixed_baseline(
+    candidates: Sequence[Candidate], objective: MarginalLikelihood, known: SelfTest
+) -> SearchOutcome:
     """Search with a fixed baseline on the rows and with the policy of a marginalised objective."""
     policy = objective.policy
     # The shared discrepancy follows at every step, and costs have more than one valley.
@@ -118,7 +120,7 @@ def search_again(candidates: Sequence[Candidate], objective: MarginalLikelihood,
     return _search(replace(objective.with_fixed_baseline(), policy=alone), wide, known)
 
 
-def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -> SearchOutcome:
+def reconciled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -> SearchOutcome:
     """Return what is believed of a search with a marginalised baseline and one with a fixed baseline.
 
     What the second brings back to where the simulation has been is believed; with the values of the first where
@@ -152,7 +154,7 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
 
 
-def named_as_first(first: SearchOutcome, again: SearchOutcome, candidates: Sequence[Candidate]) -> SearchOutcome:
+def with_names_of_first(first: SearchOutcome, again: SearchOutcome, candidates: Sequence[Candidate]) -> SearchOutcome:
     """Return the search with a fixed baseline, with what the first names in the place of what explains no better.
 
     A car whose wheels turn heavily accelerates like one whose torque is weak. Either search may name either.

@@ -68,23 +68,23 @@ class Candidate:
 
         return any(ends(name, limit) for name, limit in self.ranges.items() if neutral.get(name) is not None)
 
-    def is_everyday(self, values: Mapping[str, float]) -> bool:
+    def is_within_tolerance(self, values: Mapping[str, float]) -> bool:
         """Return whether no value lies beyond what any sound recording may have; most ranges allow for nothing."""
-        return all(away < self.ranges[name].everyday for name, away in self.away(values).items())
+        return all(away < self.ranges[name].tolerance for name, away in self.away(values).items())
 
     def away(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return how far values are from no effect; those that no effect leaves open are left out."""
         neutral = CATALOGUE[self.term].neutral
         return {name: abs(values[name] - neutral[name]) for name in self.ranges if neutral.get(name) is not None}
 
-    def without_witness(self) -> Candidate:
+    def without_position(self) -> Candidate:
         """Return the candidate where no position tells a sensor from the car: what sound ones do is no fault."""
-        return self.beyond({name: limit.unwitnessed for name, limit in self.ranges.items()})
+        return self.with_tolerances({name: limit.tolerance_without_position for name, limit in self.ranges.items()})
 
-    def beyond(self, everyday: Mapping[str, float]) -> Candidate:
+    def with_tolerances(self, tolerances: Mapping[str, float]) -> Candidate:
         """Return the candidate where sound recordings may have sizes up to these by name, or more, see `Range`."""
         ranges = {
-            name: replace(limit, everyday=max(limit.everyday, everyday.get(name, 0.0)))
+            name: replace(limit, tolerance=max(limit.tolerance, tolerances.get(name, 0.0)))
             for name, limit in self.ranges.items()
         }
         return replace(self, ranges=ranges)

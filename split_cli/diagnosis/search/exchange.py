@@ -17,7 +17,7 @@ from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.vehicle.effects import CATALOGUE
 
 
-def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+def fewer_by_another_variant(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
     """Return the best explanation with one named part less and another in another variant, where that is as good.
 
     A variant with another term may be a second variant alone: the whole curve of a tyre scaled and made stiffer is
@@ -139,7 +139,9 @@ def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> F
     return best
 
 
-def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], rivals: Sequence[Fit] = ()) -> Fit | None:
+def pair_as_one(
+    explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], rivals: Sequence[Fit] = ()
+) -> Fit | None:
     """Return the best explanation with two parts replaced by the one term that is both, where that is no dearer.
 
     Steering and torque that are late by the same are sensors that are late. Where they are late by unlike, what
@@ -172,7 +174,7 @@ def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], riv
     return best
 
 
-def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+def all_as_one(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
     """Return one term in the place of several names, where it leaves no more beside model-form error; else None.
 
     Two terms may imitate one, and fit better by what a single track gets wrong of the one: a tyre that is softer
@@ -188,7 +190,7 @@ def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
         own = fit.parts[-1]
         if base.cost - fit.cost < enough or own.candidate.term in taken or fit.complexity >= chosen.complexity:
             continue
-        if own.candidate.at_limit(own.values) or own.is_everyday:
+        if own.candidate.at_limit(own.values) or own.is_within_tolerance:
             continue
         here, there = costs_beside_form_error(explore.objective, [chosen, fit])
         if there <= here and there - here < least:
@@ -239,7 +241,7 @@ def inverted_stretch(explore: Explorer, chosen: Fit) -> Fit | None:
     return best
 
 
-def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+def one_as_pair(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
     """Return the best explanation with one named part replaced by two that together look like it, if that saves.
 
     Late sensors look like late steering and late torque together. Two names fit better than one by its model-form

@@ -40,9 +40,9 @@ class Part:
         return self.candidate.build(self.values)
 
     @property
-    def is_everyday(self) -> bool:
+    def is_within_tolerance(self) -> bool:
         """Whether any sound recording may have these values: a bias of sensors that no witness tells from the car."""
-        return self.candidate.is_everyday(self.values)
+        return self.candidate.is_within_tolerance(self.values)
 
 
 @dataclass(frozen=True)

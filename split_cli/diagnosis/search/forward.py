@@ -118,7 +118,7 @@ def search_forward(
         witnessed = witnessed_p(objective, best, len(best.parts) - 1, chosen, rules)
         p_value = min(p_value, witnessed) * len(explore.candidates)
         last = best.parts[-1]
-        small = p_value >= rules.level or last.is_everyday
+        small = p_value >= rules.level or last.is_within_tolerance
         small |= witnessed > p_value and not exceeds_simulation_scatter(
             objective, last.candidate, chosen.cost - best.cost
         )
@@ -129,7 +129,7 @@ def search_forward(
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
             nuisances += 1
             # What any sound recording has is no guess, and takes no guess's place.
-            guesses = nuisances - sum(part.is_everyday for part in best.parts)
+            guesses = nuisances - sum(part.is_within_tolerance for part in best.parts)
             if guesses > rules.most_nuisances:
                 break
             chosen = best
@@ -235,7 +235,7 @@ def _is_sure(explore: Explorer, fit: Fit, k: int) -> bool:
     objective, own = explore.objective, fit.parts[k]
     rest = fits_without(objective, fit, [k])[0]
     saved = rest.cost - fit.cost
-    if own.is_everyday or not exceeds_simulation_scatter(objective, own.candidate, saved):
+    if own.is_within_tolerance or not exceeds_simulation_scatter(objective, own.candidate, saved):
         return False
     if term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates) >= explore.rules.level:
         return False

@@ -134,4 +134,4 @@ def identifiable(
     if not _leaves_linear_range(real, vehicle, policy):
         lacking.add("hard turns")
     allowed = [one for one in candidates if not lacking & one.needs]
-    return [one.without_witness() for one in allowed] if "measured position" in lacking else allowed
+    return [one.without_position() for one in allowed] if "measured position" in lacking else allowed

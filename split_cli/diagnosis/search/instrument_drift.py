@@ -79,7 +79,9 @@ def _between(values: np.ndarray, pattern: np.ndarray, stretches: np.ndarray, spe
     return float(np.sqrt((total - noise * between) / weight.sum()))
 
 
-def beyond_drift(case: DiagnosisCase, candidates: Sequence[Candidate], policy: Policy = STANDARD) -> list[Candidate]:
+def with_drift_tolerances(
+    case: DiagnosisCase, candidates: Sequence[Candidate], policy: Policy = STANDARD
+) -> list[Candidate]:
     """Return candidates of which no size is a fault that instruments drift by, in reality or in the simulation.
 
     A size is a fault where it exceeds how far sizes of single stretches lie apart, by the witness that shows it most,
@@ -91,12 +93,12 @@ def beyond_drift(case: DiagnosisCase, candidates: Sequence[Candidate], policy: P
         kind = CATALOGUE[one.term]
         if kind.exported or kind.on_command_clock or not one.starts:
             return one
-        return one.beyond(_everyday(one, case.kinematics, case.simulated_kinematics, policy))
+        return one.with_tolerances(_tolerances(one, case.kinematics, case.simulated_kinematics, policy))
 
     return [beyond(one) for one in candidates]
 
 
-def _everyday(
+def _tolerances(
     candidate: Candidate,
     ours: Sequence[KinematicResiduals | Witness],
     theirs: Sequence[KinematicResiduals | Witness],

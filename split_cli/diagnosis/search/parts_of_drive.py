@@ -122,7 +122,7 @@ def most_saved(objective: MarginalLikelihood, columns: np.ndarray, residuals: np
     return float(parts_of_drive(objective, columns, residuals).saved.max(initial=0.0))
 
 
-def strongest_beside_everyday(
+def strongest_beside_tolerated(
     objective: MarginalLikelihood,
     lines: Callable[[], Sequence[Tangent]],
     variance_inflation: float,
@@ -133,8 +133,8 @@ def strongest_beside_everyday(
 
     A gyroscope that nobody set to zero acts all along a drive, and no more in a part of it than elsewhere.
     """
-    everyday = [part for part in chosen.parts if part.is_everyday]
-    fit = fit_parts(objective, everyday, known=chosen) if everyday else base
+    tolerated = [part for part in chosen.parts if part.is_within_tolerance]
+    fit = fit_parts(objective, tolerated, known=chosen) if tolerated else base
     return strongest_part(objective, lines(), fit.residuals, variance_inflation)
 
 
@@ -222,7 +222,7 @@ def _readings(
             steps = float(score.sum() / known.sum())
             saved = steps * float(score.sum())
             values = _at(one, line.part.values, names[k], steps)
-            if one.is_everyday(values) or one.at_limit(values):
+            if one.is_within_tolerance(values) or one.at_limit(values):
                 continue
             scores = float(np.linalg.norm(score - steps * known)) / known.sum()
             error = max(scores, float(np.sqrt(widened / known.sum()))) * one.ranges[names[k]].step
@@ -255,7 +255,7 @@ def _stretch(
     """Return a term in a part of the drive, with its p value; nothing where any sound recording has as much."""
     one, name = line.part.candidate, list(line.part.values)[k]
     values = _at(one, line.part.values, name, float(parts.size[w, column]))
-    if one.is_everyday(values):
+    if one.is_within_tolerance(values):
         return None
     term, inside = one.build(values), _rows_of(objective, int(parts.first[w]), int(parts.last[w]))
     sizes = [

@@ -8,16 +8,17 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.delay_minima import in_lowest_minima
 from split_cli.diagnosis.search.every_car import explanation_of_every_car, is_shown, physics_of_every_car
 from split_cli.diagnosis.search.exchange import (
-    alone,
+    all_as_one,
+    fewer_by_another_variant,
     in_places_of_two,
     inverted_stretch,
     is_better_beside_form_error,
-    joined,
-    merged,
     move_in_words,
-    split,
+    one_as_pair,
+    pair_as_one,
     with_fewer_parts,
 )
 from split_cli.diagnosis.search.exploration import Explorer
@@ -33,7 +34,7 @@ from split_cli.diagnosis.search.forward import (
     sizes_with_form_error,
 )
 from split_cli.diagnosis.search.joint import all_at_once, at_its_least, cheapest_first, promised_by_all
-from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_beside_everyday
+from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_beside_tolerated
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     exceeds_simulation_scatter,
@@ -46,7 +47,6 @@ from split_cli.diagnosis.search.term_tests import (
     term_size,
     witnessed_p,
 )
-from split_cli.diagnosis.search.valleys import in_lowest_valleys
 from split_cli.vehicle.effects import Term
 
 
@@ -129,7 +129,7 @@ def select_terms(
     def score(found: Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
-    partly = partial(strongest_beside_everyday, objective, explore.tangents, variance_inflation, base)
+    partly = partial(strongest_beside_tolerated, objective, explore.tangents, variance_inflation, base)
     physics = cache(lambda: physics_of_every_car(explore, base))
 
     def as_every_car(found: Fit) -> Selection | None:
@@ -169,13 +169,13 @@ def select_terms(
         if turned is selection.chosen:
             break
         selection = _examined(explore, base, turned)
-    deeper = in_lowest_valleys(objective, selection.chosen, rules.tie * variance_inflation)
+    deeper = in_lowest_minima(objective, selection.chosen, rules.tie * variance_inflation)
     if deeper is not selection.chosen:
         history.append(f"another valley of a delay saves {selection.chosen.cost - deeper.cost:.0f}")
         selection = _examined(explore, base, deeper)
     selection = _settled_nuisances(explore, selection, history)
     # Last: whatever were added to it again, or took its place, would be part of the explanation that it replaced.
-    single = alone(explore, base, selection.chosen, selection.named)
+    single = all_as_one(explore, base, selection.chosen, selection.named)
     if single is not None:
         history.append(move_in_words(selection.chosen, single))
         selection = _examined(explore, base, single)
@@ -246,7 +246,7 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
         all_known = False
     best_first = sorted((rival for several in selection.rivals for rival in several), key=lambda one: one.excess)
     moves: tuple[Callable[[Explorer, Fit, Fit, Sequence[bool]], Fit | None], ...]
-    moves = (merged, partial(joined, rivals=[rival.fit for rival in best_first]), split)
+    moves = (fewer_by_another_variant, partial(pair_as_one, rivals=[rival.fit for rival in best_first]), one_as_pair)
     for move in moves:
         other = move(explore, selection.base, selection.chosen, selection.named)
         if other is not None:
@@ -307,7 +307,7 @@ def _lends(explore: Explorer, selection: Selection, k: int) -> bool:
     """Return whether a nuisance is refused beside others, saves little and is no bias that all sensors have."""
     chosen, without, own = selection.chosen, selection.without[k], selection.chosen.parts[k]
     much = explore.rules.form_error_cost * (selection.base.cost - chosen.cost)
-    if own.is_everyday or without.cost - chosen.cost > much:
+    if own.is_within_tolerance or without.cost - chosen.cost > much:
         return False
     return is_refused_last(explore, without, chosen, k)
 
@@ -345,7 +345,7 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
             or witnessed_p(objective, chosen, k, one, rules) < level
         )
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
-        and not chosen.parts[k].is_everyday
+        and not chosen.parts[k].is_within_tolerance
         and not is_denied(objective, chosen, k)
         for k, one in enumerate(without)
     ]

@@ -177,7 +177,7 @@ def exceeds_simulation_scatter(objective: MarginalLikelihood, candidate: Candida
     What a term saves grows with the square of its size: halves that differ by a size are a draw of how far two
     recordings of one car lie apart.
     """
-    return saved > objective.policy.selection.deviations**2 * objective.own_savings.get(candidate.effect, 0.0)
+    return saved > objective.policy.selection.deviations**2 * objective.self_test_savings.get(candidate.effect, 0.0)
 
 
 def is_form_error(

@@ -174,7 +174,7 @@ def _smallest(
         beyond = [] if free else [share * saved for share in shown.beyond]
         p_value = p_of_effect(objective, candidate, times * shown.size, saved, variance_inflation, beyond)
         margins = [np.log(level) - np.log(max(p_value, 1e-300))]
-        apart = rules.selection.deviations**2 * objective.own_savings.get(candidate.effect, 0.0)
+        apart = rules.selection.deviations**2 * objective.self_test_savings.get(candidate.effect, 0.0)
         if apart > 0.0:
             margins.append(np.log(saved / apart))
         if not free and np.isfinite(shown.over):
@@ -195,16 +195,16 @@ def _smallest(
             break
         log = -far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)
         factor *= float(np.exp(log))
-        values, everyday = candidate.moved(start, factor), False
-        if candidate.is_everyday(values):
+        values, tolerated = candidate.moved(start, factor), False
+        if candidate.is_within_tolerance(values):
             # As large as this it is seen, and yet no fault.
             factor *= min(
-                candidate.ranges[name].everyday / away for name, away in candidate.away(values).items() if away
+                candidate.ranges[name].tolerance / away for name, away in candidate.away(values).items() if away
             )
-            values, everyday = candidate.moved(start, factor), True
+            values, tolerated = candidate.moved(start, factor), True
         if not candidate.allows(values):
             break
-        if everyday or abs(log) < near:
+        if tolerated or abs(log) < near:
             if planted is not None and alters_commands(term):
                 there = shown.over_and_witnessed(factor / before)
                 factor = _grown_seen(beside, candidate, start, factor, there, excess, planted)

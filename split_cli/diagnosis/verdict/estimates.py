@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search.delay_minima import other_minima
 from split_cli.diagnosis.search.fitting import Fit, Part, sensitivity_of
 from split_cli.diagnosis.search.form_error import moved_between_load_laws
 from split_cli.diagnosis.search.term_tests import systematic_error, witnesses_disagree
-from split_cli.diagnosis.search.valleys import other_valleys
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.joint_region import JointRegion, least_above, radius_95
 from split_cli.vehicle.effects.search import Range
@@ -56,7 +56,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
     two recordings of one car may differ, too; by what its witnesses say of a sensor's fault, its size.
     Where a term loads the tyres, intervals also hold what is found with the law of load that fits best between the
     variants, see `moved_between_load_laws`.
-    An interval of a delay holds every valley of the cost that explains as well, see `other_valleys`.
+    An interval of a delay holds every valley of the cost that explains as well, see `other_minima`.
     Intervals end where no real car lies beyond: a time constant is not negative, however little is known of it.
     A parameter that moves all rows by less than one standard deviation over all its range was not shown, a brake's
     gain on a drive without braking: it has its neutral value, and its range for an interval.
@@ -94,7 +94,7 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(random.unit, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
-            elif recorded and (valleys := other_valleys(objective, fit, k, name)):
+            elif recorded and (valleys := other_minima(objective, fit, k, name)):
                 # Each is as well known as the one that was found.
                 reach = np.array(limits) - value
                 limits = min(limits[0], min(valleys) + reach[0]), max(limits[1], max(valleys) + reach[1])
@@ -155,7 +155,9 @@ def _between_recordings(objective: MarginalLikelihood, fit: Fit, k: int) -> floa
     names, neutral = part.term.parameter_units(part.candidate.variant), part.term.neutral
     away = np.array([part.term.parameters[name] - neutral.get(name, part.term.parameters[name]) for name in names])
     moved = sensitivity_of(objective, fit)[:, first : first + len(away)] @ away
-    return float(np.sqrt(objective.own_savings.get(part.candidate.effect, 0.0) / max(float(moved @ moved), 1e-300)))
+    return float(
+        np.sqrt(objective.self_test_savings.get(part.candidate.effect, 0.0) / max(float(moved @ moved), 1e-300))
+    )
 
 
 def _possible(limits: tuple[float, float], value: float, physical: Range) -> tuple[float, float]:

@@ -23,8 +23,8 @@ from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking, without_doubles
 from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error
 from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
-from split_cli.diagnosis.verdict.everyday import named_or_everyday
 from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along
+from split_cli.diagnosis.verdict.tolerance import named_or_tolerated
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Range
 
@@ -103,7 +103,7 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
             sensors = {one.term for one in findings if not one.exported}
             kept &= sensors | _stays_beside(objective, selection, findings, scales)
         vague |= doubted
-    if findings and not (unexplained or all(named_or_everyday(selection))):
+    if findings and not (unexplained or all(named_or_tolerated(selection))):
         by_names = _left_by_names(structure, selection, variance_inflation)
         if by_names.p_value < objective.policy.selection.level and by_names.effect_to_noise > _large(outcome):
             unexplained, remainder = True, by_names
@@ -329,7 +329,7 @@ def _left_by_names(structure: Structure, selection: Selection, variance_inflatio
     These may stand for an effect that the search did not find: what they took up is explained by nothing. What any
     recording may have is explained.
     """
-    known = named_or_everyday(selection)
+    known = named_or_tolerated(selection)
     named = [part for part, is_known in zip(selection.chosen.parts, known, strict=True) if is_known]
     alone = replace(selection, chosen=fit_parts(structure.objective, named))
     left = residuals_beside_form_error(structure.objective, alone.chosen)

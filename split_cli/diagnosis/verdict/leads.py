@@ -74,7 +74,7 @@ def _hidden(
         for fit in fits:
             part, last, saved = fit.parts[-1], len(fit.parts) - 1, rest.cost - fit.cost
             own = part.candidate
-            if own.at_limit(part.values) or part.is_everyday or (own.term in taken and rest is chosen):
+            if own.at_limit(part.values) or part.is_within_tolerance or (own.term in taken and rest is chosen):
                 continue
             if len(out) >= objective.policy.abstention.most_leads:
                 return out

@@ -40,8 +40,10 @@ class Range:
     # Whether the term is another one at the lower bound, so that a value there is no explanation of its own.
     ends_as_another: bool = False
     # Distance from no effect up to which any sound recording may have it, so that it is no fault, in its unit.
-    everyday: float = 0.0
-    unwitnessed: float = 0.0  # the same where no position was recorded, which tells a sensor from the car
+    tolerance: float = 0.0
+    tolerance_without_position: float = (
+        0.0  # the same where no position was recorded, which tells a sensor from the car
+    )
 
     def times(self, size: float) -> Range:
         """Return the range in another unit."""

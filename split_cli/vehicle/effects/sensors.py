@@ -122,7 +122,9 @@ class SensorMisalignment(_Frame):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"angle": Range(-0.2, 0.2, 0.0005, _TURNED, unwitnessed=_CRABS)}, ({"angle": 0.003},))
+        return Search(
+            {"angle": Range(-0.2, 0.2, 0.0005, _TURNED, tolerance_without_position=_CRABS)}, ({"angle": 0.003},)
+        )
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:

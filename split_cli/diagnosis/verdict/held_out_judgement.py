@@ -1,4 +1,4 @@
-"""What names are worth on held-out time: their shares of the gap, the improvement, and the corrected vehicle."""
+"""Judgement of findings on held-out time: their shares of the gap, the improvement, and the corrected vehicle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -50,7 +50,7 @@ class HeldOutFit:
 
 
 @dataclass(frozen=True)
-class Worth:
+class HeldOutJudgement:
     """Findings and remainder with their shares of held-out time, the improvement there, and the vehicle."""
 
     findings: tuple[Finding, ...]
@@ -92,7 +92,9 @@ def fit_without_held_out(case: DiagnosisCase, objective: MarginalLikelihood, who
     return HeldOutFit(case, objective, whole, split, trained)
 
 
-def judge_names(fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest) -> Worth:
+def judge_names(
+    fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest
+) -> HeldOutJudgement:
     """Judge findings on held-out time, without the parts that are not known to act.
 
     Parameters
@@ -105,7 +107,7 @@ def judge_names(fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Findi
     if corrected is not None and not all(known):
         parts = fitted_alone(fit.objective, fit.whole, known, findings)
         corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
-    return Worth(
+    return HeldOutJudgement(
         with_shares(findings, fit.whole, fit.shares),
         replace(remainder, explained=explained_by(fit.split, fit.trained, terms)),
         fit.improvement(terms),
@@ -113,7 +115,7 @@ def judge_names(fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Findi
     )
 
 
-def with_nameless_parts(fit: HeldOutFit, known: Sequence[bool], worth: Worth) -> Worth:
+def with_nameless_parts(fit: HeldOutFit, known: Sequence[bool], judged: HeldOutJudgement) -> HeldOutJudgement:
     """Return the vehicle and the improvement of the whole fit, if a vehicle file takes that and not the names alone.
 
     Notes
@@ -122,20 +124,20 @@ def with_nameless_parts(fit: HeldOutFit, known: Sequence[bool], worth: Worth) ->
     from others, and without them the rest may predict worse than nothing does. Such a file has the held-out time judge
     it for the second time. So it must be no worse where it was fitted, either, and better in some velocity after 2 s.
     """
-    corrected = worth.corrected
+    corrected = judged.corrected
     if corrected is None or corrected.accepted or all(known):
-        return worth
+        return judged
     further = tuple(
         _as_effect(part) for part, one in zip(fit.whole.parts, known, strict=True) if not one and part.term.exported
     )
     together = judge_corrected(fit.recordings, fit.trained.terms) if further else None
     if together is None or not together.accepted:
-        return worth
+        return judged
     fitted = judge_corrected([(one, ~held) for one, held in fit.recordings], fit.trained.terms)
     if fitted is None or not fitted.accepted or not any(one.is_better for one in fitted.farthest):
-        return worth
+        return judged
     return replace(
-        worth,
+        judged,
         corrected=replace(together, further=further, alone=corrected),
         improvement=fit.improvement(fit.trained.terms),
     )

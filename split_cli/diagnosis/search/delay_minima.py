@@ -18,7 +18,7 @@ from split_cli.diagnosis.search.term_tests import error_of_sum
 _POINTS = 48  # at which a delay's range is looked at; 13 ms apart
 
 
-def in_lowest_valleys(objective: MarginalLikelihood, fit: Fit, least: float) -> Fit:
+def in_lowest_minima(objective: MarginalLikelihood, fit: Fit, least: float) -> Fit:
     """Return a fit whose delays lie in the lowest valley each, the others beside them.
 
     Parameters
@@ -39,7 +39,7 @@ def in_lowest_valleys(objective: MarginalLikelihood, fit: Fit, least: float) -> 
     return fit
 
 
-def other_valleys(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> list[float]:
+def other_minima(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> list[float]:
     """Return delays in other valleys of the cost that explain as well as the one of a fit's part.
 
     Parameters
@@ -67,8 +67,8 @@ def other_valleys(objective: MarginalLikelihood, fit: Fit, k: int, name: str) ->
     grid, more, refuted = _profile(objective, fit, k, name)
     cost = more.sum(axis=1)
     before, after = np.append(np.inf, cost[:-1]), np.append(cost[1:], np.inf)
-    is_valley = (cost < before) & (cost <= after) & (np.abs(grid - here) > grid[1] - grid[0]) & ~refuted
-    return [float(grid[i]) for i in np.flatnonzero(is_valley) if not _is_worse(objective, more[i])]
+    is_minimum = (cost < before) & (cost <= after) & (np.abs(grid - here) > grid[1] - grid[0]) & ~refuted
+    return [float(grid[i]) for i in np.flatnonzero(is_minimum) if not _is_worse(objective, more[i])]
 
 
 def _is_worse(objective: MarginalLikelihood, more: np.ndarray) -> bool:

@@ -68,7 +68,7 @@ class SelfTest:
             term_floors={
                 term: rules.term_margin * scale * max(saved, rules.kindred * most) for term, saved in self.terms.items()
             },
-            own_savings={term: scale * saved for term, saved in self.terms.items()},
+            self_test_savings={term: scale * saved for term, saved in self.terms.items()},
             witness_floors={term: rules.term_margin * scale * saved for term, saved in self.witnessed.items()},
             part_floors={term: rules.term_margin * scale * saved for term, saved in self.partly.items()},
         )

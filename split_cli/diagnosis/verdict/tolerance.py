@@ -4,16 +4,18 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.selection import Selection
 from split_cli.diagnosis.search.term_tests import term_p, term_size
 from split_cli.diagnosis.statement.result import Lead
-from split_cli.diagnosis.statement.sentences import everyday_sentence
+from split_cli.diagnosis.statement.sentences import tolerance_sentence
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 
 
-def named_or_everyday(selection: Selection) -> tuple[bool, ...]:
+def named_or_tolerated(selection: Selection) -> tuple[bool, ...]:
     """Return which parts of an explanation are known to act: those with a name, and what any recording may have."""
-    return tuple(named or part.is_everyday for part, named in zip(selection.chosen.parts, selection.named, strict=True))
+    return tuple(
+        named or part.is_within_tolerance for part, named in zip(selection.chosen.parts, selection.named, strict=True)
+    )
 
 
-def everyday_leads(
+def tolerance_leads(
     objective: MarginalLikelihood, selection: Selection, variance_inflation: float, *, taken_off: bool
 ) -> tuple[Lead, ...]:
     """Return the everyday parts of an explanation that save beyond chance and are large enough to be seen, as leads.
@@ -29,11 +31,14 @@ def everyday_leads(
     whole, out = max(selection.base.cost - fit.cost, 1e-9), []
     for k, (part, without) in enumerate(zip(fit.parts, selection.without, strict=True)):
         saved = without.cost - fit.cost
-        if not part.is_everyday or term_p(objective, fit, k, saved, variance_inflation) >= policy.selection.level:
+        if (
+            not part.is_within_tolerance
+            or term_p(objective, fit, k, saved, variance_inflation) >= policy.selection.level
+        ):
             continue
         if term_size(objective, fit, k) > policy.allowances.large:
             own, estimates = part.candidate, parameter_estimates(objective, fit)[k]
-            limits = {name: own.ranges[name].everyday for name in own.away(part.values)}
-            sentence = everyday_sentence(own.term, own.variant, estimates, limits, taken_off=taken_off)
+            limits = {name: own.ranges[name].tolerance for name in own.away(part.values)}
+            sentence = tolerance_sentence(own.term, own.variant, estimates, limits, taken_off=taken_off)
             out.append(Lead(own.term, own.variant, estimates, {}, saved / whole, (), sentence))
     return tuple(out)
