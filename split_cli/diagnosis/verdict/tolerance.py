@@ -1,4 +1,7 @@
-"""What any sound recording may have, such as a bias that no witness tells from the car: explained, and no finding."""
+"""Sensor errors within tolerance: they are part of an explanation, but no finding.
+
+An example is a small bias of the yaw rate in a recording without position, which no witness tells from the car.
+"""
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.selection import Selection
@@ -9,7 +12,7 @@ from split_cli.diagnosis.verdict.estimates import parameter_estimates
 
 
 def named_or_tolerated(selection: Selection) -> tuple[bool, ...]:
-    """Return which parts of an explanation are known to act: those with a name, and what any recording may have."""
+    """Return which parts of an explanation are known to act: the named ones, and sensor errors within tolerance."""
     return tuple(
         named or part.is_within_tolerance for part, named in zip(selection.chosen.parts, selection.named, strict=True)
     )
@@ -18,14 +21,14 @@ def named_or_tolerated(selection: Selection) -> tuple[bool, ...]:
 def tolerance_leads(
     objective: MarginalLikelihood, selection: Selection, variance_inflation: float, *, taken_off: bool
 ) -> tuple[Lead, ...]:
-    """Return the everyday parts of an explanation that save beyond chance and are large enough to be seen, as leads.
+    """Return sensor errors within tolerance that save beyond chance and are large enough to be seen, as leads.
 
     Parameters
     ----------
     variance_inflation : float
-        By which residual autocorrelation widens chi squared.
+        Factor by which residual autocorrelation widens chi squared [1].
     taken_off : bool
-        Whether figures of held-out time, with the findings, are without them.
+        Whether held-out errors with the findings are those after correction of these errors.
     """
     fit, policy = selection.chosen, objective.policy
     whole, out = max(selection.base.cost - fit.cost, 1e-9), []
