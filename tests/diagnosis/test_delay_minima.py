@@ -1,4 +1,4 @@
-"""Valleys of the cost over a delay: as many as a steering that swings at one frequency has, and one otherwise."""
+"""Minima of the cost over a delay: as many as a steering that swings at one frequency has, and one otherwise."""
 
 from collections.abc import Callable
 
@@ -54,7 +54,7 @@ def one_swings(commands: np.ndarray, step: float) -> np.ndarray:
     return commands
 
 
-def test_a_valley_that_witnesses_refute_is_none():
+def test_a_minimum_that_witnesses_refute_is_left_out():
     """The equations of motion hold where the car swings; yaw tells when the yaw rate was, all along."""
     drive = noisy(driven(61, runs=4, steer=one_swings), 7)
     drive.columns["r"] = late(drive["r"].reshape(4, -1), LATE, 0.01).ravel()
@@ -70,11 +70,11 @@ def test_a_valley_that_witnesses_refute_is_none():
     assert found[1] == []
 
 
-def test_steering_of_many_frequencies_has_one_valley():
+def test_steering_of_many_frequencies_has_one_minimum():
     objective, fit = fitted(lambda commands, step: late(commands, LATE, step))
     assert other_minima(objective, fit, 0, "delay") == []
     (told,) = parameter_estimates(objective, fit)
     assert told["delay"].value == pytest.approx(LATE, abs=0.005)
-    # Only delays have valleys.
+    # Only delays have several minima.
     (one,) = candidates_of(objective, "yaw_inertia")
     assert other_minima(objective, fit_parts(objective, [Part(one, {"scale": 1.1})]), 0, "scale") == []

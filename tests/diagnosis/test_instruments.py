@@ -63,7 +63,7 @@ def recording(
     columns["ax"] = rates["vx"] - columns["vy"] * columns["r"]
     columns["ay"] = rates["vy"] + columns["vx"] * columns["r"]
     for term in terms:
-        for name, felt in zip(("ax", "ay"), term.weight_felt(drive["s"]), strict=True):
+        for name, felt in zip(("ax", "ay"), term.gravity_component(drive["s"]), strict=True):
             columns[name] = columns[name] + felt
     clock = Recording(drive.period, tuple((run.start, run.stop) for run in drive.segments()))
     for fault in faults:
@@ -122,7 +122,7 @@ def test_an_inclined_road_is_felt_by_accelerometers_and_by_nothing_else():
     bank = CATALOGUE["road_bank"]({"angle": 0.03}, "")
     # A grade is felt along the car; a stretch only where it is.
     grade = CATALOGUE["road_grade"]({"angle": 0.05, "s_start": 10.0, "s_end": 20.0}, "stretch")
-    assert grade.weight_felt(np.array([5.0, 15.0]))[0] == pytest.approx([0.0, 9.80665 * np.sin(0.05)])
+    assert grade.gravity_component(np.array([5.0, 15.0]))[0] == pytest.approx([0.0, 9.80665 * np.sin(0.05)])
     for level, banked in zip(build_witnesses(prepared(drive)), build_witnesses(prepared(felt)), strict=True):
         right = level.rows(())
         assert banked.rows((bank,)) * banked.scale == pytest.approx(right * level.scale, abs=1e-9)

@@ -19,7 +19,7 @@ from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_rati
 from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, key_of_terms
 from split_cli.vehicle.effects import CATALOGUE, Term
-from split_cli.vehicle.effects.recording import KnownResults, first_order_response
+from split_cli.vehicle.effects.recording import ResultCache, first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -99,15 +99,15 @@ class SharedDiscrepancy:
         _, predicted = series.evaluated(terms)
         # The effects of the vehicle file act in the rates below, and must not act twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), predicted)
-        known = KnownResults()
-        recording = replace(series.recording, known=known)
+        cache = ResultCache()
+        recording = replace(series.recording, cache=cache)
         actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle, recording=recording)
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
         flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
         out = SingleTrack.weighted_changes(actual.flow(self._beside), flows)
         rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
         rates = self.at_another_car(rates, actual, terms)
-        known.clear()
+        cache.clear()
         return rates
 
     def rates_with_shared_terms(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:

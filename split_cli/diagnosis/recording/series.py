@@ -188,7 +188,7 @@ class Series:
         If the terms are right, v_x' - v_y r and v_y' + v_x r remain. Samples that are not finite are interpolated
         linearly; a channel that was not recorded is left out.
         """
-        telling = [term for term in terms if term.corrects or term.is_felt]
+        telling = [term for term in terms if term.corrects or term.inclines_car]
         # Both accelerometers need the same result.
         return self._accelerations_cache(key_of_terms(telling), lambda: self._accelerations(telling))
 
@@ -199,8 +199,8 @@ class Series:
         correcting = correcting[: max(own, default=-1) + 1]
         out = self._read_cache(key_of_terms(correcting), lambda: self._corrected_accelerations(correcting))
         for term in terms:
-            if term.is_felt:
-                weight = dict(zip(("ax", "ay"), term.weight_felt(self.s), strict=True))
+            if term.inclines_car:
+                weight = dict(zip(("ax", "ay"), term.gravity_component(self.s), strict=True))
                 out = {name: column - weight[name] for name, column in out.items()}
         return out
 

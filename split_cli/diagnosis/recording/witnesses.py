@@ -61,7 +61,7 @@ class Witness:
         """Return whether a term can change the rows: a sensor fault or, for accelerations, a road angle."""
         if self.position is not None:
             return self.position.is_changed_by(term)
-        return term.corrects or term.is_felt
+        return term.corrects or term.inclines_car
 
     @cached_property
     def error_patterns(self) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Terms of single instruments: direction and scale of the recorded velocity, biases, a channel that is late.
+"""Terms of single instruments: direction and scale of the recorded velocity, biases, delay of one channel.
 
-They show in what the recording knows twice: position and yaw, accelerations, velocities.
+They show in redundant channels: position and yaw against velocities, accelerations against velocities.
 """
 
 from collections.abc import Callable, Mapping
@@ -53,11 +53,11 @@ class _Instrument(Term):
     family = "measurement"
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Take the fault off the channels that are there."""
+        """Return the channels without the fault."""
         return self._changed(columns, recording, -1.0)
 
     def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Put the fault in."""
+        """Return the channels with the fault."""
         return self._changed(columns, recording, 1.0)
 
     def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
@@ -131,7 +131,7 @@ class VelocityBias(_Instrument):
             return {**columns, "vy": columns["vy"] + sign * self.parameters["offset"]}
         t = columns["t"]
         # Several channels of one recording are turned in a row, and this is most of the work.
-        cosine, sine = self.kept(t, lambda: self._direction(t))
+        cosine, sine = self.cached(t, lambda: self._direction(t))
         vx, vy, sine = columns["vx"], columns["vy"], sign * sine
         return {**columns, "vx": cosine * vx - sine * vy, "vy": sine * vx + cosine * vy}
 

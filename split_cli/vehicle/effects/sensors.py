@@ -1,4 +1,7 @@
-"""Terms of the measurement: they correct a recording and are no part of the car."""
+"""Terms of the measurement that act on several channels: mounting position and angle, delays between channels.
+
+They correct the recording and are not part of the vehicle model.
+"""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -30,7 +33,7 @@ _CRABS = 0.0087
 
 
 class _Frame(Term):
-    """A sensor of velocities; in the variant `_FRAME` the tracked frame that they are derived from is off."""
+    """A velocity sensor; in the variant `_FRAME` the tracked body frame that velocities are derived from is wrong."""
 
     variant_needs: ClassVar = {_FRAME: frozenset({"derived velocities"})}
     needs: ClassVar = frozenset({"lateral velocity"})
@@ -39,7 +42,7 @@ class _Frame(Term):
 
     @property
     def moves_position(self) -> bool:
-        """Whether position and yaw are off with the velocities, and say nothing of them."""
+        """Whether position and yaw have the same fault as the velocities, so that they cannot show it."""
         return self.variant == _FRAME
 
 
