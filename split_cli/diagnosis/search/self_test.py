@@ -37,7 +37,7 @@ _WAVES = 12
 
 @dataclass(frozen=True)
 class SelfTest:
-    """What one half of a simulation shows against the discrepancy learned on the other half."""
+    """Result of the self-test: one half of a simulation tested against the discrepancy learned on the other half."""
 
     # Judged rows; 0 if the halves have no common operating points, so that nothing is known.
     rows: int = 0
