@@ -109,12 +109,14 @@ _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
     (Unit("mrad", "rad", 1e-3), ""),
     (Unit("deg", "rad", _DEGREE), "° degree degrees"),
     (Unit("cdeg", "rad", 1e-2 * _DEGREE), "centideg centidegrees"),
+    (Unit("arcmin", "rad", _DEGREE / 60.0), "arcminute arcminutes \u2032"),
+    (Unit("arcsec", "rad", _DEGREE / 3600.0), "arcsecond arcseconds \u2033"),
     (Unit("gon", "rad", np.pi / 200.0), ""),
     (Unit("rev", "rad", 2.0 * np.pi), "turn turns revolution revolutions"),
     (Unit("rad/s", "rad/s", 1.0), "radps rad/sec rad.s-1"),
     (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec deg.s-1 dps"),
     (Unit("mdeg/s", "rad/s", 1e-3 * _DEGREE), "mdps milli-dps millidps"),
-    (Unit("rpm", "rad/s", 2.0 * np.pi / 60.0), "1/min rev/min"),
+    (Unit("rpm", "rad/s", 2.0 * np.pi / 60.0), "1/min rev/min U/min min-1"),
     (Unit("m/s^2", "m/s^2", 1.0), "m/s2 mps2 mpss m/s/s m/sec2 m/sec^2 ms-2 m.s-2"),
     (Unit("g", "m/s^2", STANDARD_GRAVITY), "gn G g's g-force"),
     (Unit("mg", "m/s^2", 1e-3 * STANDARD_GRAVITY), "milli-g millig mG"),
@@ -162,7 +164,8 @@ _FOLDED_SIGNS = str.maketrans({"²": "2", "⁻": "-", "¹": "1", "·": ".", "⋅
 
 
 def _spelling(symbol: str) -> str:
-    bare = re.sub(r"\s+", "", symbol.strip()).strip("[](){}").replace("**", "^")
+    # A degree or a square in UTF-8 that was read as Western European has a letter in front.
+    bare = re.sub(r"\s+|Â(?=[°²³·µ])", "", symbol.strip()).strip("[](){}").replace("**", "^")
     return bare.translate(_FOLDED_SIGNS)
 
 
@@ -184,7 +187,20 @@ def find_unit(symbol: str) -> Unit | None:
 
 
 def _known_unit(spelled: str) -> Unit | None:
-    return _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower()) or _quotient(spelled) or _part_of_ten(spelled)
+    known = _BY_EXACT.get(spelled) or _BY_FOLDED.get(spelled.lower())
+    return known or _quotient(spelled) or _part_of_ten(spelled) or _by_negative_power(spelled)
+
+
+_NEGATIVE_POWER = re.compile(r"(?P<above>.*[^.^/-])\.?(?P<below>s|sec|h|hr|min)\^?-(?P<power>[12])", re.IGNORECASE)
+
+
+def _by_negative_power(spelled: str) -> Unit | None:
+    """Return a length or an angle times a negative power of a time: km.h-1, rad s^-1, m.s-2."""
+    found = _NEGATIVE_POWER.fullmatch(spelled)
+    if found is None:
+        return None
+    quotient = f"{found['above']}/{found['below']}{'2' if found['power'] == '2' else ''}"
+    return _BY_EXACT.get(quotient) or _BY_FOLDED.get(quotient.lower()) or _quotient(quotient)
 
 
 _PART_OF_TEN = re.compile(r"(1e-\d{1,2}|0\.0*1)([^\d.].*)", re.IGNORECASE)
@@ -327,6 +343,7 @@ _LONGEST_NAME = 200
 
 def with_short_unit(name: str) -> str:
     """Return a name whose unit is written in words, ``speed_m_per_s`` or ``rateDegPerSec``, with it as ``_m_s``."""
+    name = _without_factor(name)[0]
     found = _PER.fullmatch(name) if len(name) < _LONGEST_NAME and "per" in name.lower() else None
     if found is None:
         return name
@@ -348,6 +365,19 @@ _SUFFIX_ORDER = sorted(_SUFFIX_UNITS, key=len, reverse=True)
 _INDEXED = re.compile(r"\S\[\d+\]$")
 # _ms is milliseconds on a time and metres a second on a speed, so the name must say which.
 _TIME_IN_MS = re.compile(r"(^|.*_)(t|time|utc|epoch|timestamp|stamp|dt|delay|duration|latency|period)_ms$")
+
+_TIMES = re.compile(r"(?P<name>.+)_?[x*×](?P<power>10{1,6})", re.IGNORECASE)
+"""A factor behind the unit at the end of a name, of whole numbers that count its parts: ``v_kmh_x10``."""
+
+
+def _without_factor(name: str) -> tuple[str, int]:
+    """Return a name without the factor behind its unit, and that factor; 1 where it has none."""
+    found = _TIMES.fullmatch(name) if len(name) < _LONGEST_NAME else None
+    bare = found["name"].rstrip("_") if found else name
+    if found is None or not any(bare.lower().endswith("_" + suffix) for suffix in _SUFFIX_ORDER):
+        return name, 1
+    return bare, int(found["power"])
+
 
 _TICKS = {"sampletimefine": "0.1ms"}
 """Clocks in ticks that no name states: of Xsens, whose ticks are those of 10 kHz (MT Low-Level Communication)."""
@@ -386,5 +416,6 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
     lowered = with_short_unit(text).lower()
     for suffix in _SUFFIX_ORDER:
         if lowered.endswith("_" + suffix):
-            return text, _SUFFIX_UNITS[suffix].symbol
+            symbol, power = _SUFFIX_UNITS[suffix].symbol, _without_factor(text)[1]
+            return text, symbol if power == 1 else symbol_of(f"{1.0 / power:g} {symbol}")
     return text, "ms" if _TIME_IN_MS.match(lowered) else _TICKS.get(lowered)

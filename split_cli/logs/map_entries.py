@@ -99,6 +99,7 @@ class SignalMap:
     extras: tuple[str, ...] | None = None
     # Latitude and longitude [deg] of the local plane's origin; None takes the first fix.
     datum: tuple[float, float] | None = None
+    rows: Mapping[str, str] = field(default_factory=dict)  # column and value of one of several cars in one table
     # Settings of derivations, used only when one is asked for.
     derivations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     despike: bool = True  # whether isolated spikes are dropped (they are always counted)

@@ -145,6 +145,8 @@ class LazyTableRecording:
     origin: float = 0.0
     clocks: tuple[Clock, ...] = ()
     notes: list[ReadNote] = field(default_factory=list)
+    # Returns of a column of text a number for each row, shape (N,), and the texts that these numbers stand for.
+    texts: Callable[[str], tuple[np.ndarray, list[str]]] | None = None
 
     def channels(self) -> list[RawChannelInfo]:
         """Return the columns with their units."""
@@ -199,6 +201,14 @@ _TENTHS = ((1.26e17, 1.58e17), (6.31e17, 6.63e17))
 """The same years in tenths of microseconds, as Windows counts them (from 1601), and .NET (from the year 1)."""
 
 
+_OF_A_DAY = 1.5e-5
+"""Steps of a clock between 0 and 1, up to which it is the part of a day that a spreadsheet stores [1]: no log has rows
+at 70 kHz for a second."""
+_BETWEEN_BURSTS, _OF_A_BURST = 0.75, 100.0
+"""Share of the steps below the one that is looked at, and by how much it exceeds the median where rows come in
+bursts: three messages of one instant each, for instance [1]; judgement."""
+
+
 def unit_of_time(values: np.ndarray) -> str:
     """Return the unit of a clock that states none.
 
@@ -211,12 +221,17 @@ def unit_of_time(values: np.ndarray) -> str:
     steps = np.diff(finite)
     steps = steps[steps != 0.0]  # rows that share a stamp of few digits
     step = abs(float(np.median(steps))) if len(steps) else 1.0
+    # Of rows that come in bursts the steps between these tell the unit.
+    between = float(np.quantile(np.abs(steps), _BETWEEN_BURSTS)) if len(steps) else 1.0
+    step = between if between > _OF_A_BURST * step else step
     sizes = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     if len(finite) and 1e18 <= finite[0] <= 4.1e18:
         return "ns"
     if len(finite) and any(first <= finite[0] <= last for first, last in _TENTHS):
         return "0.1us"
     if len(finite) and any(first <= finite[0] <= last for first, last in _DAYS) and 2e-4 < step * 86400.0 < 1.5:
+        return "d"
+    if len(finite) and finite.min() >= 0.0 and finite.max() <= 1.0 and step < _OF_A_DAY and 2e-4 < step * 86400.0 < 1.5:
         return "d"
     return next((unit for unit, size in sizes.items() if 2e-4 < step * size < 1.5), "s")
 
@@ -288,6 +303,23 @@ def note_once(notes: list[ReadNote], what: str, where: str, count: int = 1) -> N
     note = ReadNote(what, where, count)
     notes[:] = [other for other in notes if (other.what, other.where) != (note.what, note.where)]
     notes.append(note)
+
+
+class Words:
+    """The texts of a column as numbers, piece by piece: a long column repeats few texts."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+        self._pieces: list[np.ndarray] = []
+
+    def append(self, texts: Sequence[str | None], places: np.ndarray | None = None) -> None:
+        """Add rows: their texts, or those of a dictionary with the place of each row's text in it."""
+        number = np.array([self._numbers.setdefault((t or "").strip(), len(self._numbers)) for t in texts], np.int32)
+        self._pieces.append(number if places is None else number[places])
+
+    def finished(self) -> tuple[np.ndarray, list[str]]:
+        """Return a number for each row, shape (N,), and the texts that these numbers stand for."""
+        return np.concatenate([np.zeros(0, np.int32), *self._pieces]), list(self._numbers)
 
 
 class UniqueNames:

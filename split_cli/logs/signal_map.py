@@ -22,6 +22,7 @@ _MAP_KEYS = (
     "topics",
     "extras",
     "datum",
+    "rows",
     "derivations",
     "despike",
     "kinds",
@@ -74,6 +75,7 @@ def map_from_mapping(content: Mapping[str, Any], *, where: str = "signal map") -
         topics={str(k): str(v) for k, v in _mapping(content.get("topics") or {}, where, "topics").items()},
         extras=_extras(content.get("extras"), where),
         datum=_datum(content.get("datum"), where),
+        rows=_rows(content.get("rows"), where),
         derivations={
             str(k).replace("-", "_"): _mapping(v or {}, where, f"derivations.{k}")
             for k, v in _mapping(content.get("derivations") or {}, where, "derivations").items()
@@ -280,6 +282,14 @@ def _datum(entry: Any, where: str) -> tuple[float, float] | None:
         advice = "For example `datum: [48.1, 11.6]`."
         raise MapError("datum must be [latitude, longitude] in degrees", where=where, advice=advice)
     return _number(entry[0], where, "datum"), _number(entry[1], where, "datum")
+
+
+def _rows(entry: Any, where: str) -> dict[str, str]:
+    rows = _mapping(entry or {}, where, "rows")
+    if not all(isinstance(value, str | int) and not isinstance(value, bool) for value in rows.values()):
+        advice = "For example `rows: {car_id: 44}`."
+        raise MapError("rows must name a column and what it says of the car", where=where, advice=advice)
+    return {str(column): str(value) for column, value in rows.items()}
 
 
 def _mapping(entry: Any, where: str, what: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any
 from split_cli.errors import SplitError, reason_of
 from split_cli.files import ScratchFolder, sha256_of_file
 from split_cli.logs.readers.numpy_arrays import is_array_folder
-from split_cli.logs.readers.opening import is_prose
+from split_cli.logs.readers.opening import is_list_of_rows, is_prose
 
 LOG_SUFFIXES = tuple(
     """
@@ -310,10 +310,13 @@ def _in_folder(folder: Path, base: Path, suffixes: Sequence[str]) -> list[Source
 
 
 def _is_one_of(path: Path, suffixes: Sequence[str]) -> bool:
-    """Tell whether a file is of one of the kinds; a text must hold rows of numbers.
+    """Tell whether a file is of one of the kinds; a text must hold rows of numbers, and JSON a list of objects.
 
-    Phones write a table about the device beside those of their sensors.
+    Settings are written as one object. Phones write a table about the device beside those of their sensors.
     """
+    if path.suffix.lower() == ".json":
+        # Of another file system the content is not looked at, and none is taken there.
+        return ".jsonl" in suffixes and path.is_file() and is_list_of_rows(path)
     if not path.name.lower().endswith(tuple(suffixes)):
         return False
     return not (path.suffix.lower() in (".txt", ".csv") and path.is_file() and is_prose(path))

@@ -254,6 +254,8 @@ def test_two_terms_that_imitate_a_moved_centre_of_gravity_give_way_to_it():
     both = fitted(explore, tire_stiffness=stiff, cg_shift__loaded={"dx": 0.05})
     other = fitted(explore, tire_stiffness=stiff, sensor_lever_arm={"dx": 0.05})
     assert with_fewer_parts(explore, both, [other]) is None
+    # One term in the places of both has no part left that could go, and costs far more than both.
+    assert with_fewer_parts(explore, both, [other, fitted(explore, sensor_lever_arm={"dx": 0.05})]) is None
 
 
 def test_what_ends_at_its_limit_takes_no_place_of_what_does_not():

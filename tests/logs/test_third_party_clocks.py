@@ -11,8 +11,9 @@ import yaml
 from split_cli.errors import ClockError
 from split_cli.logs.assembling.assemble import assemble_drive
 from split_cli.logs.drafting.candidates import candidates_of
+from split_cli.logs.drafting.forms import hints_on_the_form
 from split_cli.logs.drafting.naming import meanings
-from split_cli.logs.drafting.suggest import draft_map, hints_on_the_form, render_draft
+from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping

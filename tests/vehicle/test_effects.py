@@ -1,5 +1,7 @@
 """Every term of the catalogue against a formula written out again, its neutral point, and mirrored driving."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -177,6 +179,17 @@ def test_combined_slip_follows_the_ellipse():
         f[y] * (np.sqrt(1.0 - (f[x] / D) ** 2) - 1.0) for y, x, D in (("fyf", "fxf", 7900.0), ("fyr", "fxr", 6800.0))
     ]
     check(at, change(at, *lost), term("combined_slip", strength=1.0))
+
+
+def test_resistance_to_rolling_is_a_part_of_the_force_that_the_ellipse_takes_from():
+    """A tyre that is held back by 400 N as it drives gives more to the side than one that is not."""
+    at = driving()
+    at["T"] = 0.4 * at["T"]
+    both = term("combined_slip", strength=1.0), term("rolling_resistance", force=400.0)
+    tougher = replace(
+        CAR, rolling_resistance_front=90.0 + 400.0 * B / 2.7, rolling_resistance_rear=80.0 + 400.0 * A / 2.7
+    )
+    np.testing.assert_allclose(rates(at, *both), rates(at, both[0], car=tougher), rtol=1e-12, atol=1e-12)
 
 
 def test_load_transfer_moves_what_lever_and_wheelbase_say():

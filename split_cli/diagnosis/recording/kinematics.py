@@ -62,7 +62,7 @@ class KinematicResiduals:
 
     def ahead(self, terms: Sequence[Term]) -> np.ndarray:
         """Return the displacement forward by corrected velocities [m], averaged as positions are, shape (W,)."""
-        return self._travelled(terms, averaged=True)[0]
+        return self._travelled(terms)[0]
 
     def against_position(self, name: str, terms: Sequence[Term] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Return the integral of v_x [m] or r [rad] over windows, and the displacement or change of yaw, (W,) each.
@@ -98,19 +98,23 @@ class KinematicResiduals:
         chosen = {name: getattr(self, name)[windows] for name in ("begin", "end", "across", "along")}
         return replace(self, **chosen)
 
-    def _travelled(self, terms: Sequence[Term], averaged: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Return displacements ahead and to the left at mid-window, from velocities [m], shape (W,) each."""
+    def _travelled(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
+        """Return displacements ahead and to the left at mid-window, from velocities [m], shape (W,) each.
+
+        They are averaged over 0.2 s as positions are, and turned by yaw as recorded: a mean of 0.2 s lags where a
+        car turns in, and the noise of yaw averages over the window.
+        """
         _, velocity = self.series.corrected([term for term in terms if not term.moves_position])
         middle = self.angle[(self.begin + self.end) // 2]
         sine, cosine = self._direction
         # Integrated in the world frame once, then turned into the vehicle frame of each window.
         period = self.series.period
-        x, y = displacements(velocity, sine, cosine, self.begin, self.end, edge_of(period) if averaged else 0)
+        x, y = displacements(velocity, sine, cosine, self.begin, self.end, edge_of(period))
         return _in_car_frame(middle, x * period, y * period)
 
     @cached_property
     def _direction(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.sin(self.angle), np.cos(self.angle)
+        return np.sin(self.series.yaw), np.cos(self.series.yaw)
 
     def _integral(self, rate: np.ndarray, averaged: bool = False) -> np.ndarray:
         return integral(rate, self.begin, self.end, self.series.period, averaged=averaged)

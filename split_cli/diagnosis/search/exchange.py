@@ -120,6 +120,8 @@ def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> F
     limit = min(explore.price(chosen) - rules.tie, *(explore.price(fit) + rules.tie for fit in rivals or [chosen]))
     for fit in (chosen, *rivals) if len(chosen.parts) > 1 else ():
         others = len(fit.parts) - (fit is not chosen)
+        if not others:  # one term in the places of two
+            continue
         # Removing a part saves at most its price.
         most = rules.price * max(part.candidate.complexity for part in fit.parts[:others])
         if fit is not chosen and explore.price(fit) - most >= limit:

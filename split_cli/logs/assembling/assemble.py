@@ -41,6 +41,7 @@ from split_cli.logs.checking.late_channels import late_channels
 from split_cli.logs.drive import Drive, DriveMetadata, NoiseEstimate, Source, metadata_of_drive
 from split_cli.logs.drive_metadata import yaw_rate_is_of_acceleration
 from split_cli.logs.map_entries import SignalMap, TimeBase
+from split_cli.logs.one_car import of_one_car
 from split_cli.logs.raw import NO_CHECKSUMS, Clock, RawRecording
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import CHANNELS, REQUIRED_CHANNELS
@@ -106,6 +107,7 @@ def assemble_drive(
         If nothing usable remains, or the time is in another unit: with what the checks say with the right one.
     """
     settings = settings or IngestSettings()
+    recording = of_one_car(recording, signal_map.rows)
     try:
         return _assemble(recording, signal_map, vehicle, settings)
     except ClockError as error:

@@ -36,8 +36,28 @@ def candidates_of(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> l
     for info in columns:
         if not is_of_a_state(info, infos) and not is_no_measurement(info):
             found += _by_name(info, renamed.get(info.name, info))
-    found = _with_level_axis(_by_pairs(found, infos), infos)
+    found = _with_level_axis(_by_pairs(_unfiltered(found), infos), infos)
     return [*_signed(found, infos), *_fixes(found)]
+
+
+_FILTERS = frozenset("filt filtered filter smooth smoothed smth lp lowpass avg averaged".split())
+
+
+def _unfiltered(found: list[TrialCandidate]) -> list[TrialCandidate]:
+    """Return the candidates without those beside which the same name stands as measured: a filter delays.
+
+    A yaw rate and an a_y that are filtered alike fit each other.
+    """
+
+    def spelled(c: TrialCandidate) -> tuple[str, ...]:
+        return (c.channel, *(" ".join(words_of(source)) for source in c.sources))
+
+    names = {spelled(c) for c in found}
+
+    def as_measured(c: TrialCandidate) -> tuple[str, ...]:
+        return (c.channel, *(" ".join(w for w in words_of(s) if w not in _FILTERS) for s in c.sources))
+
+    return [c for c in found if as_measured(c) == spelled(c) or as_measured(c) not in names]
 
 
 def _by_fields(infos: Sequence[RawChannelInfo]) -> list[TrialCandidate]:

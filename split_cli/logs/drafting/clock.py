@@ -34,6 +34,10 @@ _COUNTED = 1e-3
 """Of the step: what a logger counts for itself, not measures, keeps its step that closely [1]."""
 _LOST_ROW = 0.5
 """Of the step, beyond which a row is missing: one period would hide the gap [1]."""
+_TICKS = re.compile(r"(?<![a-z])(ticks?|counts?|cycles?|clk)(?![a-z])", re.IGNORECASE)
+"""Names of columns that count something of a length of its own, in place of parts of a second."""
+_OTHER_TICK = 0.2
+"""Of the logarithm of two rates of rows, beyond which they are not one; the motion tells a rate to a few per cent."""
 _FEWEST_STEPS = 10
 """Between rows, up to which nothing says whether a column counts [1]; judgement."""
 
@@ -78,7 +82,8 @@ def clock_of_rows(
         return steps
     rate, why = _rate_from_motion(candidates, signals)
     if rate is None:
-        return np.arange(count) * 0.01, _why_no_clock(found, signals) or needed, False
+        why = _by_distance(recording, infos) or _why_no_clock(found, signals) or needed
+        return np.arange(count) * 0.01, why, False
     line = f"time: {{period: {1.0 / rate:.4g}}}   # CHECK: no column of time; {why}"
     return np.arange(count) / rate, line, True
 
@@ -113,9 +118,25 @@ def _time_of_column(
         return (values - np.nanmin(values)) * find_unit(fits).factor, line, True
     if unit == "s" and stated_unit(info) is None and bool(np.all(np.diff(values) == 1.0)):
         return _rows_or_seconds(info.name, values, _rate_from_motion(candidates, signals)[0])
+    by_epoch = fits == "0.1us" or _counts_since_1970(values)
+    if stated_unit(info) is None and unit == fits and _TICKS.search(info.name) and not by_epoch:
+        return _of_ticks(info.name, values, unit, candidates, signals)
     also = f"   # also rises: {', '.join(others)}" if others else ""
     line = f"time: {{source: {quoted(info.name)}, unit: {unit}}}{also}"
     values = over_midnight(values, 1.0 / find_unit(unit).factor)
+    return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
+
+
+def _of_ticks(
+    name: str, values: np.ndarray, unit: str, candidates: Sequence[TrialCandidate], signals: Mapping[str, RawSignal]
+) -> tuple[np.ndarray, str, bool]:
+    """Return time and line of a column that counts ticks of no stated length: by the motion, or as `unit`."""
+    rate, why = _rate_from_motion(candidates, signals)
+    step = _usual_step(values) * find_unit(unit).factor
+    if rate is not None and abs(np.log(rate * step)) > _OTHER_TICK:
+        line = f"time: {{period: {1.0 / rate:.4g}}}   # CHECK: {name} counts no {unit}: {why}"
+        return np.arange(len(values)) / rate, line, True
+    line = f"time: {{source: {quoted(name)}, unit: {unit}}}   # CHECK: nobody says how long a tick is"
     return (values - np.nanmin(values)) * find_unit(unit).factor, line, True
 
 
@@ -126,6 +147,20 @@ def _rows_or_seconds(name: str, values: np.ndarray, rate: float | None) -> tuple
         return np.arange(len(values)) / rate, line, True
     line = f"time: {{source: {quoted(name)}, unit: s}}   # CHECK: rises by 1 from row to row: seconds, or rows?"
     return values - np.nanmin(values), line, True
+
+
+def _by_distance(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> str:
+    """Return the line for rows that are equally far apart along the track: no period is theirs; else nothing."""
+    for info in infos:
+        if info.type_name == "text" or "dist" not in info.name.lower():
+            continue
+        values = recording.read([info.name])[info.name].values
+        steps = np.diff(values[np.isfinite(values)])
+        usual = float(np.median(steps)) if len(steps) > _FEWEST_STEPS else 0.0
+        if usual > 0.0 and float(np.quantile(np.abs(steps / usual - 1.0), 0.9)) < _EVEN:
+            unit = stated_unit(info) or "of its units"
+            return f"# time: needed: rows are {usual:.4g} {unit} apart by {info.name}, not in time: export them by time"
+    return ""
 
 
 def _why_no_clock(found: RawChannelInfo | None, signals: Mapping[str, RawSignal]) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from split_cli.logs.assembling.conversion import expected_unit
 from split_cli.logs.assembling.derivations import DERIVATIONS, WITHOUT_RATE, derivations_for
+from split_cli.logs.one_car import SeveralCars
 from split_cli.signals import REQUIRED_CHANNELS, find_unit
 
 UNITS_OF = {
@@ -75,6 +76,7 @@ class Draft:
     by_gravity: str = ""
     presets: tuple[str, ...] = ()  # whose sources are all recorded
     gap: float = 0.0  # what --gap must be for a motion so slowly recorded that ingest refuses it [s]; else 0
+    rows: str = ""  # the map's line that chooses one of several cars; empty where there is one
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""
@@ -106,6 +108,7 @@ def render_draft(draft: Draft, name: str) -> str:
         "name: draft",
         *(f"# {line}" for line in lines_on_presets(draft.presets)),
         draft.time,
+        *([draft.rows] if draft.rows else []),
         "frame: flu   # or frd: y right, z down",
         "channels:",
     ]
@@ -154,6 +157,11 @@ def lines_on_presets(presets: Sequence[str]) -> tuple[str, ...]:
         return ()
     fit = f"preset {presets[0]} fits" if len(presets) == 1 else f"presets {', '.join(presets)} fit"
     return (f"The {fit} this log: --map {presets[0]} can replace this draft. --list-maps says what it is for.",)
+
+
+def line_on_cars(cars: SeveralCars) -> str:
+    """Return the map's line that takes the rows of one of several cars: the one with the most."""
+    return f"rows: {{{quoted(cars.column)}: {quoted(next(iter(cars.counts)))}}}   # CHECK: the log {cars.describe()}"
 
 
 def lines_on_runs(draft: Draft) -> tuple[str, ...]:

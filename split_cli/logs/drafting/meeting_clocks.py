@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 
 from split_cli.logs.drafting.naming import meanings
-from split_cli.logs.raw import RawSignal, ReadNote
+from split_cli.logs.raw import RawChannelInfo, RawRecording, RawSignal, ReadNote
 from split_cli.logs.readers.joint import JointRecording
 
 _RATE = 20.0
@@ -19,6 +19,12 @@ _ONE_PLACE = 4.0
 _APART = 3.0
 """Shifts nearer than this are one [s]."""
 
+_SINCE_1970 = 1e9
+"""What a clock reads at least that counts from 1970, in 2001 [s]."""
+_HALF_AN_HOUR, _FARTHEST_ZONES = 1800.0, 14 * 3600.0
+"""By which time zones differ: multiples of the one, up to the other [s]; a quarter is kept by two countries."""
+_IN_COMMON = 0.8
+"""Share of the shorter of two files that lies within the other, once a time zone is taken off [1]; judgement."""
 MOVED = "clock moved by"
 """How the note on a clock begins."""
 
@@ -40,7 +46,8 @@ def let_clocks_meet(recording: JointRecording) -> None:
     for other in recording.parts[1:]:
         ours = [name for name, part in parts.items() if part is first]
         theirs = [name for name, part in parts.items() if part is other]
-        if not ours or not theirs or _meet(signals[ours[0]], signals[theirs[0]]):
+        clocks = [_clock_of(recording, part) for part in (first, other)]
+        if any(clock is None for clock in clocks) or _meet(*clocks):
             continue
         found = [
             (*shift, a, b) for a, b in product(ours, theirs) if (shift := _shift(signals[a], signals[b])) is not None
@@ -50,6 +57,32 @@ def let_clocks_meet(recording: JointRecording) -> None:
             recording.move(other, shift)
             what = f"{MOVED} {shift:.2f} s, since {b} then goes with {a} (correlation {correlation:.4f})"
             recording.remark(ReadNote(what, other.name))
+        elif not _alike(ours, theirs) and (zone := _zone(*clocks)):
+            recording.move(other, zone)
+            what = f"{MOVED} {zone / 3600.0:g} h: both count from 1970, and differ by the hours of a time zone. CHECK"
+            recording.remark(ReadNote(what, other.name))
+
+
+def _alike(ours: list[str], theirs: list[str]) -> bool:
+    """Whether two files measure a quantity both: then they may be two drives, one behind the other."""
+    kinds = [{m.channel for name in names for m in meanings(_bare(name))} & set(_SHARED) for names in (ours, theirs)]
+    return bool(kinds[0] & kinds[1])
+
+
+def _bare(name: str) -> RawChannelInfo:
+    return RawChannelInfo(name, "column", None)
+
+
+def _zone(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the half hours by which a clock of another time zone is moved to meet the first [s]; 0 where none."""
+    spans = [(float(np.nanmin(time)), float(np.nanmax(time))) for time in (one, other)]
+    if min(first for first, _ in spans) < _SINCE_1970:
+        return 0.0
+    (first, last), (begin, end) = spans
+    shift = _HALF_AN_HOUR * round((first + last - begin - end) / 2.0 / _HALF_AN_HOUR)
+    common = min(last, end + shift) - max(first, begin + shift)
+    known = 0.0 < abs(shift) <= _FARTHEST_ZONES and common > _IN_COMMON * min(last - first, end - begin)
+    return shift if known else 0.0
 
 
 def _of_motion(recording: JointRecording) -> dict[str, RawSignal]:
@@ -58,8 +91,15 @@ def _of_motion(recording: JointRecording) -> dict[str, RawSignal]:
     return recording.read(named)
 
 
-def _meet(one: RawSignal, other: RawSignal) -> bool:
-    return min(np.nanmax(one.time), np.nanmax(other.time)) > max(np.nanmin(one.time), np.nanmin(other.time))
+def _clock_of(recording: JointRecording, part: RawRecording) -> np.ndarray | None:
+    """Return the clock of the first channel of a file [s], shape (N,); None where it has none."""
+    names = [i.name for i in recording.channels() if i.type_name != "text" and recording.part_of(i.name) is part]
+    time = recording.read(names[:1])[names[0]].time if names else None
+    return time if time is not None and np.isfinite(time).any() else None
+
+
+def _meet(one: np.ndarray, other: np.ndarray) -> bool:
+    return min(np.nanmax(one), np.nanmax(other)) > max(np.nanmin(one), np.nanmin(other))
 
 
 def _shift(one: RawSignal, other: RawSignal) -> tuple[float, float, float] | None:

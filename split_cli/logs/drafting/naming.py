@@ -45,6 +45,7 @@ _RULES: tuple[tuple[str, int, str], ...] = (
     ("vx", 2, r"v_ego|ego_speed|chassis_speed|vehspd\w*"),
     ("vx", 2, r"speed_2d|esp_vehiclespeed|vehiclespeed|wheel_?based_?vehicle_?speed"),
     ("vx", 1, r"speed|velocity|spd|v|vel|vel_encoder"),
+    ("vx", 1, r"(non_?|un)?driv(en|ing)_?wheels?_?(speed|spd)"),
     ("vx", 1, r"spd_kmh|speed_actual|speed_measured|encoder_speed|odom_speed"),
     ("vy", 3, r"v_?y(_(body|cg|local|vehicle|car|lat\w*))?|vel(ocity)?_?y(_(body|cg|local))?|(body_)?v(el)?_y"),
     ("vy", 3, r"(v|vel|velocity|speed)_?lat\w*|lat(eral)?_?(vel\w*|speed)"),
@@ -83,14 +84,14 @@ _RULES: tuple[tuple[str, int, str], ...] = (
         "ax",
         3,
         r"(?!longitude|\w*(vel|speed|spd|pos|_min))"
-        r"(g_?force_?|gps_|inline_?|a_?|acc\w*_?)?(long|lon|lng)\w*(_?(acc\w*|g|a))?",
+        r"(g_?(force|sensor)_?|gps_|inline_?|a_?|acc\w*_?)?(long|lon|lng)\w*(_?(acc\w*|g|a))?",
     ),
     ("ax", 3, r"inline_?acc\w*|line?al_?(g|acc\w*)"),
     ("ax", 3, r"g_?(long|lon)|a_?long|a_?ego"),
     ("ay", 3, r"a_?y(_(body|cg|imu|vehicle))?|acc(el(eration)?)?_?y(_?(imu|body|cg))?|y_?acc\w*"),
     ("ay", 3, r"a_?lat\d?|imu_a(cc\w*)?_?y"),
     ("ay", 2, r"ac_?y"),
-    ("ay", 3, r"(g_?force_?|gps_|a_?|acc\w*_?)?lat\w*_?(acc\w*|g|a|force)|g_?force_?lat\w*|g_?lat"),
+    ("ay", 3, r"(g_?force_?|gps_|a_?|acc\w*_?)?lat\w*_?(acc\w*|g|a|force)|g_?(force|sensor)_?lat\w*|g_?lat"),
     ("ay", 3, r"acc\w*_?lat\w*|a_?lat"),
     ("steering_wheel_angle", 3, r"(steering_?wheel|hand_?wheel|str?_?whl|sw)_?(angle|pos\w*|ang|a)?|swa"),
     ("steering_wheel_angle", 3, r"stw_?ang\w*|steer_?whl\w*"),
@@ -207,7 +208,9 @@ def named_by_axis(infos: Sequence[RawChannelInfo]) -> dict[str, RawChannelInfo]:
         if match:
             vectors.setdefault(match[1], {})[int(match[2])] = info
     named = {}
-    for bare, elements in vectors.items():
+    for listed, elements in vectors.items():
+        # A list of values inside its quantity says nothing itself: acceleration.v of openpilot.
+        bare = re.sub(r"(?<=\w)\.([vV]|[Vv]alues?|[Dd]ata)$", "", listed)
         whole = set(re.findall(r"[a-z]+", f"{bare} {elements[min(elements)].type_name}".lower()))
         counted = concepts_of(tokens_of(bare))[0] & {"wheel", "steer", "torque"} or {"joint", "jointstate"} & whole
         if set(elements) == {0, 1, 2} and not counted:
@@ -255,7 +258,7 @@ def stated_unit(info: RawChannelInfo) -> str | None:
         return _UNIT_WORDS[words[-1]]
     if words[:1] == ["g"] and concepts_of(words[1:])[0] <= {"acceleration", "long", "lat", "up"} and words[1:]:
         return "g"  # g_lat, g_force_lon
-    return "rpm" if "rpm" in words else None
+    return "rpm" if "rpm" in words or "rpm" in tokens_of(info.name) else None
 
 
 def _own_part(info: RawChannelInfo) -> str:

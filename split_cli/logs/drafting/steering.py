@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from split_cli.logs.checking.kinematics import fit_linear, fit_slope, robust_spread
+from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion, quoted
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.signals import find_unit
@@ -220,7 +221,11 @@ def _road_wheel(s: Suggestion, columns: Mapping[str, np.ndarray], vehicle: Vehic
     unit = find_unit(s.unit) if s.unit else None
     is_clear = s.status == "judged" or (unit is not None and unit.si == "rad")
     if reach is None:
+        far, (limit, _) = float(np.nanquantile(np.abs(values), 0.99)), NO_CAR_EXCEEDS["delta"]
         if is_clear and unit is not None and "steer" not in s.sources[0].lower():
+            if far > limit:
+                text = f"reaches {far:.3g} rad in the unit that the file states, no car's exceeds {limit:g}"
+                return s.left_open(text)
             return replace(s, status="stated", reason="; a road-wheel angle by its name; not judged")
         why = "does not follow the curvature of the path, or the car hardly turns"
         why = why if "vx" in columns else "no speed to compare it with"

@@ -16,7 +16,8 @@ from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.drafting.candidates import candidates_of
 from split_cli.logs.drafting.clock import clock_of_rows, is_cut_in_degrees
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
-from split_cli.logs.drafting.draft import Draft, Suggestion, quoted, render_draft
+from split_cli.logs.drafting.draft import Draft, Suggestion, line_on_cars, quoted, render_draft
+from split_cli.logs.drafting.forms import hints_on_the_form
 from split_cli.logs.drafting.handedness import (
     as_bearing_by_name,
     channels_with_a_side,
@@ -51,8 +52,8 @@ from split_cli.logs.drafting.vector_axes import (
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheel_torques import PARTS, note_on_brakes, note_on_engine, torques_alike
 from split_cli.logs.listing import with_all_elements
+from split_cli.logs.one_car import of_one_car, several_cars
 from split_cli.logs.raw import Clock, RawChannelInfo, RawRecording, RawSignal, time_column, turned
-from split_cli.logs.readers.named_values import NAMES, VALUES
 from split_cli.signals import find_unit
 from split_cli.vehicle.parameters import Vehicle
 
@@ -83,6 +84,10 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     contradicts itself least. A unit that nobody states and a sign are corrected where the checks name one mistake
     as clearly the best explanation; what they do not settle is left open or marked.
     """
+    cars = None if hasattr(recording, "parts") else several_cars(recording)
+    if cars is not None:
+        own = of_one_car(recording, {cars.column: next(iter(cars.counts))})
+        return replace(draft_map(own, row_rate=row_rate, vehicle=vehicle), rows=line_on_cars(cars))
     infos = recording.channels()
     candidates = candidates_of(recording, infos)
     if not any(c.channel in _OF_MOTION for c in candidates):
@@ -450,44 +455,3 @@ def _yaw_of_the_pose(
     if same is None or ("yaw" in chosen and message(chosen["yaw"].sources) == place):
         return {}
     return {"yaw": _first_guess(same, trial)}
-
-
-def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> tuple[str, ...]:
-    """Return how to rewrite a table without titles, or one with a signal's name and value in each row.
-
-    Parameters
-    ----------
-    infos : sequence of RawChannelInfo
-        Its channels.
-    """
-    if infos and all(re.fullmatch(r"column\d+", info.name) for info in infos):
-        if infos[0].type_name == "text":
-            return (
-                f"Each row of {recording.name} begins with a word. If that is the name of a message, write a "
-                "table with titles for each (of a DataFlash log of ArduPilot: `mavlogdump.py --format csv "
-                "--types IMU LOG > imu.csv`), and start again with all of them and --together. Else write a row "
-                "of titles.",
-            )
-        unfit = next(
-            (found[0] for n in recording.notes if (found := re.search(r"\d+ titles stand .* values", n.what))), ""
-        )
-        if unfit:
-            return (
-                f"{recording.name}: {unfit}. Give each row as many cells as there are titles: where the last ones are "
-                "empty, their separators are needed too.",
-            )
-        return (
-            f"{recording.name} has no row of titles: write one as its first line, with units, for instance "
-            "`time [s],vx [m/s],yaw_rate [deg/s]`, and start again.",
-        )
-    texts = {info.name.strip().lower(): info.name for info in infos if info.type_name == "text"}
-    numbers = {info.name.strip().lower(): info.name for info in infos if info.type_name != "text"}
-    name = next((texts[n] for n in NAMES if n in texts), None)
-    value = next((numbers[n] for n in VALUES if n in numbers), None)
-    if name is None or value is None:
-        return ()
-    time = next((i.name for i in infos if "time" in i.name.lower() or i.name == "t"), "time")
-    return (
-        f"{recording.name} holds one value a row, with its name in {name!r}. Write a column for each name: in "
-        f"pandas, table.pivot_table(index={time!r}, columns={name!r}, values={value!r}).to_csv('wide.csv').",
-    )

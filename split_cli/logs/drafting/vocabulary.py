@@ -96,7 +96,7 @@ _WORDS: dict[str, str] = {
         "pf amcl slam msg fahrzeug ist corr corrected mti oxts novatel vicon optitrack mocap rt3000 "
         "of in the at from to s de del des di du la le au aux della sm tm ii 2d "
         "3d dev device coor sys e1 sim simulated model true truth gt log data input "
-        "output stellung stand rohwert wert 车辆 车身 质心 开度 实际 测量"
+        "output feedback scene stellung stand rohwert wert 车辆 车身 质心 开度 实际 测量"
     ),
 }
 _CONCEPT = {word: concept for concept, words in _WORDS.items() for word in words.split()}

@@ -13,6 +13,7 @@ from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import LazyTableRecording, RawChannelInfo, RawRecording, RawSignal, ReadNote
 from split_cli.logs.readers.blf import is_cut_blf
 from split_cli.logs.readers.frames_csv import frames_of, is_table_of_frames
+from split_cli.logs.readers.frames_text import frames_in_lines, is_text_of_frames
 from split_cli.logs.readers.probe import probe
 from split_cli.logs.scratch import GrowingSignal, set_aside
 
@@ -22,12 +23,17 @@ _LONGEST_TEXT = 1000
 _CANDUMP = re.compile(rb"^\s*\(\d+\.\d+\)\s+\w+\s+[0-9A-Fa-f]{3,8}#", re.MULTILINE)
 _ASC = re.compile(rb"^date .*\r?\n\s*base\s+(hex|dec)", re.MULTILINE)
 
+_RELATIVE = re.compile(rb"^\s*base\s+(hex|dec)\s+timestamps\s+relative", re.MULTILINE)
+
 
 def is_can_log(path: Path, head: bytes) -> bool:
     """Tell a log of CAN frames by its first bytes."""
-    if head.startswith(b"LOGG") or head.startswith(b";$FILEVERSION"):
-        return True
-    return bool(_ASC.search(head)) or bool(_CANDUMP.match(head)) or is_table_of_frames(head)
+    return _is_of_python_can(head) or is_table_of_frames(head) or is_text_of_frames(head)
+
+
+def _is_of_python_can(head: bytes) -> bool:
+    """Tell the forms that python-can reads."""
+    return head.startswith((b"LOGG", b";$FILEVERSION")) or bool(_ASC.search(head)) or bool(_CANDUMP.match(head))
 
 
 def load_database(path: Path) -> Any:
@@ -175,12 +181,24 @@ def _frames(path: Path) -> Iterator[Iterable[Any]]:
     import can
 
     with path.open("rb") as stream:
-        head = stream.read(1024)
+        head = stream.read(4096)
     if is_table_of_frames(head):
         yield frames_of(path)
         return
+    if not _is_of_python_can(head) and is_text_of_frames(head):
+        yield frames_in_lines(path)
+        return
     with can.LogReader(str(path)) as reader:
-        yield reader
+        yield _since_the_first(reader) if _RELATIVE.search(head) else reader
+
+
+def _since_the_first(frames: Iterable[Any]) -> Iterator[Any]:
+    """Yield frames whose times count from the frame before with the sum of them."""
+    time = 0.0
+    for frame in frames:
+        time += frame.timestamp
+        frame.timestamp = time
+        yield frame
 
 
 class _Unread(logging.Handler):

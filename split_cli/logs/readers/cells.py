@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from split_cli.logs.readers.dialect import is_grouped, quantity_of
+from split_cli.logs.readers.dialect import is_grouped, plain_sign, quantity_of
 
 _TRUE, _FALSE = {"true", "on", "yes"}, {"false", "off", "no"}
 
@@ -20,6 +20,7 @@ def number_of(cell: str, decimal: str) -> float:
     """Return a cell as a number: true and false as 1 and 0, coordinates in degrees, times in seconds, and
     what has its unit behind it in SI; else NaN.
     """
+    cell = plain_sign(cell)
     if is_grouped(cell, decimal):
         cell = _ungrouped(cell)
     try:
@@ -88,6 +89,10 @@ def with_halves(values: np.ndarray, letters: Sequence[str]) -> np.ndarray:
 _SPAN = re.compile(r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?) (sec|min|hr)$")
 """A duration as MATLAB writes it."""
 _SECONDS = {"sec": 1.0, "min": 60.0, "hr": 3600.0}
+_ZONE = re.compile(r"\[[A-Za-z_]+(?:/[A-Za-z_+-]+)*\]$")
+"""The name of a time zone that Java writes behind the offset: 14:03:40+01:00[Europe/Berlin]."""
+_DAYS = re.compile(r"([+-]?\d+) days?,? \+?(\d{1,2}:\d{2}:\d{2}(?:\.\d+)?)$")
+"""A duration as Python and pandas write it: 0 days 00:00:00.010000."""
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+|:\d{3})?)(?:\s*([AaPp])\.?[Mm]\.?)?$")
 _MONTH = re.compile(r"(\d{1,2})([-/. ])([A-Za-z]{3})[a-z]*\2(\d{2,4})")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
@@ -110,6 +115,7 @@ def seconds_of(cell: str) -> float:
     """
     from datetime import UTC, datetime
 
+    cell = _ZONE.sub("", cell)
     clock = _CLOCK.match(cell)
     if clock:
         hours, minutes, seconds, half = clock.groups()
@@ -117,6 +123,8 @@ def seconds_of(cell: str) -> float:
         if half:
             hour = hour % 12.0 + (12.0 if half in "Pp" else 0.0)
         return 3600.0 * hour + 60.0 * float(minutes) + float(re.sub("[,:]", ".", seconds))
+    if days := _DAYS.match(cell):
+        return 86400.0 * float(days[1]) + seconds_of(days[2])
     span = _SPAN.match(cell)
     if span:
         return float(span[1]) * _SECONDS[span[2]]

@@ -40,6 +40,7 @@ def over_midnight(time: np.ndarray, second: float = 1.0) -> np.ndarray:
     kept = np.flatnonzero(np.isfinite(time))
     if not len(kept) or time[kept].min() < 0.0:
         return time
+    time = over_a_full_counter(time)
     clock = time[kept] / second
     period = _DAY if clock.max() <= _DAY else _WEEK
     before, after = clock[:-1], clock[1:]
@@ -51,6 +52,33 @@ def over_midnight(time: np.ndarray, second: float = 1.0) -> np.ndarray:
     moved = np.array(time, dtype=np.float64)
     moved[kept[1:]] += period * second * np.cumsum(fell)
     return moved
+
+
+_BITS = (16, 24, 32)
+"""Of the counters of microcontrollers that are written as time: micros() of Arduino is full after 71.6 minutes."""
+_STEPS_OVER_THE_END = 3.0
+"""Usual steps within which a clock goes on over the end of its counter [1]; a row may be lost there."""
+
+
+def over_a_full_counter(time: np.ndarray) -> np.ndarray:
+    """Return a clock of whole numbers that goes on where its counter was full, shape (N,); any other as it is.
+
+    A counter of 32 bits falls from near 2^32 to near 0, and the step over its end is as long as the others. A clock
+    that starts again falls from anywhere.
+    """
+    kept = np.flatnonzero(np.isfinite(time))
+    steps = np.diff(time[kept])
+    fell = steps < 0.0
+    if not fell.any() or np.any(time[kept] % 1.0 != 0.0) or not np.any(steps > 0.0):
+        return time
+    usual = float(np.median(steps[steps > 0.0]))
+    for bits in _BITS:
+        over = steps[fell] + 2.0**bits
+        if time[kept].max() < 2.0**bits and np.all((over > 0.0) & (over <= _STEPS_OVER_THE_END * usual)):
+            moved = np.array(time, dtype=np.float64)
+            moved[kept[1:]] += 2.0**bits * np.cumsum(fell)
+            return moved
+    return time
 
 
 def packed_clock(values: np.ndarray) -> np.ndarray | None:

@@ -3,7 +3,7 @@
 import io
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -20,12 +20,14 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     UniqueNames,
+    Words,
     note_once,
     split_stamps,
 )
 from split_cli.logs.readers.cells import number_of, seconds_of, with_halves
 from split_cli.logs.readers.clock_of_day import counted_clock, falls_within_seconds, packed_clock, spread_over_seconds
 from split_cli.logs.readers.column_clocks import clocks_of_columns, with_clock
+from split_cli.logs.readers.coordinates import columns_in_cells, in_degrees, of_both, of_cells, parts_of_angles
 from split_cli.logs.readers.dialect import (
     EMPTY_CELLS,
     Dialect,
@@ -36,6 +38,8 @@ from split_cli.logs.readers.dialect import (
     split_line,
     unwrapped,
 )
+from split_cli.logs.readers.on_change import held_on_change
+from split_cli.logs.readers.scaling import by_factor
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import split_name_and_unit, symbol_of
 
@@ -72,11 +76,20 @@ def open_delimited(path: Path) -> RawRecording:
     notes: list[ReadNote] = []
     columns = _columns(sniffed, path, notes)
     width = len(sniffed.header)
+    angles = parts_of_angles(sniffed.header)
+    behind = {place for places in angles.values() for place in places}
+    columns = {
+        name: (place, "deg" if place in angles else u) for name, (place, u) in columns.items() if place not in behind
+    }
+    both = columns_in_cells({name: index for name, (index, _) in columns.items()}, sniffed.rows)
     groups = sniffed.groups or [""] * width
     infos = [
         RawChannelInfo(name, "text" if _is_text(sniffed, index) else "column", None, unit, groups[index])
         for name, (index, unit) in columns.items()
     ]
+
+    units = {name: "deg" if part.startswith("both") else None for name, (_, part) in both.items()}
+    infos += [RawChannelInfo(name, "column", None, unit) for name, unit in units.items()]
 
     def numbers(name: str) -> np.ndarray:
         index = columns[name][0]
@@ -95,9 +108,10 @@ def open_delimited(path: Path) -> RawRecording:
             if info.type_name == "text" and info.name in names:
                 advice = "Map a column of numbers; `split ingest LOG --list` tells which are text."
                 raise LogError(f"column {info.name!r} holds text, not numbers", where=path.name, advice=advice)
-        chosen = {name: columns[name] for name in names}
+        chosen = {name: columns[name] for name in names if name not in both}
         titles = {index: name for name, (index, _) in chosen.items()}
-        values = read_columns(path, sniffed.dialect, width, titles, notes)
+        titles |= {place: f"{titles[index]}, part" for index in angles if index in titles for place in angles[index]}
+        values = read_columns(path, sniffed.dialect, width, titles or {0: ""}, notes)
         if not len(next(iter(values.values()))):
             raise LogError("holds no rows", where=path.name, advice="Export it again.")
         for name, (index, unit) in chosen.items():
@@ -113,15 +127,37 @@ def open_delimited(path: Path) -> RawRecording:
             if clock is not None and len(clock) == len(values[index]):
                 note_once(notes, what, f"{path.name}, column {name}")
                 values[index] = clock
+            held = held_on_change(values[index])
+            if held is not None:
+                note_once(notes, "cells written on change alone: the value is held", f"{path.name}, column {name}")
+                values[index] = held
+            scaled = by_factor(values[index], sniffed, index)
+            if scaled is not None:
+                note_once(notes, "whole numbers times the factor above them, plus its offset", f"{path.name}, {name}")
+                values[index] = scaled
+            if index in angles:
+                note_once(notes, "coordinate in columns of degrees, minutes and seconds", f"{path.name}, column {name}")
+                values[index] = in_degrees(values[index], *(values[place] for place in angles[index]))
             if index in halves:
                 letters = _cells_of(path, sniffed.dialect, width, halves[index])
                 values[index] = with_halves(values[index], letters)
                 what = "coordinate with the half of the globe in the column behind it, read as degrees"
                 note_once(notes, what, f"{path.name}, column {name}")
         found = {name: RawSignal(name, None, values[index], unit) for name, (index, unit) in chosen.items()}
+        for name in (name for name in names if name in both):
+            index, part = both[name]
+            cells = _cells_of(path, sniffed.dialect, width, index)
+            is_place = part.startswith("both")
+            values[index] = of_both(cells, int(part[-1])) if is_place else of_cells(cells, part)
+            found[name] = RawSignal(name, None, values[index], "deg" if is_place else None)
+            note_once(notes, "several numbers in each cell", f"{path.name}, column {sniffed.header[index]}")
+        found = {name: found[name] for name in names}
         return {name: with_clock(signal, clocks.get(name)) for name, signal in found.items()}
 
-    return LazyTableRecording(path.name, path, infos, load, origin, notes=notes)
+    def texts(name: str) -> tuple[np.ndarray, list[str]]:
+        return _words(path, sniffed.dialect, width, columns[name][0])
+
+    return LazyTableRecording(path.name, path, infos, load, origin, notes=notes, texts=texts)
 
 
 def _cells_of(path: Path, dialect: Dialect, width: int, index: int) -> list[str]:
@@ -297,7 +333,6 @@ def _read_blocks(
 ) -> _Columns:
     """Return columns as numbers, cells of each that are none, and rows that were left out; block by block."""
     import pyarrow as pa
-    from pyarrow import csv as arrow_csv
 
     ragged: list[bool] = []
 
@@ -306,8 +341,48 @@ def _read_blocks(
         ragged.append(bool((row.text or "").strip()))
         return "skip"
 
+    options = _options(dialect, width, indices, kind, quote, skip)
+    columns: dict[int, GrowingColumn] = {}
+    bad: Counter[int] = Counter()
+    for share, blocks in _blocks(path, dialect, options):
+        # Rows like the first ones fill the file: room for all and a twentieth more spares copies.
+        rows = sum(block.num_rows for block in blocks)
+        columns = columns or {index: GrowingColumn(expected=int(1.05 * rows / share)) for index in indices}
+        for block in blocks:
+            for index, cells in zip(indices, block.columns, strict=True):
+                if kind == pa.string():
+                    numbers, none = _numbers(cells, dialect.decimal)
+                    bad[index] += none
+                else:
+                    numbers = cells.to_numpy(zero_copy_only=False)  # a missing cell becomes NaN
+                columns[index].append(numbers)
+    pa.default_memory_pool().release_unused()
+    values = {index: columns[index].finished() if columns else np.empty(0) for index in indices}
+    return values, bad, sum(ragged)
+
+
+def _words(path: Path, dialect: Dialect, width: int, index: int) -> tuple[np.ndarray, list[str]]:
+    """Return a column of text as numbers and the texts that they stand for, the rows as `_read_blocks` keeps them."""
+    import pyarrow as pa
+
+    dialect, closed = _looked_through(path, dialect)
+    options = _options(dialect, width, [index], pa.string(), '"' if closed else False, lambda row: "skip")
+    words = Words()
+    for _, blocks in _blocks(path, dialect, options):
+        for block in blocks:
+            encoded = block.columns[0].fill_null("").dictionary_encode()
+            words.append(encoded.dictionary.to_pylist(), encoded.indices.to_numpy(zero_copy_only=False))
+    return words.finished()
+
+
+def _options(
+    dialect: Dialect, width: int, indices: list[int], kind: Any, quote: str | bool, skip: Callable[[Any], str]
+) -> dict[str, Any]:
+    """Return how Arrow reads the columns at `indices` as `kind`; `skip` is called with rows of another width."""
+    from pyarrow import csv as arrow_csv
+
     names = [str(index) for index in range(width)]
-    options = {
+    return {
         "read_options": arrow_csv.ReadOptions(
             column_names=names, encoding=dialect.encoding, block_size=max(_BLOCK_BYTES, _BLOCK_BYTES_A_COLUMN * width)
         ),
@@ -326,23 +401,6 @@ def _read_blocks(
             check_utf8=False,
         ),
     }
-    columns: dict[int, GrowingColumn] = {}
-    bad: Counter[int] = Counter()
-    for share, blocks in _blocks(path, dialect, options):
-        # Rows like the first ones fill the file: room for all and a twentieth more spares copies.
-        rows = sum(block.num_rows for block in blocks)
-        columns = columns or {index: GrowingColumn(expected=int(1.05 * rows / share)) for index in indices}
-        for block in blocks:
-            for index, cells in zip(indices, block.columns, strict=True):
-                if kind == pa.string():
-                    numbers, none = _numbers(cells, dialect.decimal)
-                    bad[index] += none
-                else:
-                    numbers = cells.to_numpy(zero_copy_only=False)  # a missing cell becomes NaN
-                columns[index].append(numbers)
-    pa.default_memory_pool().release_unused()
-    values = {index: columns[index].finished() if columns else np.empty(0) for index in indices}
-    return values, bad, sum(ragged)
 
 
 def _blocks(path: Path, dialect: Dialect, options: dict[str, Any]) -> Iterator[tuple[float, list[Any]]]:

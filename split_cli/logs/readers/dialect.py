@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from split_cli.errors import LogError, NoTableError
+from split_cli.logs.readers.coordinates import titles_of_parts
+from split_cli.logs.readers.rows_above import LABELS_OF_NAMES, RULED, is_scaling, listed_names, scaling_rows
 from split_cli.signals import find_unit
 
 KNOWN_FORMATS = (
-    "Known are MCAP, rosbag2, ROS 1 bag, CSV, JSON lines, VBO, Pi Toolbox, Parquet, Feather, MAT, NumPy, iRacing, "
-    "MF4, and with --dbc also BLF, ASC, TRC and candump."
+    "Known are MCAP, rosbag2, ROS 1 bag, CSV, Excel, JSON lines, YAML, VBO, Pi Toolbox, Parquet, Feather, MAT, HDF5, "
+    "NetCDF, NumPy, SQLite, iRacing, MF4, and with --dbc also BLF, ASC, TRC and candump."
 )
 EMPTY_CELLS = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "-", "--")
 """What loggers write where they measured nothing."""
@@ -52,12 +54,20 @@ _GROUPED = {
 """Numbers with a mark between thousands, by the decimal mark: 1.234,5 and 1'234.5."""
 _TYPE = re.compile(r"[fiu]\d{1,2}|(u?int|float)(8|16|32|64)?|double|single|real", re.IGNORECASE)
 """Of a column's values, in a row under the titles, as ETAS writes it (f8)."""
-_LABELS_OF_NAMES = ("name", "names", "channel name", "channel", "channels", "signal name", "signal", "signals", "title")
-"""What stands before the names where each row above the values begins with what it holds (name, unit, comment)."""
 _WORD = re.compile(r"[^\W\d]")
 _UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.'\-\d² ]{0,12}[\])]?$")
 _PATTERN_OF_A_TIME = re.compile(r"(?=.*([hHms]{1,2}|[YyJ]{2,4}))[hHmsfSDdTtMYyJ0#.,:/\- ]{5,}")
 """What a spreadsheet writes as the unit of a clock or a date: hh:mm:ss,000 and TT.MM.JJJJ."""
+
+
+def utf_16_without_mark(head: bytes) -> str:
+    """Return the encoding of a text in UTF-16 whose mark is missing, by its zero bytes; empty of any other."""
+    pairs = head[: len(head) // 2 * 2]
+    for first, encoding in ((0, "utf-16-be"), (1, "utf-16-le")):
+        zeros, others = pairs[first::2], pairs[1 - first :: 2]
+        if len(zeros) > 20 and zeros.count(0) > 0.9 * len(zeros) and others.count(0) == 0:
+            return encoding
+    return ""
 
 
 def decoded(line: bytes) -> str:
@@ -96,6 +106,9 @@ class Sniffed:
     # Where each column comes from, if a further row under the titles tells it (RaceChrono: ``100: gps``).
     devices: list[str] | None = None
     groups: list[str] | None = None  # what a row above the titles calls each column and those beside it
+    # What makes whole numbers quantities, where rows above the values say it: number * factor + offset.
+    factors: list[str] | None = None
+    offsets: list[str] | None = None
 
 
 def sniff(path: Path) -> Sniffed:
@@ -114,7 +127,8 @@ def sniff(path: Path) -> Sniffed:
         whole = len(sample) < _SAMPLE_BYTES
     # A character that the sample's end cuts in two is none of an encoding.
     lines_of_it = sample if whole else sample[: sample.rfind(b"\n") + 1] or sample
-    mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", _encoding(lines_of_it)))
+    unmarked = utf_16_without_mark(sample) or _encoding(lines_of_it)
+    mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", unmarked))
     text = sample[len(mark) :].decode(encoding, errors="replace")
     lines = io.StringIO(text, newline="").readlines()
     if not whole and len(lines) > 1:
@@ -244,7 +258,19 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 def _is_bare(cell: str, decimal: str) -> bool:
     """Tell whether a cell is a number without a unit."""
-    return _PLAIN[decimal].match(cell.strip()) is not None or is_grouped(cell, decimal)
+    return _PLAIN[decimal].match(plain_sign(cell.strip())) is not None or is_grouped(cell, decimal)
+
+
+_MINUS = re.compile("^[\u2212\u2012\u2013\ufe63\uff0d](?=[\\d.,])|(?<=[eE])[\u2212\u2012\u2013]")
+_BEHIND_OR_AROUND = re.compile(r"\((\d[\d.,]*)\)|(\d[\d.,]*)-")
+
+
+def plain_sign(cell: str) -> str:
+    """Return a number with a minus in front, where a dash, a minus behind or brackets around, as in books, say it."""
+    if cell.isascii() and cell[-1:] not in (")", "-"):
+        return cell
+    found = _BEHIND_OR_AROUND.fullmatch(cell)
+    return f"-{found[1] or found[2]}" if found else _MINUS.sub("-", cell)
 
 
 def quantity_of(cell: str, decimal: str) -> tuple[float, str] | None:
@@ -286,6 +312,8 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
     width = max(widths, key=lambda w: (widths[w], w))
     for index, row in enumerate(rows):
         if len(row) != width or not _holds_values(row, decimal) or _numbers_the_columns(row, rows[index + 1 :]):
+            continue
+        if is_scaling(row, decimal):
             continue
         following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
         good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
@@ -350,20 +378,26 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     values = [row for row in rows[first : first + _CHECKED_ROWS] if len(row) == width]
     above = [_parted_by_commas(row, width) for row in rows[:first] if any(cell.strip() for cell in row)]
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
-    above = [row for row in map(_without_labels, above) if row]
+    above = [row for row in above if not all(RULED.fullmatch(cell.strip()) for cell in row if cell.strip())]
+    above = [row for row in map(_without_labels, above) if row and not is_scaling(row, dialect.decimal)]
+    above = titles_of_parts(above, width)
     titles = [n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)]
+    listed = listed_names(rows[:first], width) if not titles else []
+    if listed:
+        return Sniffed(dialect, listed, None, values, False)
     if not titles:
         worded = [row for row in rows[:first] if sum(_WORD.search(cell) is not None for cell in row) > 1]
         most = max(map(len, worded), default=0)
         return Sniffed(dialect, [f"column{n + 1}" for n in range(width)], None, values, True, most)
-    labelled = [n for n in titles if above[n][0].strip().lower() in _LABELS_OF_NAMES]
+    labelled = [n for n in titles if above[n][0].strip().lower() in LABELS_OF_NAMES]
     chosen = labelled[0] if len(labelled) == 1 and len(titles) > 1 else _row_of_names(above, titles, width)
     below = [_filled_up(row, width) for row in above[:chosen]]
     units = next((row for row in below if _is_unit_row(row, width)), None)
     devices = next((row for row in below if row is not units and _is_title_row(row, width)), None)
     units = units or _units_of_labview(rows[:first], width)
     groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
-    return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups)
+    scaling = scaling_rows(rows[:first], width, dialect.decimal)
+    return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups, *scaling)
 
 
 def _without_labels(row: list[str]) -> list[str]:
@@ -406,9 +440,10 @@ def _row_of_names(above: list[list[str]], titles: list[int], width: int) -> int:
 def _groups(row: list[str], width: int) -> list[str] | None:
     """Return the group of each column, from a row that names several columns at once at the first of them.
 
-    Spreadsheets write a name, and empty cells up to the next. Two groups of several columns make such a row.
+    Spreadsheets write a name, and empty cells up to the next; other programs write it again in each column. Two
+    groups of several columns make such a row.
     """
-    named = [n for n, cell in enumerate(row[:width]) if cell.strip()]
+    named = [n for n, cell in enumerate(row[:width]) if cell.strip() and (n == 0 or cell.strip() != row[n - 1].strip())]
     sizes = [end - begin for begin, end in itertools.pairwise([*named, width])]
     if abs(len(row) - width) > 1 or sum(size > 1 for size in sizes) < _FEWEST_GROUPS:
         return None

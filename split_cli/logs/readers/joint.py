@@ -20,6 +20,7 @@ from split_cli.logs.raw import (
     time_column,
     unit_of_time,
 )
+from split_cli.logs.readers.named_values import VALUES
 from split_cli.signals import convert_to_si, find_unit
 
 
@@ -66,7 +67,9 @@ class JointRecording:
         for part in parts:
             for info in part.channels():
                 if info != self._time.get(id(part)) and info.name not in clocks[id(part)]:
-                    name = info.name if counts[info.name] == 1 else f"{Path(part.name).stem}.{info.name}"
+                    says_nothing = info.name.lower() in VALUES
+                    alone = counts[info.name] == 1 and not (says_nothing and len(parts) > 1)
+                    name = info.name if alone else f"{Path(part.name).stem}.{info.name}"
                     self._places[name] = (part, info)
 
     @property
@@ -110,6 +113,10 @@ class JointRecording:
 
     def _place_of(self, name: str) -> tuple[RawRecording, str]:
         """Return the file that a name is of, and the name inside; of an array the first element is listed."""
+        if name not in self._places and name.lower() in VALUES:
+            # A map may name the only `value` of all files without its file.
+            named = [address for address in self._places if address.endswith(f".{name}")]
+            name = named[0] if len(named) == 1 else name
         listed = name if name in self._places else re.sub(r"\[\d+\]", "[0]", name)
         if listed not in self._places:
             listed = name
@@ -135,13 +142,25 @@ class JointRecording:
 
 
 def _rising_in_seconds(part: RawRecording, infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
-    """Return the first column in a unit of time that never falls, whatever it is called; None if there is none."""
+    """Return the first column that counts time and never falls, whatever it is called; None if there is none.
+
+    It is in a unit of time, or counts since 1970.
+    """
     for info in infos:
-        if info.type_name == "column" and getattr(find_unit(info.unit or ""), "si", "") == "s":
-            steps = np.diff(part.read([info.name])[info.name].values)
-            if np.any(steps > 0.0) and not np.any(steps < 0.0):
-                return info
+        stated = getattr(find_unit(info.unit or ""), "si", "")
+        if info.type_name != "column" or stated not in ("", "s"):
+            continue
+        values = part.read([info.name])[info.name].values
+        steps = np.diff(values[np.isfinite(values)])
+        if np.any(steps > 0.0) and not np.any(steps < 0.0) and (stated or _counts_since_1970(values)):
+            return info
     return None
+
+
+def _counts_since_1970(values: np.ndarray) -> bool:
+    """Whether all values lie between the years 2001 and 2100, in s, ms, us or ns."""
+    finite = values[np.isfinite(values)]
+    return any(finite.min() * unit >= 1e9 and finite.max() * unit <= 4.1e9 for unit in (1.0, 1e-3, 1e-6, 1e-9))
 
 
 def _own_clock(part: RawRecording, infos: Sequence[RawChannelInfo]) -> bool:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from split_cli.errors import LogError
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, refuse_many_columns
+from split_cli.logs.one_car import NAMES_OF_CARS
 from split_cli.logs.raw import (
     LazyTableRecording,
     RawChannelInfo,
@@ -19,6 +21,7 @@ from split_cli.logs.raw import (
     ReadNote,
     TableRecording,
     UniqueNames,
+    Words,
     note_once,
 )
 from split_cli.logs.readers.cells import seconds_of
@@ -28,6 +31,8 @@ from split_cli.logs.readers.named_values import open_named_rows
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import split_name_and_unit, symbol_of
 
+_TOPICS = ("topic", "channel", "type", "msg_type", "message_type", "stream", "sensor", "source")
+"""Keys that say which sensor or topic a row is of, as `mcap cat --json` writes them."""
 _LISTED_ROWS = 200
 """Rows whose fields are listed: an event writes fields that the first row lacks [1]."""
 _PLACES, _ROWS_A_PLACE, _BYTES_A_PLACE = 16, 25, 1 << 18
@@ -45,6 +50,8 @@ def is_json(head: bytes) -> bool:
     """Tell JSON by its first characters: an object with a quoted key, or a list of objects or of numbers."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     inside = text[1:].lstrip()[:1]
+    if text[:1] == b"[" and inside == b'"':
+        return _titles_of_lists(text.splitlines()[:-1]) != []
     return (text[:1] == b"{" and inside == b'"') or (text[:1] == b"[" and inside == b"{")
 
 
@@ -59,6 +66,11 @@ def open_json(path: Path) -> RawRecording:
         If it holds no rows of numbers, or more than `MOST_FIELDS` fields.
     """
     with path.open("rb") as stream:
+        titles = _titles_of_lists([stream.readline(LONGEST_ELEMENT) for _ in range(2)])
+        if titles:
+            notes_of_lists: list[ReadNote] = []
+            return table_of_rows(path, lambda: _rows_of_lists(path, titles, notes_of_lists), notes_of_lists)
+        stream.seek(0)
         first = parsed(stream.readline(LONGEST_ELEMENT))
         more = any(not line.isspace() for line in iter(lambda: stream.readline(LONGEST_ELEMENT), b""))
     # A file with one object is a document: as a row it would have one time only.
@@ -70,8 +82,54 @@ def open_json(path: Path) -> RawRecording:
     if named is not None:
         named.notes.extend(notes)
         return named
+    topic = _key_of_topics(beginning)
+    if topic:
+        known = _names_of(_by_topic(itertools.chain(beginning, _rows_of_places(path)), topic), path)
+        return _table(path, known, lambda: _by_topic(_rows(path, notes), topic), notes)
     known = _names_of(itertools.chain(beginning, _rows_of_places(path)), path)
     return _table(path, known, lambda: _rows(path, notes), notes)
+
+
+def _key_of_topics(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the key that says of which topic a row is, where rows of several topics hold objects; else nothing."""
+    for key in _TOPICS:
+        topics = [row.get(key) for row in rows]
+        words = {topic for topic in topics if isinstance(topic, str)}
+        nested = any(isinstance(value, dict) for row in rows for value in row.values())
+        if 1 < len(words) < len(rows) and all(isinstance(topic, str) for topic in topics) and nested:
+            return key
+    return ""
+
+
+def _by_topic(rows: Iterable[dict[str, Any]], key: str) -> Iterator[dict[str, Any]]:
+    """Yield rows with what their objects hold under the name of their topic: two sensors may send alike messages."""
+    for row in rows:
+        topic = re.sub(r"[/.]+", ".", str(row.get(key) or "")).strip(".")
+        inside = {name: value for name, value in row.items() if isinstance(value, dict)}
+        plain = {name: value for name, value in row.items() if name not in inside}
+        content = next(iter(inside.values())) if len(inside) == 1 else inside
+        yield {**plain, topic: content} if inside and topic else row
+
+
+def _titles_of_lists(lines: Sequence[bytes]) -> list[str]:
+    """Return the titles of lines with a list each, of which the first holds them; empty of another form."""
+    first, second = (parsed(line) for line in lines[:2]) if len(lines) > 1 else (None, None)
+    alike = isinstance(first, list) and isinstance(second, list) and len(first) == len(second) > 1
+    return list(first) if alike and all(isinstance(title, str) for title in first) else []
+
+
+def _rows_of_lists(path: Path, titles: Sequence[str], notes: list[ReadNote]) -> Iterator[dict[str, Any]]:
+    others = 0
+    with path.open("rb") as stream:
+        stream.readline(LONGEST_ELEMENT)
+        while line := stream.readline(LONGEST_ELEMENT):
+            row = parsed(line) if not line.isspace() else None
+            if isinstance(row, list) and len(row) == len(titles):
+                yield dict(zip(titles, row, strict=True))
+            else:
+                others += not line.isspace()
+    if others:
+        note_once(notes, "lines that hold no list of that many, left out", path.name, others)
 
 
 def table_of_rows(path: Path, rows: Callable[[], Iterator[dict[str, Any]]], notes: list[ReadNote]) -> RawRecording:
@@ -103,6 +161,14 @@ def _table(
         note_once(notes, "column names that occur twice, numbered", path.name, unique.renamed)
 
     listed = set(known)
+    cars = [key for key, value in next(rows(), {}).items() if key.lower() in NAMES_OF_CARS and isinstance(value, str)]
+    infos += [RawChannelInfo(key, "text", None) for key in cars if key not in listed]
+
+    def texts(name: str) -> tuple[np.ndarray, list[str]]:
+        words = Words()
+        for batch in _batched(rows(), _ROWS_AT_ONCE):
+            words.append([str((row or {}).get(name) or "")[:LONGEST_NAME] for row in batch])
+        return words.finished()
 
     def load(names: Sequence[str]) -> dict[str, RawSignal]:
         missed: dict[str, None] = {}
@@ -134,7 +200,12 @@ def _table(
         read = zip(names, columns, strict=True)
         return {name: RawSignal(name, None, column.finished(), units[name]) for name, column in read}
 
-    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+    return LazyTableRecording(path.name, path, infos, load, notes=notes, texts=texts)
+
+
+def _batched(rows: Iterator[dict[str, Any]], count: int) -> Iterator[list[dict[str, Any]]]:
+    while batch := list(itertools.islice(rows, count)):
+        yield batch
 
 
 def _refuse_rows_of_nothing(numbers: int, size: int, path: Path) -> None:

@@ -12,6 +12,9 @@ from split_cli.logs.readers.dialect import LONGEST_LINE, decoded
 from split_cli.logs.readers.json_rows import table_of_rows
 
 _PAIR = re.compile(r"\s*([^\W\d][^:=,;\t\"]{0,80}?) ?[:=] ?(\"[^\"]*\"|[^,;\s]*)(?:[,;\t ]+|$)")
+_FRONT = re.compile(r"(?:[A-Z]+ *)?(?:\[[^\]]{0,80}\]\s*)+:?\s*")
+_BRACKETS = re.compile(r"\[([^\]]*)\]")
+"""What a program that logs to a console writes before its text, in brackets: its level, its name, and the time."""
 _LINES, _FEWEST = 60, 6
 """Lines that are looked at, and those of one form that show it [1]; judgement."""
 
@@ -36,6 +39,10 @@ def _row(line: str) -> dict[str, Any]:
     """Return the values of a line by name; empty for a line that holds anything else beside them."""
     row: dict[str, Any] = {}
     at, text = 0, line.strip()
+    if (front := _FRONT.match(text)) is not None:
+        stamps = [s for s in (number_of(cell, ".") for cell in _BRACKETS.findall(front[0])) if s == s]
+        row = {"time": stamps[0]} if stamps else {}
+        at = front.end()
     while at < len(text):
         found = _PAIR.match(text, at)
         if found is None:

@@ -14,6 +14,7 @@ from split_cli.errors import LogError, damaged
 from split_cli.logs import scratch
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
+from split_cli.logs.readers.hdf5_attributes import name_of_index, titles_of_block, titles_of_matrix, unpacked
 from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.readers.named_arrays import VALUE_FIELDS, recording_of_vectors
 from split_cli.logs.scratch import set_aside
@@ -163,8 +164,11 @@ def _leaves(name: str, value: Any, depth: int, left: Counter[str]) -> Iterator[t
             return
         labels = [_label(item) for item in items]
         labelled = name.endswith(".signals") and all(labels) and len(set(labels)) == len(labels)
+        called = [] if name.endswith(".signals") else _names_of_structures(items)
         for index, item in enumerate(items):
-            if labelled:
+            if called:
+                yield from _leaves(f"{name}.{called[index]}", item, depth + 1, left)
+            elif labelled:
                 # Beside the structure's time, so that it is their clock.
                 yield from _leaves(f"{name.removesuffix('.signals')}.{labels[index]}", item.values, depth + 1, left)
             else:
@@ -173,6 +177,18 @@ def _leaves(name: str, value: Any, depth: int, left: Counter[str]) -> Iterator[t
         yield name, value
     elif not (isinstance(value, np.ndarray) and value.dtype.kind == "U"):
         left[_ODD] += 1
+
+
+def _names_of_structures(items: Sequence[Any]) -> list[str]:
+    """Return the names of several channels, each a structure with its name in it; empty where they are other ones."""
+    # A cell holds its structure as an array of one.
+    items = [item.ravel()[0] if isinstance(item, np.ndarray) and item.size == 1 else item for item in items]
+    fields = [{key.lower(): key for key in getattr(item, "_fieldnames", ())} for item in items]
+    keys = [next((known[k] for k in ("name", "label", "channel") if k in known), "") for known in fields]
+    if len(items) < 2 or not all(keys) or not all({"data", "values", "value"} & set(known) for known in fields):
+        return []
+    names = [_text(getattr(item, key)).replace(".", "_") for item, key in zip(items, keys, strict=True)]
+    return names if all(names) and len(set(names)) == len(names) else []
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -258,7 +274,8 @@ class _Hdf5:
         units = (_inside(group, key) for key in group if key.lower() in _UNIT_FIELDS)
         unit = next((_text_hdf5(item) for item in units if item is not None), "")
         for key in group:
-            if key.startswith("#") or (unit and key.lower() in _UNIT_FIELDS):
+            # PyTables keeps an index of a table beside it.
+            if key.startswith(("#", "_i_")) or (unit and key.lower() in _UNIT_FIELDS):
                 continue
             if depth > _DEEPEST:
                 self.left[_DEEP] += 1
@@ -321,12 +338,29 @@ class _Hdf5:
         titled = f"{name} [{own.replace('.', ' ')}]" if own else _with_unit(name, unit)
         if columns:
             rows = item[()]  # a table of PyTables or h5py: a field a column
-            blocks = [field for field in columns if field.startswith("values_block_")]
-            self.left[_PICKLED] += sum(math.prod(item.dtype[field].shape) for field in blocks)
-            self.leaves += [(f"{name}.{field}", _aside(np.atleast_2d(rows[field].T).T)) for field in columns]
+            for field in columns:
+                self._add_field(item, name, field, np.atleast_2d(rows[field].T).T)
             return
+        values = np.atleast_2d(np.asarray(item[()]))
+        titles = titles_of_matrix(item.attrs, values.shape[1])
+        if titles:
+            self.leaves += [(f"{name}.{t}", _aside(values[:, k])) for k, t in enumerate(titles)]
+            return
+        scaled = unpacked(values, item.attrs)
         # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
-        self.leaves.append((titled, _aside(np.atleast_2d(np.asarray(item[()])).T)))
+        self.leaves.append((titled, _aside((values if scaled is None else scaled).T)))
+
+    def _add_field(self, item: Any, name: str, field: str, values: np.ndarray) -> None:
+        """Add a field of a table; those of a block of pandas by their titles, under the name of the frame."""
+        is_block = field.startswith("values_block_")
+        titles = titles_of_block(item.attrs, field, values.shape[1]) if is_block and values.ndim == 2 else []
+        frame = name.removesuffix(".table")
+        if titles:
+            self.leaves += [(f"{frame}.{t}", _aside(np.atleast_2d(values[:, k]))) for k, t in enumerate(titles)]
+            return
+        index = name_of_index(item.parent.attrs) if field == "index" else ""
+        self.left[_PICKLED] += math.prod(item.dtype[field].shape) if is_block else 0
+        self.leaves.append((f"{frame}.{index}" if index else f"{name}.{field}", _aside(values)))
 
 
 def _list_of_texts(item: Any, name: str) -> list[tuple[str, np.ndarray]]:

@@ -199,8 +199,8 @@ def _rises_evenly(row: np.ndarray) -> bool:
 
 
 def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the time of each array that stands in a structure beside one: of Simulink, or of a sensor."""
-    clocks = _clocks_of_structures(arrays)
+    """Return the time of each array that stands beside one of its own: of Simulink, of a sensor, or called after it."""
+    clocks = _clocks_of_structures(arrays) | _clocks_called_after(arrays)
     for name in arrays:
         for ending in _VALUE_NAMES:
             if not name.endswith("." + ending):
@@ -209,6 +209,25 @@ def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
             beside = next((arrays[structure + t] for t in _TIME_NAMES if structure + t in arrays), None)
             if beside is not None:
                 clocks[name] = np.asarray(beside, dtype=np.float64).ravel()
+    return clocks
+
+
+def _clocks_called_after(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return for each vector the rising one of its length that is called after it: ``t_vx``, ``vx_time``."""
+    clocks: dict[str, np.ndarray] = {}
+    for name, values in arrays.items():
+        structure, dot, field = split_name_and_unit(name)[0].rpartition(".")
+        if min(values.shape, default=0) != 1 and values.ndim > 1:
+            continue
+        for called in (f"t_{field}", f"time_{field}", f"{field}_t", f"{field}_time", f"{field}_Time", f"{field}_ts"):
+            beside = arrays.get(f"{structure}{dot}{called}")
+            if beside is None or beside.size != values.size:
+                continue
+            time = np.asarray(beside, dtype=np.float64).ravel()
+            step = np.diff(time[np.isfinite(time)])
+            if len(step) and np.mean(step > 0) > 0.95:
+                clocks[name] = clocks[f"{structure}{dot}{called}"] = _in_seconds(time, None)
+                break
     return clocks
 
 

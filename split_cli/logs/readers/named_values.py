@@ -43,6 +43,8 @@ _TIMES = tuple(
 )
 _SEPARATORS = (",", ";", "\t")
 _ROWS_LOOKED_AT, _LINES_BEFORE = 40, 20
+_FEWEST_ROWS = 8
+"""Lines without titles that show their form [1]; judgement."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,8 @@ def open_named_rows(
     at = places_in(keys)
     if at is None or not _are_named([str(row.get(keys[at.name], "")) for row in looked_at]):
         return None
+    if not any(np.isfinite(_number(row.get(keys[at.value]), at.decimal)) for row in looked_at):
+        return None
     cells = ([row.get(key) for key in keys] for row in rows)
     return _gathered(path, at, cells)
 
@@ -138,6 +142,21 @@ def table_of_named_values(head: bytes) -> Places | None:
             numbers = sum(np.isfinite(number_of(cell, decimal)) for cell in values)
             if 2 * numbers > len(values) and _are_named([r[at.name] for r in below]):
                 return replace(at, separator=separator, decimal=decimal, titles=tuple(row))
+    return _without_titles(lines)
+
+
+def _without_titles(lines: Sequence[str]) -> Places | None:
+    """Return the form of lines of a time, a name and a number each, as those of topics that a program prints."""
+    for separator in (" ", *_SEPARATORS):
+        rows = [_cells(line, separator) for line in lines[:_ROWS_LOOKED_AT] if line.strip()]
+        if len(rows) < _FEWEST_ROWS or any(len(row) != 3 for row in rows):
+            continue
+        times = [number_of(row[0].strip(), ".") for row in rows]
+        numbers = [number_of(row[2].strip(), ".") for row in rows]
+        rising = bool(np.all(np.diff(times) >= 0.0)) and times[-1] > times[0]
+        words = all(row[1].strip()[:1].isalpha() or row[1].strip()[:1] in "/_" for row in rows)
+        if rising and words and np.isfinite(numbers).all() and _are_named([row[1].strip() for row in rows]):
+            return Places(0, 1, 2, separator=separator)
     return None
 
 
@@ -149,6 +168,8 @@ def open_named_table(path: Path, at: Places) -> RawRecording:
 
 def _cells(line: str, separator: str) -> list[str]:
     """Return the cells of one line: a quote that is never closed takes no rows behind it."""
+    if separator == " ":
+        return line.split()
     if '"' not in line:
         return line.split(separator)
     try:

@@ -10,16 +10,21 @@ from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
 from split_cli.logs.readers.definitions import Definitions
-from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
+from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff, utf_16_without_mark
 from split_cli.logs.readers.guard import GuardedRecording, guarded
 from split_cli.logs.readers.ibt import is_ibt, open_ibt
 from split_cli.logs.readers.json_rows import is_json, open_json
 from split_cli.logs.readers.labelled_lines import is_labelled, open_labelled
+from split_cli.logs.readers.line_protocol import is_line_protocol, open_line_protocol
 from split_cli.logs.readers.messages import Container, MessageRecording
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
+from split_cli.logs.readers.rows_of_kinds import open_rows_of_kinds, titles_of_kinds
+from split_cli.logs.readers.yaml_documents import is_yaml_documents, open_yaml_documents
 
 _HEAD_BYTES = 4096
+NETCDF_MAGIC = (b"CDF\x01", b"CDF\x02")
+"""How a file of NetCDF begins in its classic forms."""
 _MOST_LISTED = 2000
 """Files of a folder that are looked at to say what it holds [1]."""
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -47,7 +52,7 @@ _OTHERS = {
     ".erg": ("a result of CarMaker", "Export it as CSV or MAT."),
     ".fit": ("a FIT file", "Export it as CSV."),
     **dict.fromkeys((".pkl", ".pickle"), ("a pickle of Python", "Save it as Parquet or CSV.")),
-    **dict.fromkeys((".xls", ".xlsx", ".ods"), ("a spreadsheet", "Export it as CSV.")),
+    **dict.fromkeys((".xls", ".xlsb", ".ods"), ("a spreadsheet", "Save it as .xlsx, or export it as CSV.")),
 }
 """Files that other programs write and that are not read, by suffix: what they are and the way out."""
 _TABLE_SUFFIXES = (".csv", ".mat", ".vbo", ".mf4", ".parquet", ".bag", ".json", ".ibt")
@@ -106,13 +111,31 @@ def is_prose(path: Path) -> bool:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
         known = is_can_log(path, head) or is_pi_toolbox(head) or is_json(head) or is_labelled(head)
+        known = known or titles_of_kinds(head) is not None or is_line_protocol(head) or is_yaml_documents(head)
         if not (known or table_of_named_values(head)):
             sniff(path)
     except NoTableError:
-        return bool(head) and not (path.suffix.lower() == ".csv" and b"\n" not in head.strip())
+        return bool(head) and not holds_titles_alone(path)
     except (LogError, OSError):
         pass
     return False
+
+
+def is_list_of_rows(path: Path) -> bool:
+    """Tell a JSON file that is a list of objects by its beginning; one object may be settings."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError:
+        return False
+    return is_json(head) and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"[")
+
+
+def holds_titles_alone(path: Path) -> bool:
+    """Tell a table of one line, such as that of a sensor that recorded nothing."""
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    return path.suffix.lower() == ".csv" and bool(head) and b"\n" not in head.strip()
 
 
 def _open(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
@@ -142,7 +165,7 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
         raise LogError(
             f"is named like {called} but does not begin like one", where=path.name, advice="Copy or record it again."
         )
-    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")) and not utf_16_without_mark(head):
         raise LogError("is of no known format", where=path.name, advice=KNOWN_FORMATS)
     from split_cli.logs.readers.delimited import open_delimited
 
@@ -156,6 +179,10 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return _messages(path, McapContainer(path), message_paths)
     if head.startswith(b"SQLite format 3\0"):
         from split_cli.logs.readers.rosbag2 import SqliteContainer
+        from split_cli.logs.readers.sqlite_tables import is_rosbag2, open_sqlite
+
+        if path.suffix.lower() != ".db3" and not is_rosbag2(path):
+            return open_sqlite(path)
 
         return _messages(path, SqliteContainer(path), message_paths)
     if head.startswith(b"#ROSBAG V2.0\n"):
@@ -190,7 +217,15 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
     if head.startswith(b"PK\x03\x04"):
         from split_cli.logs.readers.numpy_arrays import is_npz, open_npz
 
-        return open_npz(path) if is_npz(path, head) else None
+        if is_npz(path, head):
+            return open_npz(path)
+        from split_cli.logs.readers.spreadsheet import is_spreadsheet, open_spreadsheet
+
+        return open_spreadsheet(path) if is_spreadsheet(path, head) else None
+    if head.startswith(NETCDF_MAGIC):
+        from split_cli.logs.readers.netcdf_classic import open_netcdf_classic
+
+        return open_netcdf_classic(path)
     if path.suffix.lower() == ".ibt" and is_ibt(path, head):
         return open_ibt(path)
     if is_pi_toolbox(head):
@@ -199,8 +234,14 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_json(path)
     if (places := table_of_named_values(head)) is not None:
         return open_named_table(path, places)
+    if is_line_protocol(head):
+        return open_line_protocol(path)
     if is_labelled(head):
         return open_labelled(path)
+    if is_yaml_documents(head):
+        return open_yaml_documents(path)
+    if (kinds := titles_of_kinds(head)) is not None:
+        return open_rows_of_kinds(path, *kinds)
     # Version 4 has no magic number; its reader tells whether it is one.
     if head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix.lower() == ".mat" and not _is_hdf5(head)):
         from split_cli.logs.readers.mat import open_mat

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from split_cli.errors import LogError, reason_of
-from split_cli.logs.budget import MOST_FIELDS, Unfolded, refuse_many_columns, refuse_unpacked_size
+from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, Unfolded, refuse_many_columns, refuse_unpacked_size
 from split_cli.logs.raw import (
     LazyTableRecording,
     RawChannelInfo,
@@ -16,6 +16,7 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     UniqueNames,
+    Words,
     note_once,
 )
 from split_cli.logs.readers.probe import probe
@@ -129,7 +130,29 @@ def _recording(path: Path, kind: str, schema: Any, rows: int, read: Callable[[st
             pa.default_memory_pool().release_unused()
         return {name: RawSignal(name, None, values[name], units[name]) for name in names}
 
-    return LazyTableRecording(path.name, path, infos, load, notes=notes)
+    def texts(name: str) -> tuple[np.ndarray, list[str]]:
+        try:
+            return _texts(_leaf(read(columns[name][0]), columns[name]))
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise _damaged(path, kind, error) from error
+
+    return LazyTableRecording(path.name, path, infos, load, notes=notes, texts=texts)
+
+
+def _texts(column: Any) -> tuple[np.ndarray, list[str]]:
+    """Return a column of text as numbers and its texts, each cut to the length of a name: one may be repeated a lot."""
+    words = Words()
+    for chunk in getattr(column, "chunks", [column]):
+        encoded = chunk if hasattr(chunk, "dictionary") else chunk.dictionary_encode()
+        texts = [*map(_text, encoded.dictionary.to_pylist()), ""]  # the last one is of what is missing
+        places = encoded.indices.fill_null(len(texts) - 1).to_numpy(zero_copy_only=False)
+        words.append(texts, places)
+    return words.finished()
+
+
+def _text(value: Any) -> str:
+    text = value.decode(errors="replace") if isinstance(value, bytes) else str(value or "")
+    return text[:LONGEST_NAME]
 
 
 def _is_text(kind: Any) -> bool:

@@ -70,10 +70,11 @@ class RollingResistance(Term):
     """A constant force opposes the wheels' rolling, shared by the axles like their static loads.
 
     The front share points along the front wheels, as the nominal resistance does, and so slightly reduces
-    turning. Vehicles only drive forward here, so the sign of the force is fixed. Source: Rajamani (2012),
-    section 4.1.2.
+    turning. It is a part of the tyres' longitudinal force, and acts before what that leaves of their lateral one.
+    Vehicles only drive forward here, so the sign of the force is fixed. Source: Rajamani (2012), section 4.1.2.
     """
 
+    order = 2  # before combined slip
     id = "rolling_resistance"
     titles: ClassVar = {"": "Rolling resistance off"}
     units: ClassVar = {"force": "N"}
@@ -100,8 +101,8 @@ class RollingResistance(Term):
     def statement(cls, p: Estimates, variant: str = "") -> str:
         return f"there is {amount(p['force'], more='more resistance', less='less resistance')} to rolling"
 
-    def external(self, flow: Flow) -> None:
-        """Add the resistance to the axles; what tyres spend sideways is known by then."""
+    def lateral(self, flow: Flow) -> None:
+        """Take the resistance from the axles' longitudinal forces."""
         car = flow.vehicle
         for axle, lever in ((flow.front, car.cg_to_rear_axle), (flow.rear, car.cg_to_front_axle)):
             axle.longitudinal_force = axle.longitudinal_force - self.parameters["force"] * lever / car.wheelbase

@@ -15,9 +15,9 @@ from split_cli.logs.drafting.meeting_clocks import let_clocks_meet
 from split_cli.logs.drive import Drive, DriveMetadata, open_drive, read_drive, write_drive
 from split_cli.logs.listing import ListedChannel, listed_channels
 from split_cli.logs.map_entries import SignalMap
-from split_cli.logs.raw import RawRecording
+from split_cli.logs.raw import RawRecording, ReadNote
 from split_cli.logs.readers.joint import JointRecording
-from split_cli.logs.readers.opening import open_recording
+from split_cli.logs.readers.opening import holds_titles_alone, open_recording
 from split_cli.logs.signal_map import read_map
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.engine import HERE, Engine
@@ -334,7 +334,12 @@ def open_logs(log: str | Path | Sequence[str | Path], message_paths: Sequence[st
     """Open a recording, or several files that are one: clocks that do not meet are brought together."""
     if isinstance(log, str | Path):
         return open_recording(log, message_paths=message_paths)
-    joined = JointRecording([open_recording(path, message_paths=message_paths) for path in log])
+    paths = [Path(path) for path in log]
+    empty = [path for path in paths if path.is_file() and holds_titles_alone(path)]
+    empty = empty if len(empty) < len(paths) else []
+    joined = JointRecording([open_recording(p, message_paths=message_paths) for p in paths if p not in empty])
+    for path in empty:
+        joined.remark(ReadNote("holds titles alone, left out", path.name))
     let_clocks_meet(joined)
     return joined
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from split_cli.errors import SplitError
+from split_cli.errors import LogError, SplitError
 from split_cli.files import atomic_directory
 from split_cli.logs.assembling.derivations import DERIVATIONS, WITHOUT_RATE, derivations_for
 from split_cli.logs.drafting.draft import SIDESLIP_OF_TIRES, WHAT_GIVES_R, in_ranges, lines_on_presets, lines_on_runs
 from split_cli.logs.drafting.nameless import has_no_name
 from split_cli.logs.drafting.several_logs import agreed_draft
 from split_cli.logs.drafting.suggest import Draft, draft_map, render_draft
+from split_cli.logs.readers.opening import holds_titles_alone
 from split_cli.signals import REQUIRED_CHANNELS
 from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.sources import enter_all, find_sources, typed_address
@@ -109,10 +110,14 @@ class InitResult:
             )
         yield f"Fill in the empty values of {self.vehicle_path}."
         yield from (*lines_on_presets(self.draft.presets), *lines_on_runs(self.draft))
+        if self.draft.rows:
+            yield f"The log {self.draft.rows.partition(': the log ')[2]}: `rows:` in {self.map_path} chooses one."
         if check := [s.channel for s in self.draft.suggestions if s.status == "assumed"]:
             yield f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}."
         if self.draft.time.startswith("# time: {period"):
             yield f"State the time in {self.map_path}, or add --row-rate HZ below: no column of the log counts it."
+        if self.draft.time.startswith("# time: needed: "):
+            yield f"Give the log a clock: {self.draft.time.removeprefix('# time: needed: ')}."
         if not self.draft.left:
             by_gravity = f" {self.draft.by_gravity}" if self.draft.by_gravity else ""
             yield (
@@ -214,15 +219,22 @@ def init_project(
     sources = find_sources(logs)
     drafts: dict[str, Draft] = {}
     recorded: dict[str, list[str]] = {}
+    empty: list[str] = []
     names = []
     for parts in [sources] if together else [[source] for source in sources]:
         with contextlib.ExitStack() as stack:
             paths = enter_all(parts, stack)
+            if len(sources) > len(parts) and paths[0].is_file() and holds_titles_alone(paths[0]):
+                empty.append(f"{parts[0].name} holds titles alone and is left out.")
+                continue
             recording = open_logs(paths if together else paths[0], message_paths)
             drafts[parts[0].address] = draft_map(recording, row_rate=row_rate)
             recorded[parts[0].address] = [info.name for info in recording.channels()]
             names.append(recording.name)
+    if not drafts:
+        raise LogError("holds titles alone", where=str(logs[0]), advice="Record it again.")
     draft, differences = agreed_draft(drafts, recorded)
+    differences = (*empty, *differences)
     name = ", ".join(names)
     if draft.hints and all(s.status == "open" for s in draft.suggestions):
         # Files would stand in the way of the next attempt, with the log in another form.
