@@ -7,8 +7,11 @@ from split_cli.cli.digits import three_digits
 from split_cli.cli.verbosity import StepBar, print_notes
 from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_NOMINAL, SHARE_STEP, SIZE
 
+#: Former names of options, by which scripts may still call them; the help shows the present ones.
+_FORMER_NAMES = {"told-grip": "assumed-friction"}
 
-@click.command("race")
+
+@click.command("race", context_settings={"token_normalize_func": lambda name: _FORMER_NAMES.get(name, name)})
 @shared.vehicle_option()
 @click.option(
     "--track",
@@ -84,8 +87,6 @@ from split_cli.control.policy import MARGIN, RACE_P_LONG, SHARE_LEARNED, SHARE_N
 )
 @click.option(
     "--assumed-friction",
-    "--told-grip",
-    "assumed_friction",
     type=float,
     default=1.0,
     metavar="SCALE",

@@ -1,4 +1,4 @@
-"""A cache of the last few results for a search, and the way to return freed memory to the system."""
+"""A cache of the most recent results, and the return of freed memory to the system."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Generic, TypeVar
 _Made = TypeVar("_Made")
 
 
-class Recent(Generic[_Made]):
-    """Results by key; the one that was asked for longest ago is forgotten first.
+class RecentResults(Generic[_Made]):
+    """The most recently used results by key (least recently used are dropped first).
 
-    Safe between threads: at worst two of them work out the same.
+    Safe between threads: at worst two of them compute the same result.
 
     Parameters
     ----------
     most : int
-        How many results are kept.
+        Number of results that are kept.
     """
 
     def __init__(self, most: int) -> None:
@@ -29,15 +29,15 @@ class Recent(Generic[_Made]):
         return len(self._known)
 
     def clear(self) -> None:
-        """Forget all results."""
+        """Drop all results."""
         self._known.clear()
 
-    def __reduce__(self) -> tuple[type[Recent], tuple[int]]:
-        # Keys may hold ids of objects, which another process gives to others.
+    def __reduce__(self) -> tuple[type[RecentResults], tuple[int]]:
+        # Keys may contain ids of objects, which are not unique across processes.
         return type(self), (self.most,)
 
     def __call__(self, key: Hashable, made: Callable[[], _Made]) -> _Made:
-        """Return the result of a key: as it was made before, or made now."""
+        """Return the cached result of a key, or call `made` and keep its result."""
         found = self._known.pop(key, None)
         if found is None:
             found = made()
@@ -48,10 +48,10 @@ class Recent(Generic[_Made]):
 
 
 def release_memory() -> None:
-    """Return freed memory to the system where the C library can; elsewhere nothing happens.
+    """Return freed memory to the system with the C library of GNU; elsewhere do nothing.
 
-    A library that allocates keeps what lies between arrays in use, and a search frees arrays of all lengths: of a
-    recording of eleven minutes half as much stayed as was in use.
+    The allocator keeps freed memory between arrays in use. On a recording of eleven minutes half as much was kept as
+    was in use.
     """
     if sys.platform.startswith("linux"):
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc alone

@@ -1,6 +1,6 @@
 """Parallel execution within one diagnosis: in threads, or by an engine that the caller passes.
 
-NumPy and compiled loops let go of Python's lock, so threads are enough on one machine.
+NumPy and compiled loops release the global interpreter lock, so threads are sufficient on one machine.
 """
 
 import os
@@ -14,19 +14,19 @@ _Item = TypeVar("_Item")
 _Out = TypeVar("_Out")
 _Held = TypeVar("_Held")
 
-_MOST = 4  # beyond it Python's lock is what is waited for
+_MOST = 4  # threads at most by default [1]: more would wait for the global interpreter lock
 _threads = 0
 _apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]] | None = None
 
 
 def use_threads(count: int) -> None:
-    """Use so many threads at most from now on; 0 for as many as there are cores, up to four."""
+    """Use at most `count` threads from now on; 0 for one a core, up to four."""
     global _threads
     _threads = count
 
 
 def map_in_threads(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
-    """Return the function of each item, in order; the first error is raised as if they were done in turn."""
+    """Return the function of each item, in order. An error of an item is raised as in a loop."""
     items = list(items)
     count = min(len(items), _threads or min(cores(), _MOST))
     if count < 2:
@@ -37,7 +37,7 @@ def map_in_threads(function: Callable[[_Item], _Out], items: Iterable[_Item]) ->
 
 @contextmanager
 def distributing_by(apply: Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]) -> Iterator[None]:
-    """Let ``apply(function, items)`` do what `map_distributed` is given, in the body."""
+    """Let `map_distributed` use ``apply(function, items)`` within the context."""
     global _apply
     _apply = apply
     try:
@@ -47,10 +47,10 @@ def distributing_by(apply: Callable[[Callable[[Any], Any], Sequence[Any]], Itera
 
 
 def map_distributed(function: Callable[[_Item], _Out], items: Iterable[_Item]) -> list[_Out]:
-    """Return the function of each item, in order, as `map_in_threads` does; for pieces that are worth sending.
+    """Return the function of each item, in order, possibly computed by other processes.
 
-    What they return can be pickled, and nothing that they alter is needed: both may be copies. What every piece
-    needs travels once where the function is a `functools.partial` of it: see `map_distributed_with`.
+    Items, results and function must be picklable. They may be copies, so changes of them are lost. Data that all items
+    need are sent once with `map_distributed_with`.
     """
     items = list(items)
     if _apply is None or len(items) < 2:
@@ -59,10 +59,10 @@ def map_distributed(function: Callable[[_Item], _Out], items: Iterable[_Item]) -
 
 
 def map_distributed_with(held: _Held, function: Callable[[_Held, _Item], _Out], items: Iterable[_Item]) -> list[_Out]:
-    """Return ``function(held, item)`` of each item as `map_distributed` does; `held` travels once."""
+    """Return ``function(held, item)`` of each item as `map_distributed` does; `held` is sent once."""
     return map_distributed(partial(function, held), items)
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

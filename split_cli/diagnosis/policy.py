@@ -1,9 +1,9 @@
-"""Every number that decides something in a diagnosis, with its unit, its meaning and where it comes from.
+"""All constants that decide in a diagnosis, each with unit, meaning and origin.
 
-One frozen `Policy` is passed down. Numbers that only set how finely something is computed stand beside the
-algorithm they belong to. The origin of a number is ``theory`` (it follows from a formula or a definition),
-``study`` (a command of this project measured it) or ``judgement`` (somebody chose it, and nobody has measured a
-better one). `policy_numbers.KINDS` tells numbers that decide from guards, computing time and what is only told.
+One immutable `Policy` is passed to all packages. Constants of numerical resolution stand beside their algorithm. The
+origin of a constant is ``theory`` (it follows from a formula or definition), ``study`` (a command of this project
+measured it) or ``judgement`` (it was chosen, and no better value has been measured). `policy_numbers.KINDS` separates
+constants that decide from guards, limits of computing time, and choices of the report.
 """
 
 from __future__ import annotations

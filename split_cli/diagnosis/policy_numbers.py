@@ -1,4 +1,4 @@
-"""How a number that decides is written down: value, unit, meaning, origin; and on what it decides."""
+"""Fields of the policy: a constant with unit, meaning and origin, and kinds of constants by what they decide."""
 
 from dataclasses import field
 from typing import Any
@@ -6,9 +6,9 @@ from typing import Any
 THEORY, JUDGEMENT = "theory: ", "judgement: "
 CHOSEN = JUDGEMENT + "chosen while developing on cases of `split prove`, without a study of its own"
 
-#: What is no decision on the two drives, by name (a group stands for all of its numbers that no other kind names):
-#: guards refuse a recording or leave rows out; effort bounds computing time; telling chooses what a report says of
-#: a gap that has been found. All else decides: whether there is a difference, its name, or its size.
+#: Constants that do not decide on a difference, its name or its size, by kind and name. A group stands for all of its
+#: constants that no other kind names. Guards refuse a recording or leave rows out, effort bounds computing time, and
+#: telling chooses what a report says of a gap.
 KINDS = {
     kind: tuple(names.split())
     for kind, names in {
@@ -31,12 +31,12 @@ _SCALES = ("screening.least_scale_error", "screening.sure_scale_error")
 
 
 def number(default: float, unit: str, meaning: str, origin: str) -> Any:
-    """Return a field of a policy whose metadata hold what a reader asks of a number."""
+    """Return a field of a policy with its unit, meaning and origin as metadata."""
     return field(default=default, metadata={"unit": unit, "meaning": meaning, "origin": origin})
 
 
 def kind_of(name: str) -> str:
-    """Return on what a number decides, by its name `group.number`: a key of `KINDS`, or `DECIDES`."""
+    """Return the kind of a constant by its name `group.number`: a key of `KINDS`, or `DECIDES`."""
     if name in _SCALES:
         return DECIDES
     group = name.partition(".")[0]

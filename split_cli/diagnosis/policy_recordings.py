@@ -1,4 +1,4 @@
-"""Numbers that decide what a recording is believed of: screening, wheels that slip, lines of the spectrum."""
+"""Constants of the policy for recordings: screening, slipping wheels and noise, lines of the spectrum."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The one bounded least-squares iteration of the project: Levenberg-Marquardt with an active set of bounds."""
+"""Nonlinear least squares within bounds: Levenberg-Marquardt with an active set. All fits of the project use it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True)
 class Slopes:
-    """A cost's first derivatives and its Gauss-Newton curvature at one place."""
+    """Jacobian of the residuals, gradient and Gauss-Newton Hessian of the cost, at one point."""
 
-    jacobian: np.ndarray  # (M, P): of the residuals
-    gradient: np.ndarray  # (P,): half of the cost's: J^T r, weights and priors included
-    curvature: np.ndarray  # (P, P): half of the cost's: J^T J, weights and priors included
-    # What may be gained yet, in units of the cost, since the derivatives are not quite those of this place.
+    jacobian: np.ndarray  # (M, P), of M residuals by P parameters
+    gradient: np.ndarray  # (P,), half the cost's gradient: J^T r, weights and priors included
+    curvature: np.ndarray  # (P, P), half the cost's Hessian: J^T J, weights and priors included
+    # Bound of the decrease of the cost that these derivatives may miss, where they were computed at another point.
     doubt: float = 0.0
 
     def step(self, damping: float, free: np.ndarray) -> np.ndarray:
@@ -31,19 +31,20 @@ class Slopes:
             move[free] = -np.linalg.solve(scaled[np.ix_(free, free)], self.gradient[free])
         return move
 
-    def promised(self, free: np.ndarray) -> float:
-        """Return what a step to where straight lines have their least would gain, in units of the cost."""
+    def predicted_decrease(self, free: np.ndarray) -> float:
+        """Return the decrease of the cost that a Gauss-Newton step predicts for linear residuals: g^T H^-1 g."""
         return -float(self.gradient @ self.step(_RIDGE, free))
 
 
 @dataclass(frozen=True)
 class Descent(Generic[State]):
-    """Where a descent ended."""
+    """Result of `descend`."""
 
     parameters: np.ndarray  # (P,)
     cost: float
     state: State  # what `evaluate` returned beside the cost
-    slopes: Slopes  # of the last linearisation, which is that before the last step, or as they followed that
+    # The last derivatives: those before the last step, or those that `follow` derived from them after it.
+    slopes: Slopes
 
 
 def descend(
@@ -65,28 +66,28 @@ def descend(
     Parameters
     ----------
     evaluate : callable
-        Parameters (P,) to the cost and what `linearise` needs there.
+        From parameters (P,) to the cost and a state of any kind, which `linearise` gets.
     linearise : callable
-        Parameters (P,) and the latter to the slopes.
+        From parameters (P,) and that state to the derivatives.
     start, lower, upper : ndarray, shape (P,)
         `start` lies within the bounds.
     enough : callable
-        What the last step gained (0 where none was found) and the cost, to whether to end.
+        From the decrease of the last step (0 where none was found) and the cost to whether to end.
     iterations, tries : int
-        At most so many linearisations, and steps tried at each.
+        Largest number of linearisations, and of steps tried at each.
     movable : ndarray of bool, shape (P,), optional
         Parameters that may move; all by default.
     known : Slopes, optional
-        At the start, by and large: of another problem that is much like this one.
+        Approximate derivatives at the start, taken from a similar problem.
     follow : callable, optional
-        Slopes, and parameters and state before and after a step, to the slopes after it, or None where what the
-        step did says that they have to be worked out anew; by default they always are.
+        From the derivatives before a step, and (parameters, state) before and after it, to approximate derivatives
+        after it, or None where they must be computed anew, as by default they always are.
 
     Notes
     -----
-    Marquardt (1963), see `Slopes.step`. A parameter at its bound whose gradient points outward rests for the step;
-    steps end at bounds. Slopes that were not worked out where they are used get one try. Where they promise too
-    little for another step they end the descent, unless their doubt is more: then they are worked out anew.
+    Marquardt (1963), see `Slopes.step`. A parameter at its bound whose descent direction points outward is held for
+    the step; steps are clipped at bounds. With approximate derivatives one step is tried, not `tries`. Where they
+    predict too small a decrease, the descent ends, unless their `doubt` is larger: then they are computed anew.
     """
 
     def movable_now(x: np.ndarray, slopes: Slopes) -> np.ndarray:
@@ -99,7 +100,7 @@ def descend(
         anew = kept is None
         slopes, kept, gained = linearise(x, state) if kept is None else kept, None, 0.0
         free = movable_now(x, slopes)
-        if not anew and enough(slopes.promised(free), cost):
+        if not anew and enough(slopes.predicted_decrease(free), cost):
             if enough(slopes.doubt, cost):
                 break
             anew, slopes = True, linearise(x, state)

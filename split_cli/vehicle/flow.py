@@ -65,10 +65,10 @@ class Flow:
     # Of states that are a play: where the source of this moment drags them at once, without the closing rate.
     pulled: dict[str, Any] = field(default_factory=dict)
 
-    def known(self, made: Callable[..., Any], *given: Any) -> Any:
-        """Return what is made of arrays: what another model left along the recording, if that keeps it, or anew."""
-        known = getattr(self.recording, "known", None)
-        return made(*given) if known is None else known(made, *given)
+    def known(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return ``function(*arguments)``, from the recording's `ResultCache` where it has one."""
+        cache = getattr(self.recording, "cache", None)
+        return function(*arguments) if cache is None else cache(function, *arguments)
 
 
 class FlowTerm(Protocol):

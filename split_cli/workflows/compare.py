@@ -17,7 +17,7 @@ from split_cli.scoring.rollouts import hold_velocity, roll_out, rollout_starts
 from split_cli.scoring.verdict import number_blocks
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
-from split_cli.workflows.evaluation_notes import in_sample, not_unseen
+from split_cli.workflows.evaluation_notes import in_sample, overlap_notes
 from split_cli.workflows.recordings import RecordingCorrection
 
 STEP = 0.05
@@ -126,7 +126,7 @@ def compare_models(
         given = ", ".join(f"{time:g}" for time in horizons) or "nothing"
         raise SplitError(f"is {given}, positive times were expected", where="--horizon", advice="Give seconds.")
     horizons = sorted(set(horizons))
-    drives, repeated = _each_once(drives)
+    drives, repeated = _without_copies(drives)
     parts: list[tuple[str, list[RunErrors], int]] = []
     first_block = 0
     for drive in drives:
@@ -157,8 +157,8 @@ def compare_models(
     )
 
 
-def _each_once(drives: Sequence[Drive]) -> tuple[list[Drive], list[str]]:
-    """Return drives of unlike content, and a line about each that is left out."""
+def _without_copies(drives: Sequence[Drive]) -> tuple[list[Drive], list[str]]:
+    """Return the drives without those of equal content, and a line about each that is left out."""
     kept: dict[str | int, Drive] = {}
     lines = []
     for drive in drives:
@@ -234,7 +234,7 @@ def _notes(models: Sequence[ComparedModel], drives: Sequence[Drive], parts: Sequ
         notes += [in_sample(model.name, drive.name) for drive in _learned(model, drives)]
         for drive in drives:
             z = features_along(SingleTrack(model.vehicle), drive, model.trained.features)
-            notes += not_unseen(model.name, model.trained, drive, z)
+            notes += overlap_notes(model.name, model.trained, drive, z)
     scored = {name for name, *_ in parts}
     missing = [drive.name for drive in drives if drive.name not in scored]
     notes += [f"{name} has no stretch that is long and fast enough" for name in missing]

@@ -160,7 +160,7 @@ def write_diagnosis(
 
 
 def _judged(diagnosis: Diagnosis) -> str:
-    """Return what the head of the vehicle file says of its worth."""
+    """Return the comment at the head of the corrected vehicle file: whether it predicts held-out time better."""
     corrected = diagnosis.corrected_vehicle
     if corrected is None:
         return f"{_UNJUDGED} "

@@ -1,4 +1,4 @@
-"""The charts of a report, from what a command has in hand; what cannot be drawn is left out and said."""
+"""The charts of a report, from the objects of a command; a note names each chart that cannot be drawn."""
 
 from collections.abc import Callable, Iterable, Sequence
 

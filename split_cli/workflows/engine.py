@@ -1,4 +1,4 @@
-"""Where work is done: in this process, in several on this machine, or on a Dask cluster: same results."""
+"""Map a function over items in this process, in several processes or on a Dask cluster; results are the same."""
 
 import contextlib
 import logging
@@ -212,14 +212,14 @@ def _dask(jobs: int, scheduler: str | None) -> Iterator[Engine]:
 
 
 class _Held:
-    """What functions are first called with, on every worker: it travels once for all calls, not with each."""
+    """Objects that many calls share, sent to the workers once instead of with each call."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
         self._known: list[tuple[Any, Any]] = []
 
     def __call__(self, held: Any) -> Any:
-        """Return a future of an object; few are kept, since each lies in every worker's memory."""
+        """Return a future of an object; only the last few are kept, since each takes memory of every worker."""
         for known, future in self._known:
             if known is held:
                 return future

@@ -56,12 +56,12 @@ from split_cli.vehicle.single_track import SingleTrack
 from split_cli.workflows.engine import HERE, Engine
 from split_cli.workflows.evaluation_notes import (
     drive_facts,
-    not_unseen,
     notes_of,
+    notes_on_own_sets,
     notes_on_parts,
-    own_sets,
+    overlap_notes,
     same_interval,
-    says_something,
+    with_measured_error,
 )
 from split_cli.workflows.other_vehicle import trained_for_another
 from split_cli.workflows.recordings import RecordingCorrection, usable_drives, vehicle_warnings
@@ -179,12 +179,12 @@ def evaluate(
         notes=(
             *warnings,
             *notes_of(facts, labelled_sets[0][1], settings, rollout_scores),
-            *_not_unseen(labelled_sets[0], settings, trained is None),
+            *_overlap_notes(labelled_sets[0], settings, trained is None),
             *_notes_of_sets(labelled_sets, settings, trained is None),
             *correct.notes,
             *(text for s in _not_judged(trained, drives) for text in ingest_found(s.name, (*s.faults, *s.remarks))),
             *(note for *_, own in labelled_sets for note in lag_notes(own)),
-            *warnings_of(says_something([c for c in comparisons if c.name in settings.predictors], drives)),
+            *warnings_of(with_measured_error([c for c in comparisons if c.name in settings.predictors], drives)),
             *(interval_warnings(shown, intervals) if trained else ()),
         ),
     )
@@ -225,21 +225,21 @@ def _labelled_sets(
     return labelled_sets, nominal
 
 
-def _not_unseen(
+def _overlap_notes(
     labelled_set: tuple[str, list[HeldOutSamples], TrainingSet], settings: EvaluationSettings, is_own: bool
 ) -> Iterator[str]:
     """Yield which drives share rows with one that the set was trained on."""
     _, held, trained = labelled_set
     if settings.protocol != "paper":
         for number, h in enumerate(held):
-            yield from not_unseen("the set", trained, h.drive, h.z, number if is_own else None)
+            yield from overlap_notes("the set", trained, h.drive, h.z, number if is_own else None)
 
 
 def _notes_of_sets(labelled_sets: Sequence[tuple], settings: EvaluationSettings, are_own: bool) -> Iterator[str]:
     """Yield that the sets are the evaluation's own, where they are, and of which part of long drives it is."""
     finds_trust = are_own and _finds_trust(settings)
     if finds_trust:
-        yield from own_sets([(name, own) for name, _, own in labelled_sets])
+        yield from notes_on_own_sets([(name, own) for name, _, own in labelled_sets])
     yield from notes_on_parts(labelled_sets[0][1], finds_trust)
 
 
@@ -468,7 +468,7 @@ def _comparisons(
             if len(starts)
         ]
         found[key] = comparisons_of(*key, parts)
-    believed = {key: says_something(own, [held.drive for held in nominal]) for key, own in found.items()}
+    believed = {key: with_measured_error(own, [held.drive for held in nominal]) for key, own in found.items()}
     verdicts = tuple(
         f"{name} {features} {verdict(own, believed.get((name + RUNNING, features), ()))}"
         for (name, features), own in believed.items()

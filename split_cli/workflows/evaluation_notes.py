@@ -1,4 +1,4 @@
-"""What an evaluation says beside its scores: facts of each drive, and what to know before scores are believed."""
+"""Notes of an evaluation: facts of each drive, and reasons why a score is not to be believed."""
 
 from collections.abc import Iterable, Sequence
 
@@ -39,10 +39,10 @@ def derived_states(drives: Iterable[DriveMetadata]) -> dict[str, str]:
     return said
 
 
-def says_something(comparisons: Sequence[Comparison], drives: Sequence[Drive]) -> list[Comparison]:
-    """Return the comparisons of states whose error says something, see `derived_states`."""
-    unsaid = derived_states(drive.metadata for drive in drives)
-    return [c for c in comparisons if c.state not in unsaid]
+def with_measured_error(comparisons: Sequence[Comparison], drives: Sequence[Drive]) -> list[Comparison]:
+    """Return the comparisons of states that are measured independently of the model, see `derived_states`."""
+    derived = derived_states(drive.metadata for drive in drives)
+    return [c for c in comparisons if c.state not in derived]
 
 
 def drive_facts(held: HeldOutSamples, model: SingleTrack, trained: TrainingSet | None) -> DriveFacts:
@@ -107,24 +107,26 @@ def notes_of(
 
 
 def in_sample(model: str, drive: str) -> str:
-    """Return that a drive is one that a model was trained on."""
+    """Return the note on a drive that a model was trained on."""
     return f"IN SAMPLE: {model} was trained on {drive}; its scores say nothing of other drives"
 
 
-def not_unseen(model: str, trained: TrainingSet, drive: Drive, z: np.ndarray, its_own: int | None = None) -> list[str]:
-    """Return which other drives of a set share rows with the one that is scored.
+def overlap_notes(
+    model: str, trained: TrainingSet, drive: Drive, z: np.ndarray, its_own: int | None = None
+) -> list[str]:
+    """Return a note for each training drive of a set that shares rows with the drive that is scored.
 
     Parameters
     ----------
     model : str
-        What the set is called.
+        Name of the set in notes.
     z : ndarray, shape (N, D)
         Features of all rows of the drive.
     its_own : int, optional
-        Index of the drive among those that the set was trained on: held-out blocks part it from itself.
+        Index of the drive among those that the set was trained on, if only held-out blocks of it are scored.
     """
     if any(source.sha256 == drive.sha256 for source in trained.sources) and its_own is None:
-        return []  # said already
+        return []  # `in_sample` says it
     return [
         f"NOT UNSEEN: {model} was trained on {trained.sources[n].name}, and {100.0 * share:.0f} % of the points "
         f"that it keeps of that drive are rows of {drive.name} too. One is a copy of the other, or a part of the "
@@ -134,8 +136,8 @@ def not_unseen(model: str, trained: TrainingSet, drive: Drive, z: np.ndarray, it
     ]
 
 
-def own_sets(sets: Sequence[tuple[str, TrainingSet]]) -> list[str]:
-    """Return that sets were trained for this evaluation alone; `split train` may find another trust."""
+def notes_on_own_sets(sets: Sequence[tuple[str, TrainingSet]]) -> list[str]:
+    """Return a note for each set that was trained for this evaluation alone, with its trust."""
     return [
         f"the set of {name} was trained for this evaluation, on the training blocks alone; its "
         f"trust is {trained.trust.words()}. `split train` takes the whole drive and may find another"
@@ -144,7 +146,7 @@ def own_sets(sets: Sequence[tuple[str, TrainingSet]]) -> list[str]:
 
 
 def notes_on_parts(drives: Sequence[HeldOutSamples], finds_trust: bool) -> list[str]:
-    """Return of which part of long drives a result is; a set that is given brings its trust along."""
+    """Return notes on long drives of which only a part was used: for the trust, if it is found here, and for charts."""
     bounds = [("trust was found on at most", MOST_ROWS)] if finds_trust else []
     bounds.append(("the page draws", DRAWN_ROWS))
     return [

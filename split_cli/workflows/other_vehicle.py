@@ -1,4 +1,4 @@
-"""In which value the vehicle of a set differs from the one given."""
+"""Find the value in which the vehicle stored in a set differs from the vehicle file given."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a page that this program wrote says first: verdict and main figures, for `split info`."""
+"""Read verdict and main figures from the head of a report, for `split info`."""
 
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,13 +13,13 @@ KINDS = {
     "split race": "race",
     "split ingest": "report of a drive",
 }
-"""What a page is, by the command in its head."""
+"""Kind of report by the command in its head."""
 Facts = tuple[tuple[str, str], ...]
 _SHOWN_FILES = 6
 
 
 class _Head(HTMLParser):
-    """Collects the command, what it read, the verdict and the facts below it."""
+    """Parser of a report's head: command, inputs, verdict and main figures."""
 
     def __init__(self) -> None:
         super().__init__()

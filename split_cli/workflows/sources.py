@@ -232,9 +232,9 @@ def _is_below(address: str, folder: str | Path) -> bool:
 
 
 def left_alone(addresses: Sequence[str | Path], outside: str | Path | None = None) -> dict[str, int]:
-    """Return how many files of the folders among `addresses` `find_sources` takes for no log, by their endings.
+    """Return by file ending how many files in folders among `addresses` are no logs, so that `find_sources` skips them.
 
-    Those below the folder `outside` do not count.
+    Files below the folder `outside` are not counted.
     """
     counts: Counter[str] = Counter()
     for address in addresses:
@@ -267,7 +267,7 @@ def _local(text: str, suffixes: Sequence[str]) -> list[SourceFile]:
     if path.is_dir() and not _is_bag(path):
         return _in_folder(path, path, suffixes)
     if not path.exists() and glob.has_magic(str(path)):
-        base = _named_plainly(path)
+        base = _folder_before_wildcards(path)
         hits = sorted(base.glob(_pattern_below(path, base))) if base.is_dir() else []
         found: list[SourceFile] = []  # a broken link, too: it is reported
         for hit in (hit for hit in hits if not _hidden(hit.relative_to(base))):
@@ -289,8 +289,8 @@ def _pattern_below(path: Path, base: Path) -> str:
     return "/".join((*parts, "*") if parts[-1] == "**" else parts)
 
 
-def _named_plainly(path: Path) -> Path:
-    """Return the folder down to which a glob names folders that are there, with a [ in their names, too."""
+def _folder_before_wildcards(path: Path) -> Path:
+    """Return the longest leading folder of a glob that exists or has no wildcard; names may hold a ``[``."""
     return next(folder for folder in (*path.parents, Path()) if folder.is_dir() or not glob.has_magic(str(folder)))
 
 

@@ -83,3 +83,10 @@ def test_a_reader_that_goes_away_makes_no_noise():
     writer.stdout.close()
     assert b"Traceback" not in writer.stderr.read()
     writer.wait(30)
+
+
+def test_a_former_name_of_an_option_still_works_and_no_help_shows_it():
+    race = group.get_command(click.Context(group), "race")
+    arguments = ["--vehicle", str(ROOT / "pyproject.toml"), "--told-grip", "0.5"]
+    assert race.make_context("race", arguments).params["assumed_friction"] == 0.5
+    assert "--told-grip" not in race.get_help(click.Context(race))

@@ -13,9 +13,14 @@ from split_cli.logs.drive import read_drive
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.workflows.racing import choice as choice_of_features
 from split_cli.workflows.racing import driving
-from split_cli.workflows.racing.choice import FeatureChoice, choose_features, what_lap_0_asks, whether_learning_helped
+from split_cli.workflows.racing.choice import (
+    FeatureChoice,
+    advice_after_lap_0,
+    choose_features,
+    whether_learning_helped,
+)
 from split_cli.workflows.racing.driving import Race
-from split_cli.workflows.racing.first_lap import blank_header, remembering
+from split_cli.workflows.racing.first_lap import header_without_kernel, with_past_term
 from split_cli.workflows.racing.result import Lap
 from split_cli.workflows.racing.settings import CANDIDATES, RaceSettings
 from tests.control.courses import CAR, ROOT, first_rows
@@ -23,7 +28,7 @@ from tests.control.courses import CAR, ROOT, first_rows
 
 def test_lap_0_chooses_what_is_learned():
     lap = first_rows(read_drive(ROOT / "sample_logs" / "road_pair_real.parquet"), 1000)
-    vehicle, _ = remembering(read_vehicle(CAR), parse_features(CANDIDATES[-1]))
+    vehicle, _ = with_past_term(read_vehicle(CAR), parse_features(CANDIDATES[-1]))
     choice = choose_features([lap], vehicle, RaceSettings())
     # Actuators of the plant lag, and the vehicle file does not: the past predicts better.
     left = [float(share) for share in re.findall(r"(\d+) % with", choice.reason)]
@@ -54,7 +59,7 @@ def test_a_choice_that_later_laps_turn_learns_all_laps_as_if_it_had_been_made_at
 
     def race(file):
         one = Race(settings, read_vehicle(CAR), tmp_path / file, lambda text: None)
-        one.header = blank_header(one.vehicle, one.features, one.mpcc)
+        one.header = header_without_kernel(one.vehicle, one.features, one.mpcc)
         one.world = SimpleNamespace(
             recording=lambda first, last, name: replace(
                 drive,
@@ -151,11 +156,11 @@ def test_a_lap_0_off_the_track_asks_for_a_diagnosis_where_the_file_has_no_terms(
         SimpleNamespace(number=0, time=time, outside=outside, clean=not outside, share=0.75)
         for time, outside in ((40.0, 0.2), (None, 2.0), (40.0, 0.0))
     )
-    assert "0.20 m outside" in what_lap_0_asks([off], car) and "split diagnose" in what_lap_0_asks([off], car)
-    assert "not finished" in what_lap_0_asks([lost], car)
-    assert "--p-ellipse-lap0 0.6)" in what_lap_0_asks([lost], car)
+    assert "0.20 m outside" in advice_after_lap_0([off], car) and "split diagnose" in advice_after_lap_0([off], car)
+    assert "not finished" in advice_after_lap_0([lost], car)
+    assert "--p-ellipse-lap0 0.6)" in advice_after_lap_0([lost], car)
     lagged = replace(car, effects=(SimpleNamespace(term="steer_lag"),))
-    assert what_lap_0_asks([clean], car) == what_lap_0_asks([off], lagged) == what_lap_0_asks([], car) == ""
+    assert advice_after_lap_0([clean], car) == advice_after_lap_0([off], lagged) == advice_after_lap_0([], car) == ""
     # Of several learners the first tells it, for all that drive lap 0 with the same file.
     race = Race(RaceSettings(), car, None, lambda text: None)
     race.laps = [replace(Lap(0, 40.0, *(0,) * 15), outside=0.2)]

@@ -14,7 +14,7 @@ from split_cli.learning.training_set import read_set
 from split_cli.logs.drive import read_drive
 from split_cli.plant.cars import F1TENTH_CAR, ROAD_CAR
 from split_cli.vehicle.parameters import EffectSpec, read_vehicle
-from split_cli.workflows.racing.driving import Race, uncollected
+from split_cli.workflows.racing.driving import Race, garbage_collection_paused
 from split_cli.workflows.racing.race import run_race
 from split_cli.workflows.racing.settings import RaceSettings
 from tests.control.courses import CAR, ROOT, invoke, ring
@@ -71,7 +71,7 @@ def test_a_lap_that_is_lost_says_so_and_what_was_learned_is_kept(tmp_path, monke
 
 
 def test_a_lap_is_driven_without_collections_and_what_ends_it_brings_them_back():
-    with pytest.raises(KeyboardInterrupt), uncollected():
+    with pytest.raises(KeyboardInterrupt), garbage_collection_paused():
         assert not gc.isenabled()
         raise KeyboardInterrupt
     assert gc.isenabled()

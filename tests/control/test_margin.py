@@ -15,8 +15,9 @@ from split_cli.scoring.noise import noise_floor
 from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.parameters import read_vehicle
 from split_cli.vehicle.single_track import SingleTrack
-from split_cli.workflows.racing.driving import Race, acceleration_error
-from split_cli.workflows.racing.first_lap import blank_header
+from split_cli.workflows.racing.driving import Race
+from split_cli.workflows.racing.first_lap import header_without_kernel
+from split_cli.workflows.racing.margin import acceleration_error
 from split_cli.workflows.racing.settings import RaceSettings
 from split_cli.workflows.racing.tally import Tally
 from tests.control.courses import CAR, ROOT, first_rows
@@ -79,7 +80,7 @@ def margins():
     """A race, and what it keeps beside the least margin after laps that missed v_y by shares of `FIRST_ERROR`."""
     drive = first_rows(read_drive(ROOT / "sample_logs" / "road_pair_real.parquet"), 2001)
     race = Race(RaceSettings(), read_vehicle(CAR), None, lambda text: None)
-    header = race.header = blank_header(race.vehicle, race.features, race.mpcc)
+    header = race.header = header_without_kernel(race.vehicle, race.features, race.mpcc)
     race.world = SimpleNamespace(recording=lambda *span, name: drive)
     race.spans = {1: (0, 2001)}
     # No lap lets the next one use more of the peak, unless a test says so.
@@ -96,7 +97,7 @@ def margins():
             error = np.hypot(noise[1], share * FIRST_ERROR * max_lateral * STANDARD_GRAVITY)
             given = {"error_after": (0.0, error, noise[2]), "accepted": 10**12, "clean": True}
             race.laps = [SimpleNamespace(number=1, max_lateral=max_lateral, **given)]
-            race._follow_lap(SimpleNamespace(needed=needed, labels=labels))
+            race._adapt_margin_and_share(SimpleNamespace(needed=needed, labels=labels))
             kept.append(race.controller.deviation)
         return kept
 

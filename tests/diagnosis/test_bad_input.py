@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.engine import diagnose
-from split_cli.diagnosis.recording.screening import cleaned, idle, unfit
+from split_cli.diagnosis.recording.cleaning import cleaned
+from split_cli.diagnosis.recording.excitation import idle
+from split_cli.diagnosis.recording.screening import unfit
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.identifiable import identifiable

@@ -15,9 +15,9 @@ from split_cli.diagnosis.search.baselines import (
     SearchOutcome,
     _brings_back,
     ends_beyond,
-    named_as_first,
+    reconciled,
     search,
-    settled,
+    with_names_of_first,
 )
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, tangent
@@ -25,7 +25,7 @@ from split_cli.diagnosis.search.selection import Rival, Selection
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import INFLATION, case_of, explorer
-from tests.diagnosis.test_calibration import drive, recorded
+from tests.diagnosis.test_self_test import drive, recorded
 from tests.factories import road_car
 
 
@@ -208,7 +208,7 @@ def test_a_fixed_baseline_names_what_the_first_search_names_where_it_explains_as
     objective = SimpleNamespace(policy=STANDARD, form_error_inflation=1.0)
     again = SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, INFLATION)
     first = SimpleNamespace(selection=SimpleNamespace(terms=neutral(["drive_gain"])))
-    found = named_as_first(first, again, ())
+    found = with_names_of_first(first, again, ())
     assert [one.id for one in found.selection.terms] == expected
 
 
@@ -231,7 +231,7 @@ def test_a_sure_name_lends_its_sureness_to_no_other(restless):
         one, other = (
             SearchOutcome(SimpleNamespace(objective=objective), None, s, None, INFLATION) for s in (both, second)
         )
-        return [term.id for term in settled(one, other, STANDARD.selection).selection.terms]
+        return [term.id for term in reconciled(one, other, STANDARD.selection).selection.terms]
 
     assert named(nobody) == ["steer_offset"]
     confirmed = Selection(chosen, replace(chosen, parts=parts[1:]), (), ((),), ((),), (True,))
@@ -254,7 +254,7 @@ def test_a_surer_name_takes_none_from_a_sure_one_beside_it(restless, saved, expe
         )
         return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, INFLATION)
 
-    believed = settled(outcome((offset,), 1e-160), outcome((torque, offset), 1e-60), STANDARD.selection)
+    believed = reconciled(outcome((offset,), 1e-160), outcome((torque, offset), 1e-60), STANDARD.selection)
     assert [one.id for one in believed.selection.terms] == expected
 
 
@@ -288,7 +288,7 @@ def test_the_surer_search_is_believed(restless, first, first_p, second, second_p
         return SearchOutcome(SimpleNamespace(objective=objective), None, selection, None, INFLATION)
 
     one, other = outcome(first, first_p), outcome(second, second_p)
-    believed = settled(one, other, STANDARD.selection)
+    believed = reconciled(one, other, STANDARD.selection)
     if expected in first:
         assert [term.id for term in believed.selection.terms] == [expected]
     elif expected:
@@ -316,7 +316,7 @@ def test_what_would_need_more_than_a_car_has_is_a_difference_without_a_name(rest
         outcome((), 100.0, 1.0),
         outcome((Part(candidates["steer_offset"], {"offset": offset}),), 10.0, p_value),
     )
-    believed = settled(first, second, STANDARD.selection)
+    believed = reconciled(first, second, STANDARD.selection)
     assert believed.selection is (second if expected else first).selection
     assert ends_beyond(believed.selection, STANDARD) is expected and not believed.selection.terms
 

@@ -12,7 +12,7 @@ from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.parameters import EffectSpec
 from tests.diagnosis.recordings import case_of, driven, fitted_scale, prepared
-from tests.diagnosis.test_calibration import drive, recorded
+from tests.diagnosis.test_self_test import drive, recorded
 from tests.factories import road_car
 
 FORCES = np.random.default_rng(5).standard_normal((40, 3)) * 1000.0

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.cache import Recent
+from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.innovations.evidence import motion
 from split_cli.diagnosis.recording.series import extended_model
 from split_cli.vehicle.effects import CATALOGUE, Recording
@@ -14,7 +14,7 @@ from tests.diagnosis.recordings import driven, noisy_objective
 
 
 def test_what_was_asked_for_longest_ago_is_forgotten_first():
-    made, recent = [], Recent(2)
+    made, recent = [], RecentResults(2)
 
     def square(x: int) -> int:
         made.append(x)

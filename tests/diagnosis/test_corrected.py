@@ -23,9 +23,9 @@ from split_cli.diagnosis.statement.improvement import (
 from split_cli.diagnosis.statement.result import Diagnosis, Finding, ParameterEstimate
 from split_cli.diagnosis.statement.sentences import not_accepted, summarise
 from split_cli.diagnosis.verdict.corrected import judge_corrected
+from split_cli.diagnosis.verdict.held_out_judgement import HeldOutFit, HeldOutJudgement, with_nameless_parts
 from split_cli.diagnosis.verdict.heldout import HeldOut
 from split_cli.diagnosis.verdict.label_errors import in_standard_errors
-from split_cli.diagnosis.verdict.worth import HeldOutFit, Worth, with_nameless_parts
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Range
 from split_cli.vehicle.parameters import read_vehicle
@@ -77,20 +77,20 @@ def test_what_has_no_name_joins_the_file_where_the_names_alone_are_worse(tmp_pat
     case = SimpleNamespace(real=(evidence,), holdout=(), simulated=(), posterior=None, discrepancy=shared)
     fit = HeldOutFit(case, None, whole, HeldOut(None, None, (held,)), whole)
     alone = judge_corrected(fit.recordings, (less,))
-    worth = Worth(found(alone, -160.0).findings, None, fit.improvement((less,)), alone)
+    judged = HeldOutJudgement(found(alone, -160.0).findings, None, fit.improvement((less,)), alone)
     assert not alone.accepted
     # Nothing changes where every part has a name, or the whole fit is as bad.
-    assert with_nameless_parts(fit, (True, True), worth) is worth
+    assert with_nameless_parts(fit, (True, True), judged) is judged
     bad = replace(whole, parts=(whole.parts[0], Part(kind, {"force": -300.0})))
-    assert with_nameless_parts(replace(fit, whole=bad, trained=bad), (True, False), worth) is worth
+    assert with_nameless_parts(replace(fit, whole=bad, trained=bad), (True, False), judged) is judged
     # Nor where it is right on the held-out drive alone.
     unlike = SimpleNamespace(**{**vars(case), "real": (recorded(12),), "holdout": (evidence,)})
     nowhere = HeldOut(None, None, (np.zeros(len(unlike.real[0].series), dtype=bool),))
-    assert with_nameless_parts(replace(fit, case=unlike, split=nowhere), (True, False), worth) is worth
-    joined = with_nameless_parts(fit, (True, False), worth)
+    assert with_nameless_parts(replace(fit, case=unlike, split=nowhere), (True, False), judged) is judged
+    joined = with_nameless_parts(fit, (True, False), judged)
     assert joined.corrected.accepted and joined.corrected.alone is alone
     assert [dict(one.parameters) for one in joined.corrected.further] == [{"force": 300.0}]
-    assert joined.improvement.rollouts[-1].physics[0] < 0.2 * worth.improvement.rollouts[-1].physics[0]
+    assert joined.improvement.rollouts[-1].physics[0] < 0.2 * judged.improvement.rollouts[-1].physics[0]
 
     stated = replace(found(joined.corrected, -160.0), improvement=joined.improvement)
     write_diagnosis(stated, road_car(), tmp_path)

@@ -232,7 +232,7 @@ def test_intervals_hold_what_halves_of_the_simulation_differ_by(drive):
     fit = fitted(objective, "yaw_inertia", TRUTH)
     alone = parameter_estimates(objective, fit)[0]["scale"]
     saved = nothing(objective).cost - fit.cost
-    beside = replace(objective, own_savings={"yaw_inertia": 0.25 * saved})
+    beside = replace(objective, self_test_savings={"yaw_inertia": 0.25 * saved})
     wide = parameter_estimates(beside, fitted(beside, "yaw_inertia", TRUTH))[0]["scale"]
     expected = np.hypot(alone.std_error, 0.5 * (alone.value - 1.0))
     # Costs are no parabola in a ratio, by its square, and what is saved holds some noise.

@@ -8,12 +8,12 @@ import pytest
 
 from split_cli.diagnosis.search import form_error
 from split_cli.diagnosis.search.exchange import (
-    alone,
+    all_as_one,
+    fewer_by_another_variant,
     inverted_stretch,
-    joined,
-    merged,
     move_in_words,
-    split,
+    one_as_pair,
+    pair_as_one,
     with_fewer_parts,
 )
 from split_cli.diagnosis.search.exploration import Explorer
@@ -58,7 +58,7 @@ def test_a_peak_and_both_stiffnesses_merge_into_a_curve():
     stiff = {"front_scale": 1.3, "rear_scale": 1.3}
     both = fitted(explore, friction_scale__curve={"scale": 0.75}, tire_stiffness=stiff)
     assert both.parts[1].values["front_scale"] == pytest.approx(1.0 / 0.7, rel=0.05)
-    found = merged(explore, nothing(objective), both, (True, True))
+    found = fewer_by_another_variant(explore, nothing(objective), both, (True, True))
     (part,) = found.parts
     assert part.candidate.label == "friction_scale" and part.values["scale"] == pytest.approx(0.7, abs=0.02)
     assert move_in_words(both, found) == "another variant in place of tire_stiffness"
@@ -83,8 +83,8 @@ def test_one_term_takes_the_place_of_two_that_imitate_it_and_of_no_true_pair():
         objective = noisy_objective(driven(33, effects), 4)
         explore = explorer(objective, "steer_gain", "tire_stiffness", "steer_delay")
         both = fitted(explore, **starts)
-        assert alone(explore, nothing(objective), both, (True, False)) is None
-        return alone(explore, nothing(objective), both, (True, True))
+        assert all_as_one(explore, nothing(objective), both, (True, False)) is None
+        return all_as_one(explore, nothing(objective), both, (True, True))
 
     (part,) = found([turned]).parts
     assert part.candidate.term == "steer_gain" and part.values["gain"] == pytest.approx(0.9, abs=0.01)
@@ -107,10 +107,10 @@ def test_a_stiffness_that_repairs_a_wrong_variant_of_a_mass_gives_way_to_the_rig
     explore = explorer(heavier, "mass", "tire_stiffness")
     both = repaired(explore)
     assert both.parts[1].values["front_scale"] == pytest.approx(1.2**-0.5, rel=0.01)
-    (part,) = merged(explore, nothing(heavier), both, (True, True)).parts
+    (part,) = fewer_by_another_variant(explore, nothing(heavier), both, (True, True)).parts
     assert part.candidate.label == "mass (degressive)" and part.values["scale"] == pytest.approx(1.2, abs=0.002)
     # What is no name stays: it takes nothing from those that are.
-    assert merged(explore, nothing(heavier), both, (True, False)) is None
+    assert fewer_by_another_variant(explore, nothing(heavier), both, (True, False)) is None
 
 
 def test_a_repair_gives_way_though_it_fits_better_by_what_a_single_track_gets_wrong(heavier):
@@ -124,7 +124,10 @@ def test_a_repair_gives_way_though_it_fits_better_by_what_a_single_track_gets_wr
     explore = explorer(wrong, "mass", "tire_stiffness")
     both, right = repaired(explore), fitted(explore, mass__degressive={"scale": 1.2})
     assert explore.price(right) > explore.price(both) + explore.rules.price
-    assert merged(explore, nothing(wrong), both, (True, True)).parts[0].candidate.label == "mass (degressive)"
+    assert (
+        fewer_by_another_variant(explore, nothing(wrong), both, (True, True)).parts[0].candidate.label
+        == "mass (degressive)"
+    )
 
 
 def test_tyres_that_differ_beside_a_mass_stay():
@@ -132,7 +135,7 @@ def test_tyres_that_differ_beside_a_mass_stay():
     tyres = CATALOGUE["tire_stiffness"]({"front_scale": 1.05, "rear_scale": 0.95})
     objective = noisy_objective(driven(31, [CATALOGUE["mass"]({"scale": 1.2}, "degressive"), tyres]), 2)
     explore = explorer(objective, "mass", "tire_stiffness")
-    assert merged(explore, nothing(objective), repaired(explore), (True, True)) is None
+    assert fewer_by_another_variant(explore, nothing(objective), repaired(explore), (True, True)) is None
 
 
 def test_the_rest_of_a_lap_gives_way_to_the_stretch_and_a_stretch_beside_a_true_force_stays():
@@ -165,7 +168,7 @@ def test_steering_and_torque_late_by_the_same_join_into_late_sensors_and_by_unli
         late_inputs = {"steer": partial(behind, delay=steer), "torque": partial(behind, delay=0.08)}
         explore = explorer(noisy_objective(driven(21, **late_inputs), 5), *ACTUATORS)
         both = fitted(explore, steer_delay={"delay": steer}, drive_delay={"delay": 0.08})
-        found = joined(explore, nothing(explore.objective), both, (True, True))
+        found = pair_as_one(explore, nothing(explore.objective), both, (True, True))
         assert (set(found.names) if found else None) == found_terms
 
 
@@ -181,7 +184,7 @@ def test_late_sensors_join_where_another_part_made_up_for_the_difference():
     late_inputs = {"steer_delay": {"delay": 0.06}, "drive_delay": {"delay": 0.05}}
     wrong = fitted(explore, **late_inputs, tire_relaxation={"length": 0.1})
     rival = fitted(explore, **late_inputs, yaw_inertia={"scale": 1.1})
-    assert set(joined(explore, nothing(explore.objective), wrong, (True,) * 3, [rival]).names) == {
+    assert set(pair_as_one(explore, nothing(explore.objective), wrong, (True,) * 3, [rival]).names) == {
         "sensor_delay",
         "yaw_inertia",
     }
@@ -191,14 +194,14 @@ def test_late_sensors_split_into_a_lag_and_a_delay_where_that_is_what_acts():
     objective = noisy_objective(driven(21, steer=partial(behind, tau=0.05), torque=partial(behind, delay=0.12)), 5)
     explore = explorer(objective, *ACTUATORS)
     one = fitted(explore, sensor_delay={"delay": 0.045})
-    found = split(explore, nothing(objective), one, (True,))
+    found = one_as_pair(explore, nothing(objective), one, (True,))
     assert set(found.names) == {"steer_lag", "drive_delay"}
     values = {part.candidate.term: next(iter(part.values.values())) for part in found.parts}
     assert values["steer_lag"] == pytest.approx(0.05, abs=0.005)
     assert values["drive_delay"] == pytest.approx(0.12, abs=0.005)
     assert move_in_words(one, found) == "drive_delay and steer_lag in place of sensor_delay"
     # What has no name is not split.
-    assert split(explore, nothing(objective), one, (False,)) is None
+    assert one_as_pair(explore, nothing(objective), one, (False,)) is None
 
 
 def test_late_sensors_stay_one_where_they_are():
@@ -206,8 +209,8 @@ def test_late_sensors_stay_one_where_they_are():
     objective = noisy_objective(driven(22, steer=delayed, torque=delayed), 6)
     explore = explorer(objective, *ACTUATORS)
     one = fitted(explore, sensor_delay={"delay": 0.045})
-    assert split(explore, nothing(objective), one, (True,)) is None
-    assert merged(explore, nothing(objective), one, (True,)) is None
+    assert one_as_pair(explore, nothing(objective), one, (True,)) is None
+    assert fewer_by_another_variant(explore, nothing(objective), one, (True,)) is None
 
 
 class Blunt(Term):
@@ -228,7 +231,7 @@ def test_the_grip_of_one_axle_stays_one_name_on_tyres_of_another_shape():
     one = fitted(explore, friction_scale__front={"scale": 0.9})
     both = fitted(explore, friction_scale={"scale": 0.9}, cg_shift={"dx": 0.01})
     assert explore.price(both) < explore.price(one) - 1000.0
-    assert split(explore, nothing(objective), one, (True,)) is None
+    assert one_as_pair(explore, nothing(objective), one, (True,)) is None
 
 
 def test_two_terms_that_imitate_a_moved_centre_of_gravity_give_way_to_it():

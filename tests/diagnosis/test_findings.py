@@ -9,9 +9,9 @@ from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import build_structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
-from split_cli.diagnosis.search.calibration import SelfTest
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.self_test import SelfTest
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate
 from split_cli.diagnosis.verdict import findings
 from split_cli.diagnosis.verdict.constancy import Bend

@@ -8,7 +8,7 @@ import pytest
 
 from split_cli.diagnosis.recording.witnesses import build_witnesses
 from split_cli.diagnosis.search.candidates import build_candidates
-from split_cli.diagnosis.search.instrument_drift import _between, beyond_drift
+from split_cli.diagnosis.search.instrument_drift import _between, with_drift_tolerances
 from split_cli.logs.drive import Drive
 from tests.diagnosis.recordings import driven, noisy, prepared
 from tests.factories import road_car
@@ -39,12 +39,12 @@ def witnesses_of(drive: Drive, seed: int) -> list:
     return build_witnesses(prepared(noisy(drive, seed, position=POSITION)))
 
 
-def everyday(ours: list, theirs: list) -> dict[str, dict[str, float]]:
+def tolerances(ours: list, theirs: list) -> dict[str, dict[str, float]]:
     """Return what is no fault by term in its first variant."""
     case = SimpleNamespace(kinematics=ours, simulated_kinematics=theirs)
     found = {}
-    for one in beyond_drift(case, build_candidates(road_car(), ours[0].series)):
-        found.setdefault(one.term, {name: limit.everyday for name, limit in one.ranges.items()})
+    for one in with_drift_tolerances(case, build_candidates(road_car(), ours[0].series)):
+        found.setdefault(one.term, {name: limit.tolerance for name, limit in one.ranges.items()})
     return found
 
 
@@ -65,7 +65,7 @@ def test_a_direction_that_wanders_is_no_fault_up_to_twice_its_deviation(drive):
     """An angle of 3 milliradians (rms) from run to run: on one side alone, and not where none was planted."""
     angles = np.random.default_rng(6).normal(0.0, 0.003, RUNS)
     sound, wanders = witnesses_of(drive, 11), witnesses_of(turned(drive, angles), 12)
-    found = everyday(wanders, sound)
+    found = tolerances(wanders, sound)
     # Some stretches hold parts of two runs, of which the mean is what counts.
     assert found["sensor_misalignment"]["angle"] == pytest.approx(1.96 * np.std(angles), rel=0.25)
     assert found["velocity_bias"]["angle"] == pytest.approx(found["sensor_misalignment"]["angle"], rel=0.1)
@@ -73,10 +73,10 @@ def test_a_direction_that_wanders_is_no_fault_up_to_twice_its_deviation(drive):
     span = np.ptp(drive["t"]) / np.sqrt(12.0)
     drift = found["velocity_bias"]["drift"]
     assert drift * span == pytest.approx(found["sensor_misalignment"]["angle"], rel=0.2)
-    assert everyday(sound, wanders)["sensor_misalignment"]["angle"] == pytest.approx(
+    assert tolerances(sound, wanders)["sensor_misalignment"]["angle"] == pytest.approx(
         found["sensor_misalignment"]["angle"], rel=0.25
     )
-    assert not any(everyday(sound, sound)["sensor_misalignment"].values())
+    assert not any(tolerances(sound, sound)["sensor_misalignment"].values())
 
 
 def test_a_place_of_the_sensor_is_a_fault_beyond_what_its_places_in_stretches_wander_by(drive):
@@ -84,21 +84,21 @@ def test_a_place_of_the_sensor_is_a_fault_beyond_what_its_places_in_stretches_wa
     places, sound = np.random.default_rng(8).normal(0.5, 0.3, RUNS), witnesses_of(drive, 18)
     wanders = witnesses_of(moved(drive, places), 19)
     for ours, theirs in ((wanders, sound), (sound, wanders)):
-        assert everyday(ours, theirs)["sensor_lever_arm"]["dx"] == pytest.approx(1.96 * np.std(places), rel=0.3)
-    assert everyday(witnesses_of(moved(drive, np.ones(RUNS)), 20), sound)["sensor_lever_arm"]["dx"] == 0.0
+        assert tolerances(ours, theirs)["sensor_lever_arm"]["dx"] == pytest.approx(1.96 * np.std(places), rel=0.3)
+    assert tolerances(witnesses_of(moved(drive, np.ones(RUNS)), 20), sound)["sensor_lever_arm"]["dx"] == 0.0
 
 
 def test_a_constant_fault_and_a_steady_drift_are_taken_off(drive):
     for angles in (np.full(RUNS, 0.02), np.linspace(-0.02, 0.02, RUNS)):
         found = witnesses_of(turned(drive, angles), 13)
-        assert not any(everyday(found, found)["sensor_misalignment"].values())
+        assert not any(tolerances(found, found)["sensor_misalignment"].values())
 
 
 def test_a_bias_of_the_yaw_rate_that_grows_is_taken_off(drive):
     """From 0 to 0.01 rad/s over the whole drive."""
     growing = 0.01 * (drive["t"] - drive["t"][0]) / np.ptp(drive["t"])
     found = witnesses_of(replace(drive, columns={**drive.columns, "r": drive["r"] + growing}), 14)
-    assert not any(everyday(found, found)["yaw_rate_bias"].values())
+    assert not any(tolerances(found, found)["yaw_rate_bias"].values())
 
 
 def late_yaw_rate(drive: Drive, delays: np.ndarray) -> Drive:
@@ -115,6 +115,6 @@ def test_a_delay_is_a_fault_beyond_what_delays_of_stretches_wander_by(drive):
     delays = np.random.default_rng(7).normal(0.06, 0.03, RUNS)
     sound, wanders = witnesses_of(drive, 15), witnesses_of(late_yaw_rate(drive, delays), 16)
     for ours, theirs in ((wanders, sound), (sound, wanders)):
-        assert everyday(ours, theirs)["channel_delay"]["r"] == pytest.approx(1.96 * np.std(delays), rel=0.3)
+        assert tolerances(ours, theirs)["channel_delay"]["r"] == pytest.approx(1.96 * np.std(delays), rel=0.3)
     constant = witnesses_of(late_yaw_rate(drive, np.full(RUNS, 0.06)), 17)
-    assert everyday(constant, sound)["channel_delay"]["r"] == 0.0
+    assert tolerances(constant, sound)["channel_delay"]["r"] == 0.0

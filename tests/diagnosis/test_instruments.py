@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.recording.witnesses import build_witnesses, late_against_position, usual_parts
+from split_cli.diagnosis.recording.witnesses import build_witnesses, late_against_position, usual_weights_by_kind
 from split_cli.diagnosis.search.candidates import Candidate, build_candidates
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts
 from split_cli.diagnosis.search.identifiable import identifiable
@@ -63,7 +63,7 @@ def recording(
     columns["ax"] = rates["vx"] - columns["vy"] * columns["r"]
     columns["ay"] = rates["vy"] + columns["vx"] * columns["r"]
     for term in terms:
-        for name, felt in zip(("ax", "ay"), term.weight_felt(drive["s"]), strict=True):
+        for name, felt in zip(("ax", "ay"), term.gravity_component(drive["s"]), strict=True):
             columns[name] = columns[name] + felt
     clock = Recording(drive.period, tuple((run.start, run.stop) for run in drive.segments()))
     for fault in faults:
@@ -99,7 +99,7 @@ def test_a_witness_contradicts_the_fault_and_agrees_once_it_is_corrected(term, v
     one = fault(term, variant, parameters)
     clean = build_witnesses(prepared(recording(32)))
     scales = {witness.kind: witness.scale for witness in clean}
-    faulty = build_witnesses(prepared(recording(33, one)), usual_parts(clean))
+    faulty = build_witnesses(prepared(recording(33, one)), usual_weights_by_kind(clean))
     # A fault that varies widens what a recording takes for its noise, so that of the clean one is taken.
     faulty = [replace(witness, scale=scales[witness.kind]) for witness in faulty]
     for witness in faulty:
@@ -110,7 +110,7 @@ def test_a_witness_contradicts_the_fault_and_agrees_once_it_is_corrected(term, v
 
 def test_physics_moves_no_witness():
     (heavy,) = (build_witnesses(prepared(recording(34))),)
-    assert {one.kind for one in heavy} == {"across", "turn", "way", "a_x", "a_y"}
+    assert {one.kind for one in heavy} == {"lateral", "yaw", "distance", "a_x", "a_y"}
     for one in heavy:
         np.testing.assert_array_equal(one.rows((CATALOGUE["mass"]({"scale": 1.5}),)), one.rows(()))
 
@@ -122,7 +122,7 @@ def test_an_inclined_road_is_felt_by_accelerometers_and_by_nothing_else():
     bank = CATALOGUE["road_bank"]({"angle": 0.03}, "")
     # A grade is felt along the car; a stretch only where it is.
     grade = CATALOGUE["road_grade"]({"angle": 0.05, "s_start": 10.0, "s_end": 20.0}, "stretch")
-    assert grade.weight_felt(np.array([5.0, 15.0]))[0] == pytest.approx([0.0, 9.80665 * np.sin(0.05)])
+    assert grade.gravity_component(np.array([5.0, 15.0]))[0] == pytest.approx([0.0, 9.80665 * np.sin(0.05)])
     for level, banked in zip(build_witnesses(prepared(drive)), build_witnesses(prepared(felt)), strict=True):
         right = level.rows(())
         assert banked.rows((bank,)) * banked.scale == pytest.approx(right * level.scale, abs=1e-9)
@@ -194,18 +194,18 @@ def test_a_lateral_velocity_integrated_from_a_y_tells_no_sensor_of_it_and_no_ban
     gone = {candidate.term for candidate in every} - {candidate.term for candidate in told}
     assert gone == {"sensor_lever_arm", "sensor_misalignment", "velocity_bias", "road_bank"}
     assert not {"ay", "vy", "velocity", "imu"} & {candidate.variant for candidate in told if candidate.needs}
-    assert {witness.kind for witness in build_witnesses(one)} >= {"turn", "a_x"}
+    assert {witness.kind for witness in build_witnesses(one)} >= {"yaw", "a_x"}
     assert "a_y" not in {witness.kind for witness in build_witnesses(one)}
 
 
-def test_what_any_road_does_to_an_accelerometer_is_everyday():
+def test_what_any_road_does_to_an_accelerometer_is_within_tolerance():
     every = build_candidates(road_car(), prepared(recording(39)))
     both, ahead = (one for one in every if one.label in ("acceleration_bias", "acceleration_bias (ax)"))
     # A crossfall of 2.5 % is 0.245 m/s^2.
-    assert both.is_everyday({"ax": 0.1, "ay": -0.24}) and not both.is_everyday({"ax": 0.1, "ay": -0.3})
-    assert ahead.is_everyday({"ax": 0.2}) and not ahead.is_everyday({"ax": -0.26})
+    assert both.is_within_tolerance({"ax": 0.1, "ay": -0.24}) and not both.is_within_tolerance({"ax": 0.1, "ay": -0.3})
+    assert ahead.is_within_tolerance({"ax": 0.2}) and not ahead.is_within_tolerance({"ax": -0.26})
     (heavy,) = (one for one in every if one.label == "mass")
-    assert not heavy.is_everyday({"scale": 1.0001})
+    assert not heavy.is_within_tolerance({"scale": 1.0001})
 
 
 def test_velocities_of_position_are_late_only_where_they_were_shifted_since():
@@ -235,23 +235,23 @@ def test_half_a_degree_of_a_sensor_is_no_fault_where_no_position_tells_it_from_t
         every = build_candidates(road_car(), one)
         return next(c for c in identifiable(every, [one], road_car()) if c.term == "sensor_misalignment")
 
-    assert not turned(series).is_everyday({"angle": 0.001})
+    assert not turned(series).is_within_tolerance({"angle": 0.001})
     blind = turned(replace(series, drive=without))
-    assert blind.is_everyday({"angle": -0.008}) and not blind.is_everyday({"angle": 0.0095})
+    assert blind.is_within_tolerance({"angle": -0.008}) and not blind.is_within_tolerance({"angle": 0.0095})
 
 
 @pytest.fixture(scope="module")
 def late_yaw_rate():
     """A yaw rate that is 40 ms late, with position and accelerations as witnesses."""
     series = prepared(recording(42, fault("channel_delay", "r", {"r": 0.04}), seconds=12.0))
-    usual_by_kind = usual_parts(build_witnesses(prepared(recording(43, seconds=12.0))))
+    usual_by_kind = usual_weights_by_kind(build_witnesses(prepared(recording(43, seconds=12.0))))
     return bare_objective(light_evidence(series), kinematics=build_witnesses(series, usual_by_kind))
 
 
 def test_a_variant_that_witnesses_deny_is_far_off_however_large_model_form_error_is():
     """A moved unit: with the velocity alone moved v_y fits as well, and the accelerometer contradicts."""
     series = prepared(recording(44, fault("sensor_lever_arm", "unit", {"dx": 0.8}), seconds=12.0))
-    usual_by_kind = usual_parts(build_witnesses(prepared(recording(45, seconds=12.0))))
+    usual_by_kind = usual_weights_by_kind(build_witnesses(prepared(recording(45, seconds=12.0))))
     evidence, felt = light_evidence(series), [w for w in build_witnesses(series, usual_by_kind) if w.kind == "a_y"]
 
     def excess(kinematics) -> float:
@@ -388,7 +388,7 @@ def test_what_is_not_late_is_not_told_to_be(k):
     """A clean recording, and those of a sensor that is biased or scaled."""
     faults = [] if k is None else [fault(*PLANTED[k])]
     series = prepared(recording(46, *faults))
-    usual_by_kind = usual_parts(build_witnesses(prepared(recording(47))))
+    usual_by_kind = usual_weights_by_kind(build_witnesses(prepared(recording(47))))
     objective = bare_objective(light_evidence(series), kinematics=build_witnesses(series, usual_by_kind))
     names = ("channel_delay", "velocity_bias", "yaw_rate_scale", "yaw_rate_bias", "speed_scale")
     every = tuple(candidates_of(objective, *names))
@@ -397,7 +397,7 @@ def test_what_is_not_late_is_not_told_to_be(k):
 
 def test_a_term_is_one_where_it_saves_twice_what_halves_of_the_simulation_differ_by(late_yaw_rate):
     (one,) = (c for c in candidates_of(late_yaw_rate, "channel_delay") if c.variant == "r")
-    known = replace(late_yaw_rate, own_savings={"channel_delay (r)": 100.0})
+    known = replace(late_yaw_rate, self_test_savings={"channel_delay (r)": 100.0})
     # Sizes go with the root of what they save: 1.96 times the size is 3.84 times the saving.
     assert exceeds_simulation_scatter(known, one, 385.0) and not exceeds_simulation_scatter(known, one, 384.0)
     assert exceeds_simulation_scatter(late_yaw_rate, one, 1.0)

@@ -70,7 +70,7 @@ def test_no_part_hinders_an_explanation_that_is_at_its_least(explore):
     assert fit.cost == pytest.approx(least.cost, rel=1e-3)
 
 
-def test_a_valley_that_lies_far_from_no_effect_is_begun_in():
+def test_a_fit_starts_in_a_minimum_far_from_no_effect():
     """Steering a quarter of a second late: six steps from none do not get there, beside a known delay they do."""
     drag = CATALOGUE["aero_drag"]({"drag": 0.6})
     objective = noisy_objective(driven(41, [drag], steer=lambda inputs, step: late(inputs, 0.25, step)), 3)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.recording.kinematics import build_kinematics, usual_part
+from split_cli.diagnosis.recording.kinematics import build_kinematics, usual_weights
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE, Recording
 from tests.diagnosis.recordings import bare_objective, faulty, light_evidence, noisy, prepared
@@ -68,12 +68,12 @@ def test_a_tracked_frame_that_is_off_moves_position_with_velocity_and_contradict
 
 def test_a_simulation_that_contradicts_itself_is_no_fault_of_reality(nominal_drive):
     """Velocities of a point 0.3 m ahead in both: what is usual in the simulation, taken off reality's rows."""
-    usual = usual_part([build_kinematics(series_of(nominal_drive, 4, dx=0.3))])
+    usual = usual_weights([build_kinematics(series_of(nominal_drive, 4, dx=0.3))])
     assert usual[0] == pytest.approx(-0.3, abs=0.03) and abs(usual[1]) < 0.002
     values, errors = solved(build_kinematics(series_of(nominal_drive, 3, dx=0.3), usual), "sensor_lever_arm")
     # What is usual is as uncertain as the answer.
     assert abs(values[0]) < 3.0 * np.sqrt(2.0) * errors[0]
-    np.testing.assert_array_equal(usual_part([]), np.zeros(2))
+    np.testing.assert_array_equal(usual_weights([]), np.zeros(2))
 
 
 def test_a_straight_line_by_hand(nominal_drive):
@@ -87,7 +87,9 @@ def test_a_straight_line_by_hand(nominal_drive):
     np.testing.assert_allclose(kinematics.difference(()), 0.5 * 20.0 * np.sin(0.01), rtol=1e-9)
     right = (CATALOGUE["sensor_misalignment"]({"angle": 0.01}),)
     np.testing.assert_allclose(kinematics.difference(right), 0.0, atol=1e-9)
-    np.testing.assert_allclose(kinematics.causes, np.tile([0.0, 10.0 * np.cos(0.01)], (len(kinematics.begin), 1)))
+    np.testing.assert_allclose(
+        kinematics.error_patterns, np.tile([0.0, 10.0 * np.cos(0.01)], (len(kinematics.begin), 1))
+    )
 
 
 def test_a_weave_that_turns_in_quickly_contradicts_nothing():

@@ -255,7 +255,7 @@ def test_costs_follow_the_shared_discrepancy_where_a_term_moves_it(gathered, dis
 class WrittenWitness(SimpleNamespace):
     """Rows that are the sum of the terms' parameters, and how often they were asked for."""
 
-    def feels(self, term):
+    def is_changed_by(self, term):
         return not term.exported
 
     def rows(self, terms):

@@ -13,7 +13,7 @@ from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.parts_of_drive import (
     most_saved,
     parts_of_drive,
-    strongest_beside_everyday,
+    strongest_beside_tolerated,
     strongest_part,
 )
 from split_cli.diagnosis.search.selection import nothing
@@ -151,10 +151,10 @@ def test_what_a_sound_gyroscope_reads_at_rest_acts_in_no_part():
     series = prepared(replace(drive, columns=columns))
     objective = bare_objective(light_evidence(series))
     explore = explorer(objective, "yaw_rate_bias", "road_bank")
-    (bias,) = (one.without_witness() for one in explore.candidates if one.term == "yaw_rate_bias")
+    (bias,) = (one.without_position() for one in explore.candidates if one.term == "yaw_rate_bias")
     base = nothing(objective)
     chosen = fit_parts(objective, (Part(bias, {"r": 0.01}),))
-    asked = partial(strongest_beside_everyday, objective, explore.tangents, INFLATION, base)
+    asked = partial(strongest_beside_tolerated, objective, explore.tangents, INFLATION, base)
     assert chosen.parts[0].values["r"] == pytest.approx(0.015, abs=0.003)
     assert asked(base).p_value < 1e-6
     beside = asked(chosen)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.policy import STANDARD
-from split_cli.diagnosis.recording.screening import cleaned, unfit
+from split_cli.diagnosis.recording.cleaning import cleaned
+from split_cli.diagnosis.recording.screening import unfit
 from split_cli.diagnosis.search.candidates import build_candidates
 from split_cli.diagnosis.search.term_tests import effect_to_noise_of_terms
 from split_cli.diagnosis.statement.result import Detectable

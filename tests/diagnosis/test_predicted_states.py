@@ -8,7 +8,8 @@ import pytest
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.innovations.objective import build_objective, learn_discrepancy
-from split_cli.diagnosis.recording.series import Series, predicted_by_model, predicted_from_the_past
+from split_cli.diagnosis.recording.predicted_states import predicted_from_the_past
+from split_cli.diagnosis.recording.series import Series, predicted_by_model
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import Recording
 from split_cli.vehicle.library import library_path

@@ -10,7 +10,7 @@ from split_cli.cli.ingest import command
 from split_cli.diagnosis.baseline.discrepancy import build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.objective import learn_discrepancy
-from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, SharedRates, _that_returns, shared_rates
+from split_cli.diagnosis.innovations.rollouts import HORIZONS, RolloutErrors, SharedRates, _stable_slope, shared_rates
 from split_cli.diagnosis.recording.series import build_series
 from split_cli.diagnosis.verdict.improvement import measure_improvement
 from split_cli.diagnosis.verdict.simulation_part import SimulationPart, best_part, chosen_simulation_parts, part_of
@@ -77,7 +77,7 @@ def test_slopes_keep_their_size_where_errors_fade_and_lose_it_where_they_would_g
     A = np.array([[[-0.1, 0.0, 0.0], [0.0, -5.0, -20.0], [0.0, 0.5, -6.0]]] * 2)
     S = np.zeros_like(A)
     S[0, 2, 2], S[1, 2, 2] = -2.0, 40.0
-    kept = _that_returns(S, A)
+    kept = _stable_slope(S, A)
     np.testing.assert_array_equal(kept[0], S[0])
     assert 0.0 <= kept[1, 2, 2] < 40.0
     assert np.linalg.eigvals(A + kept).real.max() <= 1.0 / HORIZONS[-1] + 1e-12

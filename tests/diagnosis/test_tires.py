@@ -8,7 +8,7 @@ from split_cli.diagnosis.baseline.tires import at_other_tires
 from split_cli.diagnosis.recording.series import extended_model
 from split_cli.vehicle.effects import CATALOGUE, Term
 from tests.diagnosis.recordings import case_of, driven, fitted_scale, prepared
-from tests.diagnosis.test_calibration import drive, recorded
+from tests.diagnosis.test_self_test import drive, recorded
 from tests.factories import road_car
 
 GRIP = 0.6

@@ -9,12 +9,12 @@ import pytest
 from split_cli.diagnosis import engine
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.search.baselines import SearchOutcome, search
-from split_cli.diagnosis.search.calibration import SelfTest
 from split_cli.diagnosis.search.fitting import Fit
 from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.self_test import SelfTest
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, StateChange
 from split_cli.diagnosis.statement.result import Finding, ParameterEstimate, RemainderTest
-from split_cli.diagnosis.verdict import worth
+from split_cli.diagnosis.verdict import held_out_judgement
 from split_cli.diagnosis.verdict.withdrawn import as_leads, withdrawn, without_names
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -91,7 +91,7 @@ def weak_brakes() -> tuple[Drive, SearchOutcome]:
 def test_held_out_time_is_asked_where_model_form_error_would_hide_what_has_no_name(monkeypatch, weak_brakes):
     """All that differs has a name here; halves of a simulation that differ much leave that open."""
     real, outcome = weak_brakes
-    monkeypatch.setattr(worth, "measure_improvement", lambda *_: improved(-0.44, -1.14, -0.05))
+    monkeypatch.setattr(held_out_judgement, "measure_improvement", lambda *_: improved(-0.44, -1.14, -0.05))
     monkeypatch.setattr(engine, "summarise", lambda *_: ())
     monkeypatch.setattr(engine, "detection_limits", lambda *_: ())
     for ratio, named in ((1.0, True), (1.01 * STANDARD.selection.much_over_noise, False)):

@@ -8,13 +8,7 @@ from scipy.integrate import solve_ivp
 
 from split_cli.errors import VehicleError
 from split_cli.vehicle.effects import CATALOGUE, Recording
-from split_cli.vehicle.effects.recording import (
-    KnownResults,
-    first_order_response,
-    phase_shifted,
-    play_response,
-    shifted,
-)
+from split_cli.vehicle.effects.recording import ResultCache, first_order_response, phase_shifted, play_response, shifted
 from split_cli.vehicle.integration import integrate_recorded
 from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.windows import recorded_inputs
@@ -324,13 +318,13 @@ def test_a_relaxation_of_no_length_is_the_nominal_model_at_every_rate():
     np.testing.assert_allclose(*ends, rtol=1e-12)
 
 
-def test_what_is_known_of_arrays_is_of_these_very_arrays():
-    """Arrays that are made and let go of come to have ids of others; none may get another's result."""
-    known, rng = KnownResults(), np.random.default_rng(3)
-    clock = Recording(PERIOD, ((0, 40), (40, 100)), known=known)
+def test_cached_results_are_of_the_very_arrays_that_are_given():
+    """A new array may get the id of one that was deleted; it must not get its result."""
+    cache, rng = ResultCache(), np.random.default_rng(3)
+    clock = Recording(PERIOD, ((0, 40), (40, 100)), cache=cache)
     for _ in range(50):
         x = rng.normal(size=100)
-        expected = first_order_response(x, 4.0, replace(clock, known=None))
+        expected = first_order_response(x, 4.0, replace(clock, cache=None))
         np.testing.assert_array_equal(first_order_response(x, 4.0, clock), expected)
         assert first_order_response(x, 2.0 + 2.0, clock) is first_order_response(x, 4.0, clock)
         assert not np.array_equal(first_order_response(x, 5.0, clock), expected)

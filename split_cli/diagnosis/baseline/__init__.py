@@ -1,4 +1,4 @@
-"""What simulation and reality share beyond the nominal model: a discrepancy of smooth forces with priors.
+"""What simulation and reality share beyond the nominal model: basis functions with normal priors of their weights.
 
 May import: recording, statement; vehicle, logs, signals, errors.
 """

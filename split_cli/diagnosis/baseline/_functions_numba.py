@@ -1,4 +1,4 @@
-"""The weighted sum of the shared discrepancy's smooth functions, sample by sample, without making each of them."""
+"""The weighted sum of the shared discrepancy's smooth functions, compiled, without storing each function."""
 
 import numpy as np
 from numpy import ndarray
@@ -6,8 +6,8 @@ from numpy import ndarray
 from split_cli.compiled_code import compiled
 
 _AT_ONCE = 256
-"""Samples whose powers are made at once [1]: with the sums 47 kB, about the first cache of a core; judgement, it
-decides time and no result."""
+"""Samples whose powers are computed at a time [1]: with the sums 47 kB, about the first cache of a core. Judgement; it
+affects time and no result."""
 
 
 @compiled(cache=True, nogil=True)
@@ -40,7 +40,7 @@ def weighted_functions(
     kept: ndarray,
     mean: ndarray,
 ) -> ndarray:
-    """Return the longitudinal, front and rear lateral force of all functions, shape (3, N), in units of a peak.
+    """Return longitudinal, front lateral and rear lateral force, shape (3, N), as a share of an axle's peak force.
 
     Parameters
     ----------
@@ -49,12 +49,13 @@ def weighted_functions(
     even, odd : ndarray of int64, shape (F, 4) and (G, 4)
         Powers of the features.
     of_even, of_odd, of_sizes, of_memory : ndarray, shape (F,), (2, G), (9,) and (3, 5)
-        Weights: of the powers; of |c|, and of a |c|, b |c|, |a| a, |b| b at the front and at the rear; and for
-        each time, of the slow parts of c and a^2 along the car, of steer and c a at the front, of c b at the rear.
+        Weights, with z = (a, b, c, v): of the powers; of |c|, and of a |c|, b |c|, |a| a, |b| b at the front and at the
+        rear; and for each time constant, of the filtered less the unfiltered c and a^2 (longitudinal), steer and c a
+        (front), c b (rear).
     starts : ndarray of int64
-        Rows at which memory starts anew, steady.
+        Samples at which the filters restart in steady state.
     kept, mean : ndarray, shape (3,)
-        e^-q and (1 - e^-q)/q of each time, see `first_order_response`.
+        e^-q and (1 - e^-q)/q of each time constant, with q the sample period over it; see `first_order_response`.
     """
     n = z.shape[1]
     out = np.zeros((3, n))

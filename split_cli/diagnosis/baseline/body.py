@@ -1,9 +1,9 @@
-"""The shared model discrepancy of a car with another body: it was learned as rates, and consists of forces.
+"""The shared model discrepancy of a car with another mass, inertia or centre of gravity.
 
-A car with a fifth more yaw inertia turns in a fifth slower under all moments, those included that no single track
-has. Were these left as they are, a single track that misses as much as it holds would say that nothing changed.
-Where the centre of gravity lies elsewhere, the axles slip otherwise at the same velocities, and a tyre's force is
-that of its slip.
+The discrepancy is learned as rates, but it stands for forces. The same forces accelerate a car with another mass or
+inertia differently. If the rates were kept instead, a changed inertia would seem smaller than it is wherever the
+discrepancy is as large as the nominal model's moments. With another centre of gravity the axles have other slip angles
+at the same velocities, and their forces change with those.
 """
 
 from collections.abc import Sequence
@@ -23,18 +23,18 @@ def alters_body(term: Term) -> bool:
 
 
 def moved_axles(vehicle: Vehicle, terms: Sequence[Term]) -> Vehicle:
-    """Return a vehicle with the axles where terms put them; itself where none moves one."""
+    """Return a vehicle with the axle positions that terms give it; the vehicle itself if none moves an axle."""
     moved = _body(vehicle, [term for term in terms if alters_body(term)])
     return with_cg_ahead(vehicle, vehicle.cg_to_front_axle - float(moved.l_f))
 
 
 def moves_axles(vehicle: Vehicle, term: Term) -> bool:
-    """Return whether a term puts the axles elsewhere, by which these slip otherwise."""
+    """Return whether a term changes the position of the CG between the axles, and so their slip angles."""
     return moved_axles(vehicle, [term]) is not vehicle
 
 
 def with_cg_ahead(vehicle: Vehicle, ahead: float) -> Vehicle:
-    """Return a vehicle whose CG lies further ahead [m]; itself at 0."""
+    """Return a vehicle whose CG lies further forward by `ahead` [m]; the vehicle itself at 0."""
     if not ahead:
         return vehicle
     l_f, l_r = vehicle.cg_to_front_axle - ahead, vehicle.cg_to_rear_axle + ahead
@@ -42,19 +42,20 @@ def with_cg_ahead(vehicle: Vehicle, ahead: float) -> Vehicle:
 
 
 def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) -> np.ndarray:
-    """Return rates that the same forces give the mass and the inertia that terms make of a vehicle's.
+    """Return the rates, shape (N, 3), that the same forces cause with the mass and inertia that terms give a vehicle.
 
     Parameters
     ----------
     rates : ndarray, shape (N, 3)
-        Of v_x, v_y [m/s^2] and r [rad/s^2], at the vehicle's own body, the effects of its file included.
+        Of v_x, v_y [m/s^2] and r [rad/s^2], with the mass and inertia of the vehicle file and its effects.
     terms : sequence of Term
-        Those that alter no body are passed over, and where axles lie is the vehicle's, see `moved_axles`.
+        Terms that change neither mass nor inertia are ignored. Axle positions are those of `vehicle`, see
+        `moved_axles`.
 
     Notes
     -----
-    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r. The forces stay where a variant lets the
-    nominal ones follow the load, too: what a single track lacks is mostly of torque.
+    m (v_x', v_y') = (F_x, F_f + F_r) and I_z r' = l_f F_f - l_r F_r. The forces are kept even for variants in which
+    the nominal tyre forces follow the load, since the discrepancy depends mostly on the torque.
     """
     altering = [term for term in terms if alters_body(term)]
     if not altering:
@@ -66,7 +67,7 @@ def at_another_body(rates: np.ndarray, vehicle: Vehicle, terms: Sequence[Term]) 
 
 
 def _body(vehicle: Vehicle, terms: Sequence[Term]) -> Flow:
-    """Return a flow as far as the body."""
+    """Return a `Flow` in which terms have set mass, inertia and axle positions, and nothing else is evaluated."""
     flow = Flow(
         ops=NUMPY,
         vehicle=vehicle,

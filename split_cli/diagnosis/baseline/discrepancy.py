@@ -1,8 +1,8 @@
-"""The shared model discrepancy: what simulation and reality have beyond the nominal model, as a dictionary.
+"""The shared model discrepancy (Kennedy and O'Hagan, 2001): what simulation and reality share beyond the nominal model.
 
-Tangents of catalogue terms come first, since what a single track lacks against a real car is mostly of that kind;
-smooth functions of slip angles, torque and speed, mirror-symmetric, take the rest. The weights are learned on the
-simulation; reality is judged with what the simulation leaves uncertain about them.
+It is a linear combination of basis functions: derivatives of the model with respect to parameters of catalogue terms
+(tangents), and smooth, mirror-symmetric functions of slip angles, torque and speed. The weights are learned on the
+simulation. Reality is compared with the sum, and the weights keep their posterior uncertainty.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,10 +16,10 @@ import numpy as np
 from split_cli.diagnosis.baseline._functions_numba import weighted_functions
 from split_cli.diagnosis.baseline.body import at_another_body, moved_axles, moves_axles
 from split_cli.diagnosis.baseline.tires import Ratios, at_other_tires, tire_ratios
-from split_cli.diagnosis.cache import Recent
-from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, values_of
+from split_cli.diagnosis.cache import RecentResults
+from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, key_of_terms
 from split_cli.vehicle.effects import CATALOGUE, Term
-from split_cli.vehicle.effects.recording import KnownResults, first_order_response
+from split_cli.vehicle.effects.recording import ResultCache, first_order_response
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack
 
@@ -33,27 +33,27 @@ _POWERS = [
 _EVEN, _ODD = ([powers for powers in _POWERS if (powers[0] + powers[1]) % 2 == odd] for odd in (0, 1))
 _SMOOTH_DEVIATION = 0.03  # prior deviation of a smooth function's weight, as a share of an axle's peak
 
-#: What a simulation may have beyond its vehicle file that is found as terms, each of one parameter.
+#: Effects of the simulation beyond its vehicle file that are fitted as terms of one parameter, see `shared_terms_of`.
 SHARED_TERMS = ("drive_lag", "steer_lag", "tire_relaxation", "combined_slip")
 
-_AT_ONCE = 16  # columns whose rates are in memory at all samples
-_MEMORY_SECONDS = (0.03, 0.1, 0.35)  # for a full-size car; times shrink with the root of length
+_AT_ONCE = 16  # columns whose rates at all samples are in memory at a time
+_MEMORY_SECONDS = (0.03, 0.1, 0.35)  # time constants for a full-size car; they scale with the root of length
 
 
 @dataclass(frozen=True)
 class SharedDiscrepancy:
-    """The dictionary, scaled so that every weight has a standard normal prior."""
+    """The basis functions, scaled so that every weight has a standard normal prior."""
 
     vehicle: Vehicle
     # center, width: (4,): of alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s], for the smooth functions.
     center: np.ndarray
     width: np.ndarray
-    # `SHARED_TERMS` with the simulation's values. They belong to the model that entries are added to: tangents are
-    # taken beside them, and smooth functions are those of the slips and the torque that arrive.
+    # `SHARED_TERMS` with the simulation's values, part of the model that the basis functions are added to. Tangents are
+    # taken about that model, and smooth functions are evaluated at slip angles and torque after the actuators.
     shared_terms: tuple[Term, ...] = ()
-    # Made anew for a copy with another vehicle.
-    _ratios_before: Recent[tuple[Ratios, Series]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    # A cache; a copy with another vehicle begins with an empty one.
+    _ratios_cache: RecentResults[tuple[Ratios, Series]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
 
     @property
@@ -61,54 +61,57 @@ class SharedDiscrepancy:
         return 0.5 * (self.vehicle.front_tire.D + self.vehicle.rear_tire.D)
 
     def columns(self, series: Series) -> np.ndarray:
-        """Return what entries add in the middle of samples, shape (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
+        """Return the rates of all basis functions in the middle of samples, (N, 3, C) [m/s^2], [m/s^2], [rad/s^2]."""
         return np.concatenate(list(self.blocks(series)), axis=2)
 
     def blocks(self, series: Series) -> Iterator[np.ndarray]:
-        """Yield the columns a few at a time, shape (N, 3, c): all of them at once fill memory."""
+        """Yield the columns a few at a time, shape (N, 3, c), since all of them may exceed the memory."""
         beside = series.rates(self._beside)
         for some in _few_of(self._altered):
             yield np.stack([series.rates(model) - beside for model in some], axis=2)
         yield from spread(self._functions(series), self._directions())
 
     def size(self, series: Series) -> int:
-        """Return how large the columns are at once [bytes]."""
+        """Return the memory that all columns of a recording take [bytes]."""
         return 24 * len(series) * len(self.unlike_shared_terms())
 
     def unlike_shared_terms(self) -> np.ndarray:
-        """Return which columns would take nothing of `SHARED_TERMS`, bool, shape (C,): no tangents, no slow parts."""
+        """Return which columns cannot represent `SHARED_TERMS`, bool (C,): no tangents of them, no lags."""
         others = [kind.id not in SHARED_TERMS for kind, *_ in tangents()]
         smooth, slow = len(_EVEN) + 1 + 2 * (len(_ODD) + 4), 5 * len(_MEMORY_SECONDS)
         return np.array([*others, *[True] * smooth, *[False] * slow])
 
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what weights add beside the shared terms, in the middle of samples, shape (N, 3).
+        """Return the rates of the weighted sum in the middle of samples, (N, 3) [m/s^2], [m/s^2], [rad/s^2].
 
-        Terms alter inputs, sensors, tyres or body.
-
-        What the actuators really did, and where the car really was, is what the shared discrepancy answers to; its
-        forces are those of the tyres that are there, at the slips they have, and move the body that is there.
+        Parameters
+        ----------
+        weights : ndarray, shape (C,)
+        terms : sequence of Term
+            Terms that change inputs, sensors, tyres or body. The sum is evaluated at the torque and steer angle behind
+            the actuators and at corrected velocities. Its forces scale with the changed tyres, at the slip angles of
+            the changed axle positions, and accelerate the changed body.
         """
         there = moved_axles(self.vehicle, terms)
         if there is not self.vehicle:
             rest = [term for term in terms if not moves_axles(self.vehicle, term)]
             return replace(self, vehicle=there).rates(series, weights, rest)
         _, predicted = series.evaluated(terms)
-        # The vehicle file's own effects act when the rates are taken below, and must not twice.
+        # The effects of the vehicle file act in the rates below, and must not act twice.
         torque, steer_angle = series.inputs(SingleTrack(self.vehicle, tuple(terms)), predicted)
-        known = KnownResults()
-        recording = replace(series.recording, known=known)
+        cache = ResultCache()
+        recording = replace(series.recording, cache=cache)
         actual = replace(series, predicted=predicted, torque=torque, steer_angle=steer_angle, recording=recording)
         of_tangents, others = np.split(np.asarray(weights, dtype=float), [len(self._altered)])
         flows = zip(of_tangents.tolist(), map(actual.flow, self._altered), strict=True)
         out = SingleTrack.weighted_changes(actual.flow(self._beside), flows)
         rates = np.stack(out, axis=1) + (self._directions() @ self._weighted(actual, others)).T
         rates = self.at_another_car(rates, actual, terms)
-        known.clear()
+        cache.clear()
         return rates
 
     def rates_with_shared_terms(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what weights and shared terms add to a model with terms in the middle of samples, shape (N, 3)."""
+        """Return the rates, shape (N, 3), of the weighted sum and of the shared terms added to a model with terms."""
         added = self.rates(series, weights, terms)
         if not self.shared_terms:
             return added
@@ -117,25 +120,25 @@ class SharedDiscrepancy:
         return added + series.rates(both, predicted) - series.rates(extended_model(self.vehicle, terms), predicted)
 
     def at_another_car(self, rates: np.ndarray, series: Series, terms: Sequence[Term]) -> np.ndarray:
-        """Return rates (N, 3) with the tyres and the body that terms make of the vehicle's.
+        """Return rates (N, 3) of the discrepancy scaled to the tyres and the body that terms give the vehicle.
 
-        Where terms move axles, the rates are those at the axles' slips there, see `rates`.
+        If terms move axles, `rates` must have been evaluated at the slip angles of the moved axles, see `rates`.
         """
         there = moved_axles(self.vehicle, terms)
         return at_another_body(at_other_tires(rates, series, there, terms, self._tire_ratios), there, terms)
 
     def _tire_ratios(self, series: Series, there: Vehicle, altering: Sequence[Term]) -> Ratios:
-        """Return `tire_ratios`, as they were before for the same values of terms and place of the axles."""
+        """Return `tire_ratios`, from the cache if values of terms and axle positions are known."""
 
         def made() -> tuple[Ratios, Series]:
-            some = series if there is self.vehicle else replace(series)  # a series keeps a flow of every vehicle
-            # The series is kept beside it, so that no other can come to have its id.
+            some = series if there is self.vehicle else replace(series)  # else the series would cache its flow
+            # The series is kept in the cache, so that its id stays unique.
             return tire_ratios(some, there, altering), series
 
-        return self._ratios_before((id(series), there.cg_to_front_axle, values_of(altering)), made)[0]
+        return self._ratios_cache((id(series), there.cg_to_front_axle, key_of_terms(altering)), made)[0]
 
     def _weighted(self, series: Series, weights: np.ndarray) -> np.ndarray:
-        """Return the sum of the smooth functions times weights by force, shape (3, N), without making each."""
+        """Return the weighted sum of the smooth functions by force, shape (3, N), without storing each function."""
         times = len(_MEMORY_SECONDS)
         ends = np.cumsum([len(_EVEN), 1, *2 * (len(_ODD), 4), 2 * times, 2 * times])
         even, size, front, front_sizes, rear, rear_sizes, along, by_front, by_rear = np.split(weights, ends)
@@ -160,7 +163,7 @@ class SharedDiscrepancy:
         return self.vehicle.force_matrix() * self._peak * _SMOOTH_DEVIATION
 
     def _functions(self, series: Series) -> list[tuple[int, np.ndarray]]:
-        """Return smooth functions, (F, N) each, with the force they act as: 0 longitudinal, 1 front, 2 rear."""
+        """Return smooth functions, (F, N) each, with the number of their force: 0 longitudinal, 1 front, 2 rear."""
         z = self._scaled(series)
         return [*self._smooth(z), *self._memory(z, series)]
 
@@ -209,12 +212,11 @@ class SharedDiscrepancy:
         return [(0, even), (1, odd), (2, odd)]
 
     def _memory(self, z: np.ndarray, series: Series) -> list[tuple[int, np.ndarray]]:
-        """Slow parts of what is commanded: actuators and suspension answer late in any real car.
+        """Return low-pass filtered commands less the commands: actuators and suspension of a real car respond late.
 
-        Slow parts of the slip angles are left to tyre relaxation, a tangent. They hold the rates of the slip angles,
-        and with the rate of steering these hold r' itself, v_x (delta' - alpha_f' + alpha_r')/L at a steady speed,
-        whatever moment turns the car. A discrepancy that has learned a part of r' from r' hides as much of another
-        yaw inertia.
+        Slip angles are not filtered here; tyre relaxation, a tangent, represents their delay. Their rates with the
+        steer rate determine r' = v_x (delta' - alpha_f' + alpha_r')/L at constant speed, whatever the yaw moment is.
+        A discrepancy that could represent r' by r' itself would hide a change of the yaw inertia.
         """
         a, b, c, _ = z
         delta, along, front, rear = _scaled_steer(series), [], [], []
@@ -227,19 +229,19 @@ class SharedDiscrepancy:
 
 
 def _scaled_steer(series: Series) -> np.ndarray:
-    """Return the steer angle over what a hundredth of the recording exceeds, shape (N,)."""
+    """Return the steer angle over its 99 % quantile in size, shape (N,) [1]."""
     return series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
 
 
 def spread(functions: Iterable[tuple[int, Sequence[np.ndarray]]], directions: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield functions as rates, a few at a time, shape (N, 3, c).
+    """Yield the rates of functions that scale a force, a few at a time, shape (N, 3, c).
 
     Parameters
     ----------
     functions : iterable of (int, sequence of ndarray of shape (N,))
-        With the force they act as: 0 longitudinal, 1 front, 2 rear.
+        The number of the force (0 longitudinal, 1 front, 2 rear) and functions that scale it.
     directions : ndarray, shape (3, 3)
-        Rates by each force, in columns.
+        Rates caused by a unit of each force, in columns.
     """
     for axis, several in functions:
         for some in _few_of(several):
@@ -251,7 +253,7 @@ def _few_of(items: Sequence[Any]) -> Iterator[Sequence[Any]]:
 
 
 def build_shared_discrepancy(vehicle: Vehicle, series: Series) -> SharedDiscrepancy:
-    """Return the dictionary, its smooth functions scaled to where `series` (a simulation) has been."""
+    """Return the basis functions of a vehicle, scaled to the range of features in `series`, a simulation."""
     z = features(series, vehicle)
     width = np.maximum(np.quantile(np.abs(z[:, :2]), 0.995, axis=0), 1e-3)
     low, high = np.quantile(z[:, 2:], [0.005, 0.995], axis=0)
@@ -262,7 +264,7 @@ def build_shared_discrepancy(vehicle: Vehicle, series: Series) -> SharedDiscrepa
 def features(series: Series, vehicle: Vehicle, shared_terms: Sequence[Term] = ()) -> np.ndarray:
     """Return alpha_f, alpha_r [rad], T/T_max [1] and v_x [m/s] at the predicted states, shape (N, 4).
 
-    With `shared_terms`, steer angle and torque are those that arrive.
+    With `shared_terms`, steer angle and torque are those after the actuators of these terms.
     """
     flow = series.flow(extended_model(vehicle, shared_terms))
     ratio = (flow.T if shared_terms else series.torque) / vehicle.max_torque
@@ -270,13 +272,13 @@ def features(series: Series, vehicle: Vehicle, shared_terms: Sequence[Term] = ()
 
 
 def scaled_features(series: Series, vehicle: Vehicle) -> np.ndarray:
-    """Return the features over what a hundredth of the recording exceeds of each in size, shape (N, 4)."""
+    """Return the features, each over its 99 % quantile in size, shape (N, 4) [1]."""
     z = features(series, vehicle)
     return z / np.maximum(np.quantile(np.abs(z), 0.99, axis=0), 1e-9)
 
 
 def tangents() -> tuple[tuple[type[Term], str, str, float], ...]:
-    """Return term, variant, parameter and step from neutral of every tangent, as the terms state them.
+    """Return term, variant, parameter and step from neutral of every tangent, from the term classes.
 
     The step, in units of `Term.sizes`, is both the tangent's width and the prior deviation.
     """
@@ -284,7 +286,7 @@ def tangents() -> tuple[tuple[type[Term], str, str, float], ...]:
 
 
 def _squash(z: np.ndarray, center: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Scale to about [-1, 1] inside and level off outside, so that nothing is extrapolated."""
+    """Scale features to [-1, 1] within the known range; outside they saturate, so that nothing is extrapolated."""
     x = (z - center) / width
     outside = np.abs(x) > 1.0
     x[outside] = np.sign(x[outside]) * (1.0 + np.tanh(np.abs(x[outside]) - 1.0))

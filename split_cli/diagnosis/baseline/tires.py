@@ -1,8 +1,8 @@
-"""The shared model discrepancy of a car on other tyres, or on another road: its lateral forces grow with theirs.
+"""The shared model discrepancy of a car with other tyres, or on another road: its lateral forces scale with theirs.
 
-What a single track lacks of an axle's lateral force was learned at one grip. On half the grip a tyre carries half
-of it. Were it left as it is, the correction that a drive on rubber taught would be as large on ice as the force of
-the whole axle, and would take from a grip what that should explain.
+The error of an axle's lateral force is learned at one grip, and is taken to be proportional to the force. With half the
+grip it is half as large. If it were kept instead, a correction learned on rubber could be as large on ice as the force
+of a whole axle, and it would hide a change of grip.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ from split_cli.vehicle.tire import lateral_force
 
 
 def alters_tires(term: Term) -> bool:
-    """Return whether a term changes the curve of a tyre, and nothing of the body that stands on it."""
+    """Return whether a term changes the force curve of a tyre, but neither mass, inertia nor CG."""
     return type(term).tire is not Term.tire and not alters_body(term)
 
 
@@ -29,7 +29,7 @@ Ratios = Mapping[int, np.ndarray]
 
 
 def tire_ratios(series: Series, vehicle: Vehicle, terms: Sequence[Term]) -> Ratios:
-    """Return by how much terms that alter tyres scale the lateral forces of the axles; none for an equal curve."""
+    """Return the ratios of lateral axle forces with and without terms; an axle with an unchanged curve is left out."""
     old, new = (series.flow(extended_model(vehicle, some)) for some in ((), terms))
     axles = {1: (old.front, new.front), 2: (old.rear, new.rear)}
     return {k: _ratio(*pair) for k, pair in axles.items() if not same_curve(*pair)}
@@ -42,23 +42,23 @@ def at_other_tires(
     terms: Sequence[Term],
     ratios_of: Callable[[Series, Vehicle, Sequence[Term]], Ratios] = tire_ratios,
 ) -> np.ndarray:
-    """Return rates whose lateral axle forces are scaled as terms scale those of the axles' tyres.
+    """Return rates, shape (N, 3), whose lateral axle forces are scaled by the change of the tyres' curves.
 
     Parameters
     ----------
     rates : ndarray, shape (N, 3)
         Of v_x, v_y [m/s^2] and r [rad/s^2], in the middle of the samples of `series`.
     terms : sequence of Term
-        Those that alter no tyre are passed over.
+        Terms that change no tyre are ignored.
     ratios_of : callable
-        What returns `tire_ratios`, which serve other rates as well.
+        Returns `tire_ratios`, perhaps from a cache: the ratios do not depend on the rates.
 
     Notes
     -----
-    With (F_x, F_f, F_r) the forces that make the rates, F_f and F_r become F_f g'/g and F_r g'/g, where g is the
-    curve D sin(C atan(B alpha)) of the axle at its slip angle. What is lacked is a share of the axle's force. That
-    is exact where a whole curve is scaled. Where the peak alone is, it is exact for small slip, where nothing
-    changes, and at the limit; in between it stands for the similarity of curves (Pacejka 2012, section 4.2).
+    With (F_x, F_f, F_r) the forces that cause the rates, F_f and F_r become F_f g'/g and F_r g'/g. Here g is the curve
+    D sin(C atan(B alpha)) of the axle at its slip angle, and g' the changed curve. This is exact if the whole curve is
+    scaled. If only the peak is scaled, it is exact at small slip, where nothing changes, and at the limit. In between
+    it approximates the similarity of curves (Pacejka 2012, section 4.2).
     """
     altering = [term for term in terms if alters_tires(term)]
     if not altering:
@@ -71,7 +71,7 @@ def at_other_tires(
 
 
 def _ratio(old: AxleFlow, new: AxleFlow) -> np.ndarray:
-    """Return the force of one curve over that of another at the slip angles of the other, (N,) [1]."""
-    slip = np.where(old.slip_angle == 0.0, 1e-9, old.slip_angle)  # without slip it is that of the stiffnesses
+    """Return the ratio of the new to the old curve's force at the old slip angles, shape (N,) [1]."""
+    slip = np.where(old.slip_angle == 0.0, 1e-9, old.slip_angle)  # at zero slip: the ratio of stiffnesses
     before, after = (lateral_force(one.B, one.C, one.D, slip, COMPILED) for one in (old, new))
     return after / before

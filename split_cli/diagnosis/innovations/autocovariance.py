@@ -1,4 +1,4 @@
-"""How rows vary together from one to the next: autocovariances, and their part of a long-run variance."""
+"""Autocovariances of rows, and what they contribute to a long-run variance (Newey and West, 1987)."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ LAG_ROWS = 25  # of 0.04 s: a second
 
 
 def autocovariances(rows: np.ndarray, count: int) -> np.ndarray:
-    """Return sums of products of rows (G, C) with those 1 to `count` before over G, shape (count, C)."""
+    """Return the autocovariances of rows (G, C) of zero mean at lags 1 to `count`, shape (count, C)."""
     out = [np.sum(rows[lag:] * rows[:-lag], axis=0) / len(rows) for lag in range(1, count + 1)]
     return np.array(out).reshape(count, rows.shape[1])
 
 
 def bartlett_sum(covariances: np.ndarray, width: int) -> np.ndarray:
-    """Return what autocovariances (K, C) of lags 1 to K add to a variance in the long run, shape (C,).
+    """Return what autocovariances (K, C) of lags 1 to K add to the variance for a long-run variance, shape (C,).
 
     Notes
     -----

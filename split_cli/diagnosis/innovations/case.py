@@ -1,4 +1,4 @@
-"""Inputs of one diagnosis, whitened: the real recordings to judge, and what was learned from the simulation."""
+"""`DiagnosisCase`: whitened recordings of one diagnosis, and what was learned from the simulation."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Believing, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.series import Series
-from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_parts
+from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_weights_by_kind
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
 _PASSES = 2
-"""How often terms of the simulation are found [1]. Judgement: a third pass moved no lag by more than 9 % in three
-simulators of other equations."""
+"""How often the shared terms are fitted [1]. Judgement: a third pass changed no lag by more than 9 % in three
+simulators with other equations."""
 
 
 @dataclass(frozen=True)
 class DiagnosisCase:
-    """Recordings and knowledge."""
+    """Whitened recordings, the shared discrepancy with its posterior, and which rows are compared."""
 
     vehicle: Vehicle
     real: tuple[Evidence, ...]
@@ -37,17 +37,16 @@ class DiagnosisCase:
     posterior: DiscrepancyPosterior | None  # None where the nominal model is the simulation
     # keep, keep_holdout: bool (G,): rows of each real and held-out recording that are compared.
     keep: tuple[np.ndarray, ...]
-    # kinematics, simulated_kinematics: what the real and the simulated recordings know twice: position and yaw,
-    # accelerations.
+    # kinematics, simulated_kinematics: witnesses of the real and of the simulated recordings.
     kinematics: tuple[KinematicResiduals | Witness, ...]
     simulated_kinematics: tuple[KinematicResiduals | Witness, ...] = ()
     simulated: tuple[Evidence, ...] = ()
     keep_holdout: tuple[np.ndarray, ...] = ()
-    # The simulated recordings as if they had the noise and disturbance of the real ones.
+    # The simulated recordings, whitened with the noise and disturbance of the real ones.
     rewhitened: tuple[Evidence, ...] = ()
 
     def compared(self, reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
-        """Return the case with those real rows compared that are within `reach` of a simulated one."""
+        """Return the case that compares real rows within the distance `reach` of a simulated one, see `comparable`."""
         keep, kept_out = (
             tuple(comparable(one, self.simulated, self.discrepancy, reach, policy) for one in several)
             for several in (self.real, self.holdout)
@@ -55,12 +54,12 @@ class DiagnosisCase:
         return replace(self, keep=keep, keep_holdout=kept_out)
 
     def visited(self, reach: float, policy: Policy = STANDARD) -> np.ndarray:
-        """Return which rows of all simulations lie where the real drives have been, bool, shape (M,)."""
+        """Return which rows of all simulations are within `reach` of a real one, bool, shape (M,)."""
         near = [comparable(one, self.real, self.discrepancy, reach, policy) for one in self.simulated]
         return np.concatenate([*near, np.zeros(0, dtype=bool)])
 
     def recorded_as(self, series: Sequence[Series], reach: float, policy: Policy = STANDARD) -> DiagnosisCase:
-        """Return the case with other real recordings, filtered and compared as these; witnesses stay."""
+        """Return the case with other real recordings, whitened and compared in the same way, and the same witnesses."""
         real = map_in_threads(
             lambda one: _gathered(self.vehicle, one, self.discrepancy, self.simulated, policy.believing), series
         )
@@ -68,7 +67,10 @@ class DiagnosisCase:
         return replace(self, real=tuple(real), keep=tuple(keep))
 
     def judged_with_residue(self) -> DiagnosisCase:
-        """Return the case whose late channels have their fast signal moved with the rest, for what fits no delay."""
+        """Return the case whose late channels are shifted as a whole, for steps that fit no delay.
+
+        See `Series.with_residue_moved`.
+        """
         real, holdout = (
             tuple(replace(one, series=replace(one.series, residue_moves=True)) for one in several)
             for several in (self.real, self.holdout)
@@ -76,14 +78,20 @@ class DiagnosisCase:
         return replace(self, real=real, holdout=holdout)
 
     def discrepancy_rates(self, evidence: Evidence, terms: Sequence[Term] = ()) -> np.ndarray:
-        """Return what the simulation knows beyond the nominal model with terms along a recording, shape (N, 3)."""
+        """Return the rates of the shared discrepancy along a recording, beside a model with terms, shape (N, 3)."""
         if self.posterior is None:
             return np.zeros_like(evidence.series.measured)
         return self.discrepancy.rates(evidence.series, self.posterior.weights, terms)
 
 
 def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STANDARD) -> DiagnosisCase:
-    """Whiten every recording and learn the shared discrepancy."""
+    """Whiten every recording and learn the shared discrepancy from the simulated ones.
+
+    Parameters
+    ----------
+    series : sequence of Series
+        Of all roles: ``real``, ``sim`` and ``holdout``.
+    """
     rules = policy.believing
     by_role = {role: [one for one in series if one.role == role] for role in ("real", "sim", "holdout")}
     discrepancy = build_shared_discrepancy(vehicle, (by_role["sim"] or by_role["real"])[0])
@@ -93,7 +101,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
         return map_in_threads(whiten, by_role["sim"])
 
     simulated = taught(discrepancy)
-    # The second time beside functions of what arrives with the terms of the first.
+    # In the second pass the smooth functions are evaluated after the actuators found in the first.
     for _ in range(_PASSES if simulated else 0):
         discrepancy = replace(discrepancy, shared_terms=shared_terms_of(simulated, discrepancy))
         simulated = taught(discrepancy)
@@ -106,10 +114,10 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     rewhitened = [rewhitened_with_noise(one, noise, disturbance, discrepancy) for one in simulated]
     posterior = learn_discrepancy(rewhitened, policy.comparison.variance_inflation, rules) if rewhitened else None
     theirs = [one for series in by_role["sim"] for one in build_witnesses(series, rules=rules)]
-    usual_by_kind = usual_parts(theirs)
+    usual_by_kind = usual_weights_by_kind(theirs)
     kinematics = [one for series in by_role["real"] for one in build_witnesses(series, usual_by_kind, rules)]
     if by_role["sim"]:
-        # Where the simulation's recordings lack an instrument, nobody knows what is usual.
+        # Without the same instrument in the simulation its usual error is not known.
         kinematics = [one for one in kinematics if one.kind in usual_by_kind]
     case = DiagnosisCase(
         vehicle,
@@ -129,8 +137,8 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
 def _gathered(
     vehicle: Vehicle, series: Series, discrepancy: SharedDiscrepancy, simulated: Sequence[Evidence], rules: Believing
 ) -> Evidence:
-    """Return a real recording, whitened, with no less disturbance than simulated ones have."""
+    """Whiten a real recording, with at least the disturbance of the simulated ones."""
     least = np.max([one.disturbance for one in simulated], axis=0) if simulated else None
     own = gather_evidence(vehicle, series, discrepancy, least, rules)
-    # Nothing is shared with a nominal model.
+    # Without a simulation nothing is shared.
     return own if simulated else replace(own, discrepancy=np.empty((*own.nominal_rows.shape, 0)))

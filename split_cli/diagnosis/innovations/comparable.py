@@ -1,12 +1,12 @@
-"""Common operating points: the rows of a recording whose operating point the simulation has visited too.
+"""Common operating points: which rows of a recording lie where the simulation has been.
 
-It has been there if it was asked for the same, or if it moved the same. A steering that is scaled, a velocity that
-is turned, take every turn away from where the simulation was asked to be, and the car still moves as it did. A
-torque that is scaled does so on every straight, and the tyres still slip as they did and push as they did.
+A row is compared if any of three descriptions of it is near a simulated row: slip angles, torque and speed as
+commanded; axle forces and speed as the motion shows them, below the tyres' limit; or slip angles, speed and
+longitudinal force. The second keeps rows whose commands or velocities are scaled or turned by a fault while the car
+moves as it did. The third does so for torque, up to the limit.
 
-But where axles push harder to a side than they ever did, slips say nothing of what the simulation knows. With a
-vehicle file whose tyres are too soft, or a velocity beside its zero, a hard turn to one side has the slips of a
-gentle one to the other.
+A row is left out if an axle's lateral force is far beyond any in the simulation. With tyres that are too soft in the
+vehicle file, or with an offset of v_y, such a row may have the slip angles of a gentle turn.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.screening import SMOOTHED_SECONDS
+from split_cli.diagnosis.recording.segment_means import SMOOTHED_SECONDS
 from split_cli.diagnosis.recording.series import extended_model
 
 
@@ -28,14 +28,14 @@ def comparable(
     reach: float,
     policy: Policy = STANDARD,
 ) -> np.ndarray:
-    """Return the rows of a recording that are fast enough and near where a simulation has been, shape (G,).
+    """Return which rows of a recording are fast enough and near a simulated row, bool, shape (G,).
 
     Parameters
     ----------
     simulated : sequence of Evidence
-        None, if the nominal model is the simulation; only rows of positive weight count.
+        Empty if the nominal model is the simulation. Rows of weight 0 do not count.
     reach : float
-        How far a row may be from the nearest simulated one, in scaled features.
+        Largest distance from the nearest simulated row, in scaled features [1].
     """
     fast = one.series.smooth[one.at, 0] >= policy.screening.valid_speed * one.vehicle.minimum_speed
     usable = fast & (one.weight > 0.0)
@@ -51,9 +51,9 @@ def comparable(
     scale = np.maximum(np.quantile(np.abs(moved), 0.995, axis=0), 1e-9)
     scale[3] = discrepancy.width[3]
     wanted, mine = asked(one), _forces(one)
-    # Nearer the tyres' limit the same motion may come of other slips, and a row nearby proves nothing.
+    # Near the tyres' limit the same forces may belong to other slip angles, so that near forces prove nothing.
     sure = (_share_of_grip(mine, one) < policy.believing.motion_share) & ~_slides(one)
-    # At the same slips, speed and force along the car, the tyres do the same at their limit, too.
+    # With the same slip angles, speed and longitudinal force the tyres act alike, also at their limit.
     slipped, had_slipped = (
         np.column_stack([rows[:, [0, 1, 3]], forces[:, 2] / scale[2]])
         for rows, forces in ((wanted, mine), (there, moved))
@@ -70,7 +70,7 @@ def comparable(
 
 
 def _within(forces: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
-    """Return which lateral forces (N, 2) are no further than `reach` beyond those of others (M, 2), shape (N,)."""
+    """Return which scaled lateral forces (N, 2) exceed the range of others (M, 2) by at most `reach`, bool (N,)."""
     low, high = others.min(axis=0) - reach, others.max(axis=0) + reach
     return np.all((forces > low) & (forces < high), axis=1)
 
@@ -83,7 +83,7 @@ def _near(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _forces(one: Evidence) -> np.ndarray:
-    """Return what the motion says: lateral force of the axles, force along the car [N], and v_x [m/s], (G, 4)."""
+    """Return front and rear lateral force, longitudinal force [N] from the motion, and v_x [m/s], shape (G, 4)."""
     series, car = one.series, one.vehicle
     size = max(1, int(round(SMOOTHED_SECONDS / series.period)))
     rates = np.zeros_like(series.smooth)
@@ -100,20 +100,19 @@ def _forces(one: Evidence) -> np.ndarray:
 
 
 def _share_of_grip(forces: np.ndarray, one: Evidence) -> np.ndarray:
-    """Return which share of the tyres' peak forces a motion takes, the busier axle's, shape (G,)."""
+    """Return the used share of the peak force, of the axle that uses more, shape (G,) [1]."""
     front, rear = one.vehicle.front_tire.D, one.vehicle.rear_tire.D
     share = np.abs(forces[:, 2]) / (front + rear)
     return np.hypot(np.maximum(np.abs(forces[:, 0]) / front, np.abs(forces[:, 1]) / rear), share)
 
 
 def _slides(one: Evidence) -> np.ndarray:
-    """Return where the rear axle slips beyond its tyres' peak, shape (G,).
+    """Return where the rear slip angle is beyond the peak of the tyre curve, bool, shape (G,).
 
     Notes
     -----
-    The peak is at C arctan(B |alpha|) = pi/2. A scaled or late command moves the front axle's slip, none the
-    rear's: a car that slides without the forces of sliding is recorded with another's velocity, as before a
-    navigation system has found its heading.
+    The peak is at C arctan(B |alpha|) = pi/2. A fault of commands changes the front slip angle only. A large rear slip
+    angle at small forces means that the velocities are wrong, as before a navigation system has found its heading.
     """
     rear = one.series.flow(extended_model(one.vehicle)).rear
     return (rear.C * np.arctan(rear.B * np.abs(rear.slip_angle)) > 0.5 * np.pi)[one.at]

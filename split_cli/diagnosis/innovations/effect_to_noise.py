@@ -9,18 +9,27 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects import Term
 
 _HORIZON = 0.05
-_ROWS_AT_ONCE = 8192  # [rows] that are joined for a product; decides memory alone
+_ROWS_AT_ONCE = 8192  # rows that are joined for a product [1]; affects memory alone
 
 
 def effect_to_noise(series: Series, defect: np.ndarray) -> float:
-    """Return the effect-to-noise ratio of defects in the channel where it is largest; see `effects_to_noise`."""
+    """Return the largest of the three effect-to-noise ratios of defects [1]; see `effects_to_noise`."""
     return float(effects_to_noise(series, defect).max())
 
 
 def effects_to_noise(series: Series, defect: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
-    """Return the rms of defects (N - 1, 3) summed over 0.05 s over that of sensor noise, of v_x, v_y and r.
+    """Return the effect-to-noise ratios of defects in v_x, v_y and r, shape (3,) [1].
 
-    Only windows about the samples `rows` count, where they are given: what a function does elsewhere is not known.
+    Parameters
+    ----------
+    defect : ndarray, shape (N - 1, 3)
+        What an effect adds to each transition [m/s], [m/s], [rad/s].
+    rows : ndarray of int, optional
+        Samples about which windows of 0.05 s are taken; by default all windows.
+
+    Notes
+    -----
+    The rms of the defects summed over 0.05 s, over the noise of a difference of two samples.
     """
     return rms_over_noise(series, windowed(series, defect, rows))
 
@@ -37,7 +46,7 @@ def windowed(series: Series, defect: np.ndarray, rows: np.ndarray | None = None)
 
 
 def rms_over_noise(series: Series, errors: np.ndarray) -> np.ndarray:
-    """Return the rms of prediction errors (W, 3) over that of the noise of a difference, shape (3,)."""
+    """Return the rms of prediction errors (W, 3) over the noise of a difference of two samples, shape (3,) [1]."""
     if not len(errors):
         return np.zeros(3)
     return np.sqrt(np.mean(errors**2, axis=0)) / (np.sqrt(2.0) * series.stated_noise)
@@ -54,9 +63,9 @@ def products_over_noise(series: Series, errors: Sequence[np.ndarray]) -> np.ndar
 
 
 def products_of(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the products of columns that come a few at a time, (R, c) each, shape (Q, Q).
+    """Return the products of columns, shape (Q, Q), from blocks of columns, shape (R, c) each.
 
-    Rows are joined some at a time: all of them at once would be in memory twice.
+    Blocks are joined for some rows at a time, so that the columns are not in memory twice.
     """
     total = 0.0
     for begin in range(0, max(len(blocks[0]), 1), _ROWS_AT_ONCE):
@@ -74,7 +83,7 @@ def effects_to_noise_of(
 ) -> np.ndarray:
     """Return the effect-to-noise ratios of terms about the samples `rows`, against the model with `without` alone.
 
-    `discrepancy_rates` returns what terms make of the shared discrepancy, (N, 3), or nothing.
+    `discrepancy_rates` returns how terms change the rates of the shared discrepancy, (N, 3), or None.
     """
     with_all, with_some = (evidence.defects(some, discrepancy_rates(some)) for some in (terms, without))
     return effects_to_noise(evidence.series, with_all - with_some, rows)

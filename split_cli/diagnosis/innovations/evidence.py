@@ -1,4 +1,9 @@
-"""Whitened evidence of a recording: what it says against a model, one row of unit noise after another."""
+"""`Evidence`: whitened residuals of one recording against a model, in rows of unit variance.
+
+The difference between measured motion and a model's rates (the defects) is filtered by a `Whitener`. Noise is taken
+from the recording, and the disturbance is estimated by maximum likelihood. Rows at which wheels spin or lock have
+weight 0.
+"""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -7,7 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy
-from split_cli.diagnosis.cache import Recent
+from split_cli.diagnosis.cache import RecentResults
 from split_cli.diagnosis.innovations.whitening import Whitener, build_whitener, cost_by_disturbance
 from split_cli.diagnosis.policy import STANDARD, Believing
 from split_cli.diagnosis.recording.series import REMEMBERED, Series, extended_model, predicted_by_model
@@ -17,13 +22,13 @@ from split_cli.vehicle.parameters import Vehicle
 ROW_SECONDS = 0.04
 _TUNING_ROWS = 9000
 _KEPT_BYTES = 2**27
-"""Columns of the shared discrepancy that are kept between filters [bytes]; larger ones are made anew for each.
-Judgement: 30,000 samples, well under the 1 GB of a diagnosis. It decides time and memory, and no result."""
+"""Largest size of the discrepancy's columns that are kept between filters [bytes]; larger ones are computed for each.
+Judgement: 30,000 samples, well under the 1 GB of a diagnosis. It affects time and memory, and no result."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """One recording's rows."""
+    """Whitened rows of one recording, and what is needed to compute those of another model."""
 
     vehicle: Vehicle
     series: Series
@@ -32,25 +37,25 @@ class Evidence:
     nominal_rows: np.ndarray  # (G, 3): whitened rows against the nominal model with the shared terms
     discrepancy: np.ndarray  # (G, 3, C): whitened columns of the shared discrepancy
     at: np.ndarray  # int64 (G,): sample in the middle of each row
-    disturbance: np.ndarray  # (3,)
-    # (G,): root of the robust weight of a row, 0 where it is not compared: where wheels spin or lock.
+    disturbance: np.ndarray  # (3,): variance per second of unmodelled disturbances, see `build_whitener`
+    # (G,): root of the robust weight of a row; 0 where wheels spin or lock, and the row is not compared.
     weight: np.ndarray
     rolls: np.ndarray  # bool (N,): where the wheels roll, see `rolling`
-    # What the simulation has, too, beyond the vehicle file: a part of the model, see `shared_terms_of`.
+    # Lags and similar effects that the simulation has too, part of every model here; see `shared_terms_of`.
     shared_terms: tuple[Term, ...] = ()
-    # Made anew for a copy with other arrays.
-    _moved_before: Recent[tuple[np.ndarray, ...]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    # A cache; a copy with other arrays begins with an empty one.
+    _moved_cache: RecentResults[tuple[np.ndarray, ...]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
 
     def rows(self, terms: Sequence[Term], discrepancy_rates: np.ndarray | None = None) -> np.ndarray:
-        """Return whitened rows, shape (G, 3), of what `defects` returns."""
+        """Return the whitened rows, shape (G, 3), of `defects`."""
         return self.whitener(self.defects(terms, discrepancy_rates))
 
     def rows_of_each(
         self, several: Sequence[Sequence[Term]], discrepancy_rates: Sequence[np.ndarray | None]
     ) -> np.ndarray:
-        """Return `rows` of lists of terms with rates, filtered together, shape (G, 3, number of lists)."""
+        """Return `rows` of several lists of terms, filtered together, shape (G, 3, number of lists)."""
         defects = np.empty((len(self.series) - 1, 3, len(several)))
         for k, (terms, rates) in enumerate(zip(several, discrepancy_rates, strict=True)):
             defects[:, :, k] = self.defects(terms, rates)
@@ -62,7 +67,12 @@ class Evidence:
         Parameters
         ----------
         discrepancy_rates : ndarray, shape (N, 3), optional
-            What the shared discrepancy adds beside the shared terms to the model's rates [m/s^2], [m/s^2], [rad/s^2].
+            What the shared discrepancy adds to the rates of the model [m/s^2], [m/s^2], [rad/s^2].
+
+        Notes
+        -----
+        z_k = y_{k+1} - y_k - h f - (h/2) (A_k d_k + A_{k+1} d_{k+1}), with y the measured velocities, f the model's
+        rates at the predicted ones, d measured less predicted, A the nominal Jacobian and h the sample period.
         """
         measured, predicted = self.series.evaluated(terms)
         rates = self.series.rates(extended_model(self.vehicle, (*terms, *self.shared_terms)), predicted)
@@ -71,8 +81,8 @@ class Evidence:
         return self._moved(measured, predicted) - integrated(self.series, rates)
 
     def _moved(self, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-        # Velocities are kept with their motion, so that no others can come to have their ids.
-        made = self._moved_before(
+        # The velocities are kept in the cache, so that their ids stay unique.
+        made = self._moved_cache(
             (id(measured), id(predicted)),
             lambda: (motion(self.series, self.jacobian, measured, predicted), measured, predicted),
         )
@@ -80,12 +90,18 @@ class Evidence:
 
 
 def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-    """Return what rates of a model at the predicted states have to explain, shape (N - 1, 3); 0 over gaps.
+    """Return the measured motion that a model's rates at the predicted states should equal, (N - 1, 3); 0 over gaps.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (N, 3, 3)
+        Nominal velocity Jacobian at the predicted states.
+    measured, predicted : ndarray, shape (N, 3)
 
     Notes
     -----
-    The model is evaluated at predicted states and carried to the measured ones by its Jacobian, so that sensor
-    noise enters to first order only, where the whitener knows of it.
+    The model is evaluated at predicted states, and its Jacobian leads from there to the measured ones. So sensor noise
+    enters linearly, as the whitener assumes.
     """
     carried = np.einsum("nij,nj->ni", jacobian, measured - predicted)
     out = np.diff(measured, axis=0) - 0.5 * series.period * (carried[1:] + carried[:-1])
@@ -94,19 +110,19 @@ def motion(series: Series, jacobian: np.ndarray, measured: np.ndarray, predicted
 
 
 def integrated(series: Series, columns: np.ndarray) -> np.ndarray:
-    """Return what rates (N, ...) in the middle of samples add over each, shape (N - 1, ...); 0 over gaps."""
+    """Return rates (N, ...) in the middle of samples times the period, shape (N - 1, ...); 0 over gaps."""
     out = series.period * columns[:-1]
     out[~series.inside()] = 0.0
     return out
 
 
 def _integrated_blocks(series: Series, discrepancy: SharedDiscrepancy) -> Iterator[np.ndarray]:
-    """Yield what the discrepancy's columns come to over every sample, a few at a time, (N - 1, 3, c)."""
+    """Yield the discrepancy's columns integrated over each transition, a few at a time, (N - 1, 3, c)."""
     return (integrated(series, block) for block in discrepancy.blocks(series))
 
 
 def _whitened_blocks(whitener: Whitener, blocks: Iterable[np.ndarray]) -> np.ndarray:
-    """Return whitened rows of columns that come a few at a time, (N - 1, 3, c) each, shape (G, 3, C)."""
+    """Return the whitened rows, shape (G, 3, C), of blocks of columns, shape (N - 1, 3, c) each."""
     return np.concatenate([whitener(block) for block in blocks], axis=2)
 
 
@@ -117,12 +133,12 @@ def gather_evidence(
     least_disturbance: np.ndarray | None = None,
     rules: Believing = STANDARD.believing,
 ) -> Evidence:
-    """Whiten a recording, with the strength of unnamed disturbances found by maximum likelihood.
+    """Whiten a recording; the variance of the disturbances is estimated by maximum likelihood.
 
     Parameters
     ----------
     least_disturbance : ndarray, shape (3,), optional
-        Found on another recording of the same kind; never less is assumed.
+        Lower bound, for example of the simulated recordings.
     """
     series = predicted_by_model(series, vehicle)
     rows = series.predicted.T
@@ -161,8 +177,8 @@ def rewhitened_with_noise(
 ) -> Evidence:
     """Whiten a recording as if it had at least this noise and disturbance, shape (3,) each.
 
-    A simulation without noise would otherwise be believed to the last digit, and weighed by other frequencies than
-    the reality it is compared with.
+    A simulation without noise would otherwise be taken as exact, and its whitening filter would weight other
+    frequencies than that of the real recordings.
     """
     series = one.series
     whitener = build_whitener(
@@ -178,11 +194,11 @@ def rewhitened_with_noise(
 
 
 def rolling(series: Series, vehicle: Vehicle, rules: Believing = STANDARD.believing) -> np.ndarray:
-    """Return where the wheels roll, shape (N,): a single track knows neither spinning nor locked ones.
+    """Return where the wheels roll, bool (N,); a single track models neither spinning nor locked wheels.
 
-    They do not where an axle is asked for most of its peak force, at the load it stands with, and for a while the
-    car gets less than it was asked for: load that moves to an axle, and downforce, give it more. Nor where what is
-    asked for goes up to there and back within moments, as a slip control makes it: wheels answer by spinning.
+    They do not roll where most of an axle's peak force is demanded and the car accelerates by less than demanded. Load
+    transfer and downforce would give more. They do not roll either where the demand rises to the limit and falls again
+    within moments, as under a slip control.
     """
     model = extended_model(vehicle)
     flow = series.flow(model)
@@ -195,12 +211,12 @@ def rolling(series: Series, vehicle: Vehicle, rules: Believing = STANDARD.believ
     slipping = (used > rules.rolling_share) & (lost > rules.lost_share * wanted)
     slipping |= _cycling([np.asarray(axle.longitudinal_force) / axle.D for axle in axles], used, series.period, rules)
     rolls = ~maximum_filter1d(slipping, 2 * reach + 1)
-    # A car that asks for more most of the time has other tyres than its file says.
+    # If the demand exceeds the limit most of the time, the tyres of the vehicle file are wrong.
     return rolls if rolls.mean() > rules.least_rolling else np.ones_like(rolls)
 
 
 def _cycling(asked: Sequence[np.ndarray], used: np.ndarray, period: float, rules: Believing) -> np.ndarray:
-    """Return where an axle's force along the car [of its peak] swings as far up as down around the limit, (N,)."""
+    """Return where an axle's demanded longitudinal force, over its peak, rises and falls near the limit, bool (N,)."""
     window = max(3, int(round(rules.cycling_seconds / period)))
 
     def travel(steps: np.ndarray) -> np.ndarray:
@@ -212,7 +228,7 @@ def _cycling(asked: Sequence[np.ndarray], used: np.ndarray, period: float, rules
 
 
 def _begins_anew(series: Series, rolls: np.ndarray) -> np.ndarray:
-    """Return where the filter starts anew, shape (N - 1,): after gaps, and once wheels roll again."""
+    """Return transitions at which the filter restarts, bool (N - 1,): after gaps, and when wheels roll again."""
     again = np.diff(rolls.astype(np.int8), prepend=1)[:-1] > 0
     return series.transitions_begin() | again
 
@@ -231,13 +247,16 @@ def weighted_rows(several: Sequence[Evidence], rows: Sequence[np.ndarray]) -> np
 
 
 def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return weights of standard normal priors from whitened rows (R, C) and (R,)."""
+    """Return the posterior mean of weights, shape (C,), with standard normal priors, from whitened columns and rows."""
     precision = columns.T @ columns + np.eye(columns.shape[1])
     return np.linalg.solve(precision, columns.T @ target)
 
 
 def _row_groups(series: Series) -> tuple[np.ndarray, np.ndarray]:
-    """Number the rows transitions are summed into; a remainder at a segment's end is left out."""
+    """Return the row number of each transition, (N - 1,), and the middle sample of each row, (G,).
+
+    The transitions of a rest at the end of a segment have the number -1.
+    """
     size = max(1, int(round(ROW_SECONDS / series.period)))
     group = np.full(len(series) - 1, -1, dtype=np.int64)
     at, number = [], 0
@@ -250,14 +269,17 @@ def _row_groups(series: Series) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _robust_weight(rows: np.ndarray, most: float) -> np.ndarray:
-    """Return roots of Huber weights of rows (G, 3), of `most` spreads, each channel scaled by its own."""
+    """Return roots of Huber weights of rows (G, 3), shape (G,), with the limit of `most` robust deviations."""
     spread = 1.4826 * np.median(np.abs(rows), axis=0) + 1e-12
     worst = np.max(np.abs(rows) / spread, axis=1)
     return np.sqrt(np.minimum(1.0, most / np.maximum(worst, 1e-12)))
 
 
 def _likely_disturbance(series, jacobian, defect, begins, rolls, start) -> np.ndarray:
-    """Maximise the likelihood over the disturbance's variance, channel by channel, on part of a long recording."""
+    """Return the disturbance's variance per second, (3,), of largest likelihood on at most `_TUNING_ROWS` samples.
+
+    A search in powers of ten, channel by channel, on defects that are clipped at six robust deviations.
+    """
     used = np.flatnonzero(rolls[1:])[:_TUNING_ROWS]
     begins = begins[used] | (np.diff(used, prepend=used[0]) > 1)
     jacobian = jacobian[np.append(used, used[-1] + 1)]

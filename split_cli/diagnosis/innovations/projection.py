@@ -1,17 +1,17 @@
-"""Columns with the directions of an orthogonal basis damped, for few columns and many rows, compiled.
+"""Products (I - V M V^T) x for few columns x and many rows, compiled.
 
-A library's product of a tall basis with one to six columns runs at a third of what memory gives, and the search
-for terms does little else.
+Library products of a tall matrix with one to six columns reach a third of the memory bandwidth. The search for terms
+spends most of its time on them.
 """
 
 import numpy as np
 from numba import njit
 
-_FEW = 8  # columns, up to which the loops below are faster than a library
+_FEW = 8  # columns [1] up to which the loops below are faster than a library
 
 
 def damped(rows: np.ndarray, basis: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """Return (I - V M V^T) x.
+    """Return (I - V M V^T) x, of the shape of `rows`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Does the named physics help over seconds: open-loop rollouts on held-out time."""
+"""Open-loop rollouts of several models (stages) on held-out time, and their errors after up to 2 s."""
 
 from __future__ import annotations
 
@@ -25,52 +25,56 @@ HORIZONS = (0.5, 1.0, 2.0)  # [s]
 _STEP_SECONDS = 0.05
 _MOST_STARTS = 120
 _FEWEST_STARTS = 5
-# Shares of the taught slope that are tried, the largest that lets no error run away is kept.
+# Shares of the discrepancy's derivative that are tried; the largest with which errors do not diverge is kept.
 _SHARES = (1.0, 0.75, 0.5, 0.25, 0.125)
-# Beside the features SPLIT is learned over: where the model is, and which row of the recording it has reached.
+# The features of SPLIT, then the state of the rollout and the sample of the recording that it has reached.
 _FEATURES = FeatureSet((*Z2.names, "vx", "vy", "r", "row"))
 
 
 @dataclass(frozen=True)
 class SharedRates:
-    """What simulation and reality share beyond the nominal model, around a recording."""
+    """Rates of the shared discrepancy along a recording, linearised in the velocities."""
 
     # (N, 3): rates at the recorded states, means over the sample that a row begins [m/s^2], [m/s^2], [rad/s^2].
     base: np.ndarray
-    slope: np.ndarray  # (N, 3, 3): their derivative by (v_x, v_y, r)
-    around: np.ndarray  # (N, 3): the recorded states
+    slope: np.ndarray  # (N, 3, 3): their derivative with respect to (v_x, v_y, r)
+    around: np.ndarray  # (N, 3): states about which they are linearised
 
     def ahead(self, window: int) -> SharedRates:
-        """Return the same with rates averaged over the window that each row begins."""
+        """Return the same with rates averaged over so many samples from each sample on."""
         total = np.cumsum(np.concatenate([np.zeros((1, 3)), self.base]), axis=0)
         last = np.minimum(np.arange(len(self.base)) + window, len(self.base))
         first = np.arange(len(self.base))
         return replace(self, base=(total[last] - total[first]) / (last - first)[:, None])
 
     def at(self, rows: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return rates where a model is, at `velocity` (M, 3) instead of the recorded one.
+        """Return rates, shape (M, 3), at velocities (M, 3) of a rollout and samples `rows` (M,) of the recording.
 
-        The change by the slope is held to what the rates reach along the recording: no more was learned.
+        The change by the derivative is bounded by the largest rate along the recording.
         """
         most = np.max(np.abs(self.base), axis=0)
         moved = np.einsum("nij,nj->ni", self.slope[rows], velocity - self.around[rows])
         return self.base[rows] + np.clip(moved, -most, most)
 
     def only(self, outputs: np.ndarray, sloped: np.ndarray) -> SharedRates:
-        """Return the rates of a choice of outputs, and slopes of a choice; masks of shape (3,)."""
+        """Return the rates of some outputs, and derivatives of some of these, by masks of shape (3,)."""
         return replace(self, base=self.base * outputs, slope=self.slope * (outputs & sloped)[:, None])
 
 
 def shared_rates(
     series: Series, discrepancy: SharedDiscrepancy, posterior: DiscrepancyPosterior | None, terms: Sequence[Term] = ()
 ) -> SharedRates | None:
-    """Return what the simulation knows along a recording, with what `terms` do to inputs and sensors.
+    """Return the shared discrepancy along a recording, linearised in the velocities; None without a simulation.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Terms that change inputs and sensors.
 
     Notes
     -----
-    A simulation shows rates where a driver has been; how they change where no driver goes is extrapolated. The
-    nominal model returns from there by itself, and a slope is taken only as far as it leaves that so: see
-    `_that_returns`.
+    The simulation shows the rates at states that a driver visits; elsewhere they are extrapolated by the derivative.
+    It is reduced so that the rollout stays as stable as the nominal model, see `_stable_slope`.
     """
     if posterior is None:
         return None
@@ -84,16 +88,16 @@ def shared_rates(
     jacobian = extended_model(discrepancy.vehicle).velocity_jacobian(
         *around.T, series.torque, series.steer_angle, yaw=series.yaw, t=series.t, s=series.s
     )
-    return SharedRates(base, _that_returns(slope, jacobian), around)
+    return SharedRates(base, _stable_slope(slope, jacobian), around)
 
 
-def _that_returns(slope: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """Return slopes (N, 3, 3), row by row as large a share of them as lets no error grow faster than it did.
+def _stable_slope(slope: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Return the largest share of the derivatives (N, 3, 3) with which errors grow no faster, sample by sample.
 
     Notes
     -----
-    The real parts of the eigenvalues of A + S are the rates at which errors grow. None may exceed the largest of
-    A, or one e-folding over the longest horizon, where A's own is less: so slow a growth shows in no rollout.
+    The real parts of the eigenvalues of A + S are growth rates of errors, with the nominal Jacobian A and the
+    derivative S. None may exceed the largest of A, or one e-folding over the longest horizon if that is larger.
     """
     grows = np.linalg.eigvals(jacobian).real.max(axis=1)
     bound = np.maximum(grows, 1.0 / HORIZONS[-1])
@@ -109,7 +113,7 @@ def _that_returns(slope: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RolloutErrors:
-    """Squared errors of rollouts on one recording."""
+    """Errors of rollouts of several stages on one recording."""
 
     horizons: tuple[float, ...]  # [s]
     t: np.ndarray  # (S,): when each begins [s]
@@ -122,16 +126,16 @@ class RolloutErrors:
 
 @dataclass(frozen=True)
 class LearnedCorrection:
-    """What SPLIT learned of a model's errors."""
+    """A correction by SPLIT, with the trust in it."""
 
     predictor: Predictor
     grid: Grid  # outside it nothing is predicted
     trust: np.ndarray  # (3,): share of the prediction that is applied, an output [1]
 
     def at(self, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return what is predicted at features z (M, 3), shape (M, 3) [m/s^2], [m/s^2], [rad/s^2].
+        """Return the correction at features z (M, 3), shape (M, 3) [m/s^2], [m/s^2], [rad/s^2].
 
-        Which rows of the recording these are plays no part.
+        `rows`, the samples of the recording, is not used.
         """
         out = np.zeros((len(z), 3))
         inside = self.grid.index(z)[1]
@@ -142,7 +146,7 @@ class LearnedCorrection:
 
 @dataclass(frozen=True)
 class Stage:
-    """One of the models that are compared: named terms, what is shared with the simulation, and SPLIT."""
+    """One of the models that are compared: the nominal one with terms, shared discrepancy and correction."""
 
     terms: tuple[Term, ...]
     shared: SharedRates | None
@@ -157,12 +161,12 @@ def roll_out_stages(
     horizons: tuple[float, ...] = HORIZONS,
     most_starts: int = _MOST_STARTS,
 ) -> RolloutErrors | None:
-    """Roll out every stage from starts on held-out rows, and hold the velocity for comparison.
+    """Roll out every stage from starts on held-out time; persistence is added for comparison.
 
     Parameters
     ----------
     held : ndarray of bool, shape (N,)
-        Rows of the recording.
+        Samples of held-out time.
     horizons : tuple of float
         Shortest first, in steps of 0.05 s [s].
 
@@ -173,9 +177,9 @@ def roll_out_stages(
 
     Notes
     -----
-    A model that runs away is no more wrong than one that drives the other way at the largest velocity recorded:
-    there its error ends, and no start is left out to its advantage. A lag that a fit has shrunk to nothing acts at
-    once, and takes no part.
+    The error of a diverging rollout is limited to that of driving the other way at the largest recorded velocity. So no
+    start is left out in favour of a diverging model. Lags that are much shorter than a sample are left out of the
+    model.
     """
     series = evidence.series
     window = max(1, round(_STEP_SECONDS / series.period))
@@ -212,7 +216,7 @@ def roll_out_stages(
 
 
 def _drive(series: Series, terms: Sequence[Term]) -> Drive:
-    """Return a recording for rollouts, the sensors' faults among `terms` taken off."""
+    """Return a recording for rollouts, corrected for the sensor faults among `terms`."""
     measured, _ = series.corrected(terms)
     columns = dict(zip(("vx", "vy", "r"), measured.T, strict=True))
     columns |= {"t": series.t, "s": series.s, "yaw": series.yaw}
@@ -223,7 +227,7 @@ def _drive(series: Series, terms: Sequence[Term]) -> Drive:
 
 
 def _of_the_same_terms(stages: Mapping[str, Stage]) -> list[list[str]]:
-    """Return the names of stages whose models are one, which are rolled out together: a step costs little more."""
+    """Return the names of stages with the same terms, which are rolled out together to save time."""
     groups: dict[tuple[int, ...], list[str]] = {}
     for name, stage in stages.items():
         groups.setdefault(tuple(map(id, stage.terms)), []).append(name)
@@ -231,7 +235,7 @@ def _of_the_same_terms(stages: Mapping[str, Stage]) -> list[list[str]]:
 
 
 def _added(stages: Sequence[Stage], z: np.ndarray, drive: Drive, window: int) -> Correction | None:
-    """Return what stages add to the model they share, each to its part of the starts, one after the other."""
+    """Return a correction that adds, to each stage's part of the starts, its discrepancy and its SPLIT."""
     if all(stage.shared is None and stage.correction is None for stage in stages):
         return None
     shared = [None if stage.shared is None else stage.shared.ahead(window) for stage in stages]
@@ -262,11 +266,11 @@ def _errors(path: np.ndarray, drive: Drive, starts: np.ndarray, window: int, at:
 
 
 def _noise_alone(evidence: Evidence, starts: np.ndarray, window: int, at: np.ndarray) -> np.ndarray:
-    """Return the variance that noise of the first and the last sample makes, shape (S, H, 3).
+    """Return the variance of rollout errors that noise of the first and the last sample causes, shape (S, H, 3).
 
     Notes
     -----
-    The first sample's noise is carried by the product of exp(A h) = I + h A Phi along the recorded states.
+    Noise of the first sample is propagated by the product of exp(A h) = I + h A Phi along the recorded states.
     """
     horizon = window * evidence.series.period
     carried = np.tile(np.eye(3), (len(starts), 1, 1))

@@ -1,10 +1,10 @@
-"""Lags and combined slip of the simulation: found as terms, before what else it has beyond the nominal model.
+"""Lags, tyre relaxation and combined slip of the simulation, fitted as terms before the rest of the discrepancy.
 
-A lag is no function of the state, and its derivative stands for it only where it is short. A servo of 35 ms doubles
-the yaw moment that a model car seems to need. What a discrepancy of functions misses of that, it makes up for by
-weaker forces, since the rate of steering goes with the yaw acceleration in most driving. Another yaw inertia then
-comes out too small. And what tyres that drive or brake lose across depends on the grip that is there, so that less
-grip seems to bring combined slip of its own. As terms of the model both answer to what else differs.
+A lag is no function of the state, and its derivative approximates it only while it is short. A servo lag of 35 ms
+doubles the yaw moment that a model car seems to need. Basis functions represent a part of that by weaker forces, since
+steer rate and yaw acceleration are correlated in most driving. A change of the yaw inertia then comes out too small.
+The lateral force that is lost to combined slip depends on the grip, so that a lower grip would seem to change combined
+slip too. As terms of the model, both respond to a changed inertia or grip as they should.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,19 +20,18 @@ from split_cli.vehicle.effects.late import BuildsUp
 from split_cli.vehicle.effects.search import Course
 
 _BEGIN = 0.03
-"""Where the search begins, in units of `Term.sizes` [1]. Judgement: a servo's 30 ms in a full-size car; from there
-least squares go to the nearest minimum."""
+"""Starting value of every parameter, in units of `Term.sizes` [1]. Judgement: a servo's 30 ms in a full-size car."""
 
 
 def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepancy) -> tuple[Term, ...]:
-    """Return the `SHARED_TERMS` with which simulations are explained best, by least squares.
+    """Return the `SHARED_TERMS` with the values that explain the simulations best, by least squares.
 
     Parameters
     ----------
     simulated : sequence of Evidence
         At least one, whitened with `discrepancy`.
     discrepancy : SharedDiscrepancy
-        Those of its columns that none of the terms is like are fitted with them.
+        Its columns `unlike_shared_terms` are fitted at the same time.
     """
     vehicle, first = discrepancy.vehicle, simulated[0].series
     course = Course(max(float(first.t[-1]), 1.0), float(first.s.max()))
@@ -54,8 +53,8 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
         weights = inverse @ rows
         return np.concatenate([rows - columns @ weights, weights])
 
-    # Beside wrong lags a friction ellipse may go to another minimum, where it leaves tyres no force at all. So it is
-    # begun anew from lags that were found without it.
+    # With wrong lags the friction ellipse may end in a minimum in which the tyres have no force left. So the fit is
+    # repeated from lags that were fitted without it.
     late = np.array([issubclass(kind, BuildsUp) for kind in kinds])
 
     def left_by_lags(sizes: np.ndarray) -> np.ndarray:
@@ -72,5 +71,5 @@ def shared_terms_of(simulated: Sequence[Evidence], discrepancy: SharedDiscrepanc
 
 
 def _fitted(left: Callable[[np.ndarray], np.ndarray], begin: np.ndarray, most: np.ndarray) -> OptimizeResult:
-    """Return the nearest minimum of the sum of squares of what is left, over sizes from 0 to the most, (P,)."""
+    """Return the local minimum of the sum of squares of `left`, with sizes from 0 to `most`, shape (P,)."""
     return least_squares(left, begin, bounds=(0.0, most), diff_step=0.01)

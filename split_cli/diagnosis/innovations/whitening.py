@@ -1,9 +1,9 @@
-"""Whitening: the innovations of a Kalman filter for a model linearised along a recording.
+"""Whitening: normalised innovations of a Kalman filter for a model linearised along a recording.
 
-The defect of sample k, z_k = y_{k+1} - y_k - integral of f, holds the noise of two samples and everything the
-model lacks. Its noise is correlated from sample to sample, and plain least squares on it throws away what builds
-up slowly. The filter below turns it into innovations that are white and of unit variance, so that least squares on
-them is prediction-error estimation over every horizon at once.
+The defect of transition k, z_k = y_{k+1} - y_k - integral of f, contains the noise of two samples and the error of the
+model. Its noise is correlated from one transition to the next, so plain least squares would ignore slow effects. The
+filter turns defects into innovations that are white and of unit variance. Least squares on these is the
+prediction-error method (Ljung, 1999) over all horizons at once.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from numba import njit
 
 @dataclass(frozen=True)
 class Whitener:
-    """Gains of the filter along one recording of N samples, for its N - 1 transitions."""
+    """The whitening filter of one recording with N samples: its gains at the N - 1 transitions."""
 
-    # gain, root, carry: (N - 1, 3, 3): K_k, inverse Cholesky factor of the innovation's covariance, and I +
-    # period/2 A_k.
+    # gain, root, carry: (N - 1, 3, 3): Kalman gain K_k, inverse Cholesky factor of the innovation's covariance, and
+    # I + period/2 A_k.
     gain: np.ndarray
     root: np.ndarray
     carry: np.ndarray
-    begins: np.ndarray  # bool (N - 1,): transitions at which the filter starts anew
+    begins: np.ndarray  # bool (N - 1,): transitions at which the filter restarts
     group: np.ndarray  # int64 (N - 1,): number of the output row a transition is summed into; -1 for none
-    count: np.ndarray  # (G,): transitions a row
+    count: np.ndarray  # (G,): number of transitions in a row
 
     def __call__(self, defect: np.ndarray, estimate: np.ndarray | None = None) -> np.ndarray:
         """Return whitened rows, shape (G, 3, C), of defects (N - 1, 3, C), or (G, 3) of (N - 1, 3).
 
-        Rows are sums of successive innovations over the root of their count: still white and of unit variance;
-        what they leave out is faster than the rows.
+        A row is the sum of successive innovations over the root of their count, which is white and of unit variance
+        too. Signals faster than the rows are lost.
 
         Parameters
         ----------
         defect : ndarray, shape (N - 1, 3, C) or (N - 1, 3)
-            Of v_x, v_y [m/s] and r [rad/s], transition by transition.
+            Defects of v_x, v_y [m/s] and r [rad/s].
         estimate : ndarray, shape (3, C), optional
-            Of the last sample's noise before the first defect, for columns; gets that before the next one. 0 where
-            a recording begins.
+            Estimate of the noise of the sample before the first defect, 0 at the begin of a recording. It is
+            overwritten with that after the last defect. For defects with columns only.
         """
         defect = np.ascontiguousarray(defect)
         filtered = defect, self.gain, self.root, self.carry, self.begins, self.group, len(self.count)
@@ -51,7 +51,7 @@ class Whitener:
         return rows / np.sqrt(self.count).reshape(-1, *(1,) * (rows.ndim - 1))
 
     def stretches(self, length: int) -> Iterator[tuple[slice, slice, Whitener]]:
-        """Yield transitions, rows and the whitener of one stretch after the other, of so many rows or less."""
+        """Yield the transitions, the rows and the whitener of successive stretches of at most `length` rows."""
         begin = 0
         for first in range(0, len(self.count), length):
             rows = slice(first, min(first + length, len(self.count)))
@@ -75,7 +75,7 @@ class Whitener:
             begin = end
 
     def of_every_sample(self) -> Whitener:
-        """Return the whitener that makes a row of every transition."""
+        """Return the whitener whose rows are single transitions."""
         every = np.arange(len(self.group), dtype=np.int64)
         return replace(self, group=every, count=np.ones(len(every)))
 
@@ -88,20 +88,20 @@ def build_whitener(
     begins: np.ndarray,
     group: np.ndarray,
 ) -> Whitener:
-    """Run the filter's covariance recursion.
+    """Return the whitening filter of a recording, by the covariance recursion of a Kalman filter.
 
     Parameters
     ----------
     jacobian : ndarray, shape (N, 3, 3)
-        A, velocity block of the nominal Jacobian at the predicted states.
+        A, velocity block of the nominal Jacobian at the predicted states [1/s].
     period : float
-        [s]
+        Sample period [s].
     noise : ndarray, shape (3,)
-        Standard deviation of a sample of v_x, v_y, r.
+        Standard deviation of a sample of v_x, v_y [m/s] and r [rad/s].
     disturbance : ndarray, shape (3,)
-        Variance per second of what shakes the car without a name [m^2/s^3], [m^2/s^3], [rad^2/s^3].
-    begins : ndarray of bool, shape (N - 1,)
-    group : ndarray of int64, shape (N - 1,)
+        Variance per second of unmodelled disturbances [m^2/s^3], [m^2/s^3], [rad^2/s^3].
+    begins, group
+        As in `Whitener`.
 
     Notes
     -----
@@ -119,9 +119,9 @@ def build_whitener(
 def cost_by_disturbance(
     defect: np.ndarray, jacobian: np.ndarray, period: float, noise: np.ndarray, begins: np.ndarray
 ) -> Callable[[np.ndarray], float]:
-    """Return what gives minus twice the log likelihood of defects (N - 1, 3) by disturbance, up to a constant.
+    """Return a function of the disturbance: minus twice the log likelihood of defects (N - 1, 3), up to a constant.
 
-    Parameters are those of `build_whitener`; what no disturbance changes is worked out once.
+    Parameters are those of `build_whitener`.
     """
     carry, onward, R = _moving_average(jacobian, period, noise)
     defect, every = np.ascontiguousarray(defect), np.arange(len(begins), dtype=np.int64)
@@ -159,12 +159,12 @@ def _gains(carry, onward, R, Q, begins):
     PR, NS, E, L, scaled = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
     for k in range(n):
         if begins[k]:
-            # An array put into another takes four seconds to compile: the words of its error are compiled with it.
+            # Element by element: assigning an array would take four seconds to compile, with its error message.
             for i in range(3):
                 for j in range(3):
                     S[i, j] = R[i, j]
         N, P = carry[k], onward[k]
-        # Products of 3 by 3 are written out: a library's take ten times as long.
+        # Products of 3 by 3 matrices are written out: library calls take ten times as long.
         _product(P, R, PR)
         _product(N, S, NS)
         for i in range(3):
@@ -235,7 +235,7 @@ def _whiten(z, gain, root, carry, begins, group, rows, estimate):
 
 @njit(cache=True, nogil=True)
 def _whiten_one(z, gain, root, carry, begins, group, rows):
-    """The same to the bit for one column, (n, 3), which a search for parameters asks for again and again."""
+    """Do as `_whiten` for one column, shape (n, 3), with the same bits, for the many calls of a search."""
     out = np.zeros((rows, 3))
     x = y = w = 0.0
     for k in range(z.shape[0]):

@@ -1,4 +1,4 @@
-"""What a drive must be before it is judged: screening, states, straights, redundant channels (witnesses).
+"""Recordings before any effect is fitted: cleaning, screening, `Series` of states, redundant channels (witnesses).
 
 May import: statement; vehicle, logs, signals, errors.
 """

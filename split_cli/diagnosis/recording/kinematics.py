@@ -1,8 +1,8 @@
-"""True velocities from position and yaw, to check a recording's velocity and yaw rate sensors.
+"""Displacements from position and yaw, to check a recording's velocity and yaw rate sensors.
 
-Over windows of half a second the displacement across the car, from X, Y and yaw, is compared with the integral of
-the recorded velocities. A velocity sensor that is turned or displaced contradicts its own position; no missing
-physics does. Displacement along the car and the turn of yaw tell the scales of v_x and r.
+Over windows of 0.5 s the lateral displacement of the car, from X, Y and yaw, is compared with the integral of the
+recorded velocities. A turned or displaced velocity sensor contradicts the position; physics that a model lacks does
+not. The longitudinal displacement and the change of yaw show scale errors of v_x and r.
 """
 
 from __future__ import annotations
@@ -29,45 +29,45 @@ from split_cli.vehicle.effects import Term
 
 @dataclass(frozen=True)
 class KinematicResiduals:
-    """Displacements of one recording over windows of half a second: positions against velocities."""
+    """Displacements of one recording over windows of 0.5 s, from positions and from velocities."""
 
     series: Series
     # begin, end: int64 (W,): first and last row of every window.
     begin: np.ndarray
     end: np.ndarray
-    # across, along: (W,): displacement to the car's left and ahead at mid-window, from positions [m].
+    # across, along: (W,): displacement to the left and forward, in the vehicle frame at mid-window, from positions [m].
     across: np.ndarray
     along: np.ndarray
     angle: np.ndarray  # (N,): yaw, averaged over 0.2 s [rad]
-    scale: float  # spread of what velocities leave of it [m], faults of the sensor taken off
-    # (2,): share of yaw angle [m] and of distance [1] that the simulation's recordings leave too.
+    scale: float  # robust standard deviation of the difference, without the parts that faults of the sensor make [m]
+    # (2,): weights of `error_patterns` in the simulated recordings, by yaw angle [m] and by distance [1].
     usual: np.ndarray
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return this difference, less what the simulation shows too, over its spread, shape (W,)."""
-        return (self.difference(terms) - self.causes @ self.usual) / self.scale
+        """Return `difference` less its usual part in the simulation, over `scale`, shape (W,): of unit variance."""
+        return (self.difference(terms) - self.error_patterns @ self.usual) / self.scale
 
     def difference(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the displacement to the left by positions minus that by velocities [m], shape (W,)."""
+        """Return the displacement to the left by positions minus that by corrected velocities [m], shape (W,)."""
         return self.across - self._travelled(terms)[1]
 
     @property
     def kind(self) -> str:
-        """Name among the witnesses of a recording."""
-        return "across"
+        """Which redundant channel this is, see `Witness.kind`."""
+        return "lateral"
 
-    def feels(self, term: Term) -> bool:
-        """Return whether a term can change the rows: a fault of the velocities."""
+    def is_changed_by(self, term: Term) -> bool:
+        """Return whether a term can change the rows, as a fault of the velocity sensors does."""
         return term.corrects and self.series.is_moved_by(term)
 
     def ahead(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the displacement ahead by velocities [m], averaged as positions are, shape (W,)."""
+        """Return the displacement forward by corrected velocities [m], averaged as positions are, shape (W,)."""
         return self._travelled(terms)[0]
 
     def against_position(self, name: str, terms: Sequence[Term] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """Return the integral of v_x [m] or r [rad] over windows, and the change of position or yaw, (W,) each.
+        """Return the integral of v_x [m] or r [rad] over windows, and the displacement or change of yaw, (W,) each.
 
-        Both are averaged over 0.2 s, so that both lose as much of a quick turn.
+        Both are averaged over 0.2 s, so that averaging removes the same share of quick motion from both.
         """
         if name == "v_x":
             return self.ahead(terms), self.along
@@ -75,23 +75,26 @@ class KinematicResiduals:
         return self._integral(velocity[:, 2], averaged=True), self.angle[self.end] - self.angle[self.begin]
 
     @cached_property
-    def causes(self) -> np.ndarray:
-        """Return the yaw angle [rad] and the distance [m] of every window, shape (W, 2)."""
+    def error_patterns(self) -> np.ndarray:
+        """Return what a displaced sensor (per m) and a turned one (per rad) add to `difference`, shape (W, 2).
+
+        These are the change of yaw [rad] and the distance [m] of every window.
+        """
         _, velocity = self.series.corrected(())
         return np.stack([self._integral(velocity[:, 2]), self._integral(velocity[:, 0])], axis=1)
 
     @cached_property
-    def slow_causes(self) -> np.ndarray:
-        """Return the patterns of a sensor whose angle drifts [m s] and one whose v_y is late [m/s], shape (W, 2).
+    def drift_patterns(self) -> np.ndarray:
+        """Return what a drifting angle (per rad/s) and a late v_y (per s) add to `difference`, shape (W, 2).
 
-        The spread is taken without them: a large fault would hide in a spread that it makes itself.
+        `scale` is estimated without these parts, since a large fault would otherwise enlarge it.
         """
         v_y = self.series.corrected(())[1][:, 1]
         change = averaged_change(v_y, self.begin, self.end, self.series.period)
-        return np.stack([self.causes[:, 1] * self.series.t[self.begin], change], axis=1)
+        return np.stack([self.error_patterns[:, 1] * self.series.t[self.begin], change], axis=1)
 
     def select(self, windows: np.ndarray) -> KinematicResiduals:
-        """Return these windows alone."""
+        """Return the same for a choice of windows, by mask or index."""
         chosen = {name: getattr(self, name)[windows] for name in ("begin", "end", "across", "along")}
         return replace(self, **chosen)
 
@@ -104,7 +107,7 @@ class KinematicResiduals:
         _, velocity = self.series.corrected([term for term in terms if not term.moves_position])
         middle = self.angle[(self.begin + self.end) // 2]
         sine, cosine = self._direction
-        # In the world frame once, then into the car's frame of each window.
+        # Integrated in the world frame once, then turned into the vehicle frame of each window.
         period = self.series.period
         x, y = displacements(velocity, sine, cosine, self.begin, self.end, edge_of(period))
         return _in_car_frame(middle, x * period, y * period)
@@ -118,7 +121,13 @@ class KinematicResiduals:
 
 
 def build_kinematics(series: Series, usual: np.ndarray | None = None) -> KinematicResiduals | None:
-    """Return the windows of a recording, or None without position and yaw, or with too few windows."""
+    """Return the windows of a recording; None if position or yaw is missing, or if there are too few windows.
+
+    Parameters
+    ----------
+    usual : ndarray, shape (2,), optional
+        Of the simulated recordings, see `usual_weights`; by default zero.
+    """
     drive = series.drive
     if not drive.has_position:
         return None
@@ -130,19 +139,19 @@ def build_kinematics(series: Series, usual: np.ndarray | None = None) -> Kinemat
     middle = angle[(begin + end) // 2]
     along, across = _in_car_frame(middle, x[end] - x[begin], y[end] - y[begin])
     plain = KinematicResiduals(series, begin, end, across, along, angle, 1.0, np.zeros(2) if usual is None else usual)
-    left, causes = plain.difference(()), np.hstack([plain.causes, plain.slow_causes])
+    left, causes = plain.difference(()), np.hstack([plain.error_patterns, plain.drift_patterns])
     left = left - causes @ np.linalg.lstsq(causes, left, rcond=None)[0]
     scale = 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-9
     return replace(plain, scale=scale)
 
 
 def integral(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float, *, averaged: bool) -> np.ndarray:
-    """Return the integral of a rate over windows, shape (W,), over 0.2 s of shifted windows if `averaged`."""
+    """Return the integral of a rate (N,) over windows, shape (W,); `averaged` over windows shifted within 0.2 s."""
     return integrals(rate, begin, end, edge_of(period) if averaged else 0) * period
 
 
 def averaged_change(values: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float) -> np.ndarray:
-    """Return the change of values, averaged over 0.2 s, over windows, shape (W,)."""
+    """Return the change of values (N,), averaged over 0.2 s, from begin to end of windows, shape (W,)."""
     return changes(values, begin, end, edge_of(period))
 
 
@@ -152,16 +161,20 @@ def moving_mean(values: np.ndarray, period: float) -> np.ndarray:
 
 
 def _in_car_frame(angle: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the components ahead and to the left of displacements in the world, for cars at these yaw angles."""
+    """Return forward and left components of world displacements x, y [m] at yaw angles [rad], shape (W,) each."""
     return np.cos(angle) * x + np.sin(angle) * y, -np.sin(angle) * x + np.cos(angle) * y
 
 
-def usual_part(several: Sequence[Any]) -> np.ndarray:
-    """Return what recordings leave by each cause of one kind of witness: of displacements across the car, by yaw
-    angle [m] and distance [1], shape (2,).
+def usual_weights(several: Sequence[Any]) -> np.ndarray:
+    """Return the weights of `error_patterns` in recordings, by least squares over all of one kind of witness.
+
+    Returns
+    -------
+    ndarray, shape (2,) for lateral displacements, (3,) for a `Witness`
+        Zero if there are no windows.
     """
     if not sum(len(one.begin) for one in several):
         return np.zeros(len(several[0].usual) if several else 2)
-    causes = np.concatenate([one.causes / one.scale for one in several])
+    causes = np.concatenate([one.error_patterns / one.scale for one in several])
     left = np.concatenate([one.difference(()) / one.scale for one in several])
     return np.linalg.lstsq(causes, left, rcond=None)[0]

@@ -1,7 +1,7 @@
-"""Whether speed and yaw rate have the scale of position and yaw, in reality as in the simulation.
+"""Scale errors of speed and yaw rate, from position and yaw.
 
-What a sensor out of scale does to the rest looks like mass, grip or inertia, so it has to be named first.
-Position and yaw tell: a car that reads 3 % too fast covers 3 % more ground than it does.
+A wrong scale of a sensor looks like another mass, grip or inertia, so it is looked for first. A speed that reads 3 %
+too high integrates to 3 % more distance than the positions show. A scale that the simulation has too is no difference.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from split_cli.diagnosis.policy import STANDARD, Screening
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.vehicle.effects import Term
 
-_BLOCKS = 20
+_BLOCKS = 20  # blocks of windows of which the median scale is taken [1]
 _WORDS = {
     "v_x": "speed against position: the integral of v_x is {share} {more} than the distance by X and Y",
     "r": "yaw rate against yaw: the integral of r is {share} {more} than the change of yaw",
@@ -30,14 +30,14 @@ def out_of_scale(
     terms: Sequence[Term] = (),
     rules: Screening = STANDARD.screening,
 ) -> tuple[str, ...]:
-    """Return in words which of v_x and r contradict position and yaw in reality, and not so in the simulation.
+    """Return which scales of v_x and r differ from those of the simulation, in words; empty if none does.
 
     Parameters
     ----------
     real, simulated : sequence of KinematicResiduals
-        Without any simulated, scales are held against 1.
+        Without a simulation the scales are compared with 1.
     terms : sequence of Term
-        Found; the real sensors are corrected by them.
+        Findings, by which the real sensors are corrected first.
     """
     out = []
     for name, (ours, theirs) in _wrong(real, simulated, terms, rules).items():
@@ -53,7 +53,7 @@ def scales_as_terms(
     terms: Sequence[Term] = (),
     rules: Screening = STANDARD.screening,
 ) -> dict[str, float]:
-    """Return the scale [1] of what `out_of_scale` tells of, by the id of the term that corrects it."""
+    """Return the scales [1] that `out_of_scale` reports, by the id of the term that would correct each."""
     wrong = _wrong(real, simulated, terms, rules)
     return {_TERMS[name]: ours - theirs + 1.0 for name, (ours, theirs) in wrong.items()}
 
@@ -61,7 +61,7 @@ def scales_as_terms(
 def _wrong(
     real: Sequence[KinematicResiduals], simulated: Sequence[KinematicResiduals], terms: Sequence[Term], rules: Screening
 ) -> dict[str, tuple[float, float]]:
-    """Return the scales of v_x and r in reality and in the simulation [1], of those that differ."""
+    """Return the scale in reality and in the simulation [1] of each of v_x and r in which they differ."""
     out = {}
     for name in _WORDS:
         theirs = scale_of(name, simulated) if simulated else (1.0, 0.0)
@@ -75,19 +75,28 @@ def _wrong(
 
 
 def in_sentences(contradictions: Sequence[str]) -> list[str]:
-    """Return what `out_of_scale` tells as sentences of a summary."""
+    """Return what `out_of_scale` reports as sentences for a summary."""
     return [f"The recording contradicts itself: {one}." for one in contradictions]
 
 
 def scale_of(
     name: str, several: Sequence[KinematicResiduals], terms: Sequence[Term] = ()
 ) -> tuple[float, float] | None:
-    """Return what a channel makes over what position or yaw does, and its standard error; None if nothing moves.
+    """Return the scale of a channel against position or yaw, and its standard error [1]; None without enough motion.
+
+    Parameters
+    ----------
+    name : {"v_x", "r"}
+    several : sequence of KinematicResiduals
+        Recordings with the same sensors.
+    terms : sequence of Term
+        Whose sensor faults are corrected first.
 
     Notes
     -----
-    The median over blocks of time of sum(a b)/sum(b^2), b from position or yaw; its error from their median
-    absolute deviation. Noise of b is left in: that of positions is far below half a second's way.
+    The median over blocks of time of sum(a b)/sum(b^2), with a from the channel and b from position or yaw. The
+    standard error follows from the median absolute deviation of the blocks. Noise of b is neglected: the noise of
+    positions is far smaller than the displacement in 0.5 s.
     """
     pairs = [one.against_position(name, terms) for one in several]
     if not pairs:

@@ -1,8 +1,8 @@
-"""A drive prepared for the diagnosis: predicted states for evaluating physics, recorded ones for judging it.
+"""`Series`: a drive prepared for the diagnosis, with states at which models are evaluated and their rates there.
 
-A model is evaluated at states that earlier samples predict. A smoothed state knows the noise of later samples, and
-what a model makes of it follows the very noise that it is judged by: any flexible correction then learns too little
-damping (for a model evaluated in the middle of a sample this is the drift term of Onsager and Machlup, 1953).
+A series holds the velocities three times: as measured, smoothed, and predicted from earlier samples
+(`predicted_states`). Models are evaluated at the predicted states and judged by the measured ones. All three are
+corrected for the sensor faults among the terms of an explanation.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.cache import Recent
+from split_cli.diagnosis.cache import RecentResults
+from split_cli.diagnosis.recording.predicted_states import predicted_channels, smoothed_by_cubics
 from split_cli.logs.assembling.dead_reckoning import TOGETHER, TOLERANCE
 from split_cli.logs.assembling.noise import difference_noise
 from split_cli.logs.drive import INPUT_CHANNELS, Drive
@@ -24,23 +25,19 @@ from split_cli.vehicle.flow import Flow
 from split_cli.vehicle.parameters import Vehicle
 from split_cli.vehicle.single_track import SingleTrack, complete
 
-#: Corrected velocities of a recording that are kept, with the flow at them [1]. A search moves other parameters
-#: far more often than those of sensors; more than those of four threads and their steps are never asked again.
+#: Number of cached results of each kind [1]: corrected velocities, and flows at them. A search changes parameters of
+#: sensors less often than others. Results beyond those of four threads and their steps are not needed again.
 REMEMBERED = 8
-#: Noise of a channel over its spread below which it is no noise that can be seen [1]. Judgement: the rounding of
-#: a channel of four digits.
+#: Least noise of a channel over its standard deviation [1]; smaller noise cannot be distinguished from rounding.
+#: Judgement: the rounding of a channel of four digits.
 VISIBLE = 1e-4
-_WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
-#: Degrees of polynomials through earlier samples that may predict the next one [1].
-_DEGREES = (1, 2, 3)
-# A window counts as too long when what it takes away exceeds the noise by more than this.
-_SLACK = 1.04
+#: Factor on the noise of a channel that carries no information [1].
 _WORTHLESS = 1e3
 
 
 @dataclass(frozen=True)
 class Series:
-    """One drive, ready for evaluation."""
+    """One drive with its measured, smoothed and predicted velocities, and cached evaluations of models on it."""
 
     # name, role: role is ``real``, ``sim`` or ``holdout``.
     name: str
@@ -51,8 +48,8 @@ class Series:
     measured: np.ndarray
     smooth: np.ndarray
     predicted: np.ndarray
-    # torque, steer_angle: (N,): means over the sample that begins at each row [N m], [rad]: the value itself of a
-    # held input, halfway to the next sample of one that runs in straight lines.
+    # torque, steer_angle: (N,): means over the interval that begins at each sample [N m], [rad]. For a held input that
+    # is the sample itself, for an interpolated one the value halfway to the next sample.
     torque: np.ndarray
     steer_angle: np.ndarray
     # t, s, yaw: (N,): [s] from the drive's first sample, [m], [rad].
@@ -62,31 +59,31 @@ class Series:
     noise: np.ndarray  # (3,): standard deviation of a sample of v_x, v_y, r
     lap_length: float | None = None
     place_reference: str = "dead_reckoned"
-    # Whether what smoothing left moves with a late channel, see `with_residue_moved`.
+    # Whether the correction of a late channel also shifts what smoothing removed, see `with_residue_moved`.
     residue_moves: bool = False
-    # Made anew for a copy with other arrays.
+    # Caches; a copy with other arrays begins with empty ones.
     _nominal_flows: dict[int, Flow] = field(default_factory=dict, init=False, repr=False, compare=False)
     _changed_by: dict[tuple[str, str], frozenset[str]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    _corrected_before: Recent[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    _corrected_cache: RecentResults[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
-    _read_before: Recent[dict[str, np.ndarray]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    _read_cache: RecentResults[dict[str, np.ndarray]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
-    _accelerations_before: Recent[dict[str, np.ndarray]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    _accelerations_cache: RecentResults[dict[str, np.ndarray]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
-    _flows_before: Recent[tuple[np.ndarray, Flow]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    _flows_cache: RecentResults[tuple[np.ndarray, Flow]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
-    _arrived_before: Recent[tuple[Flow, Flow]] = field(
-        default_factory=lambda: Recent(REMEMBERED), init=False, repr=False, compare=False
+    _arrived_cache: RecentResults[tuple[Flow, Flow]] = field(
+        default_factory=lambda: RecentResults(REMEMBERED), init=False, repr=False, compare=False
     )
 
     def __getstate__(self) -> dict:
-        # Flows are found by ids of vehicles, which another process gives to others.
+        # Flows are cached by the id of a vehicle, which is not unique across processes.
         return {**self.__dict__, "_nominal_flows": {}}
 
     def __len__(self) -> int:
@@ -99,13 +96,13 @@ class Series:
 
     @property
     def stated_noise(self) -> np.ndarray:
-        """Noise of v_x, v_y, r, shape (3,).
+        """Standard deviation of a sample of v_x, v_y [m/s] and r [rad/s] that the whitening filter assumes, shape (3,).
 
         Notes
         -----
-        v_x tells nothing where torque was derived from it. A v_y that was integrated from a_y errs slowly: white
-        noise that leaves means over its correlation time as unsure stands for that, sqrt(2 tau/period) times as
-        large. The filter then takes v_y from the model and the yaw rate.
+        v_x carries no information if the torque was derived from it. A v_y that was integrated from a_y has a slow
+        error with the correlation time tau. It is replaced by white noise, sqrt(2 tau/period) times as large, which
+        has the same variance of means over tau. The filter then takes v_y from the model and the yaw rate.
         """
         stated = self.noise * np.array([_WORTHLESS if self.drive.metadata.torque_follows_motion else 1.0, 1.0, 1.0])
         if self.drive.metadata.lateral_velocity_is_integrated:
@@ -114,28 +111,28 @@ class Series:
         return stated
 
     def corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
-        """Return measured and smooth velocities with the sensors' faults among `terms` taken off."""
+        """Return measured and smoothed velocities, (N, 3) each, corrected for the sensor faults among `terms`."""
         return self._all_corrected(terms)[:2]
 
     def evaluated(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
-        """Return measured and predicted velocities with the sensors' faults among `terms` taken off."""
+        """Return measured and predicted velocities, (N, 3) each, corrected for the sensor faults among `terms`."""
         measured, _, predicted = self._all_corrected(terms)
         return measured, predicted
 
     def _all_corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        # A sensor's delay is taken into account by the commands' clock, see `SensorDelay`.
+        # A delay common to all sensors shifts the commands instead, see `SensorDelay`.
         correcting = [term for term in terms if term.corrects and self.is_moved_by(term)]
         if not correcting:
             return self.measured, self.smooth, self.predicted
-        # One explanation is asked for by the model and by every witness in turn, and while others are fitted.
-        return self._corrected_before(values_of(correcting), lambda: self._corrected(correcting))
+        # The model and each witness need the same corrected velocities, also while other parameters are fitted.
+        return self._corrected_cache(key_of_terms(correcting), lambda: self._corrected(correcting))
 
     def with_residue_moved(self, terms: Sequence[Term]) -> Series:
-        """Return the series with what smoothing left moved in time as late channels among `terms` say.
+        """Return the series with the residue of smoothing shifted in time by the late channels among `terms`.
 
-        Fast signal belongs to it, which is as late as the rest. A correction alone moves the smooth part, since noise
-        that moved along would make each try of a fit another draw of it. Where nothing is fitted any more, a
-        correction moves both (`residue_moves`).
+        The residue is measured minus smooth. It contains fast signal, which is as late as the rest. While a delay is
+        fitted only the smooth part is shifted: noise that shifted along would differ at each trial value. Where
+        nothing is fitted any more, a correction shifts both (`residue_moves`).
         """
         measured, smooth, _ = self._channels
         left = {name: measured[name] - smooth[name] for name in smooth}
@@ -145,11 +142,11 @@ class Series:
         return replace(self, measured=moved, residue_moves=False)
 
     def is_moved_by(self, term: Term) -> bool:
-        """Return whether a term changes the model or the velocities: an accelerometer's bias leaves both alone."""
+        """Return whether a term changes the model or the velocities; an accelerometer's bias changes neither."""
         return not term.corrects or self._changes(term, ("vx", "vy", "r"))
 
     def _changes(self, term: Term, channels: Sequence[str]) -> bool:
-        """Return whether a sensor's fault is one of some channels, by its term and variant."""
+        """Return whether a sensor fault changes one of these channels, by its term and variant."""
         kind = (term.id, term.variant)
         if kind not in self._changed_by:
             before = self._readings
@@ -160,14 +157,14 @@ class Series:
     def _corrected(self, terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         measured, smooth, predicted = self._channels
         for term in terms:
-            good = self._put_right(term, smooth)
+            good = self._without_fault(term, smooth)
             if term.moves_samples:
                 left = {name: measured[name] - smooth[name] for name in good}
                 left = term.correct_noise(left, self.recording) if self.residue_moves else left
                 measured = {name: good[name] + left[name] for name in good}
             else:
-                measured = self._put_right(term, measured)
-            smooth, predicted = good, self._put_right(term, predicted)
+                measured = self._without_fault(term, measured)
+            smooth, predicted = good, self._without_fault(term, predicted)
         stays = all(smooth[name] is column for name, column in self._channels[1].items())
         columns = [np.stack(list(one.values()), axis=1) for one in (measured, smooth, predicted)]
         return columns[0], self.smooth if stays else columns[1], self.predicted if stays else columns[2]
@@ -180,36 +177,35 @@ class Series:
             for velocity in (self.measured, self.smooth, self.predicted)
         )
 
-    def _put_right(self, term: Term, velocity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return velocities with a sensor's fault taken off, channel by channel."""
+    def _without_fault(self, term: Term, velocity: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return velocities corrected for one sensor fault, by channel, shape (N,) each."""
         good = term.correct({**velocity, "t": self.t}, self.recording)
         return {name: good[name] for name in velocity}
 
     def accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
-        """Return ``ax`` and ``ay`` [m/s^2] without sensors' faults and weight on inclined roads, shape (N,) each.
+        """Return ``ax`` and ``ay`` [m/s^2], shape (N,) each, without the sensor faults and road angles among `terms`.
 
-        With what `terms` say of both taken off, the changes of the velocities are left, v_x' - v_y r and
-        v_y' + v_x r. Samples without a number are filled by straight lines; a channel that was not recorded is
-        left out.
+        If the terms are right, v_x' - v_y r and v_y' + v_x r remain. Samples that are not finite are interpolated
+        linearly; a channel that was not recorded is left out.
         """
-        telling = [term for term in terms if term.corrects or term.is_felt]
-        # Both accelerometers are asked in turn.
-        return self._accelerations_before(values_of(telling), lambda: self._accelerations(telling))
+        telling = [term for term in terms if term.corrects or term.inclines_car]
+        # Both accelerometers need the same result.
+        return self._accelerations_cache(key_of_terms(telling), lambda: self._accelerations(telling))
 
     def _accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
         correcting = [term for term in terms if term.corrects]
-        # What comes after the last fault of an accelerometer changes none of them.
+        # Faults after the last one that concerns an accelerometer change no acceleration.
         own = [k for k, term in enumerate(correcting) if self._changes(term, ("ax", "ay"))]
         correcting = correcting[: max(own, default=-1) + 1]
-        out = self._read_before(values_of(correcting), lambda: self._read_right(correcting))
+        out = self._read_cache(key_of_terms(correcting), lambda: self._corrected_accelerations(correcting))
         for term in terms:
-            if term.is_felt:
-                weight = dict(zip(("ax", "ay"), term.weight_felt(self.s), strict=True))
+            if term.inclines_car:
+                weight = dict(zip(("ax", "ay"), term.gravity_component(self.s), strict=True))
                 out = {name: column - weight[name] for name, column in out.items()}
         return out
 
-    def _read_right(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
-        """Return ``ax`` and ``ay`` [m/s^2] without sensors' faults, shape (N,) each."""
+    def _corrected_accelerations(self, terms: Sequence[Term]) -> dict[str, np.ndarray]:
+        """Return ``ax`` and ``ay`` [m/s^2] corrected for sensor faults, shape (N,) each."""
         columns = self._readings
         for term in terms:
             columns = term.correct(columns, self.recording)
@@ -217,18 +213,23 @@ class Series:
 
     @cached_property
     def _readings(self) -> dict[str, np.ndarray]:
-        """Return smoothed velocities and accelerations, samples without a number filled, and time, (N,) each."""
+        """Return smoothed velocities, accelerations without non-finite samples, and time, by channel, (N,) each."""
         accelerations = {name: _filled(self.drive[name]) for name in ("ax", "ay") if name in self.drive}
         return {**self._channels[1], **accelerations, "t": self.t}
 
     def flow(self, model: SingleTrack, velocity: np.ndarray | None = None) -> Flow:
-        """Evaluate a model in the middle of every sample, at the predicted states unless others are given.
+        """Evaluate a model in the middle of each sampling interval.
+
+        Parameters
+        ----------
+        velocity : ndarray, shape (N, 3), optional
+            v_x, v_y [m/s] and r [rad/s] at the samples; by default the predicted states.
 
         Notes
         -----
-        Inputs are means over samples, and states those of the middle, so that one evaluation a sample integrates
-        to second order whatever an input does between samples. Delays and linear lags commute with the mean over
-        a sample: of a staircase they are exact. Place, time and yaw are those of the sample's begin.
+        Inputs are means over the interval and states those of its middle, so that one evaluation an interval
+        integrates to second order, whatever an input does between samples. Delays and linear lags commute with the
+        mean, so that they are exact for held inputs. Place, time and yaw are those at the begin of the interval.
         """
         if velocity is not None and velocity is not self.predicted:
             bare = self._without_terms_at(velocity, model.vehicle)
@@ -243,16 +244,16 @@ class Series:
         return self._flow(model, bare.vx, bare.vy, bare.r, bare=bare, arrived=arrived)
 
     def _arrived(self, bare: Flow, vehicle: Vehicle, acting: tuple[Term, ...]) -> Flow:
-        """Return the flow with the terms that act on commands alone, as it was made before for the same values."""
+        """Return the flow with only those terms that act on commands, from the cache if their values are known."""
 
         def made() -> tuple[Flow, Flow]:
-            # Flows without terms are kept beside it, so that no others can come to have their id.
+            # The flow without terms is kept in the cache, so that its id stays unique.
             return bare, self._flow(SingleTrack(vehicle, acting), bare.vx, bare.vy, bare.r, bare=bare)
 
-        return self._arrived_before((id(bare), values_of(acting)), made)[1]
+        return self._arrived_cache((id(bare), key_of_terms(acting)), made)[1]
 
     def inputs(self, model: SingleTrack, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what actuators make of torque [N m] and steer angle [rad], means over samples, (N,) each."""
+        """Return torque [N m] and steer angle [rad] after the actuators of a model, means over intervals, (N,) each."""
         velocity = over_samples(velocity, self.recording)
         flow = model.actuated(*velocity.T, self.torque, self.steer_angle, **self._situation)
         return flow.T + 0.0 * self.t, flow.delta + 0.0 * self.t
@@ -270,8 +271,8 @@ class Series:
         return tuple(np.ascontiguousarray(over_samples(self.predicted, self.recording).T))
 
     def _without_terms(self, vehicle: Vehicle) -> Flow:
-        """Return the flow without any term, from which all others take what their terms leave as it was."""
-        # A flow holds its vehicle, so that no other can come to have its id.
+        """Return the flow without any term. Other flows take from it what their terms do not change."""
+        # A flow refers to its vehicle, so that the vehicle's id stays unique.
         if id(vehicle) not in self._nominal_flows:
             self._nominal_flows[id(vehicle)] = self._flow(SingleTrack(vehicle, ()), *self._columns)
         return self._nominal_flows[id(vehicle)]
@@ -292,14 +293,13 @@ class Series:
 
         def made() -> tuple[np.ndarray, Flow]:
             columns = map(np.ascontiguousarray, over_samples(velocity, self.recording).T)
-            # Velocities are kept with their flow, so that no others can come to have their id. Wheels point where
-            # they do at the recorded velocities.
+            # The velocities are kept in the cache, so that their id stays unique. Steer angles do not depend on them.
             return velocity, SingleTrack(vehicle, ()).turned(self._without_terms(vehicle), *columns)
 
-        return self._flows_before((id(velocity), id(vehicle)), made)[1]
+        return self._flows_cache((id(velocity), id(vehicle)), made)[1]
 
     def transitions_begin(self) -> np.ndarray:
-        """Return where the filter starts anew, shape (N - 1,), the transition over a gap included."""
+        """Return transitions at which the whitening filter restarts, bool (N - 1,): also those across a gap."""
         begins = np.zeros(len(self) - 1, dtype=bool)
         for first, end in self.recording.segments:
             if first < len(begins):
@@ -317,29 +317,40 @@ class Series:
         return inside
 
 
-def values_of(terms: Sequence[Term]) -> tuple:
-    """Return what tells terms from others: ids, variants and values."""
+def key_of_terms(terms: Sequence[Term]) -> tuple:
+    """Return a key for caches that is the same for terms of the same ids, variants and parameter values."""
     return tuple((term.id, term.variant, *sorted(term.parameters.items())) for term in terms)
 
 
 def extended_model(vehicle: Vehicle, terms: Sequence[Term] = ()) -> SingleTrack:
-    """Return the nominal model, the effects its file names included, with more terms."""
+    """Return the nominal model with the effects of its vehicle file and with more terms."""
     return SingleTrack(vehicle, (*build_terms(vehicle), *terms))
 
 
 def build_series(
     drive: Drive, role: str, s: np.ndarray, *, lap_length: float | None = None, place_reference: str = "dead_reckoned"
 ) -> Series:
-    """Prepare a drive; `s` is its track position, shape (N,)."""
+    """Prepare a drive for the diagnosis.
+
+    Parameters
+    ----------
+    role : {"real", "sim", "holdout"}
+    s : ndarray, shape (N,)
+        Track position [m].
+    lap_length : float, optional
+        Length of a closed track [m].
+    place_reference : {"position", "dead_reckoned"}
+        What the track position was computed from.
+    """
     segments = tuple((run.start, run.stop) for run in drive.segments())
     recording = Recording(drive.period, segments)
     measured = np.stack([drive["vx"], drive["vy"], drive["r"]], axis=1)
     noise = np.array([difference_noise(column, list(segments)) for column in measured.T])
-    # A channel without visible noise would make certainty of rounding.
+    # A channel without visible noise would otherwise be taken as exact.
     floor = VISIBLE * np.maximum(measured.std(axis=0), 1e-6)
     noise = np.where(np.isfinite(noise), np.maximum(noise, floor), floor)
     smooth = np.stack(
-        [_smoothed(column, sigma, recording) for column, sigma in zip(measured.T, noise, strict=True)], axis=1
+        [smoothed_by_cubics(column, sigma, recording) for column, sigma in zip(measured.T, noise, strict=True)], axis=1
     )
     t = drive["t"] - drive["t"][0]
     if "yaw" in drive:
@@ -354,7 +365,7 @@ def build_series(
         recording=recording,
         measured=measured,
         smooth=smooth,
-        predicted=_all_predicted(measured, smooth, noise, recording)[0],
+        predicted=predicted_channels(measured, smooth, noise, recording)[0],
         torque=T,
         steer_angle=delta,
         t=t,
@@ -374,72 +385,19 @@ def _filled(values: np.ndarray) -> np.ndarray:
     return np.interp(rows, rows[known], values[known])
 
 
-def _smoothed(values: np.ndarray, sigma: float, recording: Recording) -> np.ndarray:
-    """Fit local cubics over the longest window that takes away no more than noise."""
-    from scipy.signal import savgol_filter
-
-    best = values
-    for seconds in _WINDOWS_SECONDS:
-        length = 2 * int(round(0.5 * seconds / recording.period)) + 1
-        if length < 5:
-            continue
-        trial = values.copy()
-        fitted = False
-        for begin, end in recording.segments:
-            if end - begin > length:
-                trial[begin:end] = savgol_filter(values[begin:end], length, 3, mode="interp")
-                fitted = True
-        if not fitted or np.std(trial - values) > _SLACK * sigma:
-            break
-        best = trial
-    return best
-
-
 def predicted_by_model(series: Series, vehicle: Vehicle) -> Series:
-    """Return the series with states predicted by the nominal model too, where that errs less.
+    """Return the series with states predicted with the help of the nominal model, channel by channel if that is better.
 
     Notes
     -----
-    The model's rates at the predicted states, summed up, move with the commands as the car does. What it lacks varies
-    slowly, and is what polynomials predict then. Neither knows what comes later.
+    The model's rates at the predicted states are summed up over time. The difference between measured velocities and
+    that sum varies slowly, and polynomials through earlier samples predict it. No later sample is used.
     """
     moved, recording = np.zeros_like(series.measured), series.recording
-    plain = _all_predicted(series.measured, series.smooth, series.noise, recording)
+    plain = predicted_channels(series.measured, series.smooth, series.noise, recording)
     rates = replace(series, predicted=plain[0]).rates(extended_model(vehicle))
     for begin, end in recording.segments:
         moved[begin + 1 : end] = np.cumsum(series.period * rates[begin : end - 1], axis=0)
-    by_model = _all_predicted(series.measured - moved, series.smooth - moved, series.noise, recording)
+    by_model = predicted_channels(series.measured - moved, series.smooth - moved, series.noise, recording)
     predicted = np.where(by_model[1] < plain[1], moved + by_model[0], plain[0])
     return replace(series, predicted=predicted)
-
-
-def _all_predicted(
-    measured: np.ndarray, smooth: np.ndarray, noise: np.ndarray, recording: Recording
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return predictions of every channel, shape (N, 3), and the rms by which they miss the samples, shape (3,)."""
-    found = [predicted_from_the_past(*columns, recording) for columns in zip(measured.T, smooth.T, noise, strict=True)]
-    return np.stack([one for one, _ in found], axis=1), np.array([error for _, error in found])
-
-
-def predicted_from_the_past(
-    values: np.ndarray, smooth: np.ndarray, sigma: float, recording: Recording
-) -> tuple[np.ndarray, float]:
-    """Return every sample, shape (N,), as a polynomial through earlier ones predicts it, and the rms error.
-
-    Degree and window are those that err least. Where a recording begins, and where a prediction errs more than one
-    measured sample does, the smoothed value stays: noise is next to nothing there, beside what varies.
-    """
-    best, least = smooth, np.sqrt(2.0) * sigma  # of a prediction that errs as one sample does, seen with its noise
-    for seconds in _WINDOWS_SECONDS:
-        length = int(round(seconds / recording.period))
-        for degree in (one for one in _DEGREES if one < length):
-            weights = np.linalg.pinv(np.vander(np.arange(-length, 0) / length, degree + 1, increasing=True))[0]
-            trial, known = smooth.copy(), np.zeros(len(values), dtype=bool)
-            for begin, end in recording.segments:
-                if end - begin > length:
-                    trial[begin + length : end] = np.convolve(values[begin:end], weights[::-1], mode="valid")[:-1]
-                    known[begin + length : end] = True
-            error = float(np.sqrt(np.mean((values - trial)[known] ** 2))) if known.any() else np.inf
-            if error < least:
-                best, least = trial, error
-    return best, least

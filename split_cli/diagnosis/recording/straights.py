@@ -1,8 +1,8 @@
-"""The steer angle at which a car goes straight: steering off centre, told by symmetry and by no model of tyres.
+"""The steer angle on straights: steering off centre, found by symmetry and without a tyre model.
 
-A car is as strong to the left as to the right. Whatever its axles, tyres and inertias are, a mirrored turn takes
-the mirrored steer angle, and going straight takes none. So model-form error of a symmetric car moves no straight.
-A road that leans does: its tyres hold the car as in a turn of that lateral acceleration.
+A symmetric car needs the mirrored steer angle for a mirrored turn, and none to drive straight, whatever its axles,
+tyres and inertias are. So the model-form error of a symmetric car does not change the steer angle on straights. A
+banked road does: the tyres hold the car as in a turn of that lateral acceleration.
 """
 
 from collections.abc import Sequence
@@ -11,27 +11,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.policy import STANDARD, Screening
-from split_cli.diagnosis.recording.screening import measures
+from split_cli.diagnosis.recording.measured import measures
 from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects.instruments import CROSSFALL
 from split_cli.vehicle.parameters import Vehicle
 
-_BLOCK_SECONDS = 2.0  # over which rows count as one; longer than transients
-_FEWEST_BLOCKS = 6  # twice the parameters: fewer tell no error
+_BLOCK_SECONDS = 2.0  # length of blocks of time for the standard error; longer than transients
+_FEWEST_BLOCKS = 6  # twice the parameters: fewer give no standard error
 
 
 @dataclass(frozen=True)
 class Straight:
-    """What recordings tell of going straight."""
+    """Steer angle at which a car drives straight, from its recordings."""
 
     angle: float  # recorded steer angle [rad]
     error: float  # its standard error [rad]
-    gradient: float  # understeer gradient: steer angle by lateral acceleration beyond that of the turn [rad s^2/m]
-    lean: float  # lateral acceleration that a road may have under the car on straights, either sign [m/s^2]
+    gradient: float  # understeer gradient K: steer angle per lateral acceleration [rad s^2/m]
+    lean: float  # largest lateral specific force that the bank of the road may cause, to either side [m/s^2]
 
     @property
     def by_road(self) -> float:
-        """Steer angle that a leaning road may take [rad]."""
+        """Largest steer angle that the bank of the road may require [rad]."""
         return abs(self.gradient) * self.lean
 
 
@@ -43,15 +43,15 @@ def angle_of_straights(
     Returns
     -------
     Straight or None
-        None where too little was driven gently, or where the angle does not follow the turns, as a held one.
+        None with too little gentle driving, or where the steer angle does not follow the turns, as a held one.
 
     Notes
     -----
-    In gentle turns delta = a + b r/v_x + c v_x r, with b the wheelbase and c the understeer gradient of a
-    steady-state single track, all three by least squares: a is what no symmetric car has. Its error is the
-    sandwich's, from scores block by block (Liang and Zeger, 1986). A road that leans by phi asks for c g sin(phi)
-    more (Rajamani, 2012, equation 2.31 with the steady-state single track). An accelerometer feels it as the mean
-    of a_y - v_x r; without one, any road may have a crossfall.
+    In gentle turns delta = a + b r/v_x + c v_x r, by least squares. Of a steady-state single track b is the wheelbase
+    and c the understeer gradient; a is zero for a symmetric car. Its standard error is the sandwich estimate over
+    blocks of time (Liang and Zeger, 1986). A road with the bank phi requires c g sin(phi) more (Rajamani, 2012,
+    equation 2.31, for the steady-state single track). An accelerometer measures that as the mean of a_y - v_x r.
+    Without one a usual crossfall is allowed for.
     """
     grip = vehicle.lateral_grip
     columns, angles, blocks, felt = [], [], [], []
@@ -77,7 +77,7 @@ def angle_of_straights(
     np.add.at(scores, block, table * (angle - table @ weights)[:, None])
     inverse = np.linalg.inv(table.T @ table)
     error = np.sqrt((inverse @ scores.T @ scores @ inverse)[0, 0])
-    # A steer angle that is held tells of no straight, nor one that follows no turn of this wheelbase.
+    # A held steer angle says nothing of straights, nor does one that does not follow turns of this wheelbase.
     followed = float(weights[1] / scale[1]) / vehicle.wheelbase
     if not 1.0 / rules.another_steering < followed < rules.another_steering:
         return None

@@ -1,4 +1,4 @@
-"""Sums of rates over short windows of a recording, compiled, for the search of sensor faults."""
+"""Integrals and changes of channels over short windows of a recording, compiled, for the search of sensor faults."""
 
 from collections.abc import Sequence
 
@@ -6,19 +6,19 @@ import numpy as np
 from numba import njit
 
 LEAST_WINDOWS = 12
-"""Windows below which a recording is no witness of itself [1]. Judgement: six seconds tell a spread to a fifth."""
+"""Least number of windows for a comparison of redundant channels [1]. Judgement: 6 s give a deviation to a fifth."""
 _WINDOW_SECONDS, _EDGE_SECONDS = 0.5, 0.1
-"""Length of a window, and over how much of either end values are averaged [s]. Judgement: a car moves in half a
-second by far more than its position's noise, which a tenth averages."""
+"""Length of a window, and half the length over which its ends are averaged [s]. Judgement: a car moves in 0.5 s by far
+more than the noise of its position, and averaging over 0.2 s reduces that noise."""
 
 
 def edge_of(period: float) -> int:
-    """Return by how many rows windows are moved to both sides where their ends are averaged."""
+    """Return the number of samples by which windows are shifted to either side to average their ends."""
     return max(1, int(round(_EDGE_SECONDS / period)))
 
 
 def windows_within(segments: Sequence[tuple[int, int]], period: float) -> tuple[np.ndarray, int]:
-    """Return the first rows of windows of half a second, int64 (W,), and their length; ends of runs stay free."""
+    """Return the first samples of windows of 0.5 s, int64 (W,), and their length; ends of segments are left free."""
     size, edge = max(4, int(round(_WINDOW_SECONDS / period))), edge_of(period)
     begins = [np.arange(first + edge, end - size - edge, size) for first, end in segments]
     return np.concatenate([*begins, np.zeros(0)]).astype(np.int64), size
@@ -33,24 +33,29 @@ def integrals(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int = 
     begin, end : ndarray of int64, shape (W,)
         First and last row of every window.
     edge : int
-        The sum is the mean of those of windows moved by up to so many rows, held at the recording's ends.
+        The mean over windows shifted by up to so many samples is returned; shifts stop at the ends of the recording.
     """
     return _integrals(np.ascontiguousarray(rate), begin, end, edge)
 
 
 def changes(values: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int) -> np.ndarray:
-    """Return by how much values (N,) change over windows, shape (W,); see `integrals` for the edge."""
+    """Return the change of values (N,) over windows, shape (W,), in their unit; parameters as of `integrals`."""
     return _changes(np.ascontiguousarray(values), begin, end, edge)
 
 
 def displacements(
     velocity: np.ndarray, sine: np.ndarray, cosine: np.ndarray, begin: np.ndarray, end: np.ndarray, edge: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacements in the world's x and y over windows, shape (W,) each, in velocity times samples.
+    """Return displacements along the world axes X and Y over windows, shape (W,) each, in velocity times samples.
 
-    The edge is that of `integrals`.
-
-    `velocity` has v_x and v_y in its first columns, shape (N, 2 or more); `sine` and `cosine`, (N,), are of yaw.
+    Parameters
+    ----------
+    velocity : ndarray, shape (N, 2 or more)
+        v_x and v_y in the first columns.
+    sine, cosine : ndarray, shape (N,)
+        Of the yaw angle.
+    begin, end, edge
+        As of `integrals`.
     """
     return _displacements(np.ascontiguousarray(velocity), sine, cosine, begin, end, edge)
 

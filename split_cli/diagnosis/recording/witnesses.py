@@ -1,8 +1,9 @@
-"""Redundant channels that can confirm a sensor fault: changes of yaw and of position, and accelerations.
+"""Witnesses: redundant channels that can confirm or contradict a sensor fault.
 
-Every witness compares, over windows of half a second, what one instrument says with what the velocities make of
-it. Physics that a model lacks moves none of them; faults of sensors do. What the simulation's recordings leave in
-the same way (a scale, a bias and a delay of each witness) is usual and no difference.
+A witness compares one instrument with the velocities over windows of 0.5 s: the change of yaw with the integral of r,
+the distance between positions with the integral of v_x, and accelerations with the change of the velocities. Physics
+that a model lacks changes none of these differences; faults of sensors do. A scale error, a bias or a delay that the
+simulated recordings show in the same way is called usual and is no difference between the two.
 """
 
 from __future__ import annotations
@@ -19,60 +20,62 @@ from split_cli.diagnosis.recording.kinematics import (
     averaged_change,
     build_kinematics,
     integral,
-    usual_part,
+    usual_weights,
 )
-from split_cli.diagnosis.recording.screening import measures
+from split_cli.diagnosis.recording.measured import measures
 from split_cli.diagnosis.recording.series import VISIBLE, Series
 from split_cli.diagnosis.recording.windows import LEAST_WINDOWS, edge_of, windows_within
 from split_cli.vehicle.effects import Term
 
 _CHANNELS = {"a_x": "ax", "a_y": "ay"}
-_KINDS = ("turn", "way", *_CHANNELS)
-# A channel that is recorded finer than this share of its spread is no noise but the number of its last digit.
+_KINDS = ("yaw", "distance", *_CHANNELS)
+# Least deviation of a difference over that of the channel [1]: smaller ones are rounding.
 _LEAST_SPREAD = 1e-3
 
 
 @dataclass(frozen=True)
 class Witness:
-    """One instrument of a recording against its velocities, window by window."""
+    """One instrument of a recording compared with its velocities, window by window."""
 
-    kind: str  # ``turn`` (yaw against r) [rad], ``way`` (positions against v_x) [m], ``a_x`` or ``a_y`` [m/s]
+    # ``yaw``: change of yaw and integral of r [rad]; ``distance``: distance and integral of v_x [m]; ``a_x`` or
+    # ``a_y``: integral of the acceleration and change of v_x or v_y [m/s].
+    kind: str
     series: Series
     # begin, end: int64 (W,): first and last row of every window.
     begin: np.ndarray
     end: np.ndarray
-    position: KinematicResiduals | None  # with the displacements of the windows, for ``way`` and ``turn``
-    scale: float  # spread of what the velocities leave
-    usual: np.ndarray  # (3,): what the simulation's recordings leave by scale, bias and delay
+    position: KinematicResiduals | None  # with the displacements of the windows, for ``distance`` and ``yaw``
+    scale: float  # robust standard deviation of the difference, in the unit of the kind
+    usual: np.ndarray  # (3,): scale error [1], bias per second and delay [s] in the simulated recordings
 
     def rows(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return this difference, less what the simulation shows too, over its spread, shape (W,)."""
-        return (self.difference(terms) - self.causes @ self.usual) / self.scale
+        """Return `difference` less its usual part in the simulation, over `scale`, shape (W,): of unit variance."""
+        return (self.difference(terms) - self.error_patterns @ self.usual) / self.scale
 
     def difference(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the instrument's value minus that computed from the velocities, shape (W,)."""
+        """Return the instrument's value minus that from corrected velocities, shape (W,), in the unit of the kind."""
         said, made, _ = self._compared(terms)
         return said - made
 
-    def feels(self, term: Term) -> bool:
-        """Return whether a term can change the rows: a sensor's fault, or a lean that accelerometers feel."""
+    def is_changed_by(self, term: Term) -> bool:
+        """Return whether a term can change the rows: a sensor fault or, for accelerations, a road angle."""
         if self.position is not None:
-            return self.position.feels(term)
-        return term.corrects or term.is_felt
+            return self.position.is_changed_by(term)
+        return term.corrects or term.inclines_car
 
     @cached_property
-    def causes(self) -> np.ndarray:
-        """Return the patterns of an error of scale, of a bias and of a delay of the instrument, shape (W, 3)."""
+    def error_patterns(self) -> np.ndarray:
+        """Return what a unit scale error, bias and delay of the instrument add to `difference`, shape (W, 3)."""
         _, made, rate = self._compared(())
         return np.stack([made, (self.end - self.begin) * self.series.period, self._change(rate)], axis=1)
 
     @cached_property
-    def slow_causes(self) -> np.ndarray:
-        """Return the pattern of a bias that drifts, shape (W, 1)."""
-        return self.causes[:, 1:2] * self.series.t[self.begin, None]
+    def drift_patterns(self) -> np.ndarray:
+        """Return what a bias that drifts at unit rate adds to `difference`, shape (W, 1)."""
+        return self.error_patterns[:, 1:2] * self.series.t[self.begin, None]
 
     def select(self, windows: np.ndarray) -> Witness:
-        """Return these windows alone."""
+        """Return the same for a choice of windows, by mask or index."""
         position = None if self.position is None else self.position.select(windows)
         return replace(self, begin=self.begin[windows], end=self.end[windows], position=position)
 
@@ -80,13 +83,13 @@ class Witness:
         """Return each window's value by instrument and by velocities, (W,) each, and the rate behind it, (N,)."""
         _, velocity = self.series.corrected(terms)
         v_x, v_y, r = velocity.T
-        if self.kind == "turn":
+        if self.kind == "yaw":
             angle = self.position.angle
             return angle[self.end] - angle[self.begin], self._integral(r), r
-        if self.kind == "way":
+        if self.kind == "distance":
             return self.position.along, self.position.ahead(terms), v_x
         felt = self.series.accelerations(terms)[_CHANNELS[self.kind]]
-        # In a turn the velocities' own axes turn: a_x = v_x' - v_y r and a_y = v_y' + v_x r.
+        # The vehicle frame rotates: a_x = v_x' - v_y r and a_y = v_y' + v_x r.
         changing, turning = (v_x, -v_y * r) if self.kind == "a_x" else (v_y, v_x * r)
         return self._integral(felt), self._change(changing) + self._integral(turning), felt
 
@@ -100,17 +103,23 @@ class Witness:
 def build_witnesses(
     series: Series, usual_by_kind: Mapping[str, np.ndarray] | None = None, rules: Believing = STANDARD.believing
 ) -> list[KinematicResiduals | Witness]:
-    """Return all that a recording can be held against; what is usual by kind, of the simulation's recordings."""
+    """Return all witnesses of a recording.
+
+    Parameters
+    ----------
+    usual_by_kind : mapping of str to ndarray, optional
+        Of the simulated recordings, see `usual_weights_by_kind`; by default zero.
+    """
     usual_by_kind, found = usual_by_kind or {}, []
     measured_position = measures(series.drive, "X", "Y", "yaw")
-    position = build_kinematics(series, usual_by_kind.get("across")) if measured_position else None
+    position = build_kinematics(series, usual_by_kind.get("lateral")) if measured_position else None
     if position is not None:
         found.append(position)
     for kind in _KINDS:
         one = _witness(kind, series, position, rules)
         if one is None:
             continue
-        left, causes = one.difference(()), one.causes
+        left, causes = one.difference(()), one.error_patterns
         own = left - causes @ _least_squares(causes, left)
         spread = 1.4826 * float(np.median(np.abs(own - np.median(own))))
         size = float(np.std(causes[:, 0]))
@@ -123,21 +132,21 @@ def build_witnesses(
     return found
 
 
-def usual_parts(witnesses: Iterable[KinematicResiduals | Witness]) -> dict[str, np.ndarray]:
-    """Return what recordings leave of each kind of witness: by kind, shape (2,) or (3,)."""
+def usual_weights_by_kind(witnesses: Iterable[KinematicResiduals | Witness]) -> dict[str, np.ndarray]:
+    """Return `usual_weights` of each kind of witness, shape (2,) or (3,), by kind."""
     by_kind: dict[str, list[KinematicResiduals | Witness]] = {}
     for one in witnesses:
         by_kind.setdefault(one.kind, []).append(one)
-    return {kind: usual_part(several) for kind, several in by_kind.items()}
+    return {kind: usual_weights(several) for kind, several in by_kind.items()}
 
 
 def late_against_position(series: Series, policy: Policy = STANDARD) -> bool:
-    """Return whether yaw rate or velocity is some samples early or late against yaw or position.
+    """Return whether yaw rate or velocity has a delay of some samples against yaw or position, of either sign.
 
-    Velocities that were derived from position are not; what was shifted since, or read with another clock, is.
+    Velocities derived from position have none, unless they were shifted later or read with another clock.
     """
     witnesses = build_witnesses(series, rules=policy.believing)
-    delays = [abs(usual_part([one])[2]) for one in witnesses if one.kind in ("turn", "way")]
+    delays = [abs(usual_weights([one])[2]) for one in witnesses if one.kind in ("yaw", "distance")]
     return max(delays, default=0.0) > policy.screening.late_samples * series.period
 
 
@@ -148,12 +157,13 @@ def is_integral(series: Series, share: float) -> bool:
     ----------
     series : Series
     share : float
-        Of how far noise carries an integral away, within which a yaw is that integral.
+        Of the drift that noise of the yaw rate causes [1]. A yaw that stays closer to the integral is that integral.
 
     Notes
     -----
-    White noise sigma of the yaw rate carries its integral over N samples away by h sigma sqrt(N) from the yaw of
-    any other instrument. One that was integrated stays with it to rounding. Where r has no noise nobody can tell.
+    White noise sigma of the yaw rate makes its integral over N samples of h drift by h sigma sqrt(N) from the yaw of
+    an independent instrument. A yaw that was integrated from it agrees to rounding. Without noise the two cases cannot
+    be distinguished, and the answer is no.
     """
     noise, r = series.noise[2], series.measured[:, 2]
     if noise <= VISIBLE * r.std() or series.drive.metadata.is_derived("r"):
@@ -168,15 +178,15 @@ def is_integral(series: Series, share: float) -> bool:
 
 
 def is_witness_of_position(one: KinematicResiduals | Witness) -> bool:
-    """Return whether a witness is the displacement across the car between positions."""
+    """Return whether a witness compares lateral displacements between positions."""
     return isinstance(one, KinematicResiduals)
 
 
 def _witness(kind: str, series: Series, position: KinematicResiduals | None, rules: Believing) -> Witness | None:
-    if kind in ("turn", "way"):
+    if kind in ("yaw", "distance"):
         if position is None:
             return None
-        # The yaw angle is averaged, and its change again: twice the edge is unknown at both ends of a run.
+        # The yaw angle is averaged, and its change again: windows keep twice the edge from both ends of a segment.
         edge = 2 * edge_of(series.period)
         first, last = np.array(series.recording.segments, dtype=np.int64).T
         run = np.searchsorted(first, position.begin, side="right") - 1
@@ -189,7 +199,7 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None, rul
         return None
     begin, size = windows_within(series.recording.segments, series.period)
     edge = edge_of(series.period)
-    # Samples without a number were filled: windows that hold one, once all is averaged, witness nothing.
+    # Windows with interpolated samples, averaging included, are left out.
     unknown = np.cumsum(~np.isfinite(series.drive[_CHANNELS[kind]]))
     last = np.minimum(begin + size + 2 * edge, len(unknown) - 1)
     begin = begin[unknown[last] == unknown[np.maximum(begin - 2 * edge, 0)]]
@@ -203,14 +213,19 @@ def _witness(kind: str, series: Series, position: KinematicResiduals | None, rul
 
 
 def _resolved(rate: np.ndarray, begin: np.ndarray, end: np.ndarray, period: float, most: float) -> np.ndarray:
-    """Return in which windows samples tell a rate, shape (W,): they jump at most `most` times as far as elsewhere.
+    """Return in which windows the sampling resolves a rate, bool (W,).
 
-    Where torque chatters, an accelerometer jumps from sample to sample, and what it did in between is unknown.
+    Where the torque chatters, an acceleration jumps from sample to sample, and its values in between are unknown.
+
+    Parameters
+    ----------
+    most : float
+        Largest error of a window's integral, in medians of all windows [1].
 
     Notes
     -----
-    With every other sample the trapezoidal rule makes h (a_0 - 2 a_1 + a_2)/2 more of two steps h (Richardson,
-    1911). The root of the sum of its squares is how far a window's integral may be off.
+    With every second sample the trapezoidal rule over two steps h differs by h (a_0 - 2 a_1 + a_2)/2 (Richardson,
+    1911). The root of the sum of the squares estimates the error of a window's integral.
     """
     apart = np.zeros(len(rate))
     apart[1:-1] = 0.5 * period * (rate[2:] - 2.0 * rate[1:-1] + rate[:-2])

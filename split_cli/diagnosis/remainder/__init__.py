@@ -1,4 +1,4 @@
-"""What is left without a name, and where: structure, autocorrelation, spectral lines, a formula as a lead.
+"""What an explanation leaves: flexible fit, autocorrelation, spectral lines; its location, a sparse formula.
 
 May import: innovations, baseline, recording, statement; learning, vehicle, logs, signals, errors.
 """

@@ -1,7 +1,7 @@
-"""Residual autocorrelation: rows that no smooth function explains, and that still vary together.
+"""Residual autocorrelation: slow disturbances that no function of state, time or place explains.
 
-Gusts, a driver's hand on a loose column, a load that shifts: they have no place in feature space, in time or along
-the track, yet they are no noise. Their slow variance is.
+Gusts, play in the steering column or a shifting load are examples. They show as a long-run variance of the rows that is
+larger than their variance.
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ _NEAR_ROWS = 4
 
 @dataclass(frozen=True)
 class ResidualAutocorrelation:
-    """How much rows vary together."""
+    """Autocorrelation of whitened rows."""
 
-    ratio: float  # long-run variance over that of a row, at least 1; the worst of v_x, v_y and r
-    effect_to_noise: float  # root of the variance that neighbouring rows share, over that of their noise
-    rows: int
+    ratio: float  # long-run variance over the variance of a row, at least 1; largest of v_x, v_y and r [1]
+    effect_to_noise: float  # root of the mean autocovariance at the first lags, over the noise of a row [1]
+    rows: int  # rows it was computed from
 
     def p_value(self, usual: float, rules: SelfTestRules = STANDARD.self_test) -> float:
-        """Return the probability of varying together this much where `usual` is the simulation's own ratio.
+        """Return the p value of `ratio`, where the simulation by itself has the ratio `usual`.
 
         Notes
         -----
@@ -39,12 +39,12 @@ class ResidualAutocorrelation:
 
 
 def residual_autocorrelation(structure: Structure, residuals: np.ndarray) -> ResidualAutocorrelation:
-    """Return how much whitened residuals (R,) vary together beyond every flexible fit.
+    """Return the autocorrelation of whitened residuals (R,) after a flexible fit.
 
     Notes
     -----
-    The long-run variance over the plain one (Newey and West, 1987). A flexible fit takes slow parts with it, so
-    that white rows give less than 1. Rows quieter than noise, of a simulation without any, count as noisy ones.
+    The long-run variance over the variance (Newey and West, 1987). The flexible fit removes slow parts too, so that
+    white rows give less than 1. Variances below 1, as of a simulation without noise, are taken as 1.
     """
     left = structure.left(residuals)
     rows = sum(int(mask.sum()) for mask in structure.objective.keep)

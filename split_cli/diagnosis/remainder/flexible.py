@@ -1,4 +1,4 @@
-"""Functions of a flexible fit: operating point, its mirror images, memory, time and place."""
+"""Basis functions of the flexible fit: of operating point, left against right, memory, time and place."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,15 +20,15 @@ _KNOTS = 9
 
 @dataclass(frozen=True)
 class FlexiblePiece:
-    """What a few functions of one group add to a recording, row by row."""
+    """Rows of a few basis functions of one group on one recording."""
 
     whitened: np.ndarray  # (G, 3, c)
-    windows: np.ndarray  # (G, 3, c): prediction errors over 0.05 s about each row
-    group: str
+    windows: np.ndarray  # (G, 3, c): prediction errors over 0.05 s about each row [m/s], [m/s], [rad/s]
+    group: str  # such as ``memory``
 
 
 def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> Iterator[FlexiblePiece]:
-    """Yield the functions' rows a few functions at a time: all of them at once fill memory."""
+    """Yield the rows of all basis functions, a few at a time, since all of them may exceed the memory."""
     series, vehicle = one.series, one.vehicle
     groups = {
         "operating point": discrepancy.blocks(series),
@@ -49,11 +49,12 @@ def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> Iterator[Fle
 
 
 def _forces(vehicle: Vehicle) -> np.ndarray:
-    """Rates by 3 % of an axle's peak as longitudinal, front and rear lateral force, in columns, shape (3, 3)."""
+    """Return the rates by 3 % of an axle's peak force: longitudinal, front and rear lateral, in columns, (3, 3)."""
     return vehicle.force_matrix() * 0.03 * 0.5 * (vehicle.front_tire.D + vehicle.rear_tire.D)
 
 
 def _asymmetric(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
+    """Yield polynomials of the scaled features that break mirror symmetry, and functions of the sign of torque."""
     a, b, c, v = np.clip(scaled_features(series, vehicle), -1.5, 1.5).T
     odd, even = [], []
     for i, j, k, m in product(range(4), range(4), range(3), range(3)):
@@ -65,6 +66,7 @@ def _asymmetric(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
 
 
 def _memory(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
+    """Yield functions of the past: filtered inputs, heat of work, braking and sliding, and rates of inputs."""
     a, b, c, v = scaled_features(series, vehicle).T
     delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
     clock = series.recording
@@ -90,6 +92,7 @@ def _memory(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
 
 
 def _time(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
+    """Yield piecewise linear functions of time, alone and times torque or slip angle."""
     a, b, c, _ = scaled_features(series, vehicle).T
     position = series.t / max(series.t[-1], 1e-9) * (_KNOTS - 1)
     hats = [np.maximum(0.0, 1.0 - np.abs(position - k)) for k in range(_KNOTS)]
@@ -99,6 +102,7 @@ def _time(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
 
 
 def _place(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
+    """Yield harmonics of the track position, alone and times slip angle."""
     a, b, _, _ = scaled_features(series, vehicle).T
     angle = 2.0 * np.pi * series.s / (series.lap_length or max(float(series.s.max()), 1.0))
     waves = [f(k * angle) for k in range(1, _HARMONICS + 1) for f in (np.sin, np.cos)]

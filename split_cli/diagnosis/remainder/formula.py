@@ -1,4 +1,4 @@
-"""A sparse formula for what has no name: a lead, not a finding."""
+"""A sparse formula for the unexplained gap: a lead for a reader, not a finding."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from split_cli.diagnosis.policy import STANDARD, Reporting
 from split_cli.diagnosis.remainder.location import FORCES, variables
 from split_cli.diagnosis.statement.wording import percent
 
-_ROWS_APART = 5  # rows of 0.04 s: gap forces are averages over 0.2 s
+_ROWS_APART = 5  # each fifth row of 0.04 s is used, since gap forces are averages over 0.2 s
 _SUBSAMPLES = 20
 _BLOCK_SECONDS = 4.0
 
@@ -20,7 +20,7 @@ def sparse_formula(
     keep: Sequence[np.ndarray],
     rules: Reporting = STANDARD.reporting,
 ) -> str:
-    """Return the best formula of few terms for gap forces, such as ``front lateral force = 310 N (T/T_max)^2``.
+    """Return the best formula of few functions for gap forces, such as ``front lateral force = 310 N (T/T_max)^2``.
 
     Parameters
     ----------
@@ -31,11 +31,11 @@ def sparse_formula(
     Returns
     -------
     str
-        The force with the most explained share; empty when no term is chosen in most subsamples.
+        For the force of which most is explained; empty if no function is chosen in most subsamples.
 
     Notes
     -----
-    Greedy forward selection with the Bayesian information criterion; a term stays when it is chosen in 70 % of
+    Greedy forward selection with the Bayesian information criterion. A function stays if it is chosen in 70 % of
     draws of half the blocks of time (stability selection: Meinshausen and Buehlmann, 2010).
     """
     rows = [one.at[mask][::_ROWS_APART] for one, mask in zip(evidence, keep, strict=True)]
@@ -67,6 +67,7 @@ def sparse_formula(
 
 
 def _stable_terms(columns: np.ndarray, target: np.ndarray, block: np.ndarray, rules: Reporting) -> list[int]:
+    """Return the columns that forward selection chooses, those also chosen in most draws of half the blocks."""
     rng = np.random.default_rng(20240601)
     blocks = np.unique(block)
     votes = np.zeros(columns.shape[1])
@@ -77,6 +78,7 @@ def _stable_terms(columns: np.ndarray, target: np.ndarray, block: np.ndarray, ru
 
 
 def _greedy(columns: np.ndarray, target: np.ndarray, most: int) -> list[int]:
+    """Return at most so many columns by forward selection with the Bayesian information criterion."""
     chosen: list[int] = []
     count = len(target)
     score = count * np.log(np.mean(target**2) + 1e-300)
@@ -97,7 +99,7 @@ def _greedy(columns: np.ndarray, target: np.ndarray, most: int) -> list[int]:
 
 
 def _dictionary(one: Evidence, at: np.ndarray) -> dict[str, np.ndarray]:
-    """Return functions without dimension, each about one where it is large."""
+    """Return dimensionless functions at rows `at`, shape (G,) each and of size about 1, by their text."""
     car = one.vehicle
     known = variables(one)
     a_f, a_r = known["alpha_f"][at] * car.front_tire.B, known["alpha_r"][at] * car.rear_tire.B

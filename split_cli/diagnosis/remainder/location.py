@@ -1,4 +1,4 @@
-"""Where the gap is: in which force, depending on what, in which region, place and time."""
+"""Location of the gap: its forces, the variables it depends on, its region, place and time."""
 
 from collections.abc import Iterable, Sequence
 
@@ -11,18 +11,19 @@ from split_cli.diagnosis.statement.result import GapSeries, Location, Place
 from split_cli.vehicle.effects import Term
 
 _AVERAGE_SECONDS = 0.2
-_ALIKE = 5  # rows of 0.04 s that say the same, since each is an average over 0.2 s
+_ALIKE = 5  # successive rows of 0.04 s that overlap, since each is an average over 0.2 s [1]
 _STEPS = (8, 16, 40)
 _FOLDS = 5
 FORCES = ("longitudinal", "front_lateral", "rear_lateral")
 
 
 def gap_forces(evidence: Evidence, terms: Sequence[Term], discrepancy_rates: np.ndarray) -> np.ndarray:
-    """Return the gap as forces [N], shape (N, 3), averaged over about 0.2 s.
+    """Return the gap as longitudinal, front and rear lateral force [N], shape (N, 3), averaged over about 0.2 s.
 
     Notes
     -----
-    Rates left by model, terms and the shared discrepancy, through the inverse of the invariant force matrix.
+    The rates that model, terms and shared discrepancy leave, times the inverse of the force matrix (SPLIT paper, the
+    invariant matrix).
     """
     series = evidence.series
     left = evidence.defects(terms, discrepancy_rates) / series.period
@@ -37,7 +38,14 @@ def gap_forces(evidence: Evidence, terms: Sequence[Term], discrepancy_rates: np.
 
 
 def gap_series(evidence: Evidence, compared: np.ndarray, forces: np.ndarray, remainder: np.ndarray) -> GapSeries:
-    """Return the gap along a recording, thinned to the rows of the evidence, of which some are compared."""
+    """Return the gap along a recording at the rows of its evidence.
+
+    Parameters
+    ----------
+    compared : ndarray of bool, shape (G,)
+    forces, remainder : ndarray, shape (N, 3)
+        Gap forces, and what the findings leave of them [N].
+    """
     series, at = evidence.series, evidence.at
     nowhere = np.full(len(at), np.nan)
     position = (series.drive["X"][at], series.drive["Y"][at]) if "X" in series.drive else (nowhere, nowhere)
@@ -48,7 +56,7 @@ def gap_series(evidence: Evidence, compared: np.ndarray, forces: np.ndarray, rem
 
 
 def variables(evidence: Evidence) -> dict[str, np.ndarray]:
-    """Return the variables a gap may depend on, at every sample."""
+    """Return the variables that a gap may depend on, shape (N,) each, in SI units."""
     series = evidence.series
     z = features(series, evidence.vehicle)
     vx, vy, r = series.smooth.T
@@ -76,7 +84,7 @@ def locate(
     keep: Sequence[np.ndarray],
     rules: Reporting = STANDARD.reporting,
 ) -> Location:
-    """Describe the gap.
+    """Return where the gap is: shares of forces, dependence on variables, region, place and time.
 
     Parameters
     ----------
@@ -94,8 +102,7 @@ def locate(
     block = np.concatenate([_blocks(one, at, k) for k, (one, at) in enumerate(zip(evidence, rows, strict=True))])
     variance = [force_noise(one, at) for one, at in zip(evidence, rows, strict=True)]
     noise = np.average(variance, axis=0, weights=[len(at) for at in rows])
-    # A gap without a pattern in the shared discrepancy passes for a disturbance; what the findings leave bounds
-    # it.
+    # The estimated disturbance may contain a gap without a pattern. The noise is at most what the findings leave.
     left = compared(after)
     mean_square = np.mean(gap**2, axis=0)
     noise = np.maximum(np.minimum(noise, np.mean(left**2, axis=0)), 1e-9 * mean_square + 1e-18)
@@ -113,7 +120,7 @@ def locate(
             low, high, of_gap, of_samples = _interval(values[name], size)
             if of_samples < rules.everywhere and of_gap > of_samples:
                 region[name] = (low, high)
-    # What follows from how the car is driven is wherever it is driven so: a place or a time has to tell more.
+    # A gap that follows from the driving occurs wherever the car is driven so. A place or time must explain more.
     driven = max(score for name, score in ranked if name not in ("t", "s"))
 
     def is_believed(name: str, share: tuple[float, float] | None) -> bool:
@@ -126,19 +133,19 @@ def locate(
     if not is_believed("t", t_share):
         when = t_share = None
     if s_share and t_share and s_share[0] - s_share[1] > t_share[0] - t_share[1] + rules.clearly_more:
-        when = None  # one of several passes of the place
+        when = None  # that time is one of several passes of the place
     share = s_share or t_share or (1.0, 1.0)
     return Location(dict(zip(FORCES, shares.tolist(), strict=True)), ranked, region, place, when, *share)
 
 
 def force_noise(evidence: Evidence, at: np.ndarray) -> np.ndarray:
-    """Return the variance of gap forces [N^2], shape (3,), that sensor noise and unnamed disturbances make.
+    """Return the variance of gap forces [N^2], shape (3,), by sensor noise and unmodelled disturbances.
 
     Notes
     -----
-    Over W transitions of period p the mean of the defects' rates is (n_W - n_0)/(W p) less the mean of A n, with
-    n the noise of a sample and A the velocity Jacobian: the two ends count by (I/(W p) -+ A/(2 W)), the samples
-    between by A/W. Disturbances of variance q a second add q/(W p). Averaged over the rows `at`.
+    Over W transitions of period p the mean of the defects' rates has the noise (n_W - n_0)/(W p) less the mean of A n,
+    with n the noise of a sample and A the velocity Jacobian. So the two ends have the factors (I/(W p) -+ A/(2 W)), and
+    the samples between A/W. Disturbances of variance q per second add q/(W p). The mean over the rows `at` is returned.
     """
     period = evidence.series.period
     width = max(1, int(round(_AVERAGE_SECONDS / period)))
@@ -167,13 +174,13 @@ def dependence(x: np.ndarray, gap: np.ndarray, noise: np.ndarray, block: np.ndar
     Returns
     -------
     float
-        0 for a gap that is the same everywhere: it depends on nothing.
+        Between 0 and 1; 0 for a constant gap.
 
     Notes
     -----
-    Means over bins of equal counts are learned on four fifths of the blocks of time and judged on the others, with
-    few or many bins, whichever says more. The error of those means is known and added back, so that a gap which is
-    weak against noise, but goes with x alone, is not said to depend on x in part.
+    Cross-validation: means over bins of equal counts are learned on four fifths of the blocks of time and judged on the
+    others, with 8, 16 or 40 bins, whichever explains most. The known sampling error of the means is added back. So a
+    weak gap that depends on x alone is not reported to depend on x in part.
     """
     scaled = gap / np.sqrt(noise)
     fold = np.unique(block, return_inverse=True)[1] % _FOLDS
@@ -183,11 +190,11 @@ def dependence(x: np.ndarray, gap: np.ndarray, noise: np.ndarray, block: np.ndar
 
 
 def _gained(x: np.ndarray, scaled: np.ndarray, fold: np.ndarray, steps: int) -> float:
-    """Return what a function of so many steps takes off a held-out row's squared gap, in units of noise."""
+    """Return the mean reduction of a held-out row's squared gap by a step function, in units of noise variance."""
     gained, judged_rows = 0.0, 0
     for k in range(_FOLDS):
         learned = fold != k
-        # Rows next to learned ones share part of their average with them.
+        # Rows that overlap with learned ones are left out.
         judged = ~np.convolve(learned, np.ones(2 * _ALIKE - 1), "same").astype(bool)
         if not (judged.any() and learned.any()):
             continue
@@ -202,14 +209,14 @@ def _gained(x: np.ndarray, scaled: np.ndarray, fold: np.ndarray, steps: int) -> 
 
 
 def _least_above(rows: int) -> float:
-    """Return two standard errors of the variance's own estimate: less than that above noise has no shares."""
+    """Return two standard errors of the estimate of a variance in units of noise: the least variance that counts."""
     return 2.0 * float(np.sqrt(2.0 * len(FORCES) * _ALIKE / rows))
 
 
 def _bin_means(scaled: np.ndarray, bins: np.ndarray, learned: np.ndarray, count: int):
-    """Return means (B, 3) over learned rows and the variance of each; a bin without rows has the mean of all.
+    """Return the means of bins (B, 3) over learned rows and their variances; a bin without rows has the mean of all.
 
-    Rows up to five apart share part of their average: those of them in one bin say less than as many others.
+    Successive rows overlap, which increases the variance of a mean.
     """
     rows = np.bincount(bins[learned], minlength=count)[:, None]
 
@@ -228,14 +235,14 @@ def _bin_means(scaled: np.ndarray, bins: np.ndarray, learned: np.ndarray, count:
 
 
 def _blocks(evidence: Evidence, at: np.ndarray, number: int) -> np.ndarray:
-    """Number a recording's blocks of time, short enough that every bin of time is learned from several."""
+    """Return the number of each row's block of time, (G,); each bin of time has several of the short blocks."""
     t = evidence.series.t
     seconds = float(np.clip(t[-1] / (5.0 * _STEPS[1]), 3.0 * _AVERAGE_SECONDS, 2.0))
     return 1_000_000 * number + (t[at] // seconds).astype(np.int64)
 
 
 def _interval(x: np.ndarray, size: np.ndarray) -> tuple[float, float, float, float]:
-    """Return the interval of x with the most excess over the mean, its share of the gap and of the samples."""
+    """Return the interval of x with the largest excess over the mean, then its shares of the gap and of the samples."""
     order = np.argsort(x, kind="stable")
     surplus = np.cumsum(size[order] - np.mean(size))
     low = np.minimum.accumulate(np.concatenate([[0.0], surplus]))
@@ -246,7 +253,7 @@ def _interval(x: np.ndarray, size: np.ndarray) -> tuple[float, float, float, flo
 
 
 def _local(found: tuple[float, float, float, float], rules: Reporting):
-    """Return an interval and its shares, or two None where the gap is not much larger there than elsewhere."""
+    """Return an interval and its two shares; two None if the gap is not much larger there than elsewhere."""
     low, high, gap, samples = found
     if gap > rules.local_ratio * samples and gap > rules.local_gap:
         return (low, high), (gap, samples)
@@ -263,7 +270,7 @@ def _place(evidence: Sequence[Evidence], s: np.ndarray, size: np.ndarray, rules:
     series = evidence[0].series
     found, lap = _interval(s, size), series.lap_length
     if lap:
-        # A stretch may lie across the start: with the lap cut half way round it is whole.
+        # A stretch may cross the start of the lap: it is whole if the lap is cut half a lap later.
         turned = _interval(np.mod(s + 0.5 * lap, lap), size)
         if turned[2] - turned[3] > found[2] - found[3]:
             found = (*np.mod(np.array(turned[:2]) - 0.5 * lap, lap).tolist(), *turned[2:])

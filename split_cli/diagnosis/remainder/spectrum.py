@@ -1,7 +1,7 @@
-"""Lines in the spectrum of what is left, over time and over distance: what swings faster than rows can see.
+"""Lines in the spectrum of the residuals, over time and over distance: oscillations faster than a row.
 
-An engine that shakes, a wheel out of balance and a gear tooth leave no trace in smooth functions of the operating
-point. They are lines: over time at a fixed frequency, over distance at a fixed share of a wheel's turn.
+Vibration of an engine, an unbalanced wheel or a gear tooth are no smooth functions of the operating point. They are
+spectral lines at a fixed frequency over time, or at a fixed wavelength over distance.
 """
 
 from __future__ import annotations
@@ -18,37 +18,36 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import Policy, Unnamed
 from split_cli.vehicle.effects import Term
 
-#: Bins whose median is the noise around a line [1]: the larger of both. A resonance is noise of a narrow band, which
-#: the wide one hardly sees; the median of the narrow one is known to a fifth (1/(sqrt(51) ln 2)).
+#: Numbers of bins of which the median is the noise around a line [1]; the larger median counts. A resonance raises the
+#: noise in a narrow band only. The median of 51 bins has a standard error of a fifth, 1/(sqrt(51) ln 2).
 _BACKGROUNDS = (201, 51)
 _CHANNELS = ("v_x", "v_y", "r")
-#: Whitened samples count up to so many standard deviations [1]: a jump of a sensor is no line. Judgement.
+#: Whitened samples are clipped at so many standard deviations [1], since a jump of a sensor is no line. Judgement.
 _LARGEST = 6.0
-#: Shares of a line's frequency at which a simulation's line is the same one [1]: as well as a speed is known.
-#: Judgement.
+#: Frequencies, as shares of a line's, at which a line of the simulation is the same one [1]. Judgement: within 2 %.
 _SAME = np.linspace(0.98, 1.02, 9)
-#: Shares of it that tell the noise around: near, and clear of those of the line itself [1]. Judgement.
+#: Frequencies, as shares of a line's, at which the noise around it is measured [1]. Judgement: near, but clear of it.
 _AROUND = (0.86, 0.89, 0.92, 0.95, 1.05, 1.08, 1.11, 1.14)
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line."""
+    """One line in a spectrum: a sinusoidal rate."""
 
     over: str  # ``time`` or ``distance``
     frequency: float  # [Hz] or [1/m]
     channel: str  # v_x, v_y or r
     amplitude: float  # of its rate, [m/s^2] or [rad/s^2]
-    # Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
+    # Largest effect-to-noise ratio over the channels [1].
     effect_to_noise: float
-    p_value: float  # of a line as strong as this in noise, all frequencies and channels counted
+    p_value: float  # of so strong a line in noise, corrected for the number of frequencies and channels
 
     def like(self, other: Line) -> float:
-        """Return another line's amplitude where it is of the same channel and clock, else 0."""
+        """Return another line's amplitude if it is of the same channel and over the same variable, else 0."""
         return other.amplitude if (other.channel, other.over) == (self.channel, self.over) else 0.0
 
     def in_words(self) -> str:
-        """Return what swings, and how often."""
+        """Return the oscillating rate, its amplitude and its frequency or wavelength, in words."""
         unit = "rad/s^2" if self.channel == "r" else "m/s^2"
         often = f"{self.frequency:.3g} times a second" if self.over == "time" else f"every {1 / self.frequency:.3g} m"
         return f"{self.channel}' swings by {self.amplitude:.2g} {unit}, {often}"
@@ -57,13 +56,13 @@ class Line:
 def strongest_line(
     objective: MarginalLikelihood, terms: Sequence[Term], simulated: Sequence[Evidence] = ()
 ) -> Line | None:
-    """Return the most significant line that terms leave in the real recordings, and simulations do not show.
+    """Return the most significant line in the residuals of the real recordings that simulations do not show; or None.
 
     Notes
     -----
-    Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in
-    noise of any smooth spectrum (Brockwell and Davis, 1991, section 10.2). Only compared samples count that a
-    simulation was as fast as: what shakes grows with speed, and a slower drive need not show it.
+    Periodograms of whitened samples over their running median: a ratio above x ln 2 has probability exp(-x) in noise of
+    any smooth spectrum (Brockwell and Davis, 1991, section 10.2). Only compared samples are used, and only up to the
+    largest speed of the simulations: vibration grows with speed, so that a slower drive need not show it.
     """
     policy = objective.policy
     fastest = max((float(one.series.smooth[:, 0].max()) for one in simulated), default=np.inf)
@@ -72,12 +71,12 @@ def strongest_line(
         for one, rows in zip(objective.evidence, objective.keep, strict=True)
     ]
     lines = sorted(((line, one) for one in real for line in _lines(one)), key=lambda found: found[0].p_value)
-    # A simulation that has lines of its own is a recording: another line of their size is no difference.
+    # If the simulation has lines too, another line of similar amplitude is no difference.
     others = [
         _Remainder(one, _left(objective, one, ()), np.ones(len(one.series) - 1, dtype=bool), policy)
         for one in (simulated if lines else ())
     ]
-    # Resonances count there, too: what reality shows may be one.
+    # Resonances of the simulation count as lines, since a line in reality may be one.
     own = [line for other in others for line in _lines(other, _BACKGROUNDS[:1])]
     margin, common = policy.self_test.unnamed_margin, []
     for line, one in lines:
@@ -91,7 +90,7 @@ def strongest_line(
 
 
 def _is_one_swing(line: Line, other: Line, asked: _Remainder) -> bool:
-    """Return whether two lines are one swing over two clocks: at some speed of the drive a turn takes that time."""
+    """Return whether a line over time and one over distance are the same oscillation at a speed of the drive."""
     if line.over == other.over or line.channel != other.channel:
         return False
     over_time, over_distance = (line, other) if line.over == "time" else (other, line)
@@ -101,16 +100,16 @@ def _is_one_swing(line: Line, other: Line, asked: _Remainder) -> bool:
 
 @dataclass(frozen=True)
 class _Remainder:
-    """What terms leave of one recording, and where it is asked for lines."""
+    """Defects that terms leave of one recording, and the transitions that are searched for lines."""
 
     one: Evidence
-    left: np.ndarray  # (N - 1, 3): defects
-    used: np.ndarray  # bool (N - 1,)
+    left: np.ndarray  # (N - 1, 3): defects [m/s], [m/s], [rad/s]
+    used: np.ndarray  # bool (N - 1,): transitions that are searched
     policy: Policy
 
 
 def _left(objective: MarginalLikelihood, one: Evidence, terms: Sequence[Term]) -> np.ndarray:
-    """Return the defects that terms and discrepancy leave, shape (N - 1, 3); 0 where wheels spin or lock."""
+    """Return the defects that terms and discrepancy leave, (N - 1, 3); 0 where wheels spin or lock."""
     known = objective.posterior
     left = one.defects(terms, None if known is None else objective.discrepancy.rates(one.series, known.weights, terms))
     left[~one.rolls[1:]] = 0.0
@@ -153,17 +152,18 @@ def _lines(asked: _Remainder, backgrounds: Sequence[int] = _BACKGROUNDS) -> list
 
 
 def _clock(one: Evidence, over: str) -> np.ndarray:
-    """Return time [s] or the way driven [m] at each transition, shape (N - 1,)."""
+    """Return time [s] or distance travelled [m] at each transition, shape (N - 1,)."""
     if over == "time":
         return one.series.t[:-1]
     return np.cumsum(np.maximum(one.series.smooth[:-1, 0], 0.0)) * one.series.period
 
 
 def _fast_enough(one: Evidence, over: str, frequency: np.ndarray, rules: Unnamed) -> np.ndarray:
+    """Return which frequencies are too fast for a driver or the track, and still resolved, bool."""
     wheelbase = one.vehicle.wheelbase
     if over == "time":
         return frequency > rules.slowest * np.sqrt(2.7 / wheelbase)
-    # Shorter waves than a few samples at speed are not seen evenly.
+    # Waves shorter than three samples at high speed are not resolved evenly.
     shortest = 3.0 * float(np.quantile(one.series.smooth[:, 0], 0.9)) * one.series.period
     return (frequency > 1.0 / (rules.longest * wheelbase)) & (frequency < 1.0 / shortest)
 
@@ -176,7 +176,7 @@ def _size(asked: _Remainder, over: str, frequency: float, channel: int) -> tuple
 
 
 def _swing(asked: _Remainder, over: str, frequency: float, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what sine and cosine of a rate do, (N - 1, 3, 2); the same whitened, and what is left there."""
+    """Return defects by sine and cosine of a rate, (N - 1, 3, 2); these, and the residuals, whitened and searched."""
     clock, one = _clock(asked.one, over), asked.one
     angle = 2.0 * np.pi * frequency * np.append(clock, clock[-1])
     rates = np.zeros((len(angle), 3, 2))
@@ -186,14 +186,14 @@ def _swing(asked: _Remainder, over: str, frequency: float, channel: int) -> tupl
 
 
 def _block_by_block(line: Line, asked: _Remainder, others: Sequence[_Remainder]) -> tuple[float, float]:
-    """Return the amplitude of a line's rate, with a phase of its own in each block of time, and that of others.
+    """Return the amplitudes of a line's rate in a recording and in `others`, with a phase for each block of time.
 
-    What shakes grows with speed, and may do so in a few blocks alone. So each block of the recording is compared
-    with the block of the others whose speed is nearest; where all are slower, with what that makes at its speed.
+    Vibration grows with speed and may occur in a few blocks only. So each block of the recording is compared with that
+    block of the others whose speed is nearest. If all are slower, its amplitude is scaled to the speed.
 
     Notes
     -----
-    The force of what is out of balance goes with the square of the speed of its turn.
+    The force of an unbalanced mass grows with the square of its rotational speed.
     """
     speed, square = _blocks(line, asked)
     found = [_blocks(line, other) for other in others]
@@ -208,8 +208,8 @@ def _blocks(line: Line, asked: _Remainder) -> tuple[np.ndarray, np.ndarray]:
 
     Notes
     -----
-    Blocks hold as many used samples each, in order of time: of a few samples no amplitude is known. The squares are
-    those at the share of the frequency where their mean is largest, less what frequencies around it have by noise.
+    Blocks have equal numbers of used samples, in order of time. The squares are taken at that of the frequencies
+    `_SAME` with the largest mean, less the noise at the frequencies `_AROUND`.
     """
     series, used = asked.one.series, int(asked.used.sum())
     count = max(1, int(used * series.period / (asked.policy.comparison.least_rows * ROW_SECONDS)))

@@ -1,7 +1,7 @@
-"""Whether what is left is noise: a flexible fit over operating point, its mirror images, memory, time and place.
+"""The flexible fit: ridge regression of residuals on many smooth functions, to test whether they are noise.
 
-It needs no name for what it finds. The same test decides whether simulation and reality differ at all, and whether
-named terms left something behind.
+The functions are those of `flexible`. The test decides whether simulation and reality differ at all, and whether named
+terms leave a remainder. `minimum_effect_p` is also the test of a single term.
 """
 
 import warnings
@@ -16,65 +16,65 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD
 from split_cli.diagnosis.remainder.flexible import FlexiblePiece
 
-_RIDGE_SHARE = 2e-3
+_RIDGE_SHARE = 2e-3  # ridge penalty over the number of entries, for columns of unit mean square [1]
 
 
 @dataclass(frozen=True)
 class FlexibleFit:
-    """What a flexible fit makes of whitened residuals."""
+    """Result of a flexible fit to whitened residuals."""
 
-    saved: float  # cost it saves
+    saved: float  # reduction of the cost [chi squared]
     freedom: float  # effective number of parameters
-    # Root mean square of its 0.05 s prediction error over that of sensor noise, in the worst channel.
+    # Largest effect-to-noise ratio over the channels [1].
     effect_to_noise: float
-    p_value: float  # of the hypothesis that the difference does not exceed the allowance
-    group_saved: tuple[tuple[str, float], ...]  # what each group of functions saves alone
+    p_value: float  # of the hypothesis that the effect does not exceed the allowance
+    group_saved: tuple[tuple[str, float], ...]  # reduction of the cost by each group of functions alone
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Whitened columns of the flexible fit on an objective's rows."""
+    """The flexible fit, set up on the rows of an objective: whitened columns and their factored normal matrix."""
 
     objective: MarginalLikelihood
-    # (R, c) each, Q in all: whitened, the shared discrepancy's part that is still free taken out.
+    # (R, c) each, Q columns in all: whitened, by `MarginalLikelihood.whiten` as well.
     blocks: tuple[np.ndarray, ...]
-    # (3, Q, Q): mean products of what any two functions add over 0.05 s about the compared rows of a recording,
-    # over the variance of noise, of v_x, v_y and r: quadratic forms of the squared effect-to-noise ratios [1].
+    # (3, Q, Q) for each recording: matrices of the quadratic forms that give the squared effect-to-noise ratios in v_x,
+    # v_y and r from the weights [1].
     sizes: tuple[np.ndarray, ...]
     groups: tuple[str, ...]  # group of each column
-    factor: np.ndarray
+    factor: np.ndarray  # (Q, Q): upper Cholesky factor of the normal matrix with the ridge
 
     def score(self, residuals: np.ndarray) -> np.ndarray:
-        """Return the columns' products with whitened residuals (R,), shape (Q,)."""
+        """Return the products of the columns with whitened residuals (R,), shape (Q,)."""
         return np.concatenate([some.T @ residuals for some in self.blocks])
 
     def weights(self, score: np.ndarray) -> np.ndarray:
-        """Return the weights of the columns that a fit with this score has, shape (Q,)."""
+        """Return the fitted weights for a score, shape (Q,)."""
         return np.linalg.solve(self.factor, np.linalg.solve(self.factor.T, score))
 
     def left(self, residuals: np.ndarray) -> np.ndarray:
-        """Return what a fit leaves of whitened residuals, shape (R,)."""
+        """Return whitened residuals (R,) less their flexible fit, shape (R,)."""
         weights, left = self.weights(self.score(residuals)), residuals
         for some, own in zip(self.blocks, _split_like(weights, self.blocks), strict=True):
             left = left - some @ own
         return left
 
     def fit(self, residuals: np.ndarray, variance_inflation: float) -> FlexibleFit:
-        """Fit whitened residuals, shape (R,)."""
+        """Fit whitened residuals, shape (R,), whose chi squared autocorrelation widens by `variance_inflation`."""
         score = self.score(residuals)
         weights = self.weights(score)
         saved = float(score @ weights)
         inverse = np.linalg.inv(self.factor)
         freedom = float(len(score) - _RIDGE_SHARE * len(residuals) * np.sum(inverse**2))
         size = max(float(np.sqrt(np.maximum(products @ weights @ weights, 0.0).max())) for products in self.sizes)
-        # The size is overestimated by what the fit makes of noise.
+        # The part of the size that is fitted noise is removed.
         size *= np.sqrt(max(1.0 - variance_inflation * freedom / max(saved, 1e-9), 0.0))
         floor = self.allowed(freedom)
         p = minimum_effect_p(saved, freedom, size, variance_inflation, floor, self.objective.policy.allowances.unnamed)
         return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
 
     def allowed(self, freedom: float) -> float:
-        """Return the saving that a dictionary's model-form error may bring with so many parameters."""
+        """Return the reduction of the cost that model-form error of the shared discrepancy may cause [chi squared]."""
         if self.objective.posterior is None:
             return 0.0
         policy = self.objective.policy
@@ -83,7 +83,15 @@ class Structure:
         return max(form_error, self.objective.unnamed_floor)
 
     def unnamed_share(self, left: FlexibleFit, named: float, variance_inflation: float) -> float:
-        """Return which share of a gap has no name, where names save a cost of `named` and `left` fits the rest."""
+        """Return the unexplained share of the gap [1].
+
+        Parameters
+        ----------
+        left : FlexibleFit
+            Of the residuals of an explanation.
+        named : float
+            Reduction of the cost by the explanation.
+        """
         unnamed = max(left.saved - variance_inflation * left.freedom - self.allowed(left.freedom), 0.0)
         return unnamed / max(unnamed + named, 1e-9)
 
@@ -98,19 +106,18 @@ class Structure:
 
 
 def build_structure(objective: MarginalLikelihood, pieces: Sequence[Iterable[FlexiblePiece]]) -> Structure:
-    """Set up the flexible fit on an objective's rows, from the functions' rows of every recording.
+    """Return the flexible fit on an objective's rows, from the functions' rows of every recording.
 
     Parameters
     ----------
     pieces : sequence of iterable of FlexiblePiece
-        Of each recording, the same functions in the same order. They are taken one at a time, and only what is
-        kept of them stays in memory.
+        Of each recording, the same functions in the same order. They are consumed one at a time to save memory.
     """
     blocks, windows, groups = [], [[] for _ in objective.evidence], []
     for several in zip(*pieces, strict=True):
         some = objective.whiten(objective.stack([one.whitened for one in several]))
-        # A ridge: sums of nearly collinear columns hold little beside the noise of the predicted states, and would
-        # look like structure where they fit it.
+        # The ridge keeps sums of nearly collinear columns small. They contain mostly noise of the predicted states, and
+        # would look like structure if they fitted it.
         scale = np.sqrt(np.mean(some**2, axis=0)) + 1e-12
         scale = np.where(scale > 1e-9, scale, np.inf)
         blocks.append(some / scale)
@@ -124,12 +131,12 @@ def build_structure(objective: MarginalLikelihood, pieces: Sequence[Iterable[Fle
 
 
 def _split_like(values: np.ndarray, blocks: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return values (Q,) in pieces, one for each block of columns."""
+    """Return values (Q,) split into parts, one for each block of columns."""
     return np.split(values, np.cumsum([some.shape[1] for some in blocks])[:-1])
 
 
 def _discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:
-    """Return the shared discrepancy's effect-to-noise ratios in v_x, v_y, r on the compared rows, (3,)."""
+    """Return the effect-to-noise ratios of the shared discrepancy in v_x, v_y, r on compared rows, (3,) [1]."""
     if objective.posterior is None:
         return np.zeros(3)
     if "discrepancy to noise" not in objective.memo:
@@ -142,7 +149,7 @@ def _discrepancy_to_noise(objective: MarginalLikelihood) -> np.ndarray:
 
 
 def term_allowances(objective: MarginalLikelihood) -> np.ndarray:
-    """Return the effect-to-noise ratios in v_x, v_y and r below which a term is not named, shape (3,)."""
+    """Return the effect-to-noise ratios in v_x, v_y and r below which a term is not named, shape (3,) [1]."""
     allowances = objective.policy.allowances
     if objective.posterior is None:
         return np.full(3, allowances.unnamed)
@@ -157,18 +164,18 @@ def minimum_effect_p(
     floor: float = 0.0,
     allowance: float = STANDARD.allowances.term,
 ) -> float:
-    """Return the probability of saving this much when the true effect is just the allowance.
+    """Return the p value of a saving, if the true effect is as large as the allowance.
 
     Parameters
     ----------
     saved : float
-        Cost saved.
+        Reduction of the cost [chi squared].
     freedom : float
-        Parameters that saved it.
+        Effective number of parameters.
     size : float
         Effect-to-noise ratio of the fitted effect.
     floor : float
-        Saving that is allowed whatever the size.
+        Saving that is allowed whatever the size [chi squared].
     allowance : float
         Effect-to-noise ratio that is allowed.
 
@@ -186,10 +193,10 @@ def minimum_effect_p(
     noncentrality = max(allowed, floor / variance_inflation)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # of a series that has not converged: asked below
+            warnings.simplefilter("ignore", RuntimeWarning)  # the series has not converged: see below
             chance = ncx2.sf(ratio, max(freedom, 1.0), noncentrality)
     except OverflowError:
         chance = np.nan
-    if not np.isfinite(chance):  # far out on either side the series' terms are beyond any number
+    if not np.isfinite(chance):  # in the far tails the series overflows
         chance = 1.0 if ratio < freedom + noncentrality else 0.0
     return float(np.clip(chance, 0.0, 1.0))

@@ -1,17 +1,14 @@
-"""The search under its two baselines: marginalised, and fixed where the first leaves doubt.
+"""`search`: the search for terms with a marginalised baseline, and with a fixed one where the first leaves doubt.
 
-With a marginalised baseline, the uncertainty of the shared model discrepancy explains a gap before any term does.
-That is right where the dictionary holds the simulation. It fails where model-form error is large, as between real
-recordings. Nearly everything is uncertain there off the simulation's own path. A fault that takes a drive off that
-path then hides in the discrepancy, as a steering gain of 0.8 does.
+With a marginalised baseline the uncertain shared discrepancy explains a part of the gap before any term does. That is
+right if its basis functions represent the simulation. If model-form error is large, as between real recordings, the
+discrepancy is uncertain at all operating points that the simulation has not visited. A fault that takes a drive there,
+such as a steering gain of 0.8, then hides in the discrepancy.
 
-With a fixed baseline a term saves what it brings back to where the simulation has been. Only terms that alter
-inputs or sensors do that. Where model-form error is large, both searches are made, and the surer one is believed,
-names and values: where the first is less sure, the discrepancy took a part of the value. Other terms are named
-with a fixed baseline only where the first search had chosen them, too small to name. What the first names gives
-way to a surer fault of the second: a steering offset, free to be taken by the discrepancy, leaves what looks like
-a road that leans all along. Then witnesses are asked for a late channel, alone or beside what is named, see
-`late_channel`.
+With a fixed baseline such a fault saves cost, if its correction leads back to operating points of the simulation. Only
+terms that alter inputs or sensors do that. So if model-form error is large, both searches are made, and `reconciled`
+takes names and values from the one with the smaller p value. Other terms are named with a fixed baseline only if the
+first search had chosen them too. Finally `late_channel` asks the witnesses for a delay.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,13 +23,13 @@ from split_cli.diagnosis.policy import STANDARD, Policy, SelectionRules
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
-from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.form_error import residuals_beside_form_error
 from split_cli.diagnosis.search.late_channel import with_late_channel
 from split_cli.diagnosis.search.off_centre import with_offset_of_straights
 from split_cli.diagnosis.search.selection import Selection, explaining_as_well, nothing, select_terms, with_chosen
+from split_cli.diagnosis.search.self_test import SelfTest, self_test
 from split_cli.diagnosis.search.term_tests import is_witnessed, term_p, witnessed_p
 from split_cli.diagnosis.search.variant_choice import with_variants_by_rollout
 from split_cli.diagnosis.statement.separation import exact_mimics
@@ -43,11 +40,11 @@ class SearchOutcome:
     """What the search found in the real recordings."""
 
     structure: Structure  # with the objective
-    gap: FlexibleFit  # of the whole gap
+    gap: FlexibleFit  # of the residuals without any term: the whole gap
     selection: Selection
-    self_test: SelfTest  # what the simulation shows against itself, searched alike
-    variance_inflation: float  # by which residual autocorrelation widens chi squared
-    # With a marginalised baseline, and with a fixed one where that was searched, too.
+    self_test: SelfTest  # of the halves of the simulation, with the same baseline
+    variance_inflation: float  # factor by which residual autocorrelation widens chi squared [1]
+    # With a marginalised baseline, and with a fixed one if that was searched too.
     objectives: tuple[MarginalLikelihood, ...] = ()
 
 
@@ -59,10 +56,10 @@ def search(
     policy: Policy = STANDARD,
     progress: Callable[[str], None] = lambda step: None,
 ) -> SearchOutcome:
-    """Search with a marginalised baseline; and with a fixed one where model-form error is large.
+    """Search for the terms that explain the gap, with one baseline or with both, see above.
 
-    What the first names in doubt stays only if a fixed baseline confirms it, or gives way to a surer fault. Where a
-    channel is late, all is searched again with its fast signal moved along: at its place it looks like a lag.
+    If a channel is late, the search is repeated with that channel shifted as a whole: fast signal that stays in its
+    place looks like a lag.
 
     Parameters
     ----------
@@ -91,42 +88,47 @@ def _search_by_baselines(
     known_fixed: Callable[[], SelfTest],
     progress: Callable[[str], None],
 ) -> SearchOutcome:
-    """Search with a marginalised baseline, and with a fixed one where model-form error is large.
+    """Search with a marginalised baseline, and with a fixed one if model-form error is large.
 
-    `known` and `known_fixed` are what the simulation shows against itself, under either baseline.
+    `known` and `known_fixed` are the self-tests of the simulation with either baseline.
     """
     first = _search(objective, candidates, known)
     if known.ratio <= objective.policy.selection.much_over_noise:
         asked = first.structure.objective, first.selection, candidates, first.variance_inflation
         return replace(first, selection=with_offset_of_straights(*asked))
     progress("naming with a fixed baseline")
-    again = search_again(candidates, objective, known_fixed())
-    again = named_as_first(first, again, candidates)
-    found = settled(first, again, objective.policy.selection)
+    again = search_with_fixed_baseline(candidates, objective, known_fixed())
+    again = with_names_of_first(first, again, candidates)
+    found = reconciled(first, again, objective.policy.selection)
     asked = found if any(found.selection.named) else again
     late = with_late_channel(asked.structure.objective, asked.selection, candidates, asked.variance_inflation)
     return found if late is None else replace(asked, selection=late, objectives=found.objectives)
 
 
-def search_again(candidates: Sequence[Candidate], objective: MarginalLikelihood, known: SelfTest) -> SearchOutcome:
+def search_with_fixed_baseline(
+    candidates: Sequence[Candidate], objective: MarginalLikelihood, known: SelfTest
+) -> SearchOutcome:
     """Search with a fixed baseline on the rows and with the policy of a marginalised objective."""
     policy = objective.policy
-    # The shared discrepancy follows at every step, and costs have more than one valley.
+    # The discrepancy changes at every step of a fit, so that costs have several minima.
     wide = [one.widely_started() if _alters(one) else one for one in candidates]
-    # What is small beside a name is model-form error here, and would share a delay's savings with its like.
+    # Small terms are model-form error here, and would share the saving of a delay.
     alone = replace(policy, selection=replace(policy.selection, most_nuisances=0))
     return _search(replace(objective.with_fixed_baseline(), policy=alone), wide, known)
 
 
-def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -> SearchOutcome:
-    """Return what is believed of a search with a marginalised baseline and one with a fixed baseline.
+def reconciled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -> SearchOutcome:
+    """Return the result of two searches: `first` with a marginalised, `again` with a fixed baseline.
 
-    What the second brings back to where the simulation has been is believed; with the values of the first where
-    that named it, too, and is as sure. A name of the second alone beside these is believed where it is sure by
-    itself: how sure another one is says nothing of it. What the first names in doubt and the second does not
-    confirm has no name, each name by itself: a sure one lends the others nothing. Where none is left, what the
-    second names is believed if the first has it unnamed beside what is refused. Nor has what would need more than
-    a car has, see `ends_beyond`; then the second is returned, which found it.
+    In this order:
+
+    1. If all names of `again` may be believed (`_brings_back`) and its p value is smaller, it is the result.
+    2. If they may be believed and include all names of `first`, further names of `again` are added that are sure by
+       themselves; without any, `first` is the result.
+    3. If `again` names nothing, because an actuator or sensor would be beyond a car's range, it is the result.
+    4. If `first` is not sure, it keeps only the names that `again` shares. If none is left, `again` is the result where
+       `first` has its names as nuisance terms.
+    5. If `first` is sure as a whole, it keeps each name that is sure by itself or that `again` shares.
     """
     marginalised, fixed = first.selection, again.selection
     confirmed = bool(marginalised.terms) and _ids(marginalised) <= _ids(fixed)
@@ -145,17 +147,17 @@ def settled(first: SearchOutcome, again: SearchOutcome, rules: SelectionRules) -
         both = [part.candidate.term in shared for part in marginalised.chosen.parts]
         kept = replace(first, selection=_only_named(marginalised, both))
         explained = {part.candidate.term for part in marginalised.chosen.parts}
-        # Both searches need it; beside what is refused it was too small to be named.
+        # Both searches contain it; in the first it was too small to be named.
         kept = again if brought_back and not any(kept.selection.named) and _ids(fixed) <= explained else kept
     elif len(marginalised.terms) > 1:
         kept = replace(first, selection=_only_named(marginalised, _undoubted(first, _ids(fixed), rules)))
     return replace(kept, objectives=(first.structure.objective, again.structure.objective))
 
 
-def named_as_first(first: SearchOutcome, again: SearchOutcome, candidates: Sequence[Candidate]) -> SearchOutcome:
-    """Return the search with a fixed baseline, with what the first names in the place of what explains no better.
+def with_names_of_first(first: SearchOutcome, again: SearchOutcome, candidates: Sequence[Candidate]) -> SearchOutcome:
+    """Return the search with a fixed baseline, in which a term named by the first replaces one that is no better.
 
-    A car whose wheels turn heavily accelerates like one whose torque is weak. Either search may name either.
+    Rotating masses reduce the acceleration as a weak torque does, for example, so that either search may name either.
     """
     objective, selection = again.structure.objective, again.selection
     missing = _ids(first.selection) - _ids(selection)
@@ -172,9 +174,9 @@ def named_as_first(first: SearchOutcome, again: SearchOutcome, candidates: Seque
 
 
 def ends_beyond(selection: Selection, policy: Policy) -> bool:
-    """Return whether nothing is named since the data want more of an actuator or a sensor than any car has.
+    """Return whether nothing is named because the explanation needs an actuator or sensor beyond a car's range.
 
-    That is beyond doubt a difference, which has no name: a lead tells what it would need.
+    Then there is a difference without a finding, and a lead reports the value that it would need.
     """
     if selection.terms or selection.first_p >= policy.selection.sure_level:
         return False
@@ -194,24 +196,23 @@ def _alters(candidate: Candidate) -> bool:
 
 
 def _brings_back(selection: Selection, first: SearchOutcome, rules: SelectionRules) -> bool:
-    """Return whether all that a fixed baseline names may be believed.
+    """Return whether all names of a search with a fixed baseline may be believed.
 
-    That is what alters inputs or sensors, and beyond doubt what the search with a marginalised baseline chose
-    too, if only to keep it as a nuisance, or could not tell from what it named: a function that is wrong off its
-    path looks like physics with a fixed baseline alone. It has stood against what the simulation saves between its
-    own halves, as any name does.
+    These are terms that alter inputs or sensors. If the search is sure, they are also terms that the search with a
+    marginalised baseline chose, named or as a nuisance, or could not distinguish from a named one. With a fixed
+    baseline alone, an error of the discrepancy off the simulation's operating points looks like physics.
     """
     chosen: set[str] = set()
     for k in range(len(first.selection.chosen.parts)) if selection.first_p < rules.sure_level else ():
         for one in _indistinguishable(first, k):
-            # A whole friction curve is its peak with both stiffnesses: under either name it was chosen.
+            # Exact alternatives count as chosen: a whole friction curve is its peak with both stiffnesses.
             alike = (name for terms in exact_mimics(one.term, one.variant) for name in terms.split("+"))
             chosen |= {one.term, *alike}
     return bool(selection.terms) and all(alters_inputs(t) or t.id in chosen for t in selection.terms)
 
 
 def _indistinguishable(outcome: SearchOutcome, k: int) -> list[Candidate]:
-    """Return a chosen part's candidate, and those that explain as well where it is named."""
+    """Return the candidate of a chosen part and, if it is named, those that explain as well."""
     selection = outcome.selection
     several = selection.rivals[k] if selection.named[k] else ()
     alike = explaining_as_well(outcome.structure.objective, selection, k, several) if several else ()
@@ -219,7 +220,7 @@ def _indistinguishable(outcome: SearchOutcome, k: int) -> list[Candidate]:
 
 
 def _undoubted(outcome: SearchOutcome, confirmed: set[str], rules: SelectionRules) -> list[bool]:
-    """Return which parts of a search are confirmed by another one, or sure by themselves beside the others."""
+    """Return which parts of a search are confirmed by the other search, or sure by themselves beside the others."""
     objective, selection = outcome.structure.objective, outcome.selection
     chosen = selection.chosen
 
@@ -235,7 +236,7 @@ def _undoubted(outcome: SearchOutcome, confirmed: set[str], rules: SelectionRule
 
 
 def _only_named(selection: Selection, kept: Sequence[bool]) -> Selection:
-    """Return a selection with the names of a choice of its parts alone; the others stay as nuisances."""
+    """Return a selection in which only chosen parts keep their names; the others become nuisance terms."""
     named = tuple(one and keep for one, keep in zip(selection.named, kept, strict=True))
     rivals, siblings = (
         tuple(several if keep else () for several, keep in zip(those, named, strict=True))
@@ -245,9 +246,9 @@ def _only_named(selection: Selection, kept: Sequence[bool]) -> Selection:
 
 
 def with_witnessed_names(outcome: SearchOutcome) -> SearchOutcome:
-    """Return an outcome in which only faults that a recording's own instruments see have a name.
+    """Return an outcome in which only sensor faults that witnesses see are named.
 
-    No model of the car enters there, so it does not matter where the simulation has been.
+    No model of the car is used for these, so the operating points of the simulation do not matter.
     """
     objective, chosen = outcome.structure.objective, outcome.selection.chosen
     seen = [is_witnessed(objective, chosen, k) for k in range(len(chosen.parts))]
@@ -257,6 +258,7 @@ def with_witnessed_names(outcome: SearchOutcome) -> SearchOutcome:
 def _known(
     case: DiagnosisCase, candidates: Sequence[Candidate], reach: float, policy: Policy, *, fixed_baseline: bool = False
 ) -> SelfTest:
+    """Return the self-test of the simulation; one without rows if there is no simulation."""
     if not case.rewhitened:
         return SelfTest()
     return self_test(
@@ -273,6 +275,7 @@ def _known(
 
 
 def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], known: SelfTest) -> SearchOutcome:
+    """Search on one objective, with the thresholds of a self-test."""
     objective = known.allow(objective)
     structure = build_structure(objective, [flexible_rows(one, objective.discrepancy) for one in objective.evidence])
     base = nothing(objective)

@@ -1,4 +1,4 @@
-"""Where the search for each term starts, how far it may go, and what one step is."""
+"""`Candidate`: a term in one variant, with ranges, steps and starting values of its parameters for fits."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from split_cli.vehicle.parameters import EffectSpec, Vehicle
 
 __all__ = ["Candidate", "Range", "build_candidates"]
 
-_NEAR = 0.1  # steps from a bound within which a value is at it
-_WIDE = (1.0, 4.0, 12.0, -1.0, -4.0, -12.0)
+_NEAR = 0.1  # steps from a bound within which a value counts as at the bound [1]
+_WIDE = (1.0, 4.0, 12.0, -1.0, -4.0, -12.0)  # factors on a start for `widely_started` [1]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One term, in one variant, with where to look for its parameters."""
+    """One term in one variant, with ranges and starting values of its parameters."""
 
     term: str
     variant: str
     ranges: Mapping[str, Range]
-    starts: tuple[Mapping[str, float], ...]  # several where the cost has several valleys
-    located: str = ""  # whether start and end along the track, or a wavelength, have to be scanned for
-    complexity: float = 1.0  # parameters that were effectively searched for; a place counts more than a scale
+    starts: tuple[Mapping[str, float], ...]  # several if the cost has several minima
+    located: str = ""  # ``patch``, ``stretch`` or ``wave`` if a place along the track is scanned for, else empty
+    complexity: float = 1.0  # number of parameters that the price counts; a place counts more than a scale
 
     def build(self, values: Mapping[str, float]) -> Term:
-        """Return the term with values held inside their bounds."""
+        """Return the term with values clipped to their ranges."""
         inside = {name: float(min(max(values[name], limit.lower), limit.upper)) for name, limit in self.ranges.items()}
         return CATALOGUE[self.term](inside, self.variant)
 
     def everywhere(self) -> tuple[Term, float]:
-        """Return a located term that acts all along the road, and by how much its size differs from none."""
+        """Return a located term that acts all along the track, and its distance from no effect."""
         return CATALOGUE[self.term].everywhere(self.variant)
 
     def widely_started(self) -> Candidate:
-        """Return the candidate with starts to both sides and up to a dozen times as far, if it has but one."""
+        """Return the candidate with starts of both signs, up to 12 times as far from neutral, if it has one."""
         if len(self.starts) != 1:
             return self
         (start,) = self.starts
@@ -45,7 +45,7 @@ class Candidate:
         return replace(self, starts=tuple(one for one in wide if self.allows(one)))
 
     def moved(self, start: Mapping[str, float], factor: float) -> dict[str, float]:
-        """Return a start so many times as far from no effect; what no effect leaves open stays."""
+        """Return a start whose distance from neutral is multiplied; parameters without a neutral value stay."""
         neutral = CATALOGUE[self.term].neutral
         return {
             name: value if neutral.get(name) is None else neutral[name] + factor * (value - neutral[name])
@@ -57,7 +57,7 @@ class Candidate:
         return all(limit.lower <= values[name] <= limit.upper for name, limit in self.ranges.items())
 
     def at_limit(self, values: Mapping[str, float]) -> bool:
-        """Return whether a value's size ends where no real car goes further: the data want more than that."""
+        """Return whether a value is at an end of a real car's range, so that the data may want more."""
         neutral = CATALOGUE[self.term].neutral
 
         def ends(name: str, limit: Range) -> bool:
@@ -68,36 +68,36 @@ class Candidate:
 
         return any(ends(name, limit) for name, limit in self.ranges.items() if neutral.get(name) is not None)
 
-    def is_everyday(self, values: Mapping[str, float]) -> bool:
-        """Return whether no value lies beyond what any sound recording may have; most ranges allow for nothing."""
-        return all(away < self.ranges[name].everyday for name, away in self.away(values).items())
+    def is_within_tolerance(self, values: Mapping[str, float]) -> bool:
+        """Return whether all values are within the tolerance of sound sensors; most ranges have none."""
+        return all(away < self.ranges[name].tolerance for name, away in self.away(values).items())
 
     def away(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return how far values are from no effect; those that no effect leaves open are left out."""
+        """Return the distances of values from neutral; parameters without a neutral value are left out."""
         neutral = CATALOGUE[self.term].neutral
         return {name: abs(values[name] - neutral[name]) for name in self.ranges if neutral.get(name) is not None}
 
-    def without_witness(self) -> Candidate:
-        """Return the candidate where no position tells a sensor from the car: what sound ones do is no fault."""
-        return self.beyond({name: limit.unwitnessed for name, limit in self.ranges.items()})
+    def without_position(self) -> Candidate:
+        """Return the candidate with the larger tolerances of recordings without position."""
+        return self.with_tolerances({name: limit.tolerance_without_position for name, limit in self.ranges.items()})
 
-    def beyond(self, everyday: Mapping[str, float]) -> Candidate:
-        """Return the candidate where sound recordings may have sizes up to these by name, or more, see `Range`."""
+    def with_tolerances(self, tolerances: Mapping[str, float]) -> Candidate:
+        """Return the candidate with at least these tolerances, by parameter, see `Range`."""
         ranges = {
-            name: replace(limit, everyday=max(limit.everyday, everyday.get(name, 0.0)))
+            name: replace(limit, tolerance=max(limit.tolerance, tolerances.get(name, 0.0)))
             for name, limit in self.ranges.items()
         }
         return replace(self, ranges=ranges)
 
     def is_another(self, values: Mapping[str, float]) -> bool:
-        """Return whether a value lies where the term is another one, which has a name of its own."""
+        """Return whether a value is at a bound where the term equals another term of the catalogue."""
         return any(
             limit.ends_as_another and values[name] <= limit.lower + _NEAR * limit.step
             for name, limit in self.ranges.items()
         )
 
     def unlimited(self) -> Candidate:
-        """Return the candidate free to go beyond what a real car has, to tell what it would need."""
+        """Return the candidate with wider ranges, to find the value beyond a real car's range that it would need."""
         neutral = CATALOGUE[self.term].neutral
         ranges = {
             name: limit if neutral.get(name) is None else limit.widened(neutral[name])
@@ -107,14 +107,14 @@ class Candidate:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What a recording has to have to show the term, see `Term.needs`; a place needs position."""
+        """What a recording must have to show the term, see `Term.needs`; a located term also needs position."""
         kind = CATALOGUE[self.term]
         place = frozenset({"position"} if self.located else ())
         return kind.needs | kind.variant_needs.get(self.variant, frozenset()) | place
 
     @property
     def effect(self) -> str:
-        """Name of what acts: variants with parameters of their own (another channel is late) are other effects."""
+        """Name of the effect: a variant with parameters of its own, such as another late channel, is another one."""
         own = self.variant in CATALOGUE[self.term].variant_units and not self.located
         return self.label if own else self.term
 

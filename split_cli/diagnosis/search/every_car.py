@@ -1,9 +1,9 @@
-"""What no real car is without, all at once: where the bare nominal model is the simulation, it all lacks.
+"""Effects of every real car, fitted together, for a comparison with the bare nominal model.
 
-A search that adds terms one at a time begins with the one that stands for most of them: sensors that are late are
-both actuators that lag. Each further term then takes up what the first got wrong, and by raw costs the list that
-bends most wins. Beside the model-form error of all, such lists cost the same. Then what every car has is no
-surprise, and what is wrong of a recording or of a file is.
+Without a simulation all effects that a plain single track lacks differ at once. A search that adds terms one at a time
+begins with a wrong term that resembles several of them: late sensors look like lags of both actuators. Further terms
+then correct the error of the first. By cost alone the most flexible list of terms would win. Beside the model-form
+error of all terms such lists cost about the same. So effects that every car has are preferred: they have no price.
 """
 
 from collections.abc import Callable
@@ -23,21 +23,21 @@ from split_cli.vehicle.effects import CATALOGUE
 def explanation_of_every_car(
     explore: Explorer, physics: Callable[[], Fit], found: Fit, leaves_more_than_noise: Callable[[Fit], bool]
 ) -> tuple[Fit, tuple[str, ...]] | None:
-    """Return what every car has and what is believed beside it, and that in words; None where `found` stays.
+    """Return the fit of effects of every car with further terms, and its history; None if `found` is kept.
 
     Parameters
     ----------
     physics : callable
-        Returns what every car has, see `physics_of_every_car`.
+        Returns `physics_of_every_car`.
     found : Fit
-        What the search forward ended with, or all of the search.
+        Result of the forward search, or of the whole search.
     leaves_more_than_noise : callable
-        Whether an explanation does.
+        Whether an explanation leaves more than noise.
 
     Notes
     -----
-    What was found stays where a simulation is given, which has that physics of every car too. It also stays where
-    it leaves noise alone, so that there is no model-form error to compare beside, and where it costs less.
+    `found` is kept with a simulation, which has these effects too. It is also kept if it leaves only noise, so that
+    there is no model-form error, and if it costs less.
     """
     if explore.objective.posterior is not None or not found.parts or not leaves_more_than_noise(found):
         return None
@@ -49,11 +49,11 @@ def explanation_of_every_car(
 
 
 def physics_of_every_car(explore: Explorer, nothing: Fit) -> Fit:
-    """Return a joint fit of all that no car is without, in its best variants, less what is not worth its price.
+    """Return a joint fit of all effects of every car in their best variants, without those not worth their price.
 
     Notes
     -----
-    Each begins near none, held by the prior of what a car of this size can have; then the prior is let go.
+    Each parameter starts near neutral with a prior as wide as a car's range. The last fit is without the prior.
     """
     lines = [one for one in explore.first_tangents(nothing) if CATALOGUE[one.part.candidate.term].in_every_car]
     parts = [near_none(one.part) for one in lines]
@@ -64,7 +64,7 @@ def physics_of_every_car(explore: Explorer, nothing: Fit) -> Fit:
 
 
 def _in_best_variants(explore: Explorer, fit: Fit) -> Fit:
-    """Return a fit with another variant of a part in its place while one saves more than a tie."""
+    """Return a fit in which variants of parts are exchanged as long as that saves more than a tie."""
     while True:
         others = [
             fit_parts(explore.objective, (*fit.parts[:k], _as_variant(part, one), *fit.parts[k + 1 :]), known=fit)
@@ -79,14 +79,14 @@ def _in_best_variants(explore: Explorer, fit: Fit) -> Fit:
 
 
 def _as_variant(part: Part, other: Candidate) -> Part:
-    """Return a part in another variant; parameters that it has not itself begin where their search does."""
+    """Return a part in another variant; parameters that the part does not have get their starting values."""
     return Part(other, {name: part.values.get(name, begin) for name, begin in other.starts[0].items()})
 
 
 def _costs_less(explore: Explorer, fit: Fit, than: Fit) -> bool:
-    """Return whether a fit of what every car has costs less than another, beside model-form error of both.
+    """Return whether a fit of effects of every car costs less than another, beside model-form error of both.
 
-    What every car has is no surprise and has no price; all other terms have theirs.
+    Effects of every car have no price here; other terms have theirs.
     """
     there, here = costs_beside_form_error(explore.objective, [than, fit])
     price = explore.rules.price * (_further_parameters(fit) - _further_parameters(than))
@@ -94,11 +94,11 @@ def _costs_less(explore: Explorer, fit: Fit, than: Fit) -> bool:
 
 
 def _with_further_terms(explore: Explorer, whole: Fit) -> tuple[Fit, list[str]]:
-    """Return an explanation with what else is believed beside it, and that in words.
+    """Return an explanation with further terms that pass the tests beside it, and the history in words.
 
-    A term that resembles what is there may be large while the others make way for it: a yaw inertia beside a
-    steering lag and a relaxation. What it changes once the others are fitted again is what the data say of it, and
-    has to be more than model-form error.
+    A term that resembles present ones may get a large value at their expense, as a yaw inertia beside a steering lag
+    and a relaxation. So its size is what it changes after the others are refitted, and that has to exceed model-form
+    error.
     """
     history: list[str] = []
     while True:
@@ -114,7 +114,7 @@ def _with_further_terms(explore: Explorer, whole: Fit) -> tuple[Fit, list[str]]:
 
 
 def _changes_enough(explore: Explorer, whole: Fit, fit: Fit, sizes: np.ndarray) -> bool:
-    """Return whether the last part of a fit changes more than model-form error, the others fitted again."""
+    """Return whether the last part of a fit changes more than model-form error, compared with the refitted others."""
     objective = explore.objective
     changed = sizes_in_velocity(objective, fit.terms, whole.terms)
     shown = is_witnessed(objective, fit, len(fit.parts) - 1)
@@ -124,12 +124,12 @@ def _changes_enough(explore: Explorer, whole: Fit, fit: Fit, sizes: np.ndarray) 
 
 
 def is_shown(explore: Explorer, fit: Fit, without: Fit) -> bool:
-    """Return whether a part changes more than the others' model-form error in some channel, these refitted.
+    """Return whether a part changes some channel by more than the others' model-form error.
 
     Parameters
     ----------
     without : Fit
-        The same refitted without the part.
+        The others, refitted without the part.
     """
     policy, objective = explore.objective.policy, explore.objective
     changed = sizes_in_velocity(objective, fit.terms, without.terms)
@@ -139,6 +139,6 @@ def is_shown(explore: Explorer, fit: Fit, without: Fit) -> bool:
 
 
 def _further_parameters(fit: Fit) -> float:
-    """Return how many parameters were effectively searched for beside those of what every car has."""
+    """Return the complexity of a fit without that of effects of every car."""
     own = (part.candidate for part in fit.parts)
     return sum(one.complexity for one in own if not CATALOGUE[one.term].in_every_car)

@@ -1,4 +1,7 @@
-"""Moves between sets of terms that adding, dropping and replacing one at a time do not reach."""
+"""Moves between sets of terms that adding, dropping or replacing single terms does not reach.
+
+Each move returns the changed explanation, refitted, or None if it is no better.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,13 +20,13 @@ from split_cli.diagnosis.statement.separation import exact_mimics, look_alike
 from split_cli.vehicle.effects import CATALOGUE
 
 
-def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
-    """Return the best explanation with one named part less and another in another variant, where that is as good.
+def fewer_by_another_variant(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+    """Return the best explanation without one named part and with another variant of a second one; else None.
 
-    A variant with another term may be a second variant alone: the whole curve of a tyre scaled and made stiffer is
-    its peak scaled. Or a term repairs what a wrong variant of another gets wrong. Then it costs more to leave it,
-    though no more than model-form error of both explanations, and the term would be refused if it came back.
-    Straight lines tell what is worth a fit.
+    A variant with a further term may equal another variant alone: a scaled and stiffened tyre curve is a scaled peak.
+    Or a term corrects the error of a wrong variant. Then removing it costs more, but no more than the model-form error
+    of both explanations, and the term would be refused beside the right variant. Linear estimates choose what is
+    fitted.
     """
     best, least = None, np.inf
     for parts, gone in _promising_mergers(explore, chosen, named)[: explore.rules.considered]:
@@ -35,7 +38,7 @@ def merged(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> 
 
 
 def _repairs(explore: Explorer, chosen: Fit, without: Fit, gone: Part) -> bool:
-    """Return whether a part saves no more than model-form error, beside others in a variant that it repaired."""
+    """Return whether a part only corrected a wrong variant: it would be refused beside the right one."""
     if is_better_beside_form_error(explore, chosen, without):
         return False
     sizes = sizes_with_form_error(explore.objective, without.terms)
@@ -44,12 +47,12 @@ def _repairs(explore: Explorer, chosen: Fit, without: Fit, gone: Part) -> bool:
 
 
 def _promising_mergers(explore: Explorer, chosen: Fit, named: Sequence[bool]) -> list[tuple[tuple[Part, ...], Part]]:
-    """Return parts with another variant of one, and the one that is gone, that promise to be as good, best first.
+    """Return sets of parts with another variant and without one part, and that part, by estimated cost.
 
     Notes
     -----
-    Taking part k away moves the residuals by what it does beside the others, another variant by how the two differ
-    at the same values; to first order the rest follows, and promises what `Tangent.cost` says.
+    Without part k the residuals change by its effect beside the others, with another variant by the difference of the
+    two at the same values. The other parameters adjust to first order, see `Tangent.cost`.
     """
     objective, parts = explore.objective, chosen.parts
     siblings = [(j, one) for j, part in enumerate(parts) for one in _siblings(part.candidate, explore.candidates)]
@@ -87,12 +90,12 @@ def _promising_mergers(explore: Explorer, chosen: Fit, named: Sequence[bool]) ->
 
 
 def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
-    """Return whether a fit costs less than another, price included, beside model-form error of both.
+    """Return whether a fit costs less than another with price, also beside the model-form error of both.
 
-    Several terms may imitate one, and fit better by the model-form error of the one.
+    Several terms may imitate one, and fit better because of its model-form error.
     """
     rules, more = explore.rules, len(fit.parts) > len(than.parts)
-    # Of explanations that are as good, the one with fewer terms stays.
+    # Of equally good explanations the one with fewer terms stays.
     least = rules.price if more else rules.tie
     if explore.price(fit) > explore.price(than) - least:
         return False
@@ -102,17 +105,16 @@ def is_better_beside_form_error(explore: Explorer, fit: Fit, than: Fit) -> bool:
 
 
 def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> Fit | None:
-    """Return the best of an explanation and its rivals with one part less, or of it with several less.
+    """Return the best explanation with fewer parts: the chosen one or a rival without one, or it without several.
 
-    None is returned where the explanation or a rival is better. Two terms may imitate one that is not among them.
-    Beside either of them the one saves little, and takes no place. Where it makes the other needless, it takes
-    both. Where it came beside both, they share what is left, and leave together. Of explanations that are as good,
-    the one with fewer terms stays. Straight lines tell what is worth a fit.
+    None is returned if the chosen explanation or a rival is better. Two terms may imitate a third one, which saves
+    little beside either of them. As a rival of one it makes the other needless. Added beside both, it leaves them a
+    small shared saving, so that both are removed together. Linear estimates choose what is fitted.
 
     Parameters
     ----------
     rivals : sequence of Fit
-        The same with another term in the place of one, which is the last part.
+        Explanations with another term, the last part, in place of one.
     """
     rules, promising = explore.rules, []
     limit = min(explore.price(chosen) - rules.tie, *(explore.price(fit) + rules.tie for fit in rivals or [chosen]))
@@ -120,11 +122,11 @@ def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> F
         others = len(fit.parts) - (fit is not chosen)
         if not others:  # one term in the places of two
             continue
-        # Leaving a part saves no more than its price.
+        # Removing a part saves at most its price.
         most = rules.price * max(part.candidate.complexity for part in fit.parts[:others])
         if fit is not chosen and explore.price(fit) - most >= limit:
             continue
-        # A sensitivity that a rival had forgotten goes with its copy.
+        # The copy discards the sensitivity that is computed for it.
         asked = fit if fit is chosen else replace(fit)
         leaving = [(dearer, (k,)) for k, dearer in enumerate(promised_without(explore, asked)[:others])]
         if fit is chosen:
@@ -141,17 +143,18 @@ def with_fewer_parts(explore: Explorer, chosen: Fit, rivals: Sequence[Fit]) -> F
     return best
 
 
-def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], rivals: Sequence[Fit] = ()) -> Fit | None:
-    """Return the best explanation with two parts replaced by the one term that is both, where that is no dearer.
+def pair_as_one(
+    explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], rivals: Sequence[Fit] = ()
+) -> Fit | None:
+    """Return the best explanation with two parts replaced by the one term that equals both; None if it costs more.
 
-    Steering and torque that are late by the same are sensors that are late. Where they are late by unlike, what
-    makes up for the difference is another term than the true one: then both changes at once cost less, and neither
-    alone.
+    Steering and torque with the same delay are late sensors, for example. With different delays a third, wrong term
+    makes up for the difference, so that only the exchange together with another term in its place costs less.
 
     Parameters
     ----------
     rivals : sequence of Fit
-        The same with another term in the place of one, best first.
+        Explanations with another term in place of one, best first.
     """
     best, least = None, explore.price(chosen)
     for one in explore.candidates:
@@ -174,12 +177,11 @@ def joined(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool], riv
     return best
 
 
-def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
-    """Return one term in the place of several names, where it leaves no more beside model-form error; else None.
+def all_as_one(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+    """Return one term in place of all named ones, if it costs no more beside model-form error; else None.
 
-    Two terms may imitate one, and fit better by what a single track gets wrong of the one: a tyre that is softer
-    and a steering that is late are a steering that turns less. One term with fewer parameters that leaves no more,
-    the model-form errors of both explanations free, is the simpler one. It saves nearly as much by itself.
+    Two terms may imitate one and fit better because of its model-form error: a softer tyre and late steering look like
+    a steering gain. The single term must have fewer parameters and save nearly as much.
     """
     if sum(named) < 2:
         return None
@@ -190,7 +192,7 @@ def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
         own = fit.parts[-1]
         if base.cost - fit.cost < enough or own.candidate.term in taken or fit.complexity >= chosen.complexity:
             continue
-        if own.candidate.at_limit(own.values) or own.is_everyday:
+        if own.candidate.at_limit(own.values) or own.is_within_tolerance:
             continue
         here, there = costs_beside_form_error(explore.objective, [chosen, fit])
         if there <= here and there - here < least:
@@ -199,10 +201,10 @@ def alone(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> F
 
 
 def in_places_of_two(explore: Explorer, chosen: Fit, k: int, nuisances: Sequence[int]) -> list[Fit]:
-    """Return explanations with one term, the last, in the places of part k and of a nuisance that looks like it.
+    """Return explanations with one term, the last part, for part k and a nuisance term that resembles it.
 
-    A velocity that is biased by a little may stand beside a sensor that is turned. As a nuisance it must not hide
-    that it might have been all there is.
+    A small bias of a velocity may be a nuisance beside a turned sensor, for example, although the bias alone might
+    explain both.
     """
     own, fits = chosen.parts[k], []
     for j in nuisances:
@@ -218,12 +220,11 @@ def in_places_of_two(explore: Explorer, chosen: Fit, k: int, nuisances: Sequence
 
 
 def inverted_stretch(explore: Explorer, chosen: Fit) -> Fit | None:
-    """Return the best explanation with a stretch in the place of the rest of the lap, where that costs less.
+    """Return the best explanation with a stretch of road in place of the rest of the lap, if it costs less; else None.
 
-    A slope on a stretch is the opposite slope on the rest of the lap, beside a force along the car and a bias of
-    the accelerometer. While drag is not found yet, the rest of the lap may do its part as well, and be found
-    first. It then keeps force and bias in their places, or leaves drag no place beside it, since no change of one
-    term alone costs less. So the stretch is also asked for with what saves most beside it.
+    A slope on a stretch equals the opposite slope on the rest of the lap, with a longitudinal force and a bias of the
+    accelerometer. The rest of the lap may be found first if it also stands for a missing drag. Then no exchange of a
+    single term costs less. So the stretch is also fitted with the term that saves most beside it.
     """
     best, least = None, explore.price(chosen) - explore.rules.tie
     closed = explore.objective.evidence[0].series.lap_length is not None
@@ -241,11 +242,11 @@ def inverted_stretch(explore: Explorer, chosen: Fit) -> Fit | None:
     return best
 
 
-def split(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
-    """Return the best explanation with one named part replaced by two that together look like it, if that saves.
+def one_as_pair(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]) -> Fit | None:
+    """Return the best explanation with a named part replaced by two that together resemble it; else None.
 
-    Late sensors look like late steering and late torque together. Two names fit better than one by its model-form
-    error alone, so they have to be better with both explanations' model-form errors free.
+    Late sensors resemble late steering with late torque. Two terms may fit better because of model-form error, so they
+    must also be better beside the model-form error of both explanations.
     """
     rules = explore.rules
     best, least = None, explore.price(chosen) - rules.tie
@@ -279,7 +280,7 @@ def _siblings(own: Candidate, candidates: Sequence[Candidate]) -> list[Candidate
 
 
 def _pairs_like(part: Part, candidates: Sequence[Candidate]) -> list[tuple[Part, Part]]:
-    """Return pairs of terms that are declared to look like a part, or of which each looks like a member of one."""
+    """Return pairs of terms that are declared to resemble a part, or whose members resemble members of such a pair."""
     plain: dict[str, Candidate] = {}
     for one in candidates:
         if one.starts:

@@ -1,4 +1,4 @@
-"""What each further term would save: linear approximations of all, then fits of the best."""
+"""`Explorer`: what each further term would save beside an explanation, by linear estimates and fits of the best."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -6,11 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from split_cli.diagnosis.cache import Recent, release_memory
+from split_cli.diagnosis.cache import RecentResults, release_memory
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.parallel import map_distributed_with, map_in_threads
 from split_cli.diagnosis.policy import SelectionRules
-from split_cli.diagnosis.recording.series import values_of
+from split_cli.diagnosis.recording.series import key_of_terms
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import (
     Fit,
@@ -30,20 +30,22 @@ from split_cli.vehicle.effects import Term
 
 @dataclass(frozen=True)
 class Explorer:
-    """Adds each candidate in turn to an explanation; what was worked out for one explanation serves the next."""
+    """Fits of each candidate beside an explanation, with caches of linearised terms and of earlier results."""
 
     objective: MarginalLikelihood
     candidates: tuple[Candidate, ...]
     variance_inflation: float
-    # Residuals and sensitivities that are held at once [bytes], the newest. Older ones are worked out anew where
-    # they are asked for, so this decides memory and time; of a result, what forward differences leave open.
-    # Judgement: an eighth of the gigabyte that a diagnosis may take.
+    # Memory of cached residuals and sensitivities, the newest [bytes]. Older ones are computed again when needed, so
+    # this affects memory and time, and results only within the accuracy of forward differences. Judgement: an eighth of
+    # the gigabyte that a diagnosis may take.
     held: int = 2**27
-    # Explanations, the costs that were asked for, and fits beside each.
+    # Caches: explanations with the cost limit of the call and the fits beside each; tangents; refits without parts.
     _explored: list[tuple[Fit, float, list[Fit]]] = field(default_factory=list, init=False, repr=False, compare=False)
-    _beside: Recent[list[Tangent]] = field(default_factory=lambda: Recent(1), init=False, repr=False, compare=False)
-    _reduced: Recent[tuple[Fit, tuple[Fit, ...]]] = field(
-        default_factory=lambda: Recent(1), init=False, repr=False, compare=False
+    _beside: RecentResults[list[Tangent]] = field(
+        default_factory=lambda: RecentResults(1), init=False, repr=False, compare=False
+    )
+    _reduced: RecentResults[tuple[Fit, tuple[Fit, ...]]] = field(
+        default_factory=lambda: RecentResults(1), init=False, repr=False, compare=False
     )
 
     @property
@@ -52,13 +54,17 @@ class Explorer:
         return self.objective.policy.selection
 
     def price(self, fit: Fit) -> float:
-        """Return a fit's cost with the price of its parameters."""
+        """Return a fit's cost over the variance inflation, plus the price of its parameters [chi squared]."""
         return fit.cost / self.variance_inflation + self.rules.price * fit.complexity
 
     def __call__(self, current: Fit, worth: float = np.inf) -> list[Fit]:
-        """Return the promising candidates fitted together with an explanation, best first; one fit a variant.
+        """Return explanations with one further candidate, the last part, for the most promising ones, best first.
 
-        Beside the few that promise most, only those are fitted that promise a cost below `worth`.
+        Parameters
+        ----------
+        worth : float
+            Estimated cost below which up to `full_fits` variants are fitted; above it only the first few
+            (`considered`).
         """
         begun: dict[str, Fit] = {}
         for known, as_much, fits in self._explored:
@@ -77,17 +83,17 @@ class Explorer:
         return fits
 
     def without(self, nothing: Fit, fit: Fit) -> tuple[Fit, ...]:
-        """Return `without_parts` of a fit, as they were if it was the last that was asked for."""
+        """Return `without_parts` of a fit, from the cache for the last fit."""
         made = self._reduced(id(fit), lambda: (fit, without_parts(self.objective, nothing, fit)))
         return made[1]
 
     def close(self) -> None:
-        """Let go of all explanations, where no further one is asked for; straight lines stay."""
+        """Clear the caches of explanations at the end of a search; tangents stay."""
         self._explored.clear()
         self._reduced.clear()
 
     def _forget_oldest(self) -> None:
-        """Let go of explanations beyond what is held; what is still in use elsewhere, of its sensitivity."""
+        """Drop explanations beyond the memory limit; fits still in use elsewhere lose their sensitivity."""
         held, seen, kept = 0, set(), 1
         for number, (current, _, fits) in enumerate(reversed(self._explored), start=1):
             for fit in {id(fit): fit for fit in (current, *fits)}.values():
@@ -99,9 +105,9 @@ class Explorer:
         del self._explored[:-kept]
 
     def beyond_form_error(self, current: Fit) -> list[Fit]:
-        """Return the candidates that promise most beyond an explanation's model-form error, those first.
+        """Return explanations with one further candidate, ordered by the saving beyond model-form error.
 
-        What saves most may save just that: where terms do much, so do all that resemble what is wrong of them.
+        Beside large terms, the candidates with the largest saving may be those that resemble their model-form error.
         """
         known = {fit.parts[-1].candidate.label: fit for fit in self(current)}
         starts = self._starts(current, free_to_form_error(self.objective, current))
@@ -132,10 +138,10 @@ class Explorer:
         return [(one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts]
 
     def lines_beside(self, current: Fit) -> list[Tangent]:
-        """Return every start of terms without a place, linearised; faults of commands beside those of sensors.
+        """Return all terms without a place, linearised at their starts.
 
-        With a fixed baseline the shared discrepancy is that at the velocities as they are corrected. What a late
-        steering brings back to where the simulation has been is hardly seen before a turned sensor is put right.
+        With a fixed baseline, terms that act on commands are linearised beside the sensor faults of the explanation.
+        The discrepancy is then evaluated at corrected velocities, without which a late steering might show no saving.
         """
         beside = current.terms
         if not (self.objective.fixed_baseline and any(term.corrects for term in beside)):
@@ -151,14 +157,17 @@ class Explorer:
             taken = {part.candidate.term for part in current.parts}
             return map_in_threads(line, [one for one in self._tangents if one.part.candidate.term not in taken])
 
-        return self._beside(values_of(beside), made)
+        return self._beside(key_of_terms(beside), made)
 
     def tangents(self) -> list[Tangent]:
-        """Return every start of every term without a place, linearised."""
+        """Return all terms without a place, linearised at their starts without other terms."""
         return self._tangents
 
     def promises(self, current: Fit, free: np.ndarray | None = None) -> list[tuple[float, Tangent]]:
-        """Return what each start of each candidate promises to cost, price included, best first."""
+        """Return the estimated cost with each start of each candidate, in order of cost with price.
+
+        `free` is as of `Tangent.cost`.
+        """
         sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
         lines = [one for one in self.lines_beside(current) if one.part.candidate.term not in taken]
@@ -173,7 +182,7 @@ class Explorer:
         )
 
     def first_tangents(self, current: Fit) -> list[Tangent]:
-        """Return the most promising start and variant of every other term without a place, linearised."""
+        """Return every term that is not in the explanation, without a place, in its best variant, linearised."""
         sensitivity_of(self.objective, current)
         taken = {part.candidate.term for part in current.parts}
         best: dict[str, tuple[float, Tangent]] = {}
@@ -186,7 +195,7 @@ class Explorer:
     def _starts(
         self, current: Fit, free: np.ndarray | None = None, worth: float = np.inf
     ) -> dict[str, list[tuple[float, Tangent]]]:
-        """Return the best promises by the candidates' labels, and what they promise to cost."""
+        """Return the best starts by label of candidate, with estimated costs."""
         starts: dict[str, list[tuple[float, Tangent]]] = {}
         for promised, line in self.promises(current, free):
             label = line.part.candidate.label
@@ -196,17 +205,17 @@ class Explorer:
         return starts
 
     def _fits(self, current: Fit, starts: dict[str, list[tuple[float, Tangent]]]) -> list[Fit]:
-        """Return fits of promises, with the second start of a variant where it promises more."""
+        """Return fits of the starts, of two starts of a variant if the second one may be better, best first."""
         found = map_distributed_with(self.objective, _fitted, [(current, promises) for promises in starts.values()])
         fits = [fit for several in found for fit in several]
         return sorted((fit for fit in fits if self.is_possible(fit, len(fit.parts) - 1)), key=self.price)
 
     def is_possible(self, fit: Fit, k: int) -> bool:
-        """Return whether part k of a fit is the term that it is called, and no yaw denies it."""
+        """Return whether part k of a fit is not a degenerate stretch or another term, and not denied by yaw."""
         return not (self.is_everywhere(fit.parts[k]) or is_denied(self.objective, fit, k))
 
     def is_everywhere(self, part: Part) -> bool:
-        """Return whether a stretch covers so much of the track that it is none, or a term is another one."""
+        """Return whether a stretch covers nearly the whole track, or a term equals another one at its values."""
         if part.candidate.is_another(part.values):
             return True
         if "s_start" not in part.values:
@@ -220,7 +229,7 @@ def _fitted(objective: MarginalLikelihood, asked: tuple[Fit, list[tuple[float, T
     current, promises = asked
     fits: list[Fit] = []
     for promised, line in promises:
-        # Another start may have kept more than this one promises.
+        # A second start is fitted if it may be better than the first fit.
         if len(fits) < 2 and all(fit.cost >= promised for fit in fits):
             parts = (*current.parts, line.part)
             fits.append(fit_parts(objective, parts, known=current, lines=(line,)))
@@ -236,7 +245,7 @@ def _best_of_each(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def nearest_start(candidate: Candidate, part: Part) -> dict[str, float]:
-    """Return the start of a candidate that is nearest in size to what a part was fitted to."""
+    """Return the start of a candidate whose first parameter is nearest to that of a part, by ratio."""
     size = max(abs(next(iter(part.values.values()))), 1e-9)
     return dict(min(candidate.starts, key=lambda one: abs(np.log(abs(next(iter(one.values()))) / size))))
 

@@ -1,4 +1,4 @@
-"""Fit named terms together by damped Gauss-Newton on whitened rows."""
+"""Joint fits of terms by damped Gauss-Newton on whitened rows (`Fit`), and linearised terms (`Tangent`)."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.vehicle.descent import Slopes, descend
 from split_cli.vehicle.effects import Term
 
-_ITERATIONS = 12
-_JOINT_ITERATIONS = 6  # of all terms at once, to see which of them are needed
-_LEAST_GAIN = 0.02  # of a step [chi squared], below which a fit ends
-#: Share of a step's change of the residuals that derivatives may miss and still be followed to the next step.
-#: Judgement: nine drives of development keep their verdicts, names and sizes to 0.01 standard errors with it.
-#: Where a step gains nothing derivatives are computed anew, so it decides time and no result.
+_ITERATIONS = 12  # iterations of a fit at most [1]
+_JOINT_ITERATIONS = 6  # iterations of a fit of all terms at once, which only shows which are needed [1]
+_LEAST_GAIN = 0.02  # gain of a step below which a fit ends [chi squared]
+#: Error of the predicted change of the residuals, over that change, up to which derivatives are updated instead of
+#: computed [1]. Judgement: nine drives of development keep verdicts, names and sizes to 0.01 standard errors.
+#: Derivatives are computed whenever a step gains nothing, so this affects time and no result.
 _BENT = 0.1
-RIDGE = 1e-9  # of a column's length 1: keeps systems of columns that say the same solvable
-_PLACES = 50  # into which a lap is cut to look for a stretch
-#: What the best of all stretches saves of model-form error beyond any one [chi squared], 2 ln of their number.
+RIDGE = 1e-9  # ridge on columns of length 1, so that systems with collinear columns can be solved [1]
+_PLACES = 50  # parts of a lap in the search for a stretch [1]
+#: Degrees of freedom that the choice among all stretches adds [1]: 2 ln of their number.
 SEARCHED_PLACES = 2.0 * np.log(_PLACES * (_PLACES - 1) / 2)
 
 
 @dataclass(frozen=True)
 class Part:
-    """A candidate and the values it has: one term of an explanation."""
+    """One term of an explanation: a candidate with values of its parameters."""
 
     candidate: Candidate
     values: dict[str, float]
@@ -40,14 +40,14 @@ class Part:
         return self.candidate.build(self.values)
 
     @property
-    def is_everyday(self) -> bool:
-        """Whether any sound recording may have these values: a bias of sensors that no witness tells from the car."""
-        return self.candidate.is_everyday(self.values)
+    def is_within_tolerance(self) -> bool:
+        """Whether these values are within the tolerance of sound sensors, so that the part is no finding."""
+        return self.candidate.is_within_tolerance(self.values)
 
 
 @dataclass(frozen=True)
 class Prior:
-    """A normal prior of one parameter: mean and standard deviation, in its unit."""
+    """Normal prior of one parameter: mean and standard deviation in its unit."""
 
     mean: float
     deviation: float
@@ -55,18 +55,18 @@ class Prior:
 
 @dataclass(frozen=True)
 class Fit:
-    """An explanation fitted on an objective's rows; frozen but for its sensitivity, which may be forgotten."""
+    """An explanation fitted to an objective. It is immutable except for its sensitivity, which may be dropped."""
 
     parts: tuple[Part, ...]
     cost: float  # in units of chi squared
-    residuals: np.ndarray  # (R,): whitened residuals it leaves, the shared discrepancy taken out
-    # (R, P): derivative of the residuals by each parameter, over the parts in order; without columns where it was
-    # forgotten: see `sensitivity_of`.
+    residuals: np.ndarray  # (R,): residuals after `MarginalLikelihood.whiten`; the cost is the sum of their squares
+    # (R, P): derivatives of the residuals with respect to the parameters, per unit, in the order of the parts; without
+    # columns if it was dropped: see `sensitivity_of`.
     sensitivity: np.ndarray
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """The terms."""
+        """The terms of all parts, with their values."""
         return tuple(part.term for part in self.parts)
 
     @property
@@ -76,11 +76,11 @@ class Fit:
 
     @property
     def complexity(self) -> float:
-        """Parameters effectively searched for."""
+        """Number of parameters that the price counts."""
         return sum(part.candidate.complexity for part in self.parts)
 
     def forget(self) -> None:
-        """Let go of the sensitivity, the greater part of what a fit holds; `sensitivity_of` works it out anew."""
+        """Drop the sensitivity, the largest array of a fit; `sensitivity_of` computes it again."""
         self._hold(np.empty((len(self.residuals), 0)))
 
     def _hold(self, sensitivity: np.ndarray) -> None:
@@ -88,7 +88,7 @@ class Fit:
 
 
 def sensitivity_of(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
-    """Return a fit's sensitivity, shape (R, P), worked out anew by forward differences where it was forgotten."""
+    """Return a fit's sensitivity, shape (R, P), computed by forward differences if it was dropped."""
     if not fit.sensitivity.shape[1] and any(part.values for part in fit.parts):
         steps = [part.candidate.ranges[name].step for part in fit.parts for name in part.values]
         fit._hold(objective.whiten(raw_slopes(objective, fit.parts)) / np.array(steps))
@@ -98,35 +98,35 @@ def sensitivity_of(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
 def fit_parts(
     objective: MarginalLikelihood, parts: Sequence[Part], *, known: Fit | None = None, lines: Sequence[Tangent] = ()
 ) -> Fit:
-    """Refit all parameters of all parts together from where they are.
+    """Return a joint fit of all parameters of parts, started at the parts' values.
 
     Parameters
     ----------
     known : Fit, optional
-        On the same objective; the derivatives of parts that it shares with these serve the first step.
+        A fit on the same objective. Its derivatives with respect to parts in common are used for the first step.
     lines : sequence of Tangent
-        Of others of the parts, for the same use.
+        Derivatives of further parts for the first step.
     """
     parts = tuple(parts)
-    # What a place does has corners at its ends: no step there tells what the next one will do.
+    # The effect of a place is not differentiable at its ends, so that derivatives cannot be reused.
     lines = () if any(part.candidate.located for part in parts) else lines
     return _fit(objective, parts, _ITERATIONS, known=known, lines=lines)
 
 
 def refitted(objective: MarginalLikelihood, asked: tuple[Sequence[Part], Fit]) -> Fit:
-    """Return `fit_parts` of parts beside what is known of them: a piece of work that may travel."""
+    """Return `fit_parts` of parts with a known fit, as a task for `map_distributed_with`."""
     parts, known = asked
     return fit_parts(objective, parts, known=known)
 
 
 def fits_without(objective: MarginalLikelihood, fit: Fit, numbers: Iterable[int]) -> list[Fit]:
-    """Return an explanation refitted without each of some of its parts in turn."""
+    """Return the fits without one part each, for parts by number."""
     fewer = [fit.parts[:k] + fit.parts[k + 1 :] for k in numbers]
     return map_distributed_with(objective, refitted, [(parts, fit) for parts in fewer])
 
 
 def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[Fit, ...]:
-    """Return an explanation refitted without each of its parts; `base` is the one without any."""
+    """Return the fits without one part each, for all parts; `base` is the fit without any part."""
     several = len(fit.parts) > 1
     return tuple(fits_without(objective, fit, range(len(fit.parts)))) if several else (base,) * len(fit.parts)
 
@@ -134,7 +134,7 @@ def without_parts(objective: MarginalLikelihood, base: Fit, fit: Fit) -> tuple[F
 def fit_with_prior(
     objective: MarginalLikelihood, parts: Sequence[Part], priors: Sequence[Mapping[str, Prior]]
 ) -> tuple[Fit, np.ndarray]:
-    """Refit all parameters together where priors hold what the rows do not tell: many terms that look alike.
+    """Return a joint fit with normal priors, which many similar terms need, and its curvature.
 
     Parameters
     ----------
@@ -144,9 +144,9 @@ def fit_with_prior(
     Returns
     -------
     Fit
-        With the residuals' cost alone, its sensitivity forgotten.
+        Its cost is that of the residuals alone; its sensitivity is dropped.
     ndarray, shape (P, P)
-        Half the curvature of the cost with the priors, in steps of the parameters.
+        Half the Hessian of the cost with the priors, per step of the parameters.
     """
     parts = tuple(parts)
     means, roots = [], []
@@ -171,15 +171,15 @@ def _fit(
     known: Fit | None = None,
     lines: Sequence[Tangent] = (),
 ) -> Fit:
-    """Refit all parameters from where they are.
+    """Return a joint fit by at most so many iterations.
 
-    `pulls` are the means and the precisions of priors, in steps of the parameters.
+    `pulls` are means and precisions of priors, in steps of the parameters.
 
     Notes
     -----
-    See `descend`; derivatives by forward differences. What one term does hardly depends on the others beside it,
-    so the first step may use derivatives that another fit left. Each step tells how true they were, see
-    `_followed`: only where residuals bend are they worked out anew.
+    Damped Gauss-Newton, see `descend`, with derivatives by forward differences. The effect of a term hardly depends on
+    the others, so that the first step may use derivatives of another fit. Each step shows how accurate they are; then
+    they are updated (`_followed`), or computed again if the residuals are too nonlinear.
     """
     names = [(k, name) for k, part in enumerate(parts) for name in part.values]
     limits = [parts[k].candidate.ranges[name] for k, name in names]
@@ -198,7 +198,7 @@ def _fit(
 
     def slopes_of(jacobian: np.ndarray, x: np.ndarray, state: tuple, missed: float = 0.0) -> Slopes:
         slope = jacobian.T @ state[1] + precision * (x - mean)
-        # Noise is no more like what derivatives miss than like anything else.
+        # The error of derivatives is projected on the part of the residuals that is more than noise.
         beyond = max(float(state[1] @ state[1]) - len(state[1]), 1.0)
         return Slopes(jacobian, slope, jacobian.T @ jacobian + np.diag(precision), missed**2 * beyond)
 
@@ -222,7 +222,7 @@ def _fit(
     shared = _shared_slopes(parts, known, lines, steps)
     begun = linearise(x, first[1], shared) if shared else None
     if begun is not None and (lines or len(shared) < len(x)):
-        begun = replace(begun, doubt=np.inf)  # no fit has ended with these yet
+        begun = replace(begun, doubt=np.inf)  # a fit must not end with derivatives of another one
     found = descend(
         lambda at: first if at is x else evaluate(at),
         linearise,
@@ -236,14 +236,15 @@ def _fit(
     )
     residuals, jacobian = found.state[1], found.slopes.jacobian
     parts = _with(parts, names, found.parameters * steps)
-    # In its place: of all terms at once it is the largest array of a search.
+    # Divided in place: with all terms at once this is the largest array of a search.
     return Fit(parts, float(residuals @ residuals), residuals, np.divide(jacobian, steps, out=jacobian))
 
 
 def _followed(slopes: Slopes, step: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return derivatives after a step that changed the residuals, shape (R, P), and the share that lines missed.
+    """Return updated derivatives after a step, shape (R, P), and the relative error of the old ones [1].
 
-    Broyden's (1965) update: the least that makes them tell the change, in units of what each parameter does.
+    Broyden's (1965) update: the smallest change with which they predict the change of the residuals, with parameters
+    scaled by their effect.
     """
     missed = change - slopes.jacobian @ step
     along = np.diag(slopes.curvature) * step
@@ -252,7 +253,7 @@ def _followed(slopes: Slopes, step: np.ndarray, change: np.ndarray) -> tuple[np.
 
 
 def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:
-    """Return derivatives of the residuals by each parameter's step, the discrepancy still in, shape (R, P)."""
+    """Return derivatives of `left_by` per step of each parameter, before `whiten`, shape (R, P)."""
     parts = tuple(parts)
     names = [(k, name) for k, part in enumerate(parts) for name in part.values]
     limits = [parts[k].candidate.ranges[name] for k, name in names]
@@ -266,7 +267,7 @@ def raw_slopes(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarr
 def _shared_slopes(
     parts: Sequence[Part], known: Fit | None, lines: Sequence[Tangent], steps: np.ndarray
 ) -> dict[int, np.ndarray]:
-    """Return derivatives by steps that are known of parts, by the parameters' numbers, shape (R,) each."""
+    """Return known derivatives per step, shape (R,) each, by the number of the parameter."""
     of_lines = {id(line.part): line.slopes for line in lines}
     of_fit = {}
     for part in known.parts if known is not None and known.sensitivity.shape[1] else ():
@@ -291,13 +292,13 @@ def _slopes(
     upper: np.ndarray,
     own: Sequence[int],
 ) -> np.ndarray:
-    """Return derivatives of what terms leave by `own` of x, shape (R, len(own)), by differences of one step.
+    """Return derivatives of `left_by` with respect to the entries `own` of x, in steps, shape (R, len(own)).
 
-    `here` is what they leave at x.
+    `here` is `left_by` at x.
     """
     out, directions, moved = np.empty((len(here), len(own))), [], []
     for p in own:
-        # Away from a bound; one step is small against what matters, large against rounding.
+        # Away from a bound. A step is small compared with relevant changes, and large compared with rounding.
         directions.append(-1.0 if x[p] + 1.0 > upper[p] else 1.0)
         ahead = x.copy()
         ahead[p] += directions[-1]
@@ -310,19 +311,22 @@ def _slopes(
 
 @dataclass(frozen=True)
 class Tangent:
-    """A part at a start and straight lines from there, on an objective's whitened rows.
+    """A part linearised about its values, on an objective's whitened rows.
 
-    What one term does beside others is taken for what it does alone: good enough to see what promises most.
+    Its effect beside other terms is taken to be that without them, which is accurate enough to rank candidates.
     """
 
     part: Part
-    moved: np.ndarray  # (R,): what the part at its start does to the residuals
-    slopes: np.ndarray  # (R, P): derivatives by its parameters, a step each
+    moved: np.ndarray  # (R,): change of the residuals by the part at its values
+    slopes: np.ndarray  # (R, P): derivatives of the residuals per step of its parameters
 
     def cost(self, current: Fit, free: np.ndarray | None = None) -> float:
-        """Return the cost that one linear fit of this part and those of an explanation promises.
+        """Return the cost of an explanation with this part, by one linear least-squares fit [chi squared].
 
-        What lies in `free`, shape (R, C), costs less or nothing: a square root of 1 less the rows' precision.
+        Parameters
+        ----------
+        free : ndarray, shape (R, C), optional
+            N as of `free_to_form_error`: residuals along its columns count less.
         """
         columns = of_length_one(np.hstack([self.slopes, current.sensitivity]))
         here = current.residuals + self.moved
@@ -337,20 +341,20 @@ class Tangent:
 
 
 def of_length_one(columns: np.ndarray) -> np.ndarray:
-    """Return columns (R, P) over their lengths; one that is nothing stays nothing."""
+    """Return columns (R, P) over their lengths; a zero column stays zero."""
     scaled: np.ndarray = columns / (np.linalg.norm(columns, axis=0) + 1e-300)
     return scaled
 
 
 def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside: tuple[Term, ...] = ()) -> Tangent:
-    """Return a part's lines at the values it has.
+    """Return a part linearised about its values.
 
     Parameters
     ----------
     base : ndarray, shape (R,)
-        What is left without it, by `MarginalLikelihood.left_by`.
+        `MarginalLikelihood.left_by` of the other terms.
     beside : tuple of Term
-        Others that act.
+        The other terms.
     """
     steps = np.array([part.candidate.ranges[name].step for name in part.values])
     x, terms_at = np.array(list(part.values.values())) / steps, _terms_of((part,), steps)
@@ -363,7 +367,7 @@ def tangent(objective: MarginalLikelihood, base: np.ndarray, part: Part, beside:
 
 
 def _terms_of(parts: Sequence[Part], steps: np.ndarray) -> Callable[[np.ndarray], list[Term]]:
-    """Return what makes the terms of parts at values in steps (P,), over the parts in order; each made once."""
+    """Return a function from values in steps, shape (P,), to the terms of parts; equal terms are built once."""
     known: list[dict[tuple[float, ...], Term]] = [{} for _ in parts]
 
     def terms_at(x: np.ndarray) -> list[Term]:
@@ -380,6 +384,7 @@ def _terms_of(parts: Sequence[Part], steps: np.ndarray) -> Callable[[np.ndarray]
 
 
 def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndarray) -> tuple[Part, ...]:
+    """Return parts with other values, given by part number and parameter name."""
     new = [dict(part.values) for part in parts]
     for (k, name), value in zip(names, values, strict=True):
         new[k][name] = float(value)
@@ -387,7 +392,7 @@ def _with(parts: tuple[Part, ...], names: list[tuple[int, str]], values: np.ndar
 
 
 def effect_everywhere(objective: MarginalLikelihood, base: np.ndarray, candidate: Candidate) -> np.ndarray:
-    """Return what one unit of a candidate with a place takes off `base`, `objective.residual(())`, anywhere."""
+    """Return the change of residuals, shape (R,), by a unit of a located candidate that acts all along the track."""
     whole, size = candidate.everywhere()
     return (base - objective.residual((whole,))) / size
 
@@ -400,9 +405,9 @@ def scan_places(
     Parameters
     ----------
     residuals : ndarray, shape (R,)
-        Whitened residuals left by what is explained already.
+        Whitened residuals of the explanation so far.
     effect : ndarray, shape (R,)
-        Of `effect_everywhere`.
+        `effect_everywhere` of the candidate.
     """
     amount, neutral = ("scale", 1.0) if candidate.located == "patch" else ("angle", 0.0)
     s = objective.places()

@@ -1,8 +1,8 @@
-"""Model-form error of a term: the share of its effect that a single track gets wrong, by operating point.
+"""Model-form error of terms: a share of each effect that a single-track model gets wrong, by operating point.
 
-Physics that is put into a single track acts on two tyres instead of four, so a few hundredths of what it does are
-wrong, and where it does much that is far more than noise. Of two terms that do nearly the same, the one that
-happens to err less would win by it. With that share free, what decides is what they do differently.
+A term in a single track acts on two tyres instead of four, so that some percent of its effect are wrong. Of a large
+effect that is far more than noise. Of two similar terms the one with the smaller error would win. Here that share is a
+random effect with a normal prior, so that the rest of the difference decides.
 """
 
 from collections.abc import Sequence
@@ -21,20 +21,20 @@ from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity
 from split_cli.vehicle.effects import Term
 from split_cli.vehicle.parameters import Vehicle
 
-_ROWS_AT_ONCE = 512  # [rows] of all parts' columns that are whitened at a time; decides memory alone
-_DISCREPANCY = "varied discrepancy"  # what is remembered of the shared discrepancy's columns, before whitening
-_ASKED = "asked beside"  # the same of the explanation that further terms were asked beside last
+_ROWS_AT_ONCE = 512  # rows of all parts' columns that are whitened at a time [1]; affects memory alone
+_DISCREPANCY = "varied discrepancy"  # key of the objective's cache: columns of the shared discrepancy
+_ASKED = "asked beside"  # key of the objective's cache: `_FormError` of the last explanation
 
 
 @dataclass(frozen=True)
 class _FormError:
-    """What an explanation may get wrong: one explanation, asked about many further terms."""
+    """Columns of the model-form error of one explanation, cached for comparisons with many further terms."""
 
     fit: Fit
-    basis: np.ndarray  # of the objective whose rows these are
-    columns: np.ndarray  # (R, Q): M as in `costs_beside_form_error`, the shared discrepancy's columns last
-    own: int  # how many of them are of the explanation's terms
-    laws: np.ndarray  # (R, V): of `_other_load_laws`
+    basis: np.ndarray  # `basis` of the objective, to recognise it
+    columns: np.ndarray  # (R, Q): M as in `costs_beside_form_error`, with those of the shared discrepancy last
+    own: int  # number of columns of the explanation's terms
+    laws: np.ndarray  # (R, V): `_other_load_laws`
 
     @cached_property
     def normal(self) -> np.ndarray:
@@ -43,15 +43,15 @@ class _FormError:
 
 
 def forget_form_error(objective: MarginalLikelihood) -> None:
-    """Let go of what the explanation that was asked about last may get wrong: as large as a sensitivity."""
+    """Drop the cached columns of the last explanation, which are as large as a sensitivity."""
     objective.memo.pop(_ASKED, None)
 
 
 def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
-    """Return what an explanation may get wrong, as it was worked out for the further term before this one."""
+    """Return the model-form error of an explanation, from the cache if it is that of the last call."""
     known = objective.memo.get(_ASKED)
     if known is None or known.fit is not fit or known.basis is not objective.basis:
-        forget_form_error(objective)  # before the next is made: both may be large
+        forget_form_error(objective)  # first, since both may be large
         laws = _other_load_laws(objective, fit)
         shared = _columns_of_discrepancy(objective)
         columns = form_error_columns(objective, fit) if laws.shape[1] or shared.shape[1] else shared
@@ -63,15 +63,15 @@ def _form_error_of(objective: MarginalLikelihood, fit: Fit) -> _FormError:
 
 
 def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
-    """Return the cost of each fit with a share of every effect of them all free, by piece and operating point.
+    """Return the cost of each fit beside the model-form errors of all of them [chi squared].
 
-    What one of them might get wrong is free for the others too: else the one would win that can bend most.
+    The errors of each fit are allowed for all fits. Otherwise the fit with the most flexible error would win.
 
     Notes
     -----
-    M holds the whitened effects times functions of the operating point, times the policy's `form_error_share`; e
-    are the residuals left. The weights of M are integrated out: e^T (I + M M^T)^-1 e = |e|^2 - |L^-1 M^T e|^2 with
-    L L^T = I + M^T M.
+    M has the whitened effects times functions of the operating point, times the policy's `form_error_share`. Its
+    weights have standard normal priors and are integrated out: with the residuals e the cost is e^T (I + M M^T)^-1 e =
+    |e|^2 - |L^-1 M^T e|^2, L L^T = I + M^T M.
     """
     parts = [(fit.terms, k) for fit in fits for k in range(len(fit.parts))]
     return _costs_beside(objective, parts, [fit.residuals for fit in fits])
@@ -80,7 +80,7 @@ def costs_beside_form_error(objective: MarginalLikelihood, fits: Sequence[Fit]) 
 def _costs_beside(
     objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], rows: Sequence[np.ndarray]
 ) -> list[float]:
-    """Return the costs of rows with a share of the effects of parts free, each terms and the number of one."""
+    """Return the costs of rows, (R,) each, beside the model-form errors of parts, given as terms and number."""
     if not parts:
         return [float(one @ one) for one in rows]
     residuals = np.stack(rows, axis=1)
@@ -92,17 +92,17 @@ def _costs_beside(
 def _products(
     objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], residuals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return M^T M and M^T of whitened residuals (R, K), summed over stretches of time: M itself may fill memory.
+    """Return M^T M and M^T e of whitened residuals e (R, K), summed over stretches of time to save memory.
 
     Parameters
     ----------
     parts : sequence
-        As for `_columns`, whose result M is, shape (R, Q).
+        As for `_columns`, which would return M, shape (R, Q).
 
     Notes
     -----
-    With X the rows before `MarginalLikelihood.whiten`, W = I - V D V^T what that applies, and W^2 = I - V V^T:
-    M^T M = X^T X - (V^T X)^T (V^T X) and M^T e = X^T e - (V^T X)^T D V^T e, times the policy's share.
+    Let X be the rows before `MarginalLikelihood.whiten`, which multiplies by W = I - V D V^T, with W^2 = I - V V^T.
+    Then M^T M = X^T X - (V^T X)^T (V^T X) and M^T e = X^T e - (V^T X)^T D V^T e, times the policy's share.
     """
     count, share = 18 * len(parts), objective.policy.selection.form_error_share
     basis = objective.basis
@@ -125,25 +125,25 @@ def _products(
 
 
 def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: Fit, *, shared: bool = True) -> float:
-    """Return what an explanation saves against another, the other's terms free to be wrong by their share.
+    """Return the saving of an explanation against another, beside the model-form error of the other's terms.
 
-    What single-track terms get wrong of a real car's effect is of their own kind, and varies with the operating
-    point: axle by axle of what alters tyres, or asks them for other forces, else channel by channel. The shared
-    discrepancy is one of these terms: no dictionary is exact. And how tyres carry another load is known within the
-    variants alone. Evidence for a further term is what it saves beyond.
+    The error of an effect is proportional to the effect and depends on the operating point. It is independent for each
+    axle if the term acts on tyres or changes their forces, else for each channel. The shared discrepancy has such an
+    error too. A load law between the variants of a term is allowed as well. What a further term saves beyond is
+    evidence for it.
 
-    Beside instruments alone a term of the car is the first one, and all that it saves is evidence: once readings
-    are put right, the model errs as it does on any drive.
+    If the other explanation has sensor faults alone, all that a term of the car saves is evidence: after the sensors
+    are corrected, the model has its usual error.
 
     Parameters
     ----------
     shared : bool
-        Whether the shared discrepancy may be wrong as well.
+        Whether an error of the shared discrepancy is allowed for.
 
     Notes
     -----
-    With P = (I + M M^T)^-1 as in `costs_beside_form_error` and the columns V of `_other_load_laws`, each cost is
-    the least of (e - V u)^T P (e - V u) with u from 0, the variant that was chosen, to 1, another.
+    With P = (I + M M^T)^-1 as in `costs_beside_form_error` and the columns V of `_other_load_laws`, each cost is the
+    minimum of (e - V u)^T P (e - V u) over u from 0 (the chosen variant) to 1 (another one).
     """
     here, there = costs_of_rows(objective, before, [before.residuals, after.residuals], shared=shared)
     return here - there
@@ -152,7 +152,7 @@ def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: F
 def costs_of_rows(
     objective: MarginalLikelihood, before: Fit, rows: Sequence[np.ndarray], *, shared: bool = True
 ) -> list[float]:
-    """Return what several rows (R,) cost, an explanation's terms free to be wrong as above."""
+    """Return the costs of rows, (R,) each, beside the model-form error of an explanation, see above."""
     if before.parts and not any(term.exported for term in before.terms):
         return [float(one @ one) for one in rows]
     wrong = _form_error_of(objective, before)
@@ -170,28 +170,28 @@ def costs_of_rows(
 
 
 def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = True) -> np.ndarray:
-    """Return how far parameters, over the parts in order, move with the best law of load, shape (P,).
+    """Return the change of a fit's parameters, shape (P,), with the best load law between the variants.
 
-    A heavier car whose tyres carry a little more is taken for a lighter one where its variant says that they carry
-    no more. Zeros where no term loads the tyres.
+    The mass that explains a drive depends on how much more force its tyres carry, for example. Zeros if no term loads
+    the tyres.
 
     Parameters
     ----------
     recorded : bool
-        Whether the recording has these effects, so that other laws can be fitted to it.
+        Whether the recording has these effects, so that other variants can be fitted to it.
 
     Notes
     -----
-    The least of (e + J x - V u)^T P (e + J x - V u), as in `saved_beside_form_error`, J the sensitivity. That is a
-    straight line at the values found, and V grows with the term: a law by which it does (1 + c) times as much
-    leaves 1/(1 + c) of its size, where the line says 1 - c. See `divided_out`. A line that leads beyond what a car
-    can have tells nothing of what it would do up to there, so that other laws are fitted then.
+    The minimum of (e + J x - V u)^T P (e + J x - V u), as in `saved_beside_form_error`, with the sensitivity J. This is
+    a linearisation, and V grows with the term. With a law by which the term has (1 + c) times the effect, its size is
+    1/(1 + c) of what it was, while the linearisation gives 1 - c; `divided_out` corrects that. If the linear change
+    leads beyond a car's range, the other variants are fitted instead.
     """
     laws, slopes = _other_load_laws(objective, fit), sensitivity_of(objective, fit)
     if not laws.shape[1]:
         return np.zeros(slopes.shape[1])
     effect = np.linalg.norm(slopes, axis=0)
-    scale = np.where(effect > 0.0, effect, np.inf)  # what has no effect does not move
+    scale = np.where(effect > 0.0, effect, np.inf)  # parameters without effect do not change
     low = np.repeat([-np.inf, 0.0], [slopes.shape[1], laws.shape[1]])
     columns = np.hstack([-slopes / scale, laws])
     form_error = form_error_columns(objective, fit)
@@ -211,7 +211,7 @@ def moved_between_load_laws(objective: MarginalLikelihood, fit: Fit, *, recorded
 
 
 def _moved_by_refits(objective: MarginalLikelihood, fit: Fit, values: np.ndarray) -> np.ndarray:
-    """Return how far parameters move, shape (P,), with the other law of load that leaves least once fitted."""
+    """Return the change of parameters, shape (P,), in the refit with another load law that costs least."""
     fits = [
         fit_parts(
             objective,
@@ -226,21 +226,21 @@ def _moved_by_refits(objective: MarginalLikelihood, fit: Fit, values: np.ndarray
 
 
 def divided_out(moved: np.ndarray, away: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return how far parameters move, (P,), where a term becomes smaller as another law makes it do more.
+    """Return the change of parameters, (P,), corrected for the nonlinearity of a load law that increases the effect.
 
     Parameters
     ----------
     moved : ndarray, shape (P,)
-        How far to first order.
+        Change to first order.
     away : ndarray, shape (P,)
-        How far the parameters are from no effect.
+        Parameters less their neutral values.
     slopes : ndarray, shape (R, P)
-        Derivatives of the residuals by the parameters.
+        Derivatives of the residuals with respect to the parameters.
 
     Notes
     -----
-    The share p of the term's own effect that lines take away, by least squares on the rows, is -c of 1/(1 + c). So
-    a term does not turn its sign, nor vanish, by a law of load: without any effect there is none to carry.
+    The share of the effect that the first-order change removes, by least squares on the rows, is -c of 1/(1 + c). So a
+    load law changes neither the sign of an effect nor makes it vanish.
     """
     effect = slopes @ away
     share = float(effect @ (slopes @ moved)) / max(float(effect @ effect), 1e-300)
@@ -250,13 +250,15 @@ def divided_out(moved: np.ndarray, away: np.ndarray, slopes: np.ndarray) -> np.n
 def _bounded_fit(
     form_error: np.ndarray, normal: np.ndarray, columns: np.ndarray, residuals: np.ndarray, low: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Return weights of columns beside model-form error, those from 0 no more than 1, and what they save.
+    """Return weights of columns beside model-form error, within bounds, and the cost that they save.
+
+    Weights with the lower bound 0 have the upper bound 1; others are free.
 
     Notes
     -----
-    The least of |e - M w - V u|^2 + |w|^2 with w free, which is (I + M^T M)^-1 M^T (e - V u). So u is fitted to
-    rows beside M with w below them, by their triangle. V^T P V would square what is nearly singular there, and
-    has no root where a column has no effect, as brakes that were never used.
+    The minimum of |e - M w - V u|^2 + |w|^2, with w = (I + M^T M)^-1 M^T (e - V u). So u is fitted to the stacked rows
+    of e - M w and w by their QR factor. V^T P V would square the condition number, and has no Cholesky factor if a
+    column is zero, as that of brakes that were not used.
     """
     count, both = columns.shape[1], np.column_stack([columns, residuals])
     weights = np.linalg.solve(normal, form_error.T @ both)
@@ -268,12 +270,12 @@ def _bounded_fit(
 
 
 def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit, rows: np.ndarray | None = None) -> np.ndarray:
-    """Return residuals beyond the likeliest model-form error of an explanation's terms, (R,) or (R, K).
+    """Return residuals less the most likely model-form error of an explanation's terms, shape (R,) or (R, K).
 
     Parameters
     ----------
     rows : ndarray, shape (R,) or (R, K), optional
-        The residuals; by default those that the explanation leaves.
+        The residuals; by default those of the explanation.
 
     Notes
     -----
@@ -287,7 +289,7 @@ def residuals_beside_form_error(objective: MarginalLikelihood, fit: Fit, rows: n
 
 
 def _likeliest_weights(form_error: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Return (I + M^T M)^-1 M^T of what is left, (R,) or (R, K): the weights of M that are likeliest."""
+    """Return (I + M^T M)^-1 M^T of residuals (R,) or (R, K): the most likely weights of M."""
     return np.linalg.solve(_normal(form_error), form_error.T @ left)
 
 
@@ -307,8 +309,11 @@ def form_error_columns(objective: MarginalLikelihood, fit: Fit, *, together: boo
 def free_to_form_error(objective: MarginalLikelihood, fit: Fit, *, together: bool = True) -> np.ndarray:
     """Return N, shape (R, 18 a part), with N N^T = I - (I + M M^T)^-1, see `costs_beside_form_error`.
 
-    Unless `together`, each part is wrong by a share of its own effect, those that scale one curve too: for asking
-    which of them it is.
+    Parameters
+    ----------
+    together : bool
+        Whether terms that scale the tyres' curves have one common error of their joint effect. Otherwise each has an
+        error of its own, to compare them with each other.
     """
     form_error = form_error_columns(objective, fit, together=together)
     lower = np.linalg.cholesky(_normal(form_error))
@@ -316,7 +321,7 @@ def free_to_form_error(objective: MarginalLikelihood, fit: Fit, *, together: boo
 
 
 def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
-    """Return what other variants of terms that load tyres would do instead, same values, shape (R, V)."""
+    """Return the change of residuals if terms that load tyres had another variant, at the same values, (R, V)."""
     here, columns = objective.left_by(fit.terms), []
     for k, term in enumerate(fit.terms):
         for variant in type(term).laws(term.variant) if term.loads_tires else ():
@@ -331,7 +336,7 @@ def _other_load_laws(objective: MarginalLikelihood, fit: Fit) -> np.ndarray:
 def _columns(
     objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], *, together: bool = True
 ) -> np.ndarray:
-    """Return M, shape (R, 18 a part), of parts given as terms and the number of one of them."""
+    """Return M, shape (R, 18 a part), of parts; each is given as a list of terms and a number in it."""
     share = objective.policy.selection.form_error_share
     out = np.empty((len(objective.weight), 18 * len(parts)))
     left = [_left_by_all(one, parts) for one in objective.evidence]
@@ -342,7 +347,7 @@ def _columns(
 
 
 def _columns_of_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
-    """Return the same of what simulation and reality have in common, shape (R, 18); none if that is nothing."""
+    """Return M of the shared discrepancy, shape (R, 18); without columns if nothing is shared."""
     if objective.posterior is None:
         return np.empty((len(objective.weight), 0))
     if _DISCREPANCY not in objective.memo:
@@ -355,6 +360,7 @@ def _columns_of_discrepancy(objective: MarginalLikelihood) -> np.ndarray:
 
 
 def _costs(form_error: np.ndarray, normal: np.ndarray, residuals: Sequence[np.ndarray]) -> list[float]:
+    """Return the costs of residuals, (R,) each, beside M, with I + M^T M given as `normal`."""
     scores = form_error.T @ np.stack(residuals, axis=1)
     explained = np.sum(scores * np.linalg.solve(normal, scores), axis=0)
     return [float(one @ one - part) for one, part in zip(residuals, explained, strict=True)]
@@ -368,9 +374,9 @@ def _varied(
     *,
     together: bool = True,
 ) -> np.ndarray:
-    """Return what one term adds, piece by piece and times each function, as residuals, shape (R, 18).
+    """Return the effect of term k, split in three and times each of six functions, before `whiten`, shape (R, 18).
 
-    `left` are the defects that all terms leave of each recording, where they are known.
+    `left` are the defects that all terms leave of each recording, if known.
     """
     left = left or [one.defects(terms) for one in objective.evidence]
     return objective.stack(
@@ -382,22 +388,22 @@ def _varied(
 
 
 def _left_by_all(one: Evidence, parts: Sequence[tuple[tuple[Term, ...], int]]) -> dict[int, np.ndarray]:
-    """Return the defects that terms leave, (N - 1, 3), by the id of each choice of them."""
+    """Return the defects that each list of terms leaves, (N - 1, 3), by the id of the list."""
     return {number: one.defects(terms) for number, terms in {id(terms): terms for terms, _ in parts}.items()}
 
 
 def _effect(
     one: Evidence, terms: tuple[Term, ...], k: int, left: np.ndarray, *, together: bool = True
 ) -> tuple[np.ndarray, bool]:
-    """Return the defects that term k takes off beyond the others, (N - 1, 3), and whether it errs by axle.
+    """Return the defects that term k explains beside the others, (N - 1, 3), and whether its error is by axle.
 
-    Terms that scale the tyres' curve are one change of it, and may nearly cancel: of these the first has what they
-    do together, and the others have none; unless `together`, each has its own.
+    Terms that scale the tyres' curves may nearly cancel. If `together`, the first of them gets their joint effect and
+    the others none.
     """
     several = together and terms[k].scales_curve
     alike = [number for number, term in enumerate(terms) if term.scales_curve] if several else [k]
     others = tuple(term for number, term in enumerate(terms) if number not in alike)
-    # A heavier car goes up the curves of its tyres: what asks them for other forces errs with them.
+    # A heavier car needs larger tyre forces, so terms of the body have the error of the tyres too.
     by_axle = (terms[k].through_tires or alters_body(terms[k])) and not alters_inputs(terms[k])
     if k != alike[0]:
         return np.zeros_like(left), by_axle
@@ -405,23 +411,25 @@ def _effect(
 
 
 def _varied_by(one: Evidence, effect: np.ndarray, by_axle: bool, functions: np.ndarray) -> np.ndarray:
-    """Return an effect (N - 1, 3), piece by piece and times each of six functions, shape (N - 1, 3, 18)."""
+    """Return an effect (N - 1, 3), split by force or channel, times each of six functions, (N - 1, 3, 18)."""
     pieces = _by_force(effect, one.vehicle) if by_axle else effect[:, :, None] * np.eye(3)
     return (pieces[:, :, :, None] * functions[:, None, None, :]).reshape(len(effect), 3, -1)
 
 
 def _by_force(effect: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Return what of an effect (N, 3) is of the force along the car, at the front, at the rear: (N, 3, 3).
+    """Return the parts of an effect (N, 3) by longitudinal, front lateral and rear lateral force, shape (N, 3, 3).
 
-    A yaw moment is the small difference of two large ones. What one tyre curve gets wrong of either axle
-    adds to it in full, however little the two make together.
+    The yaw moment is a small difference of two large ones, to which the error of either axle contributes in full.
     """
     matrix = vehicle.force_matrix()
     return (effect @ np.linalg.inv(matrix).T)[:, None, :] * matrix
 
 
 def _functions(one: Evidence) -> np.ndarray:
-    """Return 1, and slips, torque and speed within about [-1, 1], in the middle of each transition, (N - 1, 6)."""
+    """Return 1, a^2, b^2, c, |c| and v in the middle of each transition, shape (N - 1, 6).
+
+    These are front and rear slip angle, torque and speed, scaled to about [-1, 1].
+    """
     a, b, c, v = np.clip(scaled_features(one.series, one.vehicle), -1.5, 1.5).T
     out = np.stack([np.ones_like(a), a * a, b * b, c, np.abs(c), v], axis=1)
     return 0.5 * (out[1:] + out[:-1])

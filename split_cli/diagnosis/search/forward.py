@@ -1,4 +1,4 @@
-"""Terms added one at a time while the evidence carries them, and why a further one is refused."""
+"""Forward search: terms are added one at a time while each passes its tests, and `refusal`, which are these tests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,6 +26,7 @@ from split_cli.diagnosis.search.term_tests import (
 )
 from split_cli.vehicle.effects import Term
 
+#: Reasons of a refusal, for the history.
 _DENIED = "contradicted by the recorded yaw"
 _ONCE = "nearly all of it in a few moments"
 _FORM_ERROR = "within the model-form error of the other terms"
@@ -33,49 +34,49 @@ _FORM_ERROR = "within the model-form error of the other terms"
 
 @dataclass(frozen=True)
 class Found:
-    """What a search forward ended with."""
+    """Result of a forward search."""
 
-    # chosen, with_refused: as far as it is believed or kept as a nuisance, and with the term that was refused
-    # last.
+    # chosen, with_refused: the explanation of named and nuisance terms, and that with the term refused last.
     chosen: Fit
     with_refused: Fit
-    names: int  # how many of its parts were added to be named
-    history: tuple[str, ...]
-    first_p: float
+    names: int  # number of parts that were added as named terms
+    history: tuple[str, ...]  # in words
+    first_p: float  # as in `Selection`
 
     def with_what_matters(self, base: Fit, rules: SelectionRules) -> Fit:
-        """Return the explanation with the refused term, if that saves more than model-form error.
+        """Return the explanation with the refused term if that saves more than model-form error.
 
-        Too small to be reported, it would yet be taken for more or less of the others.
+        Without it the other terms would take up its effect.
         """
         refused, saved = self.chosen.cost - self.with_refused.cost, base.cost - self.chosen.cost
         return self.with_refused if refused > rules.form_error_cost * saved else self.chosen
 
     @property
     def left_something(self) -> bool:
-        """Whether several terms or a refused one show that the first leaves something."""
+        """Whether several terms, or a refused one, show that the first term leaves something."""
         return self.names > 1 or self.with_refused is not self.chosen
 
 
 def search_forward(
     explore: Explorer, base: Fit, first: Sequence[Fit] = (), begun: Fit | None = None, nuisances: int = 0
 ) -> Found:
-    """Add terms while evidence carries them, beginning with the best of `first`, or with what is `begun`.
+    """Add terms while they pass their tests, beginning with the best of `first`, or with `begun`.
 
     Parameters
     ----------
     base : Fit
-        Without any term.
+        The fit without any term.
     first : sequence of Fit
-        What each term explains alone, best first; of use where nothing is begun.
+        Fits of each term alone, best first; used without `begun`.
     begun : Fit, optional
-        An explanation to go on from.
+        An explanation to continue from.
     nuisances : int
-        How many of its parts are too small to be named.
+        Number of its parts that are nuisance terms.
     """
     objective, rules, variance_inflation = explore.objective, explore.rules, explore.variance_inflation
     chosen, history, first_p, refused = base if begun is None else begun, [], 1.0, None
-    alone: tuple[Fit, int, int, Fit] | None = None  # what was believed before a term that saves in a few moments
+    # State before a term was kept that saves in a few moments only: fit, nuisances, length of history, that term's fit.
+    alone: tuple[Fit, int, int, Fit] | None = None
 
     def price_saved(fit: Fit) -> float:
         return explore.price(chosen) - explore.price(fit)
@@ -88,7 +89,7 @@ def search_forward(
         if not fits:
             break
         best = fits[0]
-        # Beside nuisances alone there is no name that a term could be a model-form error of.
+        # Beside nuisance terms alone, a term cannot be the model-form error of a named one.
         if len(chosen.parts) > nuisances:
             best, reason = _first_believed(explore, chosen, fits[: rules.considered])
             if best is None:
@@ -105,7 +106,7 @@ def search_forward(
         if best is None:
             label, saved = fits[0].parts[-1].candidate.label, price_saved(fits[0])
             if reason == _ONCE and nuisances < rules.most_nuisances:
-                # What else is missing bends what it saves block by block: it may be identified beside a further one.
+                # A missing effect may disturb its saving block by block, so that it is tried as a nuisance term first.
                 alone = alone or (chosen, nuisances, len(history), fits[0])
                 history.append(f"{label} saves {saved:.0f}, {reason}")
                 chosen, nuisances = fits[0], nuisances + 1
@@ -118,18 +119,18 @@ def search_forward(
         witnessed = witnessed_p(objective, best, len(best.parts) - 1, chosen, rules)
         p_value = min(p_value, witnessed) * len(explore.candidates)
         last = best.parts[-1]
-        small = p_value >= rules.level or last.is_everyday
+        small = p_value >= rules.level or last.is_within_tolerance
         small |= witnessed > p_value and not exceeds_simulation_scatter(
             objective, last.candidate, chosen.cost - best.cost
         )
         spread = witnessed <= p_value or is_spread(objective, best, len(best.parts) - 1, chosen, rules)
-        # What any sound recording has is sure, and lends no sureness to a name beside it.
+        # The p value of a sensor error within tolerance says nothing of other terms.
         first_p = min(first_p, p_value if spread and not (small and p_value < rules.level) else 1.0)
         if small or not spread:
             history.append(f"{label} saves {saved:.0f}, {'too small to name' if small else _ONCE}")
             nuisances += 1
-            # What any sound recording has is no guess, and takes no guess's place.
-            guesses = nuisances - sum(part.is_everyday for part in best.parts)
+            # Sensor errors within tolerance do not count towards the limit of nuisance terms.
+            guesses = nuisances - sum(part.is_within_tolerance for part in best.parts)
             if guesses > rules.most_nuisances:
                 break
             chosen = best
@@ -147,7 +148,7 @@ def search_forward(
 
 
 def other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> list[Fit]:
-    """Return the best fits of the next best terms, where they save nearly as much as the best."""
+    """Return the best fits of the next best terms that save nearly as much as the best one."""
     out: dict[str, Fit] = {}
     saved = base.cost - first[0].cost if first else 0.0
     for fit in first[1:]:
@@ -158,7 +159,7 @@ def other_beginnings(first: Sequence[Fit], base: Fit, rules: SelectionRules) -> 
 
 
 def goes_too_far(chosen: Fit, further: Fit) -> bool:
-    """Return whether a further term ends where no real car goes further, or takes one that did not there."""
+    """Return whether a further term, or another one because of it, ends at a bound of a real car's range."""
     if not chosen.parts:
         return False
 
@@ -169,6 +170,7 @@ def goes_too_far(chosen: Fit, further: Fit) -> bool:
 
 
 def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
+    """Return a fit without earlier parts that are no longer worth their price, and the history in words."""
     history = []
     while len(fit.parts) > 1:
         reduced = fits_without(explore.objective, fit, range(len(fit.parts) - 1))
@@ -182,7 +184,7 @@ def _prune(explore: Explorer, fit: Fit) -> tuple[Fit, list[str]]:
 
 
 def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tuple[Fit | None, str]:
-    """Return the first further term that is believed; where none is, why not the first of them, in words."""
+    """Return the first fit whose further term passes the tests, or None with the reason for the first one."""
     objective = explore.objective
     sizes = sizes_with_form_error(objective, chosen.terms)
     reasons = []
@@ -194,15 +196,15 @@ def _first_believed(explore: Explorer, chosen: Fit, fits: Sequence[Fit]) -> tupl
 
 
 def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
-    """Return an explanation with two terms that save more together than the best one with any other; else None.
+    """Return an explanation with two further terms that save more together than the best single one; else None.
 
-    Each of the two has to be sure, and believed as the last to come to the other. What they do together has to be
-    more than either may get wrong: steering that arrives late and is logged late by as much does next to nothing.
+    Each must be significant and pass the tests beside the other. Their joint effect must exceed the model-form error of
+    either, since two effects that cancel explain nothing.
 
     Parameters
     ----------
     best : Fit, optional
-        With the one further term that would be added; where there is none, any two that are worth it will do.
+        The explanation with the best single term, if there is one.
     """
     rules, enough = explore.rules, explore.price(chosen if best is None else best)
     promised = promised_pairs(explore, chosen)
@@ -224,18 +226,18 @@ def hidden_pair(explore: Explorer, chosen: Fit, best: Fit | None) -> Fit | None:
 
 
 def cancel(objective: MarginalLikelihood, fit: Fit) -> bool:
-    """Return whether the last two parts of a fit together do no more than the model-form error of either."""
+    """Return whether the joint effect of a fit's last two parts is no more than the model-form error of either."""
     first, second = (part_sizes(objective, fit, k) for k in (len(fit.parts) - 2, len(fit.parts) - 1))
     together = sizes_of_terms(objective, fit.terms, fit.terms[:-2])
     return over_form_error(objective, together, np.maximum(first, second)) < 1.0
 
 
 def _is_sure(explore: Explorer, fit: Fit, k: int) -> bool:
-    """Return whether a part is sure enough to be named, and would be believed as the last to come to the others."""
+    """Return whether a part is significant, and would pass the tests as the last term beside the others."""
     objective, own = explore.objective, fit.parts[k]
     rest = fits_without(objective, fit, [k])[0]
     saved = rest.cost - fit.cost
-    if own.is_everyday or not exceeds_simulation_scatter(objective, own.candidate, saved):
+    if own.is_within_tolerance or not exceeds_simulation_scatter(objective, own.candidate, saved):
         return False
     if term_p(objective, fit, k, saved, explore.variance_inflation) * len(explore.candidates) >= explore.rules.level:
         return False
@@ -243,17 +245,21 @@ def _is_sure(explore: Explorer, fit: Fit, k: int) -> bool:
 
 
 def is_refused_last(explore: Explorer, rest: Fit, fit: Fit, k: int) -> bool:
-    """Return whether one part of a fit would be refused as the last to come to the others, which leave `rest`."""
+    """Return whether part k would be refused as a further term beside the others, whose fit is `rest`."""
     last = replace(fit, parts=(*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k]))
     return bool(refusal(explore, rest, sizes_with_form_error(explore.objective, rest.terms), last))
 
 
 def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> str:
-    """Return why a further term is not believed, in words; nothing where it is.
+    """Return why the last term of `further` is refused beside `chosen`, in words; empty if it is not.
 
-    Yaw may deny it, see `is_denied`. It may be no more than the others' model-form error, see
-    `is_beyond_form_error`. Or it may save all in a few moments, unless it acts at a place, which is passed once a
-    lap.
+    The recorded yaw may contradict it (`is_denied`). It may be no more than the others' model-form error
+    (`is_beyond_form_error`). Or it may save cost in a few moments only (`is_spread`).
+
+    Parameters
+    ----------
+    sizes : ndarray, shape (3,)
+        `sizes_with_form_error` of the terms of `chosen`.
     """
     last = len(further.parts) - 1
     if is_denied(explore.objective, further, last):
@@ -264,15 +270,14 @@ def refusal(explore: Explorer, chosen: Fit, sizes: np.ndarray, further: Fit) -> 
 
 
 def is_beyond_form_error(explore: Explorer, without: Fit, sizes: np.ndarray, fit: Fit, k: int) -> bool:
-    """Return whether part k of a fit is more than the others' model-form error; they leave `without`.
+    """Return whether part k of a fit exceeds the model-form error of the others, whose fit is `without`.
 
-    It may be no larger than what single-track terms leave of a real car's effect, `sizes` of the others. That is
-    measured by prediction errors over 0.05 s: costs also weigh what builds up slowly, and one term's slow channel
-    would drown another's fast one. What is left of one term is of its own kind, so channels count apart. What it
-    saves has to be more than what the others and the shared discrepancy may get wrong would save, too.
+    Its size must exceed a share of `sizes`, those of the others, in some channel (`is_form_error`). Sizes are
+    prediction errors over 0.05 s, since costs are dominated by slow effects. Its saving must also be significant beside
+    the model-form error of the others and of the shared discrepancy (`saved_beside_form_error`).
     """
     objective, rules = explore.objective, explore.rules
-    # What witnesses show is the instrument's own, whatever the model gets wrong.
+    # Witnesses compare two instruments, so model-form error does not matter.
     if is_witnessed(objective, fit, k):
         return True
     if is_form_error(objective, part_sizes(objective, fit, k), sizes, without, fit, rules):
@@ -285,5 +290,5 @@ def is_beyond_form_error(explore: Explorer, without: Fit, sizes: np.ndarray, fit
 
 
 def sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:
-    """Return the sizes of terms of the car, shape (3,): what an instrument does has no model-form error."""
+    """Return the effect-to-noise ratios, (3,), of terms of the car; sensor faults have no model-form error."""
     return sizes_in_velocity(objective, tuple(term for term in terms if term.exported), ())

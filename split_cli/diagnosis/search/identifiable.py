@@ -1,4 +1,4 @@
-"""Which physics the recordings at hand can show at all, and the manoeuvre that would show the rest."""
+"""Identifiability: which effects these recordings can show at all, and which driving would show the others."""
 
 from collections.abc import Sequence
 
@@ -7,12 +7,8 @@ import numpy as np
 from split_cli.diagnosis.baseline.discrepancy import features
 from split_cli.diagnosis.innovations.evidence import Evidence
 from split_cli.diagnosis.policy import STANDARD, Policy
-from split_cli.diagnosis.recording.screening import (
-    acceleration_across,
-    measures,
-    torque_is_constant,
-    velocity_is_from_position,
-)
+from split_cli.diagnosis.recording.excitation import largest_lateral_acceleration, torque_is_constant
+from split_cli.diagnosis.recording.measured import measures, velocity_is_from_position
 from split_cli.diagnosis.recording.series import Series
 from split_cli.diagnosis.recording.witnesses import late_against_position
 from split_cli.diagnosis.search.candidates import Candidate
@@ -27,7 +23,7 @@ def what_was_not_excited(
     Parameters
     ----------
     share : float
-        Of the real recordings, how much is compared.
+        Compared share of the real recordings [1].
     """
     out = []
     if share < policy.reporting.least_compared:
@@ -51,7 +47,7 @@ def what_was_not_excited(
         out.append("drive gain, lag and delay: the torque hardly changes; drive torque steps")
     elif np.quantile(torque, 0.02) > -0.02 * vehicle.max_brake_torque:
         out.append("brake gain: there is no braking; brake hard once")
-    if max(map(acceleration_across, drives)) < policy.screening.least_acceleration:
+    if max(map(largest_lateral_acceleration, drives)) < policy.screening.least_acceleration:
         out.append("lateral effects: there are no turns; drive a slalom")
     elif not _leaves_linear_range([one.series for one in real], vehicle, policy):
         out.append("peak grip: no turn comes near the limit; turn harder")
@@ -77,10 +73,9 @@ def what_was_not_excited(
 
 
 def _leaves_linear_range(real: Sequence[Series], vehicle: Vehicle, policy: Policy) -> bool:
-    """Return whether a hundredth of the drives shows more of a tyre's curve than its nearly linear part.
+    """Return whether one sample in a hundred is beyond the nearly linear part of the tyre curves.
 
-    Told by the slip angles, on the file's curves, or by the acceleration, of the file's grip: where either is
-    wrong, the other may be right.
+    Either the slip angles on the curves of the vehicle file show it, or the acceleration relative to the file's grip.
     """
     linear = policy.screening.gentle_to
     slip = np.concatenate([features(one, vehicle)[:, :2] for one in real])
@@ -89,7 +84,7 @@ def _leaves_linear_range(real: Sequence[Series], vehicle: Vehicle, policy: Polic
     bent = (tire.C * np.arctan(tire.B * alpha) for tire, alpha in zip(axles, most, strict=True))
     used = [np.sin(min(one, 0.5 * np.pi)) for one in bent]
     grip = sum(tire.D for tire in axles) / vehicle.mass
-    return max(*used, max(acceleration_across(one.drive) for one in real) / grip) > linear
+    return max(*used, max(largest_lateral_acceleration(one.drive) for one in real) / grip) > linear
 
 
 def identifiable(
@@ -99,18 +94,20 @@ def identifiable(
     policy: Policy = STANDARD,
     simulated: Sequence[Series] = (),
 ) -> list[Candidate]:
-    """Return the candidates that recordings of this kind can tell at all.
+    """Return the candidates that are identifiable from recordings of this kind.
 
-    Places are identifiable only with position, since a distance travelled is nothing but a time; wind only with
-    position and yaw. What acts along the car is identifiable only by a torque that was not derived from how the
-    car moved, and what comes of the torque only where that changes. A wrong map of pedals, as while a clutch slips,
-    looks like a road that climbs there. A lateral velocity integrated from a_y shows no sensor of velocity, and not
-    what tilts a_y. Grip that takes the stiffness with it shows where tyres are bent; up to there it is a stiffness,
-    which has a name and a range of its own. Without position, what a sound car does to a sensor is no fault of it.
-    Where velocities were derived from position, no position tells of the frame that was tracked, and a simulation
-    recorded with it has the same. Speed and yaw rate are out of scale against a_y only where the simulation tells
-    which scale that has: the roll of the body is part of it. A lag can be longer than the simulation's only where
-    there is one.
+    Each candidate states what it needs, see `Term.needs`. The needs that the recordings lack are collected here:
+
+    - Places need position, since distance travelled is equivalent to time; wind needs position and yaw. - Longitudinal
+    effects need a torque that was not derived from the motion, some of them one that changes. A wrong map
+      of pedals, as with a slipping clutch, looks like a climbing road.
+    - Velocity sensors, and effects that tilt a_y, need a lateral velocity that was not integrated from a_y.
+    - Grip that scales the stiffness too needs hard turns; in gentle ones it equals a stiffness.
+    - Velocities derived from position have no sensor faults against position, in a simulation too.
+    - Scales of speed and yaw rate against a_y need the simulation, since the roll of the body is part of a_y.
+    - A lag can be longer than the simulation's only with a simulation.
+
+    Without measured position, sensor faults get larger tolerances.
     """
     lacking = set() if simulated else {"simulation"}
     drives = [one.drive for one in real]
@@ -138,4 +135,4 @@ def identifiable(
     if not _leaves_linear_range(real, vehicle, policy):
         lacking.add("hard turns")
     allowed = [one for one in candidates if not lacking & one.needs]
-    return [one.without_witness() for one in allowed] if "measured position" in lacking else allowed
+    return [one.without_position() for one in allowed] if "measured position" in lacking else allowed

@@ -1,7 +1,7 @@
-"""How far instruments drift by themselves: no sensor's fault that is smaller can be identified.
+"""Drift of instruments, as the tolerance of sensor faults: smaller faults cannot be identified.
 
-Navigation systems correct their heading as they go, biases drift, and roads lean. So what one instrument says of
-another changes from one stretch of driving to the next. Two recordings of one car may lie as far apart.
+Navigation systems correct their heading, biases drift, and roads are banked. So the difference of two instruments
+varies from one stretch of driving to the next, and two recordings of one car may differ by as much.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,25 +23,24 @@ def drift_between_stretches(
     pattern: Callable[[KinematicResiduals | Witness], np.ndarray],
     policy: Policy = STANDARD,
 ) -> float:
-    """Return how far the size of a fault drifts from stretch to stretch by witnesses of one kind, as a deviation.
+    """Return the standard deviation of a fault's size between stretches, by witnesses of one kind, in its unit.
 
     Parameters
     ----------
     pattern : callable
-        What a fault of unit size adds to the difference of a witness, shape (W,).
+        Returns what a fault of unit size adds to the difference of a witness, shape (W,).
 
     Notes
     -----
-    A stretch is as long as the evidence that a decision takes. Of what an instrument says beside the velocities,
-    scale, bias, delay and a steady drift are taken off by least squares: those have terms of their own. With
-    windows y and the pattern p, a stretch says b = p^T y/(p^T p), of the variance tau^2 + sigma^2/(p^T p), sigma^2
-    that within stretches: an analysis of variance with random effects, whose moments give tau (DerSimonian and
-    Laird, 1986). It is 0 where Fisher's F test finds no more than chance.
+    A stretch is 10 s long. Scale error, bias, delay and steady drift of a witness are removed by least squares first.
+    With windows y and the pattern p, the size of a fault in a stretch is b = p^T y/(p^T p), with the variance tau^2 +
+    sigma^2/(p^T p) and the variance sigma^2 within stretches. This is a random-effects model, whose tau is estimated by
+    moments (DerSimonian and Laird, 1986). It is 0 if Fisher's F test finds no more than chance.
     """
     seconds = policy.comparison.least_rows * ROW_SECONDS
     left, patterns, stretches, spent = [], [], [], 0
     for number, one in enumerate(witnesses):
-        causes = np.hstack([one.causes, one.slow_causes])
+        causes = np.hstack([one.error_patterns, one.drift_patterns])
         difference = one.difference(())
         left.append(difference - causes @ np.linalg.lstsq(causes, difference, rcond=1e-9)[0])
         patterns.append(pattern(one))
@@ -53,7 +52,7 @@ def drift_between_stretches(
 
 
 def _between(values: np.ndarray, pattern: np.ndarray, stretches: np.ndarray, spent: int, level: float) -> float:
-    """Return the deviation of a pattern's size between stretches beyond chance.
+    """Return the standard deviation of a pattern's size between stretches, beyond chance.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ def _between(values: np.ndarray, pattern: np.ndarray, stretches: np.ndarray, spe
     stretches : ndarray, shape (N, 2)
         Numbers of recording and stretch.
     spent : int
-        How many causes were taken off the values.
+        Number of parameters that were fitted to the values before.
     """
     if not len(values):
         return 0.0
@@ -79,30 +78,31 @@ def _between(values: np.ndarray, pattern: np.ndarray, stretches: np.ndarray, spe
     return float(np.sqrt((total - noise * between) / weight.sum()))
 
 
-def beyond_drift(case: DiagnosisCase, candidates: Sequence[Candidate], policy: Policy = STANDARD) -> list[Candidate]:
-    """Return candidates of which no size is a fault that instruments drift by, in reality or in the simulation.
+def with_drift_tolerances(
+    case: DiagnosisCase, candidates: Sequence[Candidate], policy: Policy = STANDARD
+) -> list[Candidate]:
+    """Return candidates whose tolerances include the drift of instruments, in reality and in the simulation.
 
-    A size is a fault where it exceeds how far sizes of single stretches lie apart, by the witness that shows it most,
-    95 % of a normal deviate. Velocities are held against position and yaw alone: accelerometers hardly feel their
-    biases.
+    The tolerance is 1.96 standard deviations between stretches, by the witness that the fault changes most. Velocities
+    are compared with position and yaw alone, since accelerations hardly depend on their biases.
     """
 
     def beyond(one: Candidate) -> Candidate:
         kind = CATALOGUE[one.term]
         if kind.exported or kind.on_command_clock or not one.starts:
             return one
-        return one.beyond(_everyday(one, case.kinematics, case.simulated_kinematics, policy))
+        return one.with_tolerances(_tolerances(one, case.kinematics, case.simulated_kinematics, policy))
 
     return [beyond(one) for one in candidates]
 
 
-def _everyday(
+def _tolerances(
     candidate: Candidate,
     ours: Sequence[KinematicResiduals | Witness],
     theirs: Sequence[KinematicResiduals | Witness],
     policy: Policy,
 ) -> dict[str, float]:
-    """Return from which size on each parameter exceeds how far stretches lie apart, by its clearest witness."""
+    """Return the tolerance of each parameter by the drift of the witness that it changes most."""
     found = {}
     for name, (fault, size) in _each_alone(candidate).items():
 
@@ -120,7 +120,7 @@ def _everyday(
 
 
 def _each_alone(candidate: Candidate) -> dict[str, tuple[Term, float]]:
-    """Return by parameter the term with its first start of that alone, and how far that is from no effect."""
+    """Return, by parameter, the term with the start of that parameter alone, and its distance from neutral."""
     kind, start = CATALOGUE[candidate.term], candidate.starts[0]
     sizes = {name: size for name, size in candidate.away(start).items() if size}
     none = {**start, **{name: kind.neutral[name] for name in candidate.away(start)}}
@@ -128,18 +128,18 @@ def _each_alone(candidate: Candidate) -> dict[str, tuple[Term, float]]:
 
 
 def _is_acceleration(one: KinematicResiduals | Witness) -> bool:
-    """Return whether a witness holds an accelerometer against the velocities: these hardly feel their biases."""
+    """Return whether a witness compares an acceleration with the velocities."""
     return one.kind.startswith("a_")
 
 
 def _clearest(fault: Term, witnesses: Sequence[KinematicResiduals | Witness]) -> str:
-    """Return the kind of the witness that a fault moves most [rms], in its spreads; empty if it moves none."""
-    felt = [one for one in witnesses if one.feels(fault) and len(one.begin)]
+    """Return the kind of the witness with the largest rms change by a fault, in its scale; empty without any change."""
+    felt = [one for one in witnesses if one.is_changed_by(fault) and len(one.begin)]
     lengths = {one.kind: float(np.sqrt(np.mean(_moved(one, fault) ** 2))) / one.scale for one in felt}
     clearest = max(lengths, key=lengths.__getitem__, default="")
     return clearest if clearest and lengths[clearest] else ""
 
 
 def _moved(one: KinematicResiduals | Witness, fault: Term) -> np.ndarray:
-    """Return by how much a fault changes the difference of a witness, shape (W,)."""
+    """Return the change of a witness' difference by a fault, shape (W,)."""
     return one.difference([fault]) - one.difference(())

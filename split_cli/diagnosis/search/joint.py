@@ -1,8 +1,8 @@
-"""All plausible terms fitted at once, and taken away again while evidence allows.
+"""Joint search: all terms are fitted at once, then removed one by one while that costs less than their price.
 
-Adding terms one at a time finds those that help alone. Effects that act together may hide each other: a first term
-that stands for a little of each is added, and none of the true ones saves much beside it. Here every term takes
-part from the beginning, held by the prior of what a car of this size can have; then those leave that cost least.
+A forward search finds terms that save alone. Effects that act together may hide each other: a wrong term that resembles
+each of them is added first, and none of the true ones saves much beside it. Here all terms take part from the
+beginning, with priors as wide as a car's range. Then the least useful are removed (backward elimination).
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,18 +28,18 @@ from split_cli.diagnosis.search.fitting import (
 )
 from split_cli.vehicle.effects import CATALOGUE
 
-_NEAR_NONE = 0.1  # of a start, where a term that is not in the explanation yet begins
-_NO_EFFECT = 1e-12  # curvature, in chi squared by a step, of what changes nothing
-_TRIED = 2  # parts whose leaving is tried by a refit, those that cost least to first order
+_NEAR_NONE = 0.1  # share of a start at which a term begins that is not in the explanation yet [1]
+_NO_EFFECT = 1e-12  # least curvature of the cost, per squared step, for scaling [chi squared]
+_TRIED = 2  # parts whose removal is tried by a refit: those that cost least to first order [1]
 
 
 def promised_by_all(explore: Explorer, current: Fit) -> float:
-    """Return what a linear fit of every term beside an explanation would save beyond the price, in chi squared.
+    """Return what a linear fit of all terms beside an explanation would save beyond chance [chi squared].
 
     Notes
     -----
-    The terms' derivatives D at their first starts and the explanation's own sensitivity: e^T P e with P the
-    projection onto [D S], e the residuals left. Of pure noise it saves one for every column.
+    e^T P e less the number of columns, with the residuals e and the projection P onto [D S]: the derivatives D of terms
+    at their best starts, and the sensitivity S of the explanation. Of noise, each column saves 1.
     """
     lines = [one.slopes for one in explore.first_tangents(current)]
     columns = of_length_one(np.hstack([*lines, sensitivity_of(explore.objective, current)]))
@@ -49,26 +49,26 @@ def promised_by_all(explore: Explorer, current: Fit) -> float:
 
 
 def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
-    """Return the explanation that is left of all terms when none can leave without costing more than its price.
+    """Return the explanation that is left of all terms when removing any one would cost more than its price.
 
     Parameters
     ----------
     nothing, current : Fit
-        Nothing added, and an explanation. Of its parts only those with a place are taken along: all others begin
-        near no effect, lest a wrong one keep the place that it has. Where that ends in a worse valley than all
-        terms beside the explanation do, this begins there.
+        The fit without any term, and an explanation. All terms are fitted from near neutral, beside the explanation's
+        parts with a place; so a wrong term has no advantage. They are also fitted beside the whole explanation, and the
+        better of both is used.
 
     Notes
     -----
-    With x the parameters of the joint fit in steps, H its curvature with the prior's, and d the distance of a
-    term's parameters b from no effect, leaving the term out costs d^T ((H^-1)_bb)^-1 d to second order, the others
-    refitted (Wald). The linear costs are followed down to where the next would cost more than it is worth; what is
-    left is then fitted without the prior, and taken away by refits.
+    Let H be the half Hessian of the cost with priors, per steps of the parameters, and d the distance of a term's
+    parameters b from neutral. Removing the term costs d^T ((H^-1)_bb)^-1 d to second order, the others refitted (Wald).
+    Terms are removed by these estimates while they are worth less than their price. The rest is fitted without priors,
+    and further terms are removed by refits.
     """
     placed = tuple(part for part in current.parts if part.candidate.located)
     begun = fit_parts(explore.objective, placed) if placed else nothing
     begins = [_everything_from(explore, one) for one in (begun, current)]
-    release_memory()  # derivatives by all terms at once are the largest arrays of a search
+    release_memory()  # derivatives with respect to all terms are the largest arrays of a search
     (fit, curvature), (beside, its_curvature) = map_distributed_with(explore.objective, _fit_from, begins)
     if beside.cost < fit.cost - explore.rules.price * explore.variance_inflation:
         fit, curvature = beside, its_curvature
@@ -80,9 +80,9 @@ def all_at_once(explore: Explorer, nothing: Fit, current: Fit) -> Fit:
 
 
 def without_needless(explore: Explorer, fit: Fit) -> Fit:
-    """Return an explanation without the parts whose leaving costs less than their price, one after the other.
+    """Return an explanation without the parts whose removal costs less than their price, one after the other.
 
-    Only those whose leaving costs least to first order are tried.
+    Only those that cost least to first order are tried.
     """
     while len(fit.parts) > 1:
         tried = cheapest_first(explore, fit)[:_TRIED]
@@ -95,10 +95,10 @@ def without_needless(explore: Explorer, fit: Fit) -> Fit:
 
 
 def at_its_least(explore: Explorer, nothing: Fit, fit: Fit) -> tuple[Fit, tuple[Fit, ...]]:
-    """Return an explanation and what is left without each of its parts, none of which costs less.
+    """Return an explanation and the fits without each part, none of which costs less.
 
-    More parameters never cost more where a cost is least. Where they do, the fit ended in another valley. Then it
-    begins again from what is left without the part that hinders most, with that part near no effect.
+    At the global minimum, fewer parameters never cost less. If they do, the fit ended in another local minimum. Then it
+    is repeated from the cheaper fit, with the missing part near neutral.
     """
     tie = explore.rules.tie * explore.variance_inflation
     while True:
@@ -114,12 +114,12 @@ def at_its_least(explore: Explorer, nothing: Fit, fit: Fit) -> tuple[Fit, tuple[
 
 
 def cheapest_first(explore: Explorer, fit: Fit) -> list[int]:
-    """Return the numbers of a fit's parts, by what leaving them costs beyond their price to first order."""
+    """Return the numbers of a fit's parts in ascending order of `promised_without`."""
     return [int(k) for k in np.argsort(promised_without(explore, fit))]
 
 
 def promised_without(explore: Explorer, fit: Fit) -> np.ndarray:
-    """Return what leaving each part of a fit costs beyond its price to first order, (parts,) [chi squared]."""
+    """Return the estimated cost of removing each part less its price, shape (parts,) [chi squared]."""
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
     slopes = sensitivity_of(explore.objective, fit) * steps
     worth = _worth(explore, _blocks(fit.parts), slopes.T @ slopes, np.zeros(len(steps)))
@@ -127,10 +127,10 @@ def promised_without(explore: Explorer, fit: Fit) -> np.ndarray:
 
 
 def promised_without_several(explore: Explorer, fit: Fit) -> tuple[float, tuple[int, ...]]:
-    """Return what leaving some parts of a fit costs beyond their price, and which, where that is least.
+    """Return the estimated cost of removing several parts less their price, and their numbers, for the best set.
 
-    The cheapest leaves first, then the cheapest of the rest, down to one: of all sets on this way the best. Two
-    terms that share an effect may each be worth its price alone, and not both be once a third is found.
+    Sets are formed by removing the cheapest part again and again. Two terms that share an effect may each be worth the
+    price, but not both after a third one is added.
     """
     steps = np.array([part.candidate.ranges[name].step for part in fit.parts for name in part.values])
     slopes = sensitivity_of(explore.objective, fit) * steps
@@ -149,13 +149,13 @@ def _fit_from(
 
 
 def _everything_from(explore: Explorer, current: Fit) -> tuple[list[Part], list[dict[str, Prior]]]:
-    """Return an explanation's parts and all other terms, each in its most promising variant, near none; priors."""
+    """Return an explanation's parts with all other terms in their best variants near neutral, and their priors."""
     parts = [*current.parts, *(near_none(one.part) for one in explore.first_tangents(current))]
     return parts, [prior_of(part.candidate, explore.rules.deviations) for part in parts]
 
 
 def near_none(part: Part) -> Part:
-    """Return a part near no effect, where one begins that is not in the explanation yet."""
+    """Return a part with values near neutral, at which a term begins that is not in the explanation yet."""
     ranges = part.candidate.ranges
     near = part.candidate.moved(part.values, _NEAR_NONE)
     inside = {name: float(np.clip(value, ranges[name].lower, ranges[name].upper)) for name, value in near.items()}
@@ -163,7 +163,7 @@ def near_none(part: Part) -> Part:
 
 
 def prior_of(candidate: Candidate, deviations: float) -> dict[str, Prior]:
-    """Return no effect and a deviation, so many to a range's bound, for parameters with a neutral value."""
+    """Return priors of parameters with a neutral value: that value, and a range that is `deviations` standard ones."""
     neutral = CATALOGUE[candidate.term].neutral
     out = {}
     for name, limit in candidate.ranges.items():
@@ -175,15 +175,16 @@ def prior_of(candidate: Candidate, deviations: float) -> dict[str, Prior]:
 
 @dataclass(frozen=True)
 class _PartColumns:
-    """Which of all parameters belong to a part, and which of them vanish with it."""
+    """Numbers of a part's parameters among those of a fit, and of those that have a neutral value."""
 
     part: Part
-    columns: np.ndarray
-    vanishing: np.ndarray
-    distance: np.ndarray
+    columns: np.ndarray  # int: all parameters of the part
+    vanishing: np.ndarray  # int: those with a neutral value, which are neutral without the part
+    distance: np.ndarray  # of the latter: values less neutral values, in steps
 
 
 def _blocks(parts: Sequence[Part]) -> list[_PartColumns]:
+    """Return the parameter numbers of all parts, in their order."""
     blocks, first = [], 0
     for part in parts:
         neutral = CATALOGUE[part.candidate.term].neutral
@@ -201,16 +202,16 @@ def _blocks(parts: Sequence[Part]) -> list[_PartColumns]:
 
 
 def _not_needless(explore: Explorer, parts: Sequence[Part], curvature: np.ndarray) -> tuple[Part, ...]:
-    """Return the parts that cost more than their price, by linear costs, the cheapest taken away one by one."""
+    """Return the parts that are worth their price by estimated costs, after removing the others one by one."""
     gone = _leaving(explore, _blocks(parts), curvature)
     needless = {k for _, k in takewhile(lambda one: one[0] <= 0.0, gone)}
     return tuple(part for k, part in enumerate(parts) if k not in needless)
 
 
 def _leaving(explore: Explorer, blocks: Sequence[_PartColumns], curvature: np.ndarray) -> list[tuple[float, int]]:
-    """Return what each part costs beyond its price as it leaves, the cheapest first, and its number; one stays."""
+    """Return the order in which parts are removed, with the cost of each removal less its price; one part stays."""
     left, out = list(range(len(blocks))), []
-    moved = np.zeros(len(curvature))  # of the parameters that stay, as others leave
+    moved = np.zeros(len(curvature))  # change of the parameters that stay
     while len(left) > 1:
         here = [blocks[k] for k in left]
         worth = _worth(explore, here, curvature, moved)
@@ -223,7 +224,7 @@ def _leaving(explore: Explorer, blocks: Sequence[_PartColumns], curvature: np.nd
 def _worth(
     explore: Explorer, blocks: Sequence[_PartColumns], curvature: np.ndarray, moved: np.ndarray
 ) -> list[tuple[float, np.ndarray]]:
-    """Return for each block what its leaving costs beyond its price, and how all parameters then move."""
+    """Return for each part the estimated cost of its removal less its price, and the change of all parameters."""
     here = np.concatenate([one.columns for one in blocks])
     place = {column: i for i, column in enumerate(here)}
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature)[here], _NO_EFFECT))

@@ -1,9 +1,8 @@
-"""A channel that is late, told by its witnesses alone: two instruments are compared, and no model of the car.
+"""A late channel, found by its witnesses alone: two instruments are compared, without a model of the car.
 
-Where model-form error is large, the equations of motion hardly say when a channel was read: their cost has many
-valleys over a delay, none of which is its size. The change of yaw tells when the yaw rate was, positions when the
-velocities were, and accelerations when both were. These have one valley, and physics that a model lacks moves none
-of them.
+If model-form error is large, the cost of the equations of motion has many minima over a delay, none at the true value.
+Witnesses show delays directly: the change of yaw that of the yaw rate, positions that of the velocities, accelerations
+that of both. Their cost has one minimum, and physics that a model lacks does not change it.
 """
 
 from collections.abc import Sequence
@@ -23,11 +22,10 @@ from split_cli.vehicle.effects import CATALOGUE
 def with_late_channel(
     objective: MarginalLikelihood, selection: Selection, candidates: Sequence[Candidate], variance_inflation: float
 ) -> Selection | None:
-    """Return a selection with the one late channel that witnesses tell, or None where they tell none.
+    """Return a selection with the late channel that witnesses show, beside the named terms; None if they show none.
 
-    Beside what is named, or alone. It has to save more than halves of the simulation differ by, and more than the
-    equations of motion lose by it, whose model-form error widens what they say. Its size is that which the
-    witnesses tell.
+    The delay must save more of the witnesses' cost than between halves of the simulation. It must also save more than
+    the cost of the equations of motion rises, weighted by model-form error. Its value is that of the witnesses.
     """
     rules, before = objective.policy.selection, selection
     if not any(selection.named):
@@ -60,10 +58,10 @@ def with_late_channel(
 def late_by_witnesses(
     objective: MarginalLikelihood, candidates: Sequence[Candidate], beside: Sequence[Part] = ()
 ) -> Part | None:
-    """Return the late channel that leaves least of what witnesses contradict; None where another fault does too.
+    """Return the late channel that saves most of the witnesses' cost; None if another fault saves nearly as much.
 
-    The others are all faults of sensors, to first order from no effect. None is added to parts beside it of which
-    one moves samples in time, too: together they would say one delay twice.
+    Savings of the other faults are estimated to first order. None is also returned if a part beside it shifts samples
+    in time, since both would describe the same delay.
     """
     rules, named = objective.policy.selection, {part.candidate.term for part in beside}
     before = _left(objective, beside)
@@ -89,12 +87,12 @@ def late_by_witnesses(
 
 
 def _left(objective: MarginalLikelihood, parts: Sequence[Part]) -> np.ndarray:
-    """Return what witnesses contradict, the mean of each taken off, shape (W,)."""
+    """Return the rows of all witnesses with parts corrected, less the mean of each witness, shape (W,)."""
     return objective.of_witnesses(objective.witness_rows([part.term for part in parts]))
 
 
 def _fitted(objective: MarginalLikelihood, candidate: Candidate, beside: Sequence[Part]) -> Part:
-    """Return the size of a delay that leaves least of what witnesses contradict."""
+    """Return a delay with the value that minimises the witnesses' cost."""
     names = list(candidate.ranges)
     lower, upper = (np.array([getattr(candidate.ranges[n], end) for n in names]) for end in ("lower", "upper"))
 
@@ -116,7 +114,7 @@ def _fitted(objective: MarginalLikelihood, candidate: Candidate, beside: Sequenc
 def _saved_along(
     objective: MarginalLikelihood, candidate: Candidate, beside: Sequence[Part], before: np.ndarray
 ) -> float:
-    """Return what a sensor's fault saves of the witnesses' cost to first order from no effect."""
+    """Return the saving of the witnesses' cost by a sensor fault, to first order from neutral [chi squared]."""
     neutral, most = CATALOGUE[candidate.term].neutral, 0.0
     for start in candidate.starts:
         sized = [name for name in start if neutral.get(name) is not None]
@@ -132,7 +130,7 @@ def _saved_along(
 
 
 def _as_it_is(objective: MarginalLikelihood, line: Tangent, base: Fit) -> Fit:
-    """Return an explanation with one part more at the values it has, not fitted."""
+    """Return an explanation with one further part at its values, without a refit."""
     residuals = base.residuals + line.moved
     steps = np.array([line.part.candidate.ranges[name].step for name in line.part.values])
     sensitivity = np.hstack([sensitivity_of(objective, base), line.slopes / steps])

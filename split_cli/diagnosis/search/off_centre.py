@@ -1,8 +1,7 @@
-"""Steering off centre, told by the straights of a recording: symmetry is asked, and no model of the tyres.
+"""An offset of the steer angle, found on straights by symmetry and without a tyre model.
 
-Against the bare nominal model much is wrong at once. Tyres, mass and bank then share what an offset of the steer
-angle does, and a search that judges it by the equations of motion may pass over it. No symmetric physics moves the
-angle at which a car goes straight, see `angle_of_straights`.
+Against the bare nominal model many effects differ at once. Tyres, mass and bank then share the effect of an offset, and
+the search may miss it. No symmetric effect changes the steer angle on straights, see `angle_of_straights`.
 """
 
 from collections.abc import Sequence
@@ -21,10 +20,10 @@ _TERM = "steer_offset"
 def with_offset_of_straights(
     objective: MarginalLikelihood, selection: Selection, candidates: Sequence[Candidate], variance_inflation: float
 ) -> Selection:
-    """Return a selection with the steer offset that straights show, where its fit beside the others agrees.
+    """Return a selection with the steer offset that straights show, if the joint fit agrees with it.
 
-    It is the same selection where a steer offset is named, where straights show none, where the fit disagrees, and
-    where the offset saves no more than chance or is too small to be named.
+    The selection is unchanged if an offset is named already, if straights show none, if the fit disagrees, or if the
+    offset saves no more than chance or is too small to be named.
     """
     own = [one for one in candidates if one.term == _TERM]
     if not own or any(term.id == _TERM for term in selection.terms):
@@ -54,9 +53,9 @@ def with_offset_of_straights(
 
 
 def straight_off_centre(objective: MarginalLikelihood) -> Straight | None:
-    """Return what straights tell of a steer angle off centre; None where it is no more than chance.
+    """Return the steer angle on straights; None if it is no more than chance, or if there is a simulation.
 
-    A simulation's straights are not asked, so that there is none where one is given.
+    Straights of the simulation are not evaluated.
     """
     policy, evidence = objective.policy, objective.evidence
     if objective.posterior is not None:
@@ -66,7 +65,7 @@ def straight_off_centre(objective: MarginalLikelihood) -> Straight | None:
 
 
 def confirmed_by_straights(objective: MarginalLikelihood, fit: Fit) -> set[str]:
-    """Return the name of a fit's steer offset if straights show it; no name otherwise."""
+    """Return the id of the steer offset if it is part of a fit and straights confirm it; else no id."""
     if not any(part.candidate.term == _TERM for part in fit.parts):
         return set()
     straight = straight_off_centre(objective)
@@ -74,9 +73,9 @@ def confirmed_by_straights(objective: MarginalLikelihood, fit: Fit) -> set[str]:
 
 
 def agrees_with_straights(objective: MarginalLikelihood, straight: Straight, fit: Fit) -> bool:
-    """Return whether a fit's steer offset is that of straights, as far as witnesses of a sensor's fault agree.
+    """Return whether a fit's steer offset agrees with the angle on straights within the factor for witnesses.
 
-    The wheels stand straight where the recorded angle and the offset add up to none, however the road leans.
+    Recorded angle and offset must add up to zero, for any bank of the road that is possible.
     """
     agree = objective.policy.self_test.term_margin
     offsets = [part.values["offset"] for part in fit.parts if part.candidate.term == _TERM]

@@ -1,7 +1,7 @@
-"""Two further terms at once: those that hide each other save little alone, and much together.
+"""Two further terms at once, for effects that hide each other: they save little alone and much together.
 
-A steering that turns more and a differential that is stiffer nearly cancel in how a car turns. What stands for the
-little that is left of both saves more than either of them, and would be found in their place.
+A steering gain and a stiffer differential nearly cancel in a turn, for example. A wrong term that resembles the rest
+would save more than either of them, and be found in their place.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,11 +16,11 @@ from split_cli.vehicle.effects import CATALOGUE, Term
 
 
 def promised_pairs(explore: Explorer, current: Fit) -> list[tuple[float, Tangent, Tangent]]:
-    """Return what every two further terms promise to cost beside an explanation, price included, best first.
+    """Return the estimated cost, with price, of an explanation with each pair of further terms, best first.
 
-    Terms with a place take no part. Each variant of the others does, with the start that promises most alone. Two that
-    move commands in time are no pair: steering that lags and is logged late is late by one time, and what is left of
-    the two is what a single track gets wrong of its transients.
+    Each variant without a place takes part, with the start that saves most alone. Two terms that shift commands in time
+    are no pair: a lag and a delay of the steering are one delay, and their difference is model-form error of
+    transients.
     """
     sensitivity_of(explore.objective, current)
     taken = {part.candidate.term for part in current.parts}
@@ -40,12 +40,12 @@ def promised_pairs(explore: Explorer, current: Fit) -> list[tuple[float, Tangent
 
 
 def costs_of_pairs(current: Fit, lines: Sequence[Tangent]) -> Iterator[tuple[int, int, float]]:
-    """Yield the numbers i < j of every two lines that may be a pair, and what both promise to cost.
+    """Yield the numbers i < j of every two lines that may be a pair, and the estimated cost with both.
 
     Notes
     -----
-    As `Tangent.cost` of the columns of both lines together. All columns are freed of the explanation's own first,
-    so that each pair is a small system of their products.
+    As `Tangent.cost` with the columns of both lines. All columns are made orthogonal to those of the explanation first,
+    so that each pair needs only a small system.
     """
     slopes = [of_length_one(one.slopes) for one in lines]
     rows = np.column_stack([*slopes, *(one.moved for one in lines), current.residuals])
@@ -64,12 +64,12 @@ def costs_of_pairs(current: Fit, lines: Sequence[Tangent]) -> Iterator[tuple[int
 
 
 def _are_one(first: Tangent, second: Tangent) -> bool:
-    """Return whether two lines are of one term, or of two that move commands in time."""
+    """Return whether two lines are of the same term, or both shift commands in time."""
     kinds = [CATALOGUE[line.part.candidate.term] for line in (first, second)]
     return kinds[0] is kinds[1] or all(kind.acts_late() and kind.actuate is not Term.actuate for kind in kinds)
 
 
 def with_pair(explore: Explorer, current: Fit, pair: tuple[Tangent, Tangent]) -> Fit | None:
-    """Return an explanation with two further terms, fitted; None where one of them is denied, or is another."""
+    """Return an explanation with two further terms, fitted; None if one is denied, or equals another term."""
     fit = fit_parts(explore.objective, (*current.parts, *(one.part for one in pair)), known=current, lines=pair)
     return fit if all(explore.is_possible(fit, k) for k in range(len(current.parts), len(fit.parts))) else None

@@ -1,8 +1,8 @@
-"""Test of parts of a drive: terms that act in a part only, such as brakes that are weak until they are warm.
+"""Test for terms that act in a part of the drive only, such as brakes that are weak until they are warm.
 
-It has no name, since all along the drive it is not what its name says. A difference it is. A part that is as long
-as a drive has to be is asked what a drive is asked: whether what a term saves there is more than chance and more
-than what is allowed, and whether the moments of that part agree.
+Such a term is a difference between simulation and reality, but no finding, since it does not act all along the drive. A
+part as long as a drive has to be is tested like a drive: the saving must be significant and above the allowance, and
+the blocks of time in it must agree.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,52 +21,52 @@ from split_cli.diagnosis.search.fitting import Fit, Part, Tangent, fit_parts
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.vehicle.effects import CATALOGUE
 
-_MOST_BLOCKS = 240  # of which parts are made, eight minutes in blocks of 2 s: their number grows with its square
+# Blocks of which parts are formed [1]: 8 min in blocks of 2 s. The number of parts grows with its square.
+_MOST_BLOCKS = 240
 
 
 class PartReading(NamedTuple):
-    """One parameter of one term that explains a part of the drive."""
+    """One parameter of a term that explains a part of the drive."""
 
     term: str
     parameter: str
-    estimate: ParameterEstimate  # what it is there, with its interval
+    estimate: ParameterEstimate  # in that part
 
 
 @dataclass(frozen=True)
 class ActingPart:
     """A part of the drive in which a term acts."""
 
-    part: Part  # a term with its parameters there
-    recording: int  # which of the real recordings it begins in
+    part: Part  # the term with its values there
+    recording: int  # number of the real recording that it begins in
     # begin, end: in that recording's time [s].
     begin: float
     end: float
-    # Of an effect no larger than what is allowed, after counting all parts and terms that were asked.
+    # p value of the minimum-effect test, corrected for the number of parts and terms.
     p_value: float
-    share: float  # of all rows that are compared, how many lie in it [1]
-    # What explains this part nearly as well within what a car can have, best first; each term once.
+    share: float  # share of the compared rows in it [1]
+    # Terms that explain this part nearly as well within a car's range, best first.
     readings: tuple[PartReading, ...] = ()
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What directions save in every part of a drive that is long enough."""
+    """Savings of directions in all parts of a drive that are long enough."""
 
-    # first, last: (W,): blocks of time that a part begins and ends with.
+    # first, last: (W,): first and last block of time of each part.
     first: np.ndarray
     last: np.ndarray
-    # size, saved: (W, P): best size of each direction in each part, and the cost that it saves there.
+    # size, saved: (W, P): least-squares size of each direction in each part, and the cost that it saves there.
     size: np.ndarray
     saved: np.ndarray
-    z: np.ndarray  # (W, P): the same in standard errors, from differences block by block, see `block_z`
-    t: np.ndarray  # (W, P): the size in standard errors, from scores block by block, see `block_t`
+    z: np.ndarray  # (W, P): the saving in standard errors over blocks, see `block_z`
+    t: np.ndarray  # (W, P): the size in standard errors over blocks, see `block_t`
 
 
 def parts_of_drive(objective: MarginalLikelihood, columns: np.ndarray, residuals: np.ndarray) -> Parts:
-    """Return what directions (R, P) save of residuals (R,) in each part of the drive.
+    """Return what whitened directions (R, P) save of whitened residuals (R,) in each part of the drive.
 
-    A part is a run of blocks of time with as many rows as a drive needs to be decided on. What a recording knows
-    twice is left out. Both have been whitened.
+    A part is a run of blocks of time with at least the rows that a diagnosis needs. Witnesses are left out.
 
     Notes
     -----
@@ -94,7 +94,7 @@ def parts_of_drive(objective: MarginalLikelihood, columns: np.ndarray, residuals
         return total[last + 1] - total[first]
 
     score, known, blocks = within(s), within(i), (last - first + 1)[:, None]
-    # Where a direction does nothing, running sums leave what rounding makes of all the rest.
+    # Where a direction has no effect, differences of running sums are rounding errors.
     acts = known > 1e-9 * i.sum(axis=0)
     size = np.divide(score, known, out=np.zeros_like(score), where=acts)
     saved = score * size
@@ -106,10 +106,10 @@ def parts_of_drive(objective: MarginalLikelihood, columns: np.ndarray, residuals
 
 
 def _blocks(objective: MarginalLikelihood) -> tuple[np.ndarray, int]:
-    """Return the block of each compared row's entries, and how many blocks the shortest part has.
+    """Return the block of time of each entry without witnesses, and the least number of blocks in a part.
 
-    Where there are many, several are taken as one. A part has as many blocks as a drive that is just long enough:
-    fewer could not tell whether they agree.
+    On long drives several blocks are joined. A part needs as many blocks as the shortest drive that is diagnosed, so
+    that their agreement can be tested.
     """
     block = objective.block[: 3 * sum(int(mask.sum()) for mask in objective.keep)]
     longest = np.bincount(block).max(initial=1) / 3.0
@@ -118,37 +118,37 @@ def _blocks(objective: MarginalLikelihood) -> tuple[np.ndarray, int]:
 
 
 def most_saved(objective: MarginalLikelihood, columns: np.ndarray, residuals: np.ndarray) -> float:
-    """Return the cost that the best of some directions saves in the best part of the drive."""
+    """Return the largest saving of any of the directions in any part of the drive [chi squared]."""
     return float(parts_of_drive(objective, columns, residuals).saved.max(initial=0.0))
 
 
-def strongest_beside_everyday(
+def strongest_beside_tolerated(
     objective: MarginalLikelihood,
     lines: Callable[[], Sequence[Tangent]],
     variance_inflation: float,
     base: Fit,
     chosen: Fit,
 ) -> ActingPart | None:
-    """Return `strongest_part` beside what any sound recording may have of an explanation, refitted alone.
+    """Return `strongest_part` beside the sensor errors within tolerance of an explanation, which are refitted.
 
-    A gyroscope that nobody set to zero acts all along a drive, and no more in a part of it than elsewhere.
+    Such an error, as an offset of the gyroscope, acts all along the drive.
     """
-    everyday = [part for part in chosen.parts if part.is_everyday]
-    fit = fit_parts(objective, everyday, known=chosen) if everyday else base
+    tolerated = [part for part in chosen.parts if part.is_within_tolerance]
+    fit = fit_parts(objective, tolerated, known=chosen) if tolerated else base
     return strongest_part(objective, lines(), fit.residuals, variance_inflation)
 
 
 def strongest_part(
     objective: MarginalLikelihood, lines: Sequence[Tangent], residuals: np.ndarray, variance_inflation: float
 ) -> ActingPart | None:
-    """Return the part of the drive and the term whose effect there is surest; None where no part is long enough.
+    """Return the part of the drive and the term with the smallest p value; None if no part is long enough.
 
     Parameters
     ----------
     lines : sequence of Tangent
         Terms, linearised.
     residuals : ndarray, shape (R,)
-        Whitened, what nothing has explained.
+        Whitened, of the explanation without any term of the car.
     """
     widened = max(variance_inflation, objective.form_error_inflation)
     lines = [line for line in lines if not _has_witnesses(objective, line)]
@@ -180,7 +180,7 @@ def strongest_part(
 
 
 def _sizes(line: Tangent) -> list[int]:
-    """Return which parameters of a line have a value of no effect."""
+    """Return the numbers of a line's parameters that have a neutral value."""
     neutral = CATALOGUE[line.part.candidate.term].neutral
     return [k for k, name in enumerate(line.part.values) if neutral.get(name) is not None]
 
@@ -192,21 +192,21 @@ def _readings(
     blocks: tuple[int, int],
     widened: float,
 ) -> tuple[PartReading, ...]:
-    """Return what explains a part of the drive but for a fair share as well as the best does, each term once.
+    """Return the terms that explain a part of the drive nearly as well as the best one, each with one parameter.
 
     Parameters
     ----------
     objective, lines, residuals
         As for `strongest_part`.
     blocks : tuple of int
-        The first and the last of the part.
+        First and last block of the part.
     widened : float
-        Variance inflation of what a cost is compared with.
+        Variance inflation factor [1].
 
     Notes
     -----
-    An interval takes the larger of two standard errors: of noise, widened by autocorrelation and model-form error,
-    and of the scores block by block (a sandwich). A value that ends at what a car can have explains nothing.
+    The standard error is the larger of two: that of noise, widened by autocorrelation and model-form error, and the
+    sandwich over blocks. Values at the end of a car's range are left out.
     """
     block, rules = _blocks(objective)[0], objective.policy.selection
     inside = (block >= blocks[0]) & (block <= blocks[1])
@@ -222,7 +222,7 @@ def _readings(
             steps = float(score.sum() / known.sum())
             saved = steps * float(score.sum())
             values = _at(one, line.part.values, names[k], steps)
-            if one.is_everyday(values) or one.at_limit(values):
+            if one.is_within_tolerance(values) or one.at_limit(values):
                 continue
             scores = float(np.linalg.norm(score - steps * known)) / known.sum()
             error = max(scores, float(np.sqrt(widened / known.sum()))) * one.ranges[names[k]].step
@@ -234,17 +234,17 @@ def _readings(
 
 
 def _reading(one: Candidate, name: str, value: float, error: float, deviations: float) -> PartReading:
-    """Return a value with its interval, inside what a car can have."""
+    """Return a value with its interval, clipped to a car's range."""
     limit, unit = one.ranges[name], CATALOGUE[one.term].parameter_units(one.variant)[name]
     ends = np.clip([value - deviations * error, value + deviations * error], limit.lower, limit.upper)
     return PartReading(one.term, name, ParameterEstimate(value, error, unit, (float(ends[0]), float(ends[1]))))
 
 
 def _has_witnesses(objective: MarginalLikelihood, line: Tangent) -> bool:
-    """Return whether a sensor's fault moves what the recording knows twice, which parts leave out.
+    """Return whether a line is a sensor fault that changes witnesses.
 
-    Velocities alone are asked in a part. There model-form error looks like a late channel, all along the drive
-    where witnesses deny it.
+    Parts of a drive are tested without witnesses. There model-form error may look like a late channel, which witnesses
+    would deny.
     """
     return line.part.term.corrects and bool(objective.of_witnesses(line.slopes).any())
 
@@ -252,10 +252,10 @@ def _has_witnesses(objective: MarginalLikelihood, line: Tangent) -> bool:
 def _stretch(
     objective: MarginalLikelihood, line: Tangent, k: int, parts: Parts, w: int, column: int, widened: float
 ) -> ActingPart | None:
-    """Return a term in a part of the drive, with its p value; nothing where any sound recording has as much."""
+    """Return a term in a part of the drive with its p value; None if it is a sensor error within tolerance."""
     one, name = line.part.candidate, list(line.part.values)[k]
     values = _at(one, line.part.values, name, float(parts.size[w, column]))
-    if one.is_everyday(values):
+    if one.is_within_tolerance(values):
         return None
     term, inside = one.build(values), _rows_of(objective, int(parts.first[w]), int(parts.last[w]))
     sizes = [
@@ -275,9 +275,9 @@ def _stretch(
 
 
 def _at(one: Candidate, values: Mapping[str, float], name: str, steps: float) -> dict[str, float]:
-    """Return values at which one parameter is so many steps from no effect and the others have none.
+    """Return values with one parameter so many steps from neutral, and the others neutral.
 
-    A direction takes off the residuals what it explains: the size found is minus the steps that explain it.
+    `steps` is the least-squares size of the derivative of the residuals, so the value that explains them is minus that.
     """
     neutral = {key: CATALOGUE[one.term].neutral.get(key) for key in values}
     none = {key: value if neutral[key] is None else neutral[key] for key, value in values.items()}
@@ -287,7 +287,7 @@ def _at(one: Candidate, values: Mapping[str, float], name: str, steps: float) ->
 
 
 def _rows_of(objective: MarginalLikelihood, first: int, last: int) -> list[np.ndarray]:
-    """Return which rows of each recording lie in some blocks, shape (G,) each."""
+    """Return which rows of each recording lie in the blocks `first` to `last`, bool (G,) each."""
     block, out = _blocks(objective)[0][::3], []
     for mask in objective.keep:
         own, block = np.split(block, [int(mask.sum())])

@@ -1,4 +1,4 @@
-"""Which terms earn their place: forward selection, backward elimination, and what looks the same."""
+"""`select_terms`: one search for the explanation of an objective, and `Selection`, its result with the alternatives."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -8,16 +8,17 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
+from split_cli.diagnosis.search.delay_minima import in_lowest_minima
 from split_cli.diagnosis.search.every_car import explanation_of_every_car, is_shown, physics_of_every_car
 from split_cli.diagnosis.search.exchange import (
-    alone,
+    all_as_one,
+    fewer_by_another_variant,
     in_places_of_two,
     inverted_stretch,
     is_better_beside_form_error,
-    joined,
-    merged,
     move_in_words,
-    split,
+    one_as_pair,
+    pair_as_one,
     with_fewer_parts,
 )
 from split_cli.diagnosis.search.exploration import Explorer
@@ -33,7 +34,7 @@ from split_cli.diagnosis.search.forward import (
     sizes_with_form_error,
 )
 from split_cli.diagnosis.search.joint import all_at_once, at_its_least, cheapest_first, promised_by_all
-from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_beside_everyday
+from split_cli.diagnosis.search.parts_of_drive import ActingPart, strongest_beside_tolerated
 from split_cli.diagnosis.search.term_tests import (
     error_of_sum,
     exceeds_simulation_scatter,
@@ -46,43 +47,39 @@ from split_cli.diagnosis.search.term_tests import (
     term_size,
     witnessed_p,
 )
-from split_cli.diagnosis.search.valleys import in_lowest_valleys
 from split_cli.vehicle.effects import Term
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another explanation of the same rows, with how it compares."""
+    """Another explanation, compared with the chosen one."""
 
     fit: Fit
-    # Cost above the chosen explanation, prices included, in units of chi squared after variance inflation by
-    # chance or model-form error, whichever is more.
+    # Cost less that of the chosen explanation, with prices, over the larger variance inflation [chi squared].
     excess: float
-    z: float  # the same over its standard error from differences block by block
+    z: float  # the same over its standard error by blocks of time [1]
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The chosen explanation and everything it was compared with."""
+    """The chosen explanation, which of its parts are named, and the explanations it was compared with."""
 
-    # base, chosen: nothing added, and the explanation.
+    # base, chosen: the fit without any term, and the chosen explanation.
     base: Fit
     chosen: Fit
-    without: tuple[Fit, ...]  # the explanation refitted without each part
-    # For each part of the chosen fit that is named, that part replaced by every other term, best first.
+    without: tuple[Fit, ...]  # the chosen explanation refitted without each part
+    # For each named part, explanations with another term in its place, best first; empty for nuisance terms.
     rivals: tuple[tuple[Rival, ...], ...]
     siblings: tuple[tuple[Rival, ...], ...]  # the same with other variants of the part's own term
-    # Which parts are large enough to be named; the others are nuisances, and take nothing from these.
-    named: tuple[bool, ...]
-    history: tuple[str, ...] = ()  # what was added or removed, in order, in words
-    # Smallest minimum-effect p value of a term that was tried, times the number of terms tried; of none that any
-    # sound recording has, or that halves of the simulation differ by as much.
+    named: tuple[bool, ...]  # whether each part is named; the others are nuisance terms
+    history: tuple[str, ...] = ()  # steps of the search in words
+    # Smallest p value of the minimum-effect test, times the number of candidates (Bonferroni); without sensor errors
+    # within tolerance, and without savings as between halves of the simulation.
     first_p: float = 1.0
-    first: tuple[Fit, ...] = ()  # what each term, in each variant that promised most, explains alone, best first
-    # Returns what each further term explains beside an explanation, best first.
+    first: tuple[Fit, ...] = ()  # fits of single terms, best first
+    # Returns fits with one further term beside an explanation, best first.
     beside: Callable[[Fit], Sequence[Fit]] = lambda fit: ()
-    # Returns the term that most surely acts in a part of the drive, or None, whatever acts all along it; worked
-    # out when first asked, which is where nothing is named.
+    # Returns the term that acts in a part of the drive with the smallest p value, or None; computed on the first call.
     partly: Callable[[], ActingPart | None] = lambda: None
 
     @property
@@ -92,7 +89,7 @@ class Selection:
 
 
 def nothing(objective: MarginalLikelihood) -> Fit:
-    """Return the explanation without any term."""
+    """Return the fit without any term."""
     residuals = objective.whiten(objective.residual(()))
     return Fit((), float(residuals @ residuals), residuals, np.empty((len(residuals), 0)))
 
@@ -104,32 +101,30 @@ def select_terms(
     leaves_structure: Callable[[Fit], bool] = lambda fit: True,
     leaves_more_than_noise: Callable[[Fit], bool] = lambda fit: False,
 ) -> Selection:
-    """Add the term that saves most while one earns its price, then drop those that no longer do.
-
-    Where the best first term leaves something, the search begins anew from the next best: two terms together may
-    be one that is not the best alone. Where that something has structure, all terms are fitted at once before; and
-    where many have been added, which may leave nothing and yet stand for few that are not among them. Against the
-    bare nominal model, what every car has may take the place of all that, see `every_car`.
+    """Return the explanation of an objective, after a search over terms; docs/inside_diagnosis.md lists its steps.
 
     Parameters
     ----------
+    variance_inflation : float
+        Factor by which residual autocorrelation widens chi squared [1].
     leaves_structure : callable
-        Whether an explanation leaves more than noise and the model-form error of its terms.
+        Whether a fit leaves more than noise and the model-form error of its terms. If so, or if many terms were added,
+        all terms are fitted jointly.
     leaves_more_than_noise : callable
-        Whether it leaves more than noise; where it does not, no list of what every car has is compared with it.
+        Whether a fit leaves more than noise. If not, it is not compared with the effects of every car.
     """
     rules = objective.policy.selection
     explore = Explorer(objective, tuple(candidates), variance_inflation)
     base = nothing(objective)
     first = explore(base)
     found = search_forward(explore, base, first)
-    # Several terms may imitate one, and fit better by the model-form error of the one.
+    # Several terms may imitate one and fit better because of its model-form error, which is added to their price.
     burden = rules.form_error_cost * (base.cost - found.chosen.cost) / variance_inflation
 
     def score(found: Found) -> float:
         return explore.price(found.with_what_matters(base, rules)) + burden * found.names
 
-    partly = partial(strongest_beside_everyday, objective, explore.tangents, variance_inflation, base)
+    partly = partial(strongest_beside_tolerated, objective, explore.tangents, variance_inflation, base)
     physics = cache(lambda: physics_of_every_car(explore, base))
 
     def as_every_car(found: Fit) -> Selection | None:
@@ -161,7 +156,7 @@ def select_terms(
         selection, moved = _exchanged_beside_form_error(explore, selection, history)
         if not (exchanged or moved):
             break
-        # What a wrong term took a share of is seen once that has given way.
+        # Further effects may show after a wrong term was replaced.
         grown = search_forward(explore, base, begun=selection.chosen, nuisances=selection.named.count(False))
         more = len(grown.chosen.parts) > len(selection.chosen.parts)
         history += grown.history if more else ()
@@ -169,17 +164,17 @@ def select_terms(
         if turned is selection.chosen:
             break
         selection = _examined(explore, base, turned)
-    deeper = in_lowest_valleys(objective, selection.chosen, rules.tie * variance_inflation)
+    deeper = in_lowest_minima(objective, selection.chosen, rules.tie * variance_inflation)
     if deeper is not selection.chosen:
-        history.append(f"another valley of a delay saves {selection.chosen.cost - deeper.cost:.0f}")
+        history.append(f"another minimum of a delay saves {selection.chosen.cost - deeper.cost:.0f}")
         selection = _examined(explore, base, deeper)
     selection = _settled_nuisances(explore, selection, history)
-    # Last: whatever were added to it again, or took its place, would be part of the explanation that it replaced.
-    single = alone(explore, base, selection.chosen, selection.named)
+    # This comes last: further terms or rivals would only lead back to the explanation that it replaces.
+    single = all_as_one(explore, base, selection.chosen, selection.named)
     if single is not None:
         history.append(move_in_words(selection.chosen, single))
         selection = _examined(explore, base, single)
-    # What the search gave up on its way may have been all that cost less than what every car has.
+    # The final explanation is compared with the effects of every car once more.
     selection = as_every_car(selection.chosen) or replace(selection, history=tuple(history))
     explore.close()
     acting = cache(partial(partly, selection.chosen))
@@ -187,7 +182,7 @@ def select_terms(
 
 
 def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
-    """Return what is left of all terms fitted at once, each believed beside the others; None if no better."""
+    """Return the joint fit of all terms, without those that are refused beside the others; None if it is no better."""
     if promised_by_all(explore, chosen) < explore.rules.price:
         return None
     fit = all_at_once(explore, base, chosen)
@@ -204,9 +199,9 @@ def _all_at_once(explore: Explorer, base: Fit, chosen: Fit) -> Fit | None:
 
 
 def _named_of_every_car(explore: Explorer, base: Fit, whole: Fit) -> Selection:
-    """Return a selection of what every car has, named as far as it is shown beside the others.
+    """Return the selection of effects of every car, named if they are larger than the others' model-form error.
 
-    Rivals take no places: by raw costs who bends most to the model-form error of the others would win.
+    Rivals do not replace them: by cost alone the most flexible terms would win.
     """
     selection = _compared(explore, base, whole)
     shown = [is_shown(explore, whole, rest) for rest in selection.without]
@@ -215,7 +210,7 @@ def _named_of_every_car(explore: Explorer, base: Fit, whole: Fit) -> Selection:
 
 
 def _inverted_stretch(explore: Explorer, chosen: Fit, history: list[str]) -> Fit:
-    """Return an explanation with a stretch in the place of the rest of the lap, if that costs less, and say so."""
+    """Return an explanation with a stretch in place of the rest of the lap if that costs less; extends `history`."""
     other = inverted_stretch(explore, chosen)
     if other is None:
         return chosen
@@ -225,7 +220,7 @@ def _inverted_stretch(explore: Explorer, chosen: Fit, history: list[str]) -> Fit
 
 
 def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
-    """Let other terms take places while that saves, and say so; return whether any did."""
+    """Return the selection after exchanges of terms that save cost, and whether there were any; extends `history`."""
     rules, base, before = explore.rules, selection.base, selection.chosen
     rivals = [rival.fit for several in (*selection.rivals, *selection.siblings) for rival in several]
     fewer = with_fewer_parts(explore, selection.chosen, rivals)
@@ -241,12 +236,12 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
             selection, all_known = _with_rivals(explore, selection), True
             continue
         history.append(f"{better.fit.parts[-1].candidate.label} replaces a term, saves {-better.excess:.0f}")
-        # Until none is better, only those are of use that are.
+        # Only better rivals are fitted until there are none.
         selection = _with_rivals(explore, _compared(explore, base, better.fit), better=True)
         all_known = False
     best_first = sorted((rival for several in selection.rivals for rival in several), key=lambda one: one.excess)
     moves: tuple[Callable[[Explorer, Fit, Fit, Sequence[bool]], Fit | None], ...]
-    moves = (merged, partial(joined, rivals=[rival.fit for rival in best_first]), split)
+    moves = (fewer_by_another_variant, partial(pair_as_one, rivals=[rival.fit for rival in best_first]), one_as_pair)
     for move in moves:
         other = move(explore, selection.base, selection.chosen, selection.named)
         if other is not None:
@@ -258,19 +253,18 @@ def _exchanged(explore: Explorer, selection: Selection, history: list[str]) -> t
 
 
 def _best_rival(selection: Selection) -> Rival | None:
-    """Return what costs least in the place of a part, of all that needs no more than a car has; else None."""
+    """Return the rival with the least cost whose values are within a car's range; None without any."""
     others = (rival for several in (*selection.rivals, *selection.siblings) for rival in several)
     possible = [one for one in others if not goes_too_far(selection.chosen, one.fit)]
     return min(possible, key=lambda one: one.excess, default=None)
 
 
 def _settled_nuisances(explore: Explorer, selection: Selection, history: list[str]) -> Selection:
-    """Return a selection in which the nuisance that costs least to leave takes no name and lends none, and say so.
+    """Return a selection without nuisance terms that hide or support a named term; extends `history`.
 
-    Two terms may share an effect, each too small to be named beside the other, while either alone is sure. That is
-    one name with an alternative, and not two nuisances. Or they cancel each other, and together bend to what
-    neither of them is: a further name that is none without a nuisance, which is no more than the model-form error
-    of the others, leaves with it.
+    Two terms may share an effect so that neither is named beside the other, while either alone would be. That is one
+    finding with an alternative, so one of them is removed. Or a nuisance term and a named one cancel each other and are
+    significant only together. Then both are removed, if the nuisance term is no more than model-form error.
     """
     while not all(selection.named) and len(selection.named) > 1:
         chosen, own = selection.chosen, {term.id for term in selection.terms}
@@ -293,7 +287,7 @@ def _settled_nuisances(explore: Explorer, selection: Selection, history: list[st
 
 
 def _shares(explore: Explorer, selection: Selection, trial: Selection, names: set[str]) -> bool:
-    """Return whether what is named without a nuisance lacks no more than a fair share of what it then saves."""
+    """Return whether the cost rises without a nuisance term by less than a fair share of the new name's saving."""
     lacking = trial.chosen.cost - selection.chosen.cost
     saved = [
         without.cost - trial.chosen.cost
@@ -304,16 +298,16 @@ def _shares(explore: Explorer, selection: Selection, trial: Selection, names: se
 
 
 def _lends(explore: Explorer, selection: Selection, k: int) -> bool:
-    """Return whether a nuisance is refused beside others, saves little and is no bias that all sensors have."""
+    """Return whether nuisance term k would be refused, saves little, and is no sensor error within tolerance."""
     chosen, without, own = selection.chosen, selection.without[k], selection.chosen.parts[k]
     much = explore.rules.form_error_cost * (selection.base.cost - chosen.cost)
-    if own.is_everyday or without.cost - chosen.cost > much:
+    if own.is_within_tolerance or without.cost - chosen.cost > much:
         return False
     return is_refused_last(explore, without, chosen, k)
 
 
 def _exchanged_beside_form_error(explore: Explorer, selection: Selection, history: list[str]) -> tuple[Selection, bool]:
-    """Let alternatives that are better with free model-form errors take places; return whether any did."""
+    """Return the selection after exchanges with alternatives that are better beside model-form error; see above."""
     exchanged = False
     for _ in range(explore.rules.swaps):
         better, saved = _better_beside_form_error(explore, selection)
@@ -326,12 +320,12 @@ def _exchanged_beside_form_error(explore: Explorer, selection: Selection, histor
 
 
 def _examined(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
-    """Compare an explanation with what is left without each part, and with what might be there instead."""
+    """Return the selection of an explanation, with fits without each part and with rivals."""
     return _with_rivals(explore, _compared(explore, base, chosen))
 
 
 def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
-    """Compare an explanation with what is left without each part; its rivals are not asked for yet."""
+    """Return the selection of an explanation, with named parts and fits without each part, without rivals."""
     objective, rules = explore.objective, explore.rules
     chosen, without = at_its_least(explore, base, chosen)
     level = rules.level / len(explore.candidates)
@@ -345,7 +339,7 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
             or witnessed_p(objective, chosen, k, one, rules) < level
         )
         and not chosen.parts[k].candidate.at_limit(chosen.parts[k].values)
-        and not chosen.parts[k].is_everyday
+        and not chosen.parts[k].is_within_tolerance
         and not is_denied(objective, chosen, k)
         for k, one in enumerate(without)
     ]
@@ -354,7 +348,7 @@ def _compared(explore: Explorer, base: Fit, chosen: Fit) -> Selection:
 
 
 def _with_rivals(explore: Explorer, selection: Selection, *, better: bool = False) -> Selection:
-    """Return a selection with the rivals of each named part; `better` to fit few but those that promise more."""
+    """Return a selection with the rivals of each named part; with `better` mainly those that may cost less."""
     nuisances = [k for k, named in enumerate(selection.named) if not named]
     find = partial(rivals_of, explore, selection.chosen, better=better, nuisances=nuisances)
     rivals = [find(k, rest) if selection.named[k] else ((), ()) for k, rest in enumerate(selection.without)]
@@ -363,7 +357,7 @@ def _with_rivals(explore: Explorer, selection: Selection, *, better: bool = Fals
 
 
 def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selection:
-    """Return a selection with another explanation in the place of the chosen one, compared afresh."""
+    """Return a selection with another chosen explanation, compared anew."""
     new = _examined(explore, selection.base, chosen)
     compared = {"without": new.without, "rivals": new.rivals, "siblings": new.siblings}
     return replace(selection, chosen=new.chosen, named=new.named, **compared)
@@ -372,7 +366,7 @@ def with_chosen(explore: Explorer, selection: Selection, chosen: Fit) -> Selecti
 def _believed_together(
     explore: Explorer, chosen: Fit, without: Sequence[Fit], sure: Sequence[bool]
 ) -> tuple[bool, ...]:
-    """Return which parts are named: the largest sure one, and what is no model-form error of larger ones."""
+    """Return which significant parts are named: the largest, and those beyond the model-form error of larger ones."""
     objective = explore.objective
     if sum(sure) < 2:
         return tuple(sure)
@@ -386,10 +380,10 @@ def _believed_together(
 
 
 def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[Fit | None, float]:
-    """Return the best alternative with every effect's model-form error free, and what it saves; else None.
+    """Return the best alternative beside the model-form error of both explanations, and its saving; else None.
 
-    Alternatives lack no more than a fair share of what the part saves: by chance, or since a single track gets
-    some of either wrong, which this comparison asks. One that saves no more than a tie takes no place.
+    Alternatives are rivals that cost more by less than a fair share of the part's saving. One that saves no more than a
+    tie is not returned.
     """
     alternatives, rules = {}, explore.rules
     for k, rivals in enumerate(selection.rivals):
@@ -411,13 +405,17 @@ def _better_beside_form_error(explore: Explorer, selection: Selection) -> tuple[
 def explaining_as_well(
     objective: MarginalLikelihood, selection: Selection, k: int, rivals: Sequence[Rival], form_error: float = 0.0
 ) -> list[Rival]:
-    """Return the rivals of a part that may be what acts instead of it.
+    """Return the rivals of part k that explain the data as well: its alternatives.
 
-    They may where the two differ by chance, and where a model-form error that is allowed, or no larger than single
-    tracks have, or than a share `form_error` of the part's savings, could have made the difference.
+    The difference of cost must be within chance, or within the price, an allowed effect or a model-form error.
+
+    Parameters
+    ----------
+    form_error : float
+        Further share of the part's saving that counts as model-form error [1].
     """
     rules, margin = objective.policy.selection, objective.policy.self_test.term_margin
-    # An excess is measured in what model-form error makes of chance; so is what it is compared with.
+    # The excess is over the variance inflation of model-form error; so is the saving it is compared with.
     saved = (selection.without[k].cost - selection.chosen.cost) / max(objective.form_error_inflation / margin, 1.0)
     share = min(1.0 / max(part_over_allowance(objective, selection.chosen, k), 1e-9), 1.0) ** 2
     allowed = max(rules.price, max(share, rules.form_error_cost, form_error / margin) * saved)
@@ -432,11 +430,18 @@ def explaining_as_well(
 def rivals_of(
     explore: Explorer, chosen: Fit, k: int, rest: Fit, *, better: bool = False, nuisances: Sequence[int] = ()
 ) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
-    """Return a part replaced by other terms, and by other variants of its own, best first.
+    """Return explanations with part k replaced by other terms, and by other variants of its term, best first.
 
-    Where the part itself saves more, searched for afresh beside the others, that is one of the latter. Beside the
-    few that promise most, those are fitted that may explain as well; with `better` only those that promise to
-    explain more. Of `nuisances`, parts by number that have no name, those that look like it are rivals as well.
+    A refit of the same variant from another start counts as a variant if it costs less.
+
+    Parameters
+    ----------
+    rest : Fit
+        The explanation without part k.
+    better : bool
+        Whether mainly rivals with a lower estimated cost are fitted, else also those that may explain as well.
+    nuisances : sequence of int
+        Numbers of nuisance terms. One that resembles part k is also tried in place of both.
     """
     objective = explore.objective
     variance_inflation = max(explore.variance_inflation, objective.form_error_inflation)
@@ -445,13 +450,13 @@ def rivals_of(
     rivals: list[Rival] = []
     fits = explore(rest, chosen.cost if better else _worth_a_fit(explore, chosen, k, rest))
     for fit in (*fits, *(() if better else in_places_of_two(explore, chosen, k, nuisances))):
-        # What was found first may have led a part into a valley that is not its own: a stretch to other ends.
+        # The part may have ended in a local minimum, as a stretch with other ends.
         of_itself = fit.parts[-1].candidate.label == own.label
         if of_itself and fit.cost > chosen.cost - explore.rules.tie * variance_inflation:
             continue
         difference = (objective.block_sums(fit.residuals**2) - reference) / variance_inflation
         total = float(difference.sum()) + explore.rules.price * (fit.complexity - chosen.complexity)
-        # Model-form error moves no witness: what these say between the two is in doubt by chance alone.
+        # Model-form error does not affect witnesses, so their difference is divided by the smaller inflation.
         evidence, error = _witness_evidence(objective, fit, chosen)
         apart = 1.0 / explore.variance_inflation - 1.0 / variance_inflation
         total, spread = total + apart * evidence, np.hypot(error_of_sum(difference), apart * error)
@@ -465,10 +470,10 @@ def rivals_of(
 
 
 def _witness_evidence(objective: MarginalLikelihood, fit: Fit, chosen: Fit) -> tuple[float, float]:
-    """Return by how much more witnesses deny a fit than another, and the standard error; zeros if they are mute.
+    """Return the witnesses' cost of a fit less that of the chosen one, and its standard error; zeros without evidence.
 
-    They speak for a fit only by a sensor's fault of its last part, and by more than between halves of the
-    simulation.
+    A lower cost counts only if the last part is a sensor fault that witnesses see, and if it is more than between
+    halves of the simulation.
     """
     more = objective.of_witnesses(fit.residuals) ** 2 - objective.of_witnesses(chosen.residuals) ** 2
     total, last = float(more.sum()), len(fit.parts) - 1
@@ -481,9 +486,10 @@ def _witness_evidence(objective: MarginalLikelihood, fit: Fit, chosen: Fit) -> t
 
 
 def _worth_a_fit(explore: Explorer, chosen: Fit, k: int, rest: Fit) -> float:
-    """Return the cost that a rival has to promise: the greater part of what a part saves, or its price.
+    """Return the estimated cost below which a rival of part k is fitted.
 
-    Who promises less is not as good and takes no place, unless all of it may be model-form error.
+    It must save the greater part of what the part saves, or cost no more than the price. If the part itself may be
+    model-form error, all rivals are fitted.
     """
     objective, policy = explore.objective, explore.objective.policy
     share = min(1.0 / max(part_over_allowance(objective, chosen, k), 1e-9), 1.0) ** 2

@@ -1,4 +1,4 @@
-"""What one term has to show: sizes against noise, differences block by block, and the minimum-effect test."""
+"""Tests of a single term: its size over noise, agreement of blocks of time, witnesses, and the minimum-effect test."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -18,45 +18,45 @@ from split_cli.vehicle.effects import Term
 
 
 def block_z(objective: MarginalLikelihood, fit: Fit, other: Fit) -> float:
-    """Return what a fit saves against another in standard errors, from differences block by block."""
+    """Return the saving of a fit against another in standard errors over blocks of time [1]."""
     difference = objective.block_sums(other.residuals**2) - objective.block_sums(fit.residuals**2)
     return float(difference.sum()) / error_of_sum(difference)
 
 
 def is_spread(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> bool:
-    """Return whether one part saves in enough blocks of time, or the blocks in which it acts agree about its size.
+    """Return whether part k saves in enough blocks of time, or whether the blocks agree about its size.
 
-    A place is passed once a lap. What acts in few blocks saves in few; if it is there, those agree about its size,
-    and if it stands for something else they do not. What is larger than the noise is seen however seldom it acts.
-    Where there is much model-form error it is worst somewhere, and a place says no more than any few moments.
+    An effect that acts in few blocks saves in few. If it is real, these agree about its size. One of three is
+    sufficient: a significant saving over blocks, agreement of the blocks, or an effect larger than the noise. Terms
+    with a place are exempt unless model-form error is large, since a place is passed once a lap.
     """
     seldom = fit.parts[k].candidate.located and objective.form_error_inflation <= rules.much_over_noise
     if seldom or block_z(objective, fit, without) > objective.policy.comparison.deviations:
         return True
     agree = blocks_p(objective, fit, without) < objective.policy.comparison.level
-    # Where one block outweighs the others the sandwich has no tail to speak of: then it has to be small by far.
+    # If one block outweighs the others, the distribution of t is not known: then t has to be very large.
     agree |= block_t(objective, fit, without) > rules.sure
     return agree or term_size(objective, fit, k) > rules.above_noise
 
 
 def block_t(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
-    """Return the size of what a fit adds to another in standard errors, from scores block by block.
+    """Return the size of the effect that `fit` adds to `without`, in standard errors over blocks [1].
 
     Notes
     -----
-    What it adds, taken as one direction, has the size 1: a Wald statistic.
+    A Wald statistic: along the row change of the added part its size is 1.
     """
     return 1.0 / _error_of_size(objective.block, without.residuals - fit.residuals, fit.residuals)
 
 
 def blocks_p(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
-    """Return the p value of no size of what a fit adds to another, by how blocks of time agree about its size.
+    """Return the p value of no effect of what `fit` adds to `without`, from the agreement of blocks of time.
 
     Notes
     -----
-    `block_t` in Student's t distribution. A block counts as far as the effect acts in it: with i_b = d_b^T d_b,
-    there are (sum of i_b)^2/(sum of i_b^2) blocks (Kish, 1965), of which one is spent on the size. The sandwich of
-    few clusters, or of clusters of which few matter, has a tail as heavy as that (Bell and McCaffrey, 2002).
+    `block_t` in Student's t distribution. With i_b = d_b^T d_b of block b the effective number of blocks is (sum of
+    i_b)^2/(sum of i_b^2) (Kish, 1965), less one for the size. The sandwich estimate with few effective clusters has
+    such a heavy tail (Bell and McCaffrey, 2002).
     """
     acts = objective.block_sums((without.residuals - fit.residuals) ** 2)
     blocks = float(acts.sum()) ** 2 / max(float(acts @ acts), 1e-300)
@@ -64,24 +64,23 @@ def blocks_p(objective: MarginalLikelihood, fit: Fit, without: Fit) -> float:
 
 
 def _error_of_size(block: np.ndarray, direction: np.ndarray, left: np.ndarray) -> float:
-    """Return the standard error of a direction's size [1], found by least squares, from scores block by block.
+    """Return the standard error of the least-squares size of a direction, by the sandwich over blocks [1].
 
     Notes
     -----
-    With d the direction and e the residuals left, sqrt(sum over blocks of (d_b^T e_b)^2)/d^T d: the sandwich's
-    (Liang and Zeger, 1986).
+    sqrt(sum over blocks of (d_b^T e_b)^2)/d^T d with the direction d and the residuals e (Liang and Zeger, 1986).
     """
     length, scores = float(direction @ direction), np.bincount(block, direction * left)
     return (float(np.sqrt(scores @ scores)) + 1e-9) / length if length else np.inf
 
 
 def error_of_sum(difference: np.ndarray) -> float:
-    """Return the standard error of a sum over blocks, shape (B,)."""
+    """Return the standard error of the sum of block values, shape (B,)."""
     return float(np.sqrt(len(difference) * np.var(difference, ddof=1))) + 1e-9
 
 
 def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
-    """Return whether a sensor's fault moves what a recording knows twice, which no model-form error does."""
+    """Return whether part k is a sensor fault that changes witnesses, which no model-form error does."""
     if not fit.parts[k].term.corrects:
         return False
     moved = objective.witnessed(fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
@@ -89,10 +88,9 @@ def is_witnessed(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
 
 
 def systematic_error(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
-    """Return the systematic error of a part over its size [1].
+    """Return the systematic standard error of part k by other terms, over its size [1].
 
-    The model-form error of the car widens it, unless witnesses see a sensor's fault: they compare two instruments,
-    and no model of the car enters.
+    Model-form error widens it, except for a sensor fault that witnesses see without a model of the car.
     """
     widened = 1.0 if is_witnessed(objective, fit, k) else max(objective.form_error_inflation, 1.0)
     systematic = objective.policy.reporting.systematic * float(np.sqrt(widened))
@@ -100,16 +98,16 @@ def systematic_error(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
 
 
 def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, rules: SelectionRules) -> float:
-    """Return the p value of a sensor's fault by what the recording knows twice; 1 where that tells too little.
+    """Return the p value of a late channel by its witnesses alone; 1 if they give too little evidence.
 
-    Physics that a single track lacks moves no witness, so its model-form error is no doubt about what these say.
-    They have to agree about the size, and to save more than they do on the simulation. This holds for a channel
-    that is late; an angle also stands for a point that is not where the map says, and needs other rows as well.
+    Model-form error of the car does not affect witnesses. They have to agree with the size of the fault and to save
+    more than on the simulation. Other sensor faults are not tested so: an angle, for example, also resembles a wrong
+    position of the sensor.
 
     Notes
     -----
-    With d what the part moves of the witnesses, their means taken off, and e what they contradict without it, the
-    share of the fault that they confirm is d^T e/d^T d.
+    Let d be the change of the witnesses' rows by the part, less their means, and e their rows without it. The confirmed
+    share of the fault is d^T e/d^T d.
     """
     if not (fit.parts[k].term.moves_samples and is_witnessed(objective, fit, k)):
         return 1.0
@@ -126,16 +124,16 @@ def witnessed_p(objective: MarginalLikelihood, fit: Fit, k: int, without: Fit, r
 
 
 def _confirmed(objective: MarginalLikelihood, moved: np.ndarray, before: np.ndarray) -> tuple[float, float]:
-    """Return the share of what a part moves of the witnesses that they confirm, and its standard error [1]."""
+    """Return the share of a change `moved` that rows `before` confirm, (W,) each, and its standard error [1]."""
     share = float(moved @ before) / float(moved @ moved)
     block = objective.block[len(objective.block) - len(moved) :]
     return share, _error_of_size(block, moved, before - share * moved)
 
 
 def witnesses_disagree(objective: MarginalLikelihood, fit: Fit, k: int, rules: SelectionRules) -> float:
-    """Return by how much of its size witnesses contradict a sensor's fault, beyond chance [1]; 0 if they are mute.
+    """Return the difference between part k and its size by witnesses beyond chance, over its size [1].
 
-    A bias moves the mean alone, about which `MarginalLikelihood.of_witnesses` says nothing.
+    0 without witnesses, and for a bias, which changes only the mean that `MarginalLikelihood.of_witnesses` removes.
     """
     if not is_witnessed(objective, fit, k):
         return 0.0
@@ -149,16 +147,16 @@ def witnesses_disagree(objective: MarginalLikelihood, fit: Fit, k: int, rules: S
 
 
 def is_denied(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
-    """Return whether yaw denies a fault of the yaw rate that it would show.
+    """Return whether the recorded yaw contradicts a fault of the yaw rate.
 
-    A yaw rate has no bias where yaw turns as far as was recorded, whatever the equations of motion want of it. How
-    far a car turns is known absolutely, so means count here as well. Positions deny nothing: their reference may
-    be turned, or elsewhere, as the sensor is.
+    If the yaw changes by the integral of the yaw rate, the latter has no bias or scale error. The change of yaw is
+    known absolutely, so means count here too. Positions contradict nothing, since their reference point may be
+    displaced or turned like the velocity sensor.
     """
     term, rules = fit.terms[k], objective.policy.selection
     if not term.corrects or term.moves_samples:
         return False
-    without, with_it = (objective.turns(terms) for terms in (fit.terms[:k] + fit.terms[k + 1 :], fit.terms))
+    without, with_it = (objective.yaw_rows(terms) for terms in (fit.terms[:k] + fit.terms[k + 1 :], fit.terms))
     agree = objective.policy.self_test.term_margin
     for (before, block), (after, _) in zip(without, with_it, strict=True):
         moved = before - after
@@ -172,25 +170,30 @@ def is_denied(objective: MarginalLikelihood, fit: Fit, k: int) -> bool:
 
 
 def exceeds_simulation_scatter(objective: MarginalLikelihood, candidate: Candidate, saved: float) -> bool:
-    """Return whether a term saves more than what halves of the simulation differ by, as a standard deviation.
+    """Return whether a term's saving exceeds that between halves of the simulation by 1.96 squared.
 
-    What a term saves grows with the square of its size: halves that differ by a size are a draw of how far two
-    recordings of one car lie apart.
+    Savings grow with the squared size, and the difference between the halves is taken as one standard deviation of the
+    difference between two recordings of one car.
     """
-    return saved > objective.policy.selection.deviations**2 * objective.own_savings.get(candidate.effect, 0.0)
+    return saved > objective.policy.selection.deviations**2 * objective.self_test_savings.get(candidate.effect, 0.0)
 
 
 def is_form_error(
     objective: MarginalLikelihood, size: np.ndarray, of: np.ndarray, before: Fit, after: Fit, rules: SelectionRules
 ) -> bool:
-    """Return whether sizes (3,) are no more than the model-form error of terms with sizes `of` (3,).
+    """Return whether sizes (3,) of a term are no more than the model-form error of terms with sizes `of` (3,).
 
-    Sizes are effect-to-noise ratios in v_x, v_y and r. What simulation and reality share is not asked here: its
-    model-form error is beside what a term saves, see `saved_beside_form_error`.
+    Sizes are effect-to-noise ratios in v_x, v_y and r. The error of the shared discrepancy is considered elsewhere, see
+    `saved_beside_form_error`.
 
-    The model-form error of large terms in a channel they hardly act in has no simple shape: a term that takes
-    nearly all that was left there, and much was, is none of it. What they get wrong where they act has a simple
-    shape, and is no part of what is left.
+    In channels where the other terms hardly act, the limit (`form_error_across`) does not apply to a term that removes
+    nearly all of a large remainder, since model-form error has no such simple shape. The remainder is tested as it is,
+    and beside the most likely model-form error of the other terms.
+
+    Parameters
+    ----------
+    before, after : Fit
+        Without and with the term.
     """
     if over_form_error(objective, size, of, np.zeros(len(size))) < 1.0:
         return True
@@ -206,14 +209,14 @@ def is_form_error(
 def over_form_error(
     objective: MarginalLikelihood, size: np.ndarray, of: np.ndarray, across: np.ndarray | None = None
 ) -> float:
-    """Return sizes (3,) over the model-form error of terms with sizes `of` (3,), in the channel where most [1].
+    """Return the largest ratio of sizes (3,) to the model-form error of terms with sizes `of` (3,) [1].
 
-    Instruments have none: beside them alone a term of the car needs what a first one needs.
+    Sensor faults have none; beside them alone a term of the car has the limit of a first term.
 
     Parameters
     ----------
     across : ndarray, shape (3,)
-        Share of the largest size that is wrong in each channel; by default that of the policy.
+        Share of the other terms' reach (`_reach`) that is wrong in each channel; by default that of the policy.
     """
     rules = objective.policy.selection
     across = np.full(len(size), rules.form_error_across) if across is None else across
@@ -224,12 +227,11 @@ def over_form_error(
 
 
 def _reach(objective: MarginalLikelihood, of: np.ndarray) -> np.ndarray:
-    """Return how large terms with effect-to-noise ratios `of` (3,) would be if they acted in each channel, (3,).
+    """Return the effect-to-noise ratios, (3,), that the forces of terms with ratios `of` (3,) could have.
 
-    What a model gets wrong of a tyre's force is another force of the same tyre, and no larger in another direction
-    than that. A quiet gyroscope sees a side force at an axle far better than a velocity sensor sees the same force
-    along the car: a ratio to noise is no measure of a force. So a force is taken for no more than it would do
-    there, and for no more than it does where it does most.
+    The error of a tyre force is a force of the same tyre in any direction, of the same size. Its ratio to noise depends
+    on the channel: a gyroscope may see a lateral force far better than a velocity sensor sees the same longitudinal
+    force. So the force is converted from channel to channel, and the result is at most the largest of `of`.
 
     Notes
     -----
@@ -243,17 +245,17 @@ def _reach(objective: MarginalLikelihood, of: np.ndarray) -> np.ndarray:
 
 
 def _settled(objective: MarginalLikelihood, both: np.ndarray, rules: SelectionRules) -> np.ndarray:
-    """Return in which channels much is left before a term joins and next to noise after it, (3,) of bool.
+    """Return in which channels a term reduces a large remainder to next to noise, bool (3,).
 
     Parameters
     ----------
     both : ndarray, shape (R, 2)
-        What is left before and after.
+        Residuals without and with the term.
 
     Notes
     -----
-    Noise is half the mean square of successive differences (von Neumann, 1941), which what varies slowly hardly
-    adds to.
+    The noise is half the mean square of successive differences (von Neumann, 1941), to which slow effects hardly
+    contribute.
     """
     rows = sum(int(mask.sum()) for mask in objective.keep)
     left, still = both[: 3 * rows].T.reshape(2, rows, 3)
@@ -264,14 +266,14 @@ def _settled(objective: MarginalLikelihood, both: np.ndarray, rules: SelectionRu
 
 
 def sizes_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
-    """Return effect-to-noise ratios of terms against those of `without` in v_x, v_y and r, shape (3,)."""
+    """Return the effect-to-noise ratios of terms against a model with `without`, in v_x, v_y, r, shape (3,)."""
     size = sizes_in_velocity(objective, terms, without)
-    # An accelerometer's fault moves no prediction of the velocities: it is as large as its witness says.
+    # A fault of an accelerometer changes no prediction of the velocities: its size is the change of its witness.
     return size if size.any() else np.full(3, objective.witnessed(terms, without))
 
 
 def sizes_in_velocity(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> np.ndarray:
-    """Return the same of the velocities alone: the fault of an accelerometer leaves no model-form error there."""
+    """Return the effect-to-noise ratios by predictions of the velocities alone, shape (3,) [1]."""
     sizes = [
         effects_to_noise_of(one, one.at[mask], terms, without, partial(objective.carried, one))
         for one, mask in zip(objective.evidence, objective.keep, strict=True)
@@ -280,27 +282,27 @@ def sizes_in_velocity(objective: MarginalLikelihood, terms: tuple[Term, ...], wi
 
 
 def part_sizes(objective: MarginalLikelihood, fit: Fit, k: int) -> np.ndarray:
-    """Return the effect-to-noise ratios of one part of an explanation, the others in place, shape (3,)."""
+    """Return the effect-to-noise ratios of part k beside the others, shape (3,) [1]."""
     return sizes_of_terms(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
 def term_size(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
-    """Return the effect-to-noise ratio of one part of an explanation, the others in place."""
+    """Return the largest effect-to-noise ratio of part k beside the others [1]."""
     return float(part_sizes(objective, fit, k).max())
 
 
 def effect_to_noise_of_terms(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> float:
-    """Return the effect-to-noise ratio of terms, in the channel where it is most."""
+    """Return the largest effect-to-noise ratio of terms [1]."""
     return float(sizes_of_terms(objective, terms, ()).max())
 
 
 def over_allowance(objective: MarginalLikelihood, terms: tuple[Term, ...], without: tuple[Term, ...]) -> float:
-    """Return the size of terms against `without` over what is allowed, in the channel where that is most."""
+    """Return the largest ratio over channels of the size of terms, against `without`, to the allowance [1]."""
     return float(np.max(sizes_of_terms(objective, terms, without) / term_allowances(objective)))
 
 
 def part_over_allowance(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
-    """Return the size of one part of an explanation over what is allowed in its channel [1]."""
+    """Return `over_allowance` of part k beside the others [1]."""
     return over_allowance(objective, fit.terms, fit.terms[:k] + fit.terms[k + 1 :])
 
 
@@ -312,7 +314,7 @@ def term_p(
     variance_inflation: float,
     beside: Sequence[float] = (),
 ) -> float:
-    """Return the minimum-effect p value of one part of an explanation that saves `saved`, see `p_of_effect`."""
+    """Return the p value of part k with the saving `saved`, see `p_of_effect`."""
     size = part_over_allowance(objective, fit, k)
     return p_of_effect(objective, fit.parts[k].candidate, size, saved, variance_inflation, beside)
 
@@ -325,17 +327,20 @@ def p_of_effect(
     variance_inflation: float,
     beside: Sequence[float] = (),
 ) -> float:
-    """Return the minimum-effect p value of a term of `size`, over what is allowed, that saves `saved`.
+    """Return the p value of the minimum-effect test of a term.
 
-    What the shared discrepancy gets wrong is known in three ways: by what a term saves between halves of the
-    simulation, by how much that widens chance, and, beside other terms, as a share of the discrepancy. A term has
-    to stand against each, so the largest of three is returned; together they would count one error thrice.
+    The error of the shared discrepancy is considered in three ways: by the saving between halves of the simulation, by
+    a variance inflation and, beside other terms, as a share of the discrepancy. The largest of the three p values is
+    returned, since combining them would count one error three times.
 
     Parameters
     ----------
+    size : float
+        Size over the allowance [1].
+    saved : float
+        Saving of the term [chi squared].
     beside : sequence of float, optional
-        What it saves beside the model-form error of other terms; and of these and the shared discrepancy. What
-        halves of the simulation save is without any, and is compared with `saved`.
+        Its saving beside the model-form error of other terms, and beside that of these and of the shared discrepancy.
     """
     floor = max(
         objective.policy.allowances.term_floor * objective.shared_cost, objective.term_floors.get(candidate.effect, 0.0)

@@ -1,7 +1,7 @@
-"""Choice of a term's variant by open-loop simulation, where one-step errors do not decide.
+"""Choice of a term's variant by open-loop errors, where one-step errors do not decide.
 
-Variants of a term differ by how a tyre takes a load or a loss of grip. Where much of the gap has no name, that is
-more than they differ by in one step, and the one that bends best to it may lead a rollout astray.
+Variants of a term differ in how a tyre carries load or loses grip. If much of the gap is unexplained, it may exceed the
+one-step difference of the variants. The one that fits the unexplained part best may be wrong in open loop.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,9 @@ _TINY = 1e-30
 def with_variants_by_rollout(
     structure: Structure, candidates: Sequence[Candidate], selection: Selection, variance_inflation: float
 ) -> Selection:
-    """Return a selection with another variant of a term where its open-loop errors are clearly smaller.
+    """Return a selection with another variant of a term, if its open-loop errors are clearly smaller.
 
-    Only where more than model-form error is left without a name, and only variants that explain the data as well
-    beside it.
+    Variants are exchanged only if more than model-form error is unexplained, and if they explain the data as well.
 
     Parameters
     ----------
@@ -59,9 +58,9 @@ def with_variants_by_rollout(
 
 
 def open_loop_errors(objective: MarginalLikelihood, fits: Sequence[Fit]) -> list[float]:
-    """Return how far each explanation is off after 0.5, 1 and 2 s of open-loop simulation, over what noise makes.
+    """Return the open-loop error of each explanation over the noise floor [1].
 
-    The geometric mean over channels and horizons of rms errors, all of the real recordings' time used.
+    It is the geometric mean over channels and the horizons 0.5, 1 and 2 s of rms errors on the real recordings.
     """
     totals, weight = np.zeros(len(fits)), 0
     for one in objective.evidence:

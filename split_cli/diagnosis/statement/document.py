@@ -1,4 +1,4 @@
-"""`diagnosis.json`: the diagnosis as its schema has it."""
+"""`diagnosis.json`: a diagnosis in the form of its JSON schema."""
 
 import json
 from collections.abc import Mapping
@@ -11,15 +11,12 @@ from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Finding, Lead, Location, ParameterEstimate
 from split_cli.files import json_ready
 
-#: Names that the vehicle file with the findings may have; one is written if anything of the car was found.
+#: Names of the vehicle file with the findings: accepted, and rejected. One is written if there are findings of the car.
 VEHICLES = ("vehicle_corrected.yaml", "vehicle_rejected.yaml")
 
 
 def vehicle_name(diagnosis: Diagnosis) -> str | None:
-    """Return the name of the vehicle file: another one where it is worse than the vehicle given.
-
-    None where nothing of the car was found: such a file would be the vehicle as given.
-    """
+    """Return the name of the vehicle file with the findings, see `VEHICLES`; None without findings of the car."""
     if not any(finding.exported for finding in diagnosis.findings):
         return None
     corrected = diagnosis.corrected_vehicle
@@ -154,7 +151,7 @@ def _rollout(one: HorizonErrors) -> dict[str, Any]:
 
 
 def _removed(improvement: Improvement) -> dict[str, Any]:
-    """Return shares of the improvable error that are gone; the schema leaves room for them here."""
+    """Return the removed shares of the error above the noise floor; the schema allows further fields here."""
     if not improvement.removed:
         return {}
     shares = {

@@ -1,4 +1,4 @@
-"""What naming improves on held-out time: one-step and open-loop errors, and the corrected vehicle."""
+"""Results on held-out time: one-step and open-loop errors with the findings, and the corrected vehicle."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from split_cli.vehicle.parameters import EffectSpec
 
 NORMAL_95 = 1.96  # standard errors on either side that hold 95 % of a normal distribution
-_SHOWS = 1.25  # error before over the noise floor, from which on held-out rollouts show a gap
+_SHOWS = 1.25  # error before over the noise floor from which on held-out rollouts show a gap [1]
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class StateChange:
     corrected: float
     persistence: float
     noise_floor: float
-    change: float  # of the squared error, corrected less nominal, in standard errors by blocks of time [1]
+    change: float  # of the squared error, corrected less nominal, in standard errors over blocks of time [1]
 
     @property
     def is_worse(self) -> bool:
@@ -36,14 +36,14 @@ class StateChange:
 
 @dataclass(frozen=True)
 class CorrectedVehicle:
-    """The vehicle with what was found of the car, judged beside the nominal model on held-out time."""
+    """The vehicle file with the findings of the car, compared with the given one on held-out time."""
 
     # Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most.
     states: tuple[StateChange, ...]
-    # Values by term that the file holds: of the names without what has none, see `heldout.fitted_alone`.
+    # Values by term in the file: those of the findings refitted without other parts, see `heldout.fitted_alone`.
     values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    # Effects of the explanation without a name that the file holds, too, and the file `alone` without them. Values
-    # are those of the joint fit then.
+    # Effects in the file that are no findings, and the judgement `alone` of the file without them. With them, values
+    # are those of the joint fit.
     further: tuple[EffectSpec, ...] = ()
     alone: "CorrectedVehicle | None" = None
 
@@ -55,14 +55,12 @@ class CorrectedVehicle:
 
     @property
     def runs_away(self) -> bool:
-        """Whether velocities held as they are predict better than it at the longest horizon, though not better
-        than the nominal model.
+        """Whether persistence is better than the corrected vehicle at the longest horizon, but not than the nominal.
 
         Notes
         -----
-        A spin of the model makes one large error. Standard errors grow with it, so they never call it worse: a
-        single block of B makes at most one standard error. Squared errors are those of all velocities together,
-        each in units of the held one's.
+        Squared errors are summed over velocities, each over that of persistence. A single large error, as by a spin of
+        the model, also increases the standard error, so that the test of `is_worse` would not detect it.
         """
         held = [one for one in self.farthest if one.persistence > 0.0]
         corrected, nominal = (
@@ -72,9 +70,9 @@ class CorrectedVehicle:
 
     @property
     def is_refuted(self) -> bool:
-        """Whether it is worse than the nominal model at the longest horizon in some velocity, and better in none.
+        """Whether it is worse than the nominal model at the longest horizon in some velocity and better in none.
 
-        Both are beyond chance.
+        Both beyond chance.
         """
         return any(one.is_worse for one in self.farthest) and not any(one.is_better for one in self.farthest)
 
@@ -99,15 +97,15 @@ class HorizonErrors:
     # 95 % intervals by block bootstrap, channel by channel, and the number of ``blocks``.
     confidence: Mapping[str, object]
     starts: int
-    # Of a stage's squared error against ``before``, in standard errors by blocks of time [1].
+    # Change of a stage's squared error against ``before``, in standard errors over blocks of time [1].
     change: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    # Of the squared error of ``after`` against ``physics``, in the same unit.
+    # Change of the squared error of ``after`` against ``physics``, in the same unit.
     beside_physics: tuple[float, ...] = ()
     # Mean error of a stage over all starts, model less recording.
     mean: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def mean_share(self, stage: str, k: int) -> float | None:
-        """Return how much of a stage's squared error in channel k its mean error makes [1]; None where unknown."""
+        """Return the squared mean error over the mean squared error of a stage in channel k [1]; None if unknown."""
         error = getattr(self, stage)[k]
         return (self.mean[stage][k] / error) ** 2 if stage in self.mean and error > 0.0 else None
 
@@ -122,27 +120,27 @@ class HorizonErrors:
         return tuple(k for k, z in enumerate(self.change.get(stage, ())) if z > NORMAL_95)
 
     def worse_with_split(self) -> tuple[int, ...]:
-        """Return the channels that SPLIT beside the terms makes worse than the terms alone.
+        """Return the channels in which SPLIT beside the terms is worse than the terms alone.
 
-        That is beyond chance, or beyond velocities held as they are where the terms alone are not: one run that
-        diverges makes the standard errors as large as itself.
+        It is worse beyond chance, or worse than persistence where the terms alone are not: one diverging rollout
+        increases the standard error too, so that the first test would not detect it.
         """
         apart = set(self.beaten_by_persistence("after")) - set(self.beaten_by_persistence("physics"))
         beyond = {k for k, z in enumerate(self.beside_physics) if z > NORMAL_95}
         return tuple(sorted(k for k in apart | beyond if self.after[k] > self.physics[k]))
 
     def beaten_by_persistence(self, stage: str) -> tuple[int, ...]:
-        """Return the channels that velocities held as they are predict better than a stage does."""
+        """Return the channels in which persistence predicts better than a stage."""
         pairs = zip(getattr(self, stage), self.persistence, strict=True)
         return tuple(k for k, (error, held) in enumerate(pairs) if error > held)
 
 
 @dataclass(frozen=True)
 class Improvement:
-    """Held-out errors of one step over its length, of v_x, v_y [m/s^2] and r [rad/s^2], see `LabelErrors`."""
+    """Held-out one-step errors over the step's length, of v_x, v_y [m/s^2] and r [rad/s^2], see `LabelErrors`."""
 
-    # before, physics, after, split_only, persistence: three: simulation as learned; plus terms; plus terms and
-    # SPLIT; plus SPLIT alone; last velocities held.
+    # before, physics, after, split_only, persistence: three each: the nominal model with the shared discrepancy; with
+    # terms; with terms and SPLIT; with SPLIT alone; last velocities held.
     before: tuple[float, ...]
     physics: tuple[float, ...]
     after: tuple[float, ...]
@@ -151,18 +149,17 @@ class Improvement:
     noise_floor: tuple[float, ...] | None  # three
     confidence: Mapping[str, object]  # 95 % intervals by block bootstrap, channel by channel
     rollouts: tuple[HorizonErrors, ...] = ()  # shortest first; none where no horizon fits into the held-out time
-    # For ``physics``, ``split_only`` and ``after``: the share of the squared error above the noise floor that is
-    # gone, channels weighed by their noise, and its 95 % interval; None where nothing was left to improve.
+    # For ``physics``, ``split_only`` and ``after``: the removed share of the squared error above the noise floor,
+    # channels weighted by their noise, and its 95 % interval; None if there was nothing to improve.
     removed: Mapping[str, tuple[float, float, float] | None] = field(default_factory=dict)
-    # What of the simulation the models ``before`` and ``physics`` hold, ``longitudinal`` and ``lateral``:
-    # ``nominal`` for the nominal model alone, ``taught`` with what the simulation taught at recorded states,
-    # ``taught_elsewhere`` also of others.
+    # How ``before`` and ``physics`` use the shared discrepancy, ``longitudinal`` and ``lateral``: ``nominal`` (not at
+    # all), ``taught`` (at recorded states) or ``taught_elsewhere`` (also at other states).
     simulation_part: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    # Share of SPLIT's prediction that ``split_only`` and ``after`` apply, an output [1].
+    # Trust: the share of SPLIT's prediction that ``split_only`` and ``after`` apply to each output [1].
     trust: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def tells(self) -> bool:
-        """Whether held-out time shows the gap at all: an effect of one place may lie outside it."""
+        """Whether held-out time shows the gap at all; an effect at one place may lie outside it."""
         shown = [b / max(n, 1e-12) for one in self.rollouts for b, n in zip(one.before, one.noise_floor, strict=True)]
         return any(self.removed.values()) or max(shown, default=0.0) > _SHOWS

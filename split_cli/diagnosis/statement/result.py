@@ -1,4 +1,4 @@
-"""What a diagnosis says: the tree that `diagnosis.json`, the report and the proof are written from."""
+"""Results of a diagnosis: the data classes from which `diagnosis.json`, the report and the proof are written."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 
 from split_cli.diagnosis.statement.improvement import NORMAL_95, CorrectedVehicle, Improvement
 
-_AS_GOOD = 2.5  # standard errors; of an exact degeneracy another variant may have been fitted, and be worse
+_AS_GOOD = 2.5  # standard errors up to which an alternative's fitted variant is as good; another one may be meant
 
 Verdict = Literal["match", "mismatch", "undecided"]
 
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One parameter of a finding."""
+    """Estimate of one parameter, in `unit`."""
 
     value: float
     std_error: float | None
@@ -25,7 +25,7 @@ class ParameterEstimate:
     interval_95: tuple[float, float]
 
     def covering(self, other: ParameterEstimate) -> ParameterEstimate:
-        """Return this estimate with an interval that also holds another's."""
+        """Return this estimate with an interval that also contains another's."""
         low = min(self.interval_95[0], other.interval_95[0])
         high = max(self.interval_95[1], other.interval_95[1])
         error = max(high - self.value, self.value - low) / NORMAL_95
@@ -34,18 +34,18 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of a finding's parameters that is known, where none of them is by itself.
+    """A weighted sum of parameters whose interval excludes no effect, where no single parameter's does.
 
     Attributes
     ----------
     weights : mapping of str to float
         By parameter; the largest is 1.
     value : float
-        Weighted sum of how far the parameters are from neutral.
+        Weighted sum of the parameters less their neutral values.
     unit : str
-        Of the parameters; empty where they differ in it, the weights then having units.
+        Common unit of the parameters; empty if they differ.
     interval_95 : tuple of float
-        Of the sum, simultaneous with all other sums (Scheffe).
+        Of the sum, simultaneous for all weighted sums (Scheffe).
     """
 
     weights: Mapping[str, float]
@@ -56,14 +56,14 @@ class Combination:
 
 @dataclass(frozen=True)
 class RivalSummary:
-    """Another term in a finding's place.
+    """Another term in place of a finding.
 
     Attributes
     ----------
     excess : float
-        How much worse it explains the recording, in units of chi squared.
+        Cost of the explanation with it less that with the finding [chi squared].
     z : float
-        The same in standard errors, from block by block differences.
+        The same in standard errors over blocks of time [1].
     """
 
     term: str
@@ -74,24 +74,25 @@ class RivalSummary:
 
 @dataclass(frozen=True)
 class Finding:
-    """A named piece of physics, or a fault of the measurement.
+    """A named effect of the car, or a sensor fault.
 
     Attributes
     ----------
     gap_explained : float
-        Share of the held-out squared error above the noise floor that returns when this term alone is removed.
+        Increase of the held-out squared error if this term alone is removed, as a share of that above the noise floor
+        [1].
     alternatives : tuple of str
-        Terms that fit as well on this data, and exact degeneracies; a pair is written ``a+b``.
+        Ids of terms that explain these data as well, and of equivalent terms; a pair is written ``a+b``.
     effect_to_noise : float
-        Rms of its 0.05 s prediction error over that of sensor noise, in the worst channel [1].
+        Rms of its 0.05 s prediction error over that of sensor noise, largest over channels [1].
     runners_up : tuple of RivalSummary
-        Best first; the first that is no alternative is the placebo.
+        Other terms in its place, best first.
     separated_by : tuple of str
-        Excitations that would tell alternatives apart.
+        For each alternative, the excitation that would distinguish it.
     exported : bool
         Whether it belongs into the vehicle file; sensor faults do not.
     combination : Combination or None
-        What is known of the parameters together, where no interval of one leaves out its neutral value.
+        If no parameter's interval excludes its neutral value.
     """
 
     term: str
@@ -108,11 +109,11 @@ class Finding:
 
     @property
     def placebo(self) -> RivalSummary | None:
-        """The best wrong term."""
+        """The best other term that is no alternative."""
         return next((rival for rival in self.runners_up if rival.term not in self.alternatives), None)
 
     def is_as_good(self, rival: RivalSummary) -> bool:
-        """Return whether a runner-up is an alternative, in the very variant it was fitted in."""
+        """Return whether a runner-up is an alternative in the variant that was fitted."""
         return rival.term in self.alternatives and (rival.z < _AS_GOOD or rival.excess <= 0.0)
 
 
@@ -120,19 +121,19 @@ class Finding:
 class Lead:
     """An explanation that is no finding.
 
-    No real car has what it would need, held-out time speaks against it, or the findings may hide it.
+    It needs values beyond a real car's range, held-out data are predicted worse with it, or the findings may hide it.
 
     Attributes
     ----------
     parameters : mapping of str to ParameterEstimate
-        What it would need.
+        Values that it would need.
     limits : mapping of str to (float, float)
-        What a real car can have, of those parameters that would have to go beyond; empty where none would.
+        Range of a real car of those parameters that would be outside; empty if none is.
     share : float
-        Of what the best explanation saves, how much this one would save, alone or beside the findings; where
-        held-out time speaks against it, its `gap_explained` as a finding.
+        Its saving, alone or beside the findings, over that of the best explanation [1]. If held-out data are the
+        reason, its `gap_explained` as a finding.
     instead : tuple of str
-        Terms that explain nearly as much within what a car can have, best first.
+        Ids of terms that explain nearly as much within a car's range, best first.
     """
 
     term: str
@@ -165,7 +166,7 @@ class Location:
     forces : mapping of str to float
         Shares of ``longitudinal``, ``front_lateral``, ``rear_lateral``; they sum to 1.
     depends_on : tuple of (str, float)
-        Variables and scores, strongest first; a score is the share of the gap the variable alone explains.
+        Variables and scores, largest first. A score is the share of the gap that the variable explains alone [1].
     region : mapping of str to (float, float)
         Where the gap is larger than elsewhere, by variable, SI.
     time : (float, float) or None
@@ -185,19 +186,19 @@ class Location:
 
 @dataclass(frozen=True)
 class RemainderTest:
-    """Whether what is left after the findings is noise.
+    """Test of whether the remainder after the findings is noise.
 
     Attributes
     ----------
     share : float
-        Of the gap that has no name [1].
+        Unexplained share of the gap [1].
     by_group : tuple of (str, float)
-        What kinds of dependence explain of it, strongest first, in units of chi squared.
+        Saving of each group of functions of the flexible fit, largest first [chi squared].
     formula : str
         The best sparse formula as a lead; empty when the remainder is noise.
     explained : float or None
-        Share of the held-out squared error above the noise floor that all findings take by themselves [1]; None
-        where it was not measured.
+        Share of the held-out squared error above the noise floor that all findings explain by themselves [1]; None if
+        it was not measured.
     """
 
     p_value: float
@@ -210,7 +211,7 @@ class RemainderTest:
     def without_structure(self, findings: Sequence[Finding]) -> float:
         """Return the share of the gap [1] that neither findings nor a smooth function explain.
 
-        Shares of single findings may overlap; their sum stands in where they were not measured together.
+        Without a measured joint share the sum of the findings' shares is used, although these may overlap.
         """
         explained = self.explained
         if explained is None:
@@ -220,13 +221,13 @@ class RemainderTest:
 
 @dataclass(frozen=True)
 class Detectable:
-    """From which size on a term would have been named, alone.
+    """Detection limit of a term.
 
     Attributes
     ----------
     parameters : mapping of str to (float, str)
-        Value and unit, of each the value it needs while the others are as without the effect; those are left out
-        that would be named at no size.
+        Smallest value that would be named, and its unit, with the other parameters at neutral. Parameters that would
+        not be named at any size are left out.
     """
 
     term: str
@@ -282,19 +283,19 @@ class Diagnosis:
     ----------
     verdict : {"match", "mismatch", "undecided"}
     compared_share : float
-        Share of the real drive where both have been.
+        Share of the real drive at common operating points [1].
     findings : tuple of Finding
         Strongest first.
     history : tuple of str
-        Steps of the selection, in words.
+        Steps of the search, in words.
     sentences : tuple of str
-        The whole in sentences that a reader can act on.
+        Summary.
     detectable : tuple of Detectable
-        What a silence about each term is worth. Where the verdict is undecided, sizes hold if nothing differs yet.
+        Detection limits. With the verdict ``undecided`` they hold as if nothing differed.
     corrected_vehicle : CorrectedVehicle or None
-        None where nothing of the car was found, or no held-out time can judge it.
+        None without findings of the car, or without enough held-out time.
     leads : tuple of Lead
-        Explanations that are no findings, with what they would take and what explains as much.
+        Explanations that are no findings.
     """
 
     verdict: Verdict

@@ -139,7 +139,7 @@ def hidden_sentence(
     return _stated_as_lead(term, variant, parameters, reasons, vehicle)
 
 
-def everyday_sentence(
+def tolerance_sentence(
     term: str, variant: str, parameters: Parameters, limits: Mapping[str, float], *, taken_off: bool
 ) -> str:
     """Return what a sensor does that any sound recording may have, and up to which value of each parameter.

@@ -1,12 +1,12 @@
-"""Whether a finding's parameters stay constant over side, slip, torque, speed, heat and time.
+"""Constancy of a finding: whether its effect changes with side, slip, torque, speed, heat or time (a *bend*).
 
-A term of the catalogue that stands in for something else has to bend: its parameter drifts with what the something
-depends on. Few parameters are tested, so the test sees what a flexible fit of the remainder loses in its freedom.
+A term that is named in place of another effect would have to change with the variables that the other effect depends
+on. The test has few degrees of freedom, so it detects what the flexible fit of the remainder does not.
 
-A single track is wrong about a term by operating point, by a share of what the term does. It is not by the side of
-the turn, by time, or by how hot what slides, brakes or works has become. A term that bends with any of these by
-more than it may be wrong is not all that acts; one that bends by the greater part of itself is another. Nor is one
-all that acts whose model-form error by operating point would have to be larger than a single track's ever is.
+A single track gets a share of an effect wrong, by operating point. That share does not depend on the side of the turn,
+on time or on heat. A term that changes by more than this share leaves a part unexplained. One that changes by most of
+its effect is not named. A part is also unexplained if a term's model-form error by operating point would have to be
+larger than that of a single track.
 """
 
 from collections.abc import Sequence
@@ -24,35 +24,36 @@ from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.recording import first_order_response
 
 _WAVES = 4  # half waves over a recording
-_HEAT_SECONDS = (2.0, 6.0, 20.0)  # in which something heats and cools, those of the flexible fit's memory
-_FREE = 1e6  # variance of what the parameters themselves may take, in units of what noise leaves
+_HEAT_SECONDS = (2.0, 6.0, 20.0)  # time constants of heating and cooling, those of the flexible fit
+_FREE = 1e6  # prior variance of the parameters' own changes, in units of noise: next to free
 
 
 @dataclass(frozen=True)
 class Bend:
-    """How much of what one term does has to change with something that its parameters do not depend on."""
+    """How much the effect of a term would have to change with a variable."""
 
     term: str
     variable: str
-    size: float  # what changes over what the term does, root mean square on whitened rows [1]
-    p_value: float  # of a change no larger than what a single track gets wrong of a term
+    size: float  # change of the effect over the effect, rms on whitened rows [1]
+    p_value: float  # of a change no larger than the model-form error of a term
 
 
 def bends(
     objective: MarginalLikelihood, fit: Fit, named: Sequence[bool], variance_inflation: float
 ) -> tuple[Bend, ...]:
-    """Return how named parts bend with operating point, side of the turn, time, and heat, surest first.
+    """Return how the effects of named parts change with each variable, smallest p value first.
 
     Parameters
     ----------
-    named : sequence of bool, length of the parts
+    named : sequence of bool
+        Of every part of the fit.
 
     Notes
     -----
-    With E what a part does to first order, W the columns E f of the functions f of one variable, and S the
-    covariance v I + A A^T of noise, of the parts' own parameters (next to free) and of their model-form error by
-    operating point, the bend is W g with g = (W^T S^-1 W)^-1 W^T S^-1 e, e the residuals. It saves e^T S^-1 W g,
-    tested against a bend of `form_error_share` of E, see `minimum_effect_p`.
+    Let E be the first-order effect of a part and W the columns E f with the functions f of one variable. Let S = v I +
+    A A^T be the covariance of noise, of the parts' own parameters (next to free) and of their model-form error by
+    operating point. The change is W g with g = (W^T S^-1 W)^-1 W^T S^-1 e and the residuals e (generalised least
+    squares). It saves e^T S^-1 W g, tested against a change by `form_error_share` of E, see `minimum_effect_p`.
     """
     if not any(named):
         return ()
@@ -77,7 +78,7 @@ def bends(
         for name, functions in variables.items():
             columns = objective.whiten(effect[:, None] * functions)
             if not columns.any():
-                # A bias of an accelerometer moves what witnesses it and no velocity.
+                # A bias of an accelerometer changes witnesses alone.
                 continue
             normal_of = columns.T @ cleared(columns)
             ridge = 1e-6 * np.trace(normal_of) * np.eye(len(normal_of))
@@ -85,7 +86,7 @@ def bends(
             saved, freedom = float(left @ (columns @ weights)), functions.shape[1]
             bent = columns @ weights
             bent -= whole * (whole @ bent) / (whole @ whole)
-            # What a fit makes of noise is no bend.
+            # The part of the size that is fitted noise is removed.
             sure = max(1.0 - noise * freedom / max(saved, 1e-9), 0.0)
             size = float(np.linalg.norm(bent) / np.linalg.norm(whole) * np.sqrt(sure))
             p_value = minimum_effect_p(saved, freedom, size, noise, allowance=share)
@@ -96,23 +97,24 @@ def bends(
 def beyond_form_error(
     objective: MarginalLikelihood, fit: Fit, named: Sequence[bool], variance_inflation: float
 ) -> dict[str, float]:
-    """Return p values of named terms' model-form errors, by the term: of errors no larger than a single track's.
+    """Return, by named term, the p value of its estimated model-form error under the prior of a single track.
 
-    An engine whose torque bends is a gain with an error by torque. Where that error is free to take what it likes,
-    it leaves nothing; it is the size it would need that tells.
+    An engine whose gain depends on the torque fits as a gain with a model-form error by torque. Such a fit leaves no
+    residual, but the error would have to be larger than the prior allows.
 
     Parameters
     ----------
-    named : sequence of bool, length of the parts
+    named : sequence of bool
+        Of every part of the fit.
 
     Notes
     -----
-    With M as in `costs_beside_form_error`, less what the parameters themselves take of it, and e the residuals,
-    both over the root of what noise is widened by, the likeliest weights are w = (I + M^T M)^-1 M^T e. They are a
-    draw of N(0, C), C = I - (I + M^T M)^-1, where the prior holds. What they make of one term's effect is
-    |M_k w_k|^2: a sum of chi squared weighted by the eigenvalues of C_kk M_k^T M_k, of which two moments are
-    matched (Satterthwaite, 1946). So a weight counts by what it does. A lag does next to nothing along the car,
-    and its error there may be any share of that.
+    Let M be that of `costs_beside_form_error` without the part that the parameters themselves can take up, and e the
+    residuals, both over the root of the variance inflation. The most likely weights are w = (I + M^T M)^-1 M^T e. Under
+    the prior they are N(0, C) with C = I - (I + M^T M)^-1. Then |M_k w_k|^2 of one term k is a sum of chi squared
+    weighted by the eigenvalues of C_kk M_k^T M_k. Its distribution is approximated by two moments (Satterthwaite,
+    1946). So a weight counts by its effect: an error of a lag in the longitudinal direction, where it does little,
+    counts little.
     """
     from scipy.stats import chi2
 
@@ -142,7 +144,7 @@ def beyond_form_error(
 
 
 def _steps_from_none(part: Part) -> np.ndarray:
-    """Return how many steps the parameters are from no effect, 0 for those that no effect leaves open."""
+    """Return the distance of each parameter from neutral in steps, shape (P,); 0 for one without a neutral value."""
     neutral, ranges = CATALOGUE[part.candidate.term].neutral, part.candidate.ranges
     return np.array(
         [
@@ -153,7 +155,7 @@ def _steps_from_none(part: Part) -> np.ndarray:
 
 
 def _variables(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
-    """Return functions (R, F) of what a term may bend with, about within [-1, 1], by the variable."""
+    """Return functions of each variable on the objective's entries, shape (R, F), about within [-1, 1]."""
     tables = [_variables_of(one) for one in objective.evidence]
     extra = sum(len(one.begin) for one in objective.kinematics)
     out = {}
@@ -164,6 +166,7 @@ def _variables(objective: MarginalLikelihood) -> dict[str, np.ndarray]:
 
 
 def _variables_of(one: Evidence) -> dict[str, np.ndarray]:
+    """Return functions of each variable on the rows of a recording, shape (G, F), about within [-1, 1]."""
     series = one.series
     a, b, torque, speed = scaled_features(series, one.vehicle).T
     share = series.t / max(float(series.t[-1]), 1e-9)

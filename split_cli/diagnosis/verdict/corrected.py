@@ -1,4 +1,4 @@
-"""The corrected vehicle file beside the given one, on held-out time and without a simulation."""
+"""Held-out errors of the corrected vehicle file compared with those of the given one, without a simulation."""
 
 from collections.abc import Sequence
 
@@ -17,24 +17,25 @@ _STATES = (("v_x", "m/s"), ("v_y", "m/s"), ("r", "rad/s"))
 def judge_corrected(
     recordings: Sequence[tuple[Evidence, np.ndarray]], terms: Sequence[Term]
 ) -> CorrectedVehicle | None:
-    """Compare the nominal model with what a vehicle file can hold of the terms, after one step and after 2 s.
+    """Compare the nominal model with the same model and those terms that a vehicle file can hold.
 
     Parameters
     ----------
     recordings : sequence of (Evidence, ndarray of bool of shape (N,))
-        Real recordings and which of their rows are held out.
+        Real recordings and which of their samples are held out.
     terms : sequence of Term
-        Fitted without the held-out rows. Faults of sensors are taken off the recording for both.
+        Fitted without the held-out time. Recordings are corrected for sensor faults before both models run.
 
     Returns
     -------
     CorrectedVehicle or None
-        None where nothing belongs into the file, or no rollout fits into the held-out time.
+        Errors after one step and after 2 s. None if no term belongs into the file, or no rollout fits into the
+        held-out time.
 
     Notes
     -----
-    A vehicle file goes where no simulation does, so nothing that a simulation taught stands beside it here. A
-    state is worse where its squared error grew by more than 1.96 standard errors, which blocks of time tell.
+    A vehicle file is used without the simulation, so the shared discrepancy is left out. A state is worse if its
+    squared error increased by more than 1.96 standard errors, estimated over blocks of time.
     """
     car = tuple(term for term in terms if term.exported)
     if not car:
@@ -54,6 +55,7 @@ def judge_corrected(
 
 
 def _states_at(runs: Sequence[RolloutErrors], k: int) -> list[StateChange]:
+    """Return the errors of all velocities at the k-th horizon, pooled over recordings."""
     having = [one for one in runs if len(one.horizons) > k]
     horizon = having[0].horizons[k]
     squared = {name: np.concatenate([one.squared[name][:, k] for one in having]) for name in having[0].squared}

@@ -1,4 +1,4 @@
-"""SPLIT on the remainder of a model: trained on training time, applied by its trust."""
+"""A SPLIT correction of what a model leaves: learned on training time, with a trust estimated by cross-validation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,11 +15,11 @@ from split_cli.prediction import make_predictor
 
 _FEWEST_TO_LEARN = 100
 _FOLDS = 4
-_STARTS = 120  # of rollouts, a recording
-_SHARES = (1.0, 0.5, 0.0)  # of the trust that labels earn; the largest is kept that rollouts bear
-# Lateral velocity and yaw rate move together; what is said of one acts on the other within a tenth of a second.
+_STARTS = 120  # starts of rollouts in each recording
+_SHARES = (1.0, 0.5, 0.0)  # of the trust from labels; the largest is kept with which no rollout gets worse
+# Outputs whose trust is reduced together: v_y and r are coupled within a tenth of a second.
 _GROUPS = ((0,), (1, 2))
-_BEYOND_CHANCE = 1.0  # standard errors of a difference, by blocks of time
+_BEYOND_CHANCE = 1.0  # standard errors over blocks of time that a difference has to exceed
 
 
 def learn_correction(
@@ -28,29 +28,31 @@ def learn_correction(
     parts: Sequence[LabelErrors],
     errors: Sequence[np.ndarray],
 ) -> LearnedCorrection | None:
-    """Learn what a model leaves, with the trust that it earned where it had not been learned.
+    """Learn a correction of what a model leaves, and the trust in it.
 
     Parameters
     ----------
     recordings : sequence of (Evidence, ndarray of bool of shape (N,))
-        Real recordings and which of their rows are held out; nothing is learned or judged there.
+        Real recordings and which of their samples are held out; held-out time is not used.
     stages : sequence of Stage
-        The model, a recording each.
+        The model, for each recording.
+    parts : sequence of LabelErrors
+        For each recording.
     errors : sequence of ndarray, shape (L, 3)
         Label errors of the model [m/s^2], [m/s^2], [rad/s^2].
 
     Returns
     -------
-    Rest or None
-        None where there are too few labels, or no output is to be trusted.
+    LearnedCorrection or None
+        None if there are too few labels, or if no output is trusted.
 
     Notes
     -----
-    Each quarter of the training time is predicted from the three others. An output's trust is the share w of the
-    prediction p that leaves least of the error e, sum(e p)/sum(p^2) between 0 and 1; it is 0 where that saves no
-    more than chance. Rollouts over the same quarters then show what small steps cannot: a correction that makes a
-    velocity drift. It is halved, and left away, while an error is larger than without it: at all at the longest
-    horizon, beyond chance at any other.
+    Each quarter of the training time is predicted from the three others. An output's trust is the share of the
+    prediction p that minimises the error e: sum(e p)/sum(p^2), between 0 and 1, and 0 if it saves no more than chance.
+    Rollouts over the same quarters then show corrections that make a velocity drift. The trust is halved, then set to
+    zero, while an error is larger than without correction: by any amount at the longest horizon, beyond chance at the
+    others.
     """
     vehicle = recordings[0][0].vehicle
     folds = [_folds(part) for part in parts]
@@ -63,7 +65,7 @@ def learn_correction(
 
 
 def without_correction(part: LabelErrors, error: np.ndarray, correction: LearnedCorrection | None) -> np.ndarray:
-    """Return label errors (L, 3) less what SPLIT predicts, where it claims to be valid and on held-out time."""
+    """Return label errors (L, 3) less the correction, at held-out labels inside its valid region."""
     left = error.copy()
     if correction is not None:
         use = part.held & part.labels.accepted
@@ -72,7 +74,7 @@ def without_correction(part: LabelErrors, error: np.ndarray, correction: Learned
 
 
 def _folds(part: LabelErrors) -> np.ndarray:
-    """Return the quarter of the training time that each label lies in, -1 for held-out ones, shape (L,)."""
+    """Return the quarter of the training time of each label, 0 to 3, shape (L,); -1 for held-out labels."""
     fold = np.full(len(part.held), -1)
     training = np.flatnonzero(~part.held)
     fold[training] = np.arange(len(training)) * _FOLDS // max(len(training), 1)
@@ -80,7 +82,7 @@ def _folds(part: LabelErrors) -> np.ndarray:
 
 
 def _learned(parts, errors, masks, vehicle) -> LearnedCorrection | None:
-    """Learn SPLIT on labels of a choice; None for too few."""
+    """Learn a correction on the labels that masks choose; None if they are too few."""
     training = [
         replace(part.labels, y=error).take(mask) for part, error, mask in zip(parts, errors, masks, strict=True)
     ]
@@ -95,7 +97,7 @@ def _learned(parts, errors, masks, vehicle) -> LearnedCorrection | None:
 
 
 def _trust_in_labels(parts, errors, folds, others: Sequence[LearnedCorrection | None]) -> np.ndarray:
-    """Return the share of each output's prediction that leaves least of the errors of the fold left out."""
+    """Return the trust of each output, (3,): the share of predictions that minimises errors of left-out folds."""
     error, predicted, block = [], [], []
     for part, left, fold in zip(parts, errors, folds, strict=True):
         guess = np.zeros_like(left)
@@ -116,10 +118,10 @@ def _trust_in_labels(parts, errors, folds, others: Sequence[LearnedCorrection | 
 
 @dataclass(frozen=True)
 class _LeftOut:
-    """SPLIT at each row as learned from the other quarters of a recording; a `LearnedCorrection` for rollouts."""
+    """A correction that uses, at each sample, what was learned from the other quarters; for rollouts."""
 
     others: Sequence[LearnedCorrection | None]  # learned without each quarter
-    fold: np.ndarray  # (N,): quarter of each row, -1 for held-out ones
+    fold: np.ndarray  # (N,): quarter of each sample, -1 in held-out time
     trust: np.ndarray  # (3,)
 
     def at(self, z: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -132,7 +134,7 @@ class _LeftOut:
 
 
 def _trust_by_rollouts(recordings, stages, parts, folds, others, trust: np.ndarray) -> np.ndarray:
-    """Return the trust, less by `_SHARES` in every group until no rollout error of it grows beyond chance."""
+    """Return the trust, reduced by `_SHARES` in each group of outputs until no rollout error of it grows."""
     of_rows = [
         _fold_of_rows(part, fold, len(one.series))
         for (one, _), part, fold in zip(recordings, parts, folds, strict=True)
@@ -160,7 +162,7 @@ def _trust_by_rollouts(recordings, stages, parts, folds, others, trust: np.ndarr
         worse |= more[:, -1].sum(axis=0) > 0.0
         failing = [list(group) for group in _GROUPS if np.any(worse[list(group)]) and np.any(now[list(group)])]
         if not failing:
-            # What is worse in a channel that nothing acts on comes of the other group.
+            # An error that grows in outputs without correction comes from the other group.
             return now * ~np.any(worse)
         for group in failing:
             steps[group] += 1
@@ -168,13 +170,13 @@ def _trust_by_rollouts(recordings, stages, parts, folds, others, trust: np.ndarr
 
 
 def _fold_of_rows(part: LabelErrors, fold: np.ndarray, length: int) -> np.ndarray:
-    """Return the fold of every row, that of the label before it; -1 in held-out time, shape (N,)."""
+    """Return the fold of every sample, that of the last label before it; -1 in held-out time, shape (N,)."""
     last = np.searchsorted(part.labels.row, np.arange(length), side="right") - 1
     return np.where(last >= 0, fold[np.maximum(last, 0)], -1)
 
 
 def _inside(fold: np.ndarray) -> np.ndarray:
-    """Return a mask of the rows of the folds, one row at each border taken out so that no rollout crosses it."""
+    """Return which samples lie inside a fold, without one sample at each border, so that no rollout crosses it."""
     inside = fold >= 0
     inside[1:] &= fold[1:] == fold[:-1]
     return inside

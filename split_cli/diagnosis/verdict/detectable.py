@@ -1,4 +1,4 @@
-"""Detection limits: the smallest size of each effect that would have been named, beside what is named."""
+"""Detection limits: the smallest size of each effect that would have been named beside the findings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,28 +19,30 @@ from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from split_cli.diagnosis.verdict.planted import alters_commands, other_side
 from split_cli.vehicle.effects import CATALOGUE, Term
 
+#: As `planted_saving` without its keyword arguments.
 Planted = Callable[[MarginalLikelihood, Term, Sequence[Term]], tuple[float, float]]
 
-_ROUNDS = 8  # an effect of twice the size saves nearly four times as much; past a tyre's peak it hardly saves more
-_FURTHEST = 1e4
-_GROWTH = 1.25  # steps in which a size grows until it is apart from no effect
-_LEAST_GROWTH = 1.02  # the least step in which a size grows until recordings that have it show it
-# Steps after which what alters inputs, and what does not, is as told.
+_ROUNDS = 8  # iterations of the search for a size
+_FURTHEST = 1e4  # largest factor on a size that is tried [1]
+_GROWTH = 1.25  # factor by which a size grows until its interval excludes no effect [1]
+_LEAST_GROWTH = 1.02  # least factor by which a size grows until recordings that have the fault show it [1]
+# Logarithms of the last change of a size with which the search ends: for terms that alter inputs, and for others, whose
+# saving is proportional to the squared size.
 _NEAR, _PROPORTIONAL = np.log(1.2), np.log(4.0)
 
 
 @dataclass(frozen=True)
 class _Beside:
-    """What explains the drives already, on one objective."""
+    """The named terms, refitted on one objective, beside which another effect would be found."""
 
     objective: MarginalLikelihood
-    fit: Fit  # the named terms, refitted
-    taken: np.ndarray  # (R, C): orthonormal rows that these terms can take up
+    fit: Fit  # of the named terms
+    taken: np.ndarray  # (R, P): orthonormal basis of the row changes that their parameters can cause
 
     def moved(self, term: Term) -> tuple[np.ndarray, float]:
-        """Return what a further term moves of the whitened rows and the others cannot take up, (R,).
+        """Return the change of whitened rows by a further term that the named ones cannot take up, shape (R,).
 
-        Second is its squared length as a share of all that the term moves.
+        Second is its squared length as a share of the whole change's [1].
         """
         rows = self.objective.whiten(self.objective.left_by((*self.fit.terms, term))) - self.fit.residuals
         left = rows - self.taken @ (self.taken.T @ rows)
@@ -49,17 +51,18 @@ class _Beside:
 
 @dataclass(frozen=True)
 class _Shown:
-    """What a term of one size shows beside the others; lengths and sizes grow in proportion."""
+    """Evidence that a term of one size would give beside the named ones; it grows in proportion to the size."""
 
-    size: float  # effect-to-noise ratio over what is allowed
-    ways: tuple[tuple[float, float], ...]  # of either sign: how far rows are moved, and what is there against it
-    share: float  # of the squared length that is moved, what the others cannot take up
-    beyond: tuple[float, ...]  # shares of the rest that are no model-form error of the others, as in `p_of_effect`
-    over: float  # size over the model-form error of the others
-    witnessed: float  # how far it moves what a recording knows twice
+    size: float  # effect-to-noise ratio over the allowance [1]
+    # For either sign: length of the row change, and the projection of the present residuals on it, which may oppose it.
+    ways: tuple[tuple[float, float], ...]
+    share: float  # of the squared length of the change, what the named terms cannot take up [1]
+    beyond: tuple[float, ...]  # shares of the saving beyond model-form error, for `beside` of `p_of_effect` [1]
+    over: float  # size over the model-form error of the named terms [1]
+    witnessed: float  # rms change of the witness that it changes most [1]
 
     def over_and_witnessed(self, times: float) -> "_Shown":
-        """Return what a term some times as large is over the model-form error of the others, and moves of witnesses."""
+        """Return the same with `over` and `witnessed` of a term that is so many times as large."""
         return replace(self, over=times * self.over, witnessed=times * self.witnessed)
 
 
@@ -71,36 +74,33 @@ def detection_limits(
     planted: Planted | None = None,
     named: Sequence[Part] = (),
 ) -> tuple[Detectable, ...]:
-    """Return from which size on each parameter of each term would be named on these recordings.
+    """Return the smallest size of each parameter of each term that would be named on these recordings.
 
     Parameters
     ----------
     objectives : sequence of MarginalLikelihood
-        The last of them, where its baseline is fixed, names what alters inputs or
-        sensors.
+        The last one serves terms that alter inputs or sensors; it may have a fixed baseline.
     candidates : sequence of Candidate
-        Those that act at a place are left out: it depends on the place.
+        Terms that act at a place are left out, since their limit depends on the place.
     level : float
-        Of the minimum-effect test.
+        p value that the minimum-effect test has to fall below.
     planted : callable, optional
-        Returns what a term that alters commands saves of recordings that have it, beside others, and its size
-        there: see `planted_saving`. Without, they are taken to be filtered as these are.
+        `planted_saving` for terms that alter commands. Without it their saving is computed from the present rows.
     named : sequence of Part
-        What is named of these recordings. A term that is among them is reported beside the others.
+        Findings. The limit of a term among them is that beside the other findings.
 
     Notes
     -----
-    Were an effect there, its term would save the squared length of what it moves in the whitened rows, less what
-    the difference that is there already may take off: nobody knows the sign of an effect beforehand. A fault of
-    one sign moves the rows as its term of the other does, and where much is curved not as far to either side; what
-    is reported holds for both. Its size is searched where the test that is asked of every name is passed just so, and
-    it grows until its 95 % interval leaves out no effect. A fault of the commands alters the filter of the rows
-    too: it grows until the test is passed by recordings that have it. A size whose interval ends where no real
-    car lies beyond is not reported: such a fault is taken for one beyond, which has no name. Chance makes it pass a
-    little earlier or later; what looks the same may be named in its stead.
+    If the effect were there, its term would save the squared length of the row change that it causes, less what the
+    present residuals may oppose. The limit holds for either sign of the effect, whose row changes may differ in length.
+    The smallest size is found that passes the test of a named term. It grows until its 95 % interval excludes no
+    effect. A fault of the commands also changes the whitening filter: its size grows until recordings that have it pass
+    the test. If the interval reaches the end of a real car's range, no size is reported, since such a fault would not
+    be named. By chance an effect may be named at a slightly smaller or larger size, or an alternative may be named in
+    its place.
 
-    Beside names it saves what these cannot take up with other values, it has to be more than their model-form
-    error, as a further name has, and its interval knows that their values are uncertain, too.
+    Beside findings the saving is what these cannot take up with other values. The effect must exceed their model-form
+    error, as a further finding has to, and its interval includes the uncertainty of their values.
     """
     besides: dict[tuple[int, str], _Beside] = {}
     for k, objective in enumerate(objectives):
@@ -117,7 +117,7 @@ def detection_limits(
     found = iter(map_distributed(lambda one: smallest(*one), tried))
     parameters: dict[str, dict[str, tuple[float, str]]] = {}
     for (term, name), several in every.items():
-        # Which variant of them is there nobody knows: what is reported holds for all.
+        # The variant of an effect is not known: the largest limit of all variants is reported.
         _, values, unit = max(
             ((*next(found), CATALOGUE[term].parameter_units(one.variant)[name]) for one, _ in several),
             key=lambda one: one[0],
@@ -135,11 +135,11 @@ def _beside(objective: MarginalLikelihood, named: Sequence[Part]) -> _Beside:
 
 
 def _alone(candidates: Sequence[Candidate]) -> dict[tuple[str, str], list[tuple[Candidate, dict[str, float]]]]:
-    """Return by term and parameter where each of its variants begins with that parameter alone.
+    """Return, by term and parameter, each variant with starting values at which that parameter alone has an effect.
 
-    Two parameters of a term need not be there together: brakes may be weak and the drive sound. A parameter that
-    no effect leaves open, a place in time, keeps its start. Where variants have several parameters and others one
-    of them, each late channel alone, those tell.
+    Parameters of a term need not differ from neutral together: brakes may be weak and the drive sound. A parameter
+    without a neutral value, such as a time, keeps its start. Of variants with different numbers of parameters only
+    those with the fewest are taken.
     """
     found: dict[tuple[str, str], list[tuple[Candidate, dict[str, float]]]] = {}
     for one in candidates:
@@ -164,17 +164,17 @@ def _smallest(
     level: float,
     planted: Planted | None,
 ) -> tuple[float, dict[str, float]]:
-    """Return how many times a start an effect has to be, and its values; infinity and none beyond its range."""
+    """Return the factor on the start's effect at the limit, and the values; infinity and none beyond its range."""
     near = _NEAR if alters_inputs(candidate.build(start)) else _PROPORTIONAL
     objective, rules = beside.objective, beside.objective.policy
 
     def excess(shown: _Shown, times: float, saved: float) -> float:
-        """Return by how much an effect, some times as large, passes, above 0, or fails, below."""
+        """Return the margin by which an effect of so many times the size passes the tests: negative if it fails."""
         free = candidate.build(start).corrects and times * shown.witnessed > rules.allowances.large
         beyond = [] if free else [share * saved for share in shown.beyond]
         p_value = p_of_effect(objective, candidate, times * shown.size, saved, variance_inflation, beyond)
         margins = [np.log(level) - np.log(max(p_value, 1e-300))]
-        apart = rules.selection.deviations**2 * objective.own_savings.get(candidate.effect, 0.0)
+        apart = rules.selection.deviations**2 * objective.self_test_savings.get(candidate.effect, 0.0)
         if apart > 0.0:
             margins.append(np.log(saved / apart))
         if not free and np.isfinite(shown.over):
@@ -195,16 +195,16 @@ def _smallest(
             break
         log = -far if passes(-far) > 0.0 else brentq(passes, -far, far, xtol=0.01)
         factor *= float(np.exp(log))
-        values, everyday = candidate.moved(start, factor), False
-        if candidate.is_everyday(values):
-            # As large as this it is seen, and yet no fault.
+        values, tolerated = candidate.moved(start, factor), False
+        if candidate.is_within_tolerance(values):
+            # It would be seen at this size, but is within tolerance: the limit is the tolerance.
             factor *= min(
-                candidate.ranges[name].everyday / away for name, away in candidate.away(values).items() if away
+                candidate.ranges[name].tolerance / away for name, away in candidate.away(values).items() if away
             )
-            values, everyday = candidate.moved(start, factor), True
+            values, tolerated = candidate.moved(start, factor), True
         if not candidate.allows(values):
             break
-        if everyday or abs(log) < near:
+        if tolerated or abs(log) < near:
             if planted is not None and alters_commands(term):
                 there = shown.over_and_witnessed(factor / before)
                 factor = _grown_seen(beside, candidate, start, factor, there, excess, planted)
@@ -213,13 +213,13 @@ def _smallest(
 
 
 def _shown(beside: _Beside, candidate: Candidate, values: Mapping[str, float]) -> _Shown:
-    """Return what a term of these values shows."""
+    """Return the evidence that a term of these values would give."""
     objective, others, term = beside.objective, beside.fit.terms, candidate.build(values)
     moved, share = beside.moved(term)
     rows = [moved, *(beside.moved(one)[0] for one in _other_sign(candidate, values))]
     ways = []
     for one in rows:
-        # What is there points the other way for one sign of an effect, and has to be made up for first.
+        # For one sign of the effect the present residuals oppose the change.
         length = float(np.sqrt(one @ one))
         ways.append((length, abs(float(one @ beside.fit.residuals)) / max(length, 1e-300)))
     beyond, over = (), np.inf
@@ -242,15 +242,15 @@ def _grown_seen(
     excess: Callable[[_Shown, float, float], float],
     planted: Planted,
 ) -> float:
-    """Return a factor, grown until recordings that have the effect pass; infinity beyond its range.
+    """Return the factor, increased until recordings that have the effect pass the tests; infinity beyond the range.
 
-    They have it to either side, where it has two. What it saves there grows with the square of its size at most,
-    so that each step ends short of what is sought. `shown` is of the size at which it begins.
+    Effects of both signs have to pass. The saving grows at most with the square of the size, so that each step falls
+    short of the limit. `shown` belongs to the initial factor.
     """
     begun = factor
 
     def growth(saved: float, size: float) -> float:
-        """Return by which factor an effect has to grow; 1 where it passes."""
+        """Return the factor by which an effect has to grow; 1 if it passes."""
 
         there = replace(shown.over_and_witnessed(factor / begun), size=size)
 
@@ -279,7 +279,7 @@ def _grown_seen(
 def _grown_until_significant(
     beside: _Beside, candidate: Candidate, start: Mapping[str, float], factor: float
 ) -> tuple[float, dict[str, float]]:
-    """Return a factor and values as of `_smallest`, grown until an interval leaves out no effect."""
+    """Return factor and values as `_smallest` does, increased until the 95 % interval excludes no effect."""
     for _ in range(_ROUNDS):
         values = candidate.moved(start, factor)
         if not (np.isfinite(factor) and candidate.allows(values)):
@@ -291,10 +291,7 @@ def _grown_until_significant(
 
 
 def _is_significant(beside: _Beside, part: Part) -> bool:
-    """Return whether a part that leaves what is left now would have an interval without its neutral value.
-
-    Nor may the interval reach where no real car lies beyond.
-    """
+    """Return whether a part would have an interval that contains neither neutral nor an end of a real car's range."""
     objective, fit = beside.objective, beside.fit
     steps = np.array([part.candidate.ranges[name].step for name in part.values])
     slopes = tangent(objective, np.zeros(len(objective.weight)), part, fit.terms).slopes / steps
@@ -310,7 +307,7 @@ def _is_significant(beside: _Beside, part: Part) -> bool:
 
 
 def _other_sign(candidate: Candidate, values: Mapping[str, float]) -> tuple[Term, ...]:
-    """Return the term as far to the other side, a ratio's inverse; none where a car has but one side of it."""
+    """Return the term with the opposite effect (a ratio's inverse); empty if a car can have one sign only."""
     neutral = CATALOGUE[candidate.term].neutral
     turned = other_side(neutral, values)
     if any(not candidate.ranges[name].lower < neutral[name] < candidate.ranges[name].upper for name in turned):

@@ -5,63 +5,64 @@ from dataclasses import dataclass
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search.delay_minima import other_minima
 from split_cli.diagnosis.search.fitting import Fit, Part, sensitivity_of
 from split_cli.diagnosis.search.form_error import moved_between_load_laws
 from split_cli.diagnosis.search.term_tests import systematic_error, witnesses_disagree
-from split_cli.diagnosis.search.valleys import other_valleys
 from split_cli.diagnosis.statement.result import ParameterEstimate
 from split_cli.diagnosis.verdict.joint_region import JointRegion, least_above, radius_95
 from split_cli.vehicle.effects.search import Range
 
 _CHI2_95 = 3.84  # of one parameter
 _PLACES = ("s_start", "s_end")
-_COLLINEAR = 1e-10  # of a scaled normal matrix, below which a direction is not known at all
+_COLLINEAR = 1e-10  # ridge on the scaled normal matrix, below which a direction is not determined at all [1]
 
 
 @dataclass(frozen=True)
 class PartEstimate:
-    """What is known of the parameters of one part."""
+    """Estimates of the parameters of one part: one by one, and jointly."""
 
     parameters: dict[str, ParameterEstimate]  # each by itself
-    # Of all that have a neutral value together; with another law of load, see `moved_between_load_laws`, a second
-    # one. Empty where there is no such parameter.
+    # Joint region of all parameters with a neutral value; a second one with another load law, see
+    # `moved_between_load_laws`. Empty if there is no such parameter.
     regions: tuple[JointRegion, ...]
 
 
 def parameter_estimates(
     objective: MarginalLikelihood, fit: Fit, *, recorded: bool = True
 ) -> tuple[dict[str, ParameterEstimate], ...]:
-    """Return the parameters of every part, each by itself; see `estimate_parts`."""
+    """Return the estimates of every part's parameters, by name; see `estimate_parts`."""
     return tuple(one.parameters for one in estimate_parts(objective, fit, recorded=recorded))
 
 
 def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = True) -> tuple[PartEstimate, ...]:
-    """Return the parameters of every part.
+    """Return the estimates of every part, with 95 % intervals and joint regions.
 
     Parameters
     ----------
     objective : MarginalLikelihood
     fit : Fit
     recorded : bool
-        Whether the recording has these effects; else its witnesses cannot be asked about their sizes.
+        Whether the recording has these effects; if not, witnesses give no evidence of their sizes.
 
     Notes
     -----
-    The covariance is the sandwich (J^T J)^-1 (sum over blocks of s_b s_b^T) (J^T J)^-1, s_b a block's score: what
-    a bootstrap over blocks converges to, with the simulation's uncertainty inside J. Systematic error is added.
-    Where model-form error widens what terms save, it widens both by its root: it acts alike in block after block.
-    What witnesses see of a sensor's fault has no systematic error of the car, see `systematic_error`.
-    With a fixed baseline J knows nothing of the simulation's uncertainty; what was learned from a recording with
-    as much model-form error is as uncertain as what is found on this one. By what halves of the simulation differ,
-    two recordings of one car may differ, too; by what its witnesses say of a sensor's fault, its size.
-    Where a term loads the tyres, intervals also hold what is found with the law of load that fits best between the
-    variants, see `moved_between_load_laws`.
-    An interval of a delay holds every valley of the cost that explains as well, see `other_valleys`.
-    Intervals end where no real car lies beyond: a time constant is not negative, however little is known of it.
-    A parameter that moves all rows by less than one standard deviation over all its range was not shown, a brake's
-    gain on a drive without braking: it has its neutral value, and its range for an interval.
-    In the region of several, model-form error of the tyres is each parameter's own, as axles err by themselves;
-    other systematic error is a share of the whole effect.
+    A standard error combines several contributions:
+
+    - Random error: the sandwich (J^T J)^-1 (sum over blocks of s_b s_b^T) (J^T J)^-1 with the scores s_b of blocks of
+      time (Liang and Zeger, 1986), at least that of unit noise, widened by model-form error. J contains the uncertainty
+      of the shared discrepancy. With a fixed baseline it does not, and the variance is doubled: the simulation is as
+      uncertain.
+    - Systematic error by other terms, see `systematic_error`; none of the car's for a fault that witnesses see.
+    - Difference between two recordings of one car, as between halves of the simulation.
+    - Disagreement of witnesses about the size of a sensor fault.
+    - Model-form error of the tyres, for terms that act through them.
+
+    An interval also contains the value under the best load law between the variants (`moved_between_load_laws`), and
+    every other minimum of the cost over a delay that explains as well (`other_minima`). It ends at the range of a real
+    car. A parameter that changes all rows by less than one standard deviation over its whole range was not excited, as
+    a brake gain without braking. It gets its neutral value, and its range as interval. In a joint region the model-form
+    error of the tyres is independent for each parameter; other systematic error is a common share of the effect.
     """
     from scipy.stats import t as student
 
@@ -94,10 +95,10 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
                 rise = _CHI2_95 * max(float(np.max(variance / np.maximum(random.unit, 1e-300))), 1.0)
                 limits = _place_limits(objective, fit, k, name, rise)
                 error = (limits[1] - limits[0]) / (2.0 * wide)
-            elif recorded and (valleys := other_valleys(objective, fit, k, name)):
-                # Each is as well known as the one that was found.
+            elif recorded and (minima := other_minima(objective, fit, k, name)):
+                # Each minimum has the same width as the one that was found.
                 reach = np.array(limits) - value
-                limits = min(limits[0], min(valleys) + reach[0]), max(limits[1], max(valleys) + reach[1])
+                limits = min(limits[0], min(minima) + reach[0]), max(limits[1], max(minima) + reach[1])
                 error = (limits[1] - limits[0]) / (2.0 * wide)
             estimated[name] = ParameterEstimate(value, error, unit, _possible(limits, value, physical))
             if neutral is not None:
@@ -117,10 +118,10 @@ def estimate_parts(objective: MarginalLikelihood, fit: Fit, *, recorded: bool = 
 
 @dataclass(frozen=True)
 class _RandomError:
-    """Random error of the parameters of a fit, systematic error left out."""
+    """Random error of the parameters of a fit, without systematic error."""
 
-    scale: np.ndarray  # (P,): by how much one unit of a parameter moves the whitened rows
-    sandwich: np.ndarray  # (P, P): covariance by the scores of blocks of time
+    scale: np.ndarray  # (P,): length of the change of whitened rows by a unit of each parameter
+    sandwich: np.ndarray  # (P, P): covariance from the scores of blocks of time
     of_noise: np.ndarray  # (P, P): covariance by unit noise, widened by model-form error
     unit: np.ndarray  # (P,): variances by unit noise alone
     freedom: int  # degrees of freedom of the sandwich
@@ -141,32 +142,36 @@ def _random_error(objective: MarginalLikelihood, fit: Fit, J: np.ndarray) -> _Ra
 
 
 def _not_shown(neutral: float, unit: str, physical: Range) -> ParameterEstimate:
+    """Return the estimate of a parameter that was not excited: neutral, with its range as interval."""
     limits = _possible((physical.lower, physical.upper), neutral, physical)
     return ParameterEstimate(neutral, 0.5 * (limits[1] - limits[0]), unit, limits)
 
 
 def _between_recordings(objective: MarginalLikelihood, fit: Fit, k: int) -> float:
-    """Return by how much a part may differ between two recordings of one car, over its size [1].
+    """Return the standard deviation of a part's size between two recordings of one car, over its size [1].
 
-    That is by how much halves of the simulation differ: what a term saves grows with the square of its size.
+    It is the root of the saving between halves of the simulation over the saving here, since savings grow with the
+    square of the size.
     """
     part = fit.parts[k]
     first = sum(len(one.values) for one in fit.parts[:k])
     names, neutral = part.term.parameter_units(part.candidate.variant), part.term.neutral
     away = np.array([part.term.parameters[name] - neutral.get(name, part.term.parameters[name]) for name in names])
     moved = sensitivity_of(objective, fit)[:, first : first + len(away)] @ away
-    return float(np.sqrt(objective.own_savings.get(part.candidate.effect, 0.0) / max(float(moved @ moved), 1e-300)))
+    return float(
+        np.sqrt(objective.self_test_savings.get(part.candidate.effect, 0.0) / max(float(moved @ moved), 1e-300))
+    )
 
 
 def _possible(limits: tuple[float, float], value: float, physical: Range) -> tuple[float, float]:
-    """Return what of an interval a real car can have; the value itself always stays inside."""
+    """Return the part of an interval within a real car's range; it always contains the value."""
     return min(value, max(limits[0], physical.lower)), max(value, min(limits[1], physical.upper))
 
 
 def _place_limits(objective: MarginalLikelihood, fit: Fit, k: int, name: str, rise: float) -> tuple[float, float]:
-    """Return how far an end of a stretch may be moved to either side until the cost has risen by `rise`.
+    """Return the interval of an end of a stretch [m] within which the cost rises by less than `rise`.
 
-    Costs are no parabola there: between two turns nothing tells where a stretch ends, so derivatives do not say.
+    The cost is not quadratic there: between two turns the data do not determine where a stretch ends.
     """
     part = fit.parts[k]
     limit, here = part.candidate.ranges[name], part.values[name]

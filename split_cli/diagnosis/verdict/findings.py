@@ -1,4 +1,4 @@
-"""What may be said of an explanation: findings, what looks the same, and what is left without a name."""
+"""Findings: which named terms are trusted, with intervals, alternatives and shares, and what is left unexplained."""
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
-from split_cli.diagnosis.recording.screening import measures
+from split_cli.diagnosis.recording.measured import measures
 from split_cli.diagnosis.remainder.autocorrelation import ResidualAutocorrelation, residual_autocorrelation
 from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
@@ -23,43 +23,49 @@ from split_cli.diagnosis.statement.sentences import sentence_for, separations
 from split_cli.diagnosis.statement.separation import exact_mimics, look_alike, separable_by_lacking, without_doubles
 from split_cli.diagnosis.verdict.constancy import Bend, bends, beyond_form_error
 from split_cli.diagnosis.verdict.estimates import PartEstimate, estimate_parts
-from split_cli.diagnosis.verdict.everyday import named_or_everyday
 from split_cli.diagnosis.verdict.joint_region import JointRegion, apart_along
+from split_cli.diagnosis.verdict.tolerance import named_or_tolerated
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.effects.search import Range
 
-_SHOWN_RIVALS = 6
-_SCALE_STEP = 1e-3  # [1] by which a scale that is known is varied beside others
+_SHOWN_RIVALS = 6  # other terms that are listed with a finding [1]
+_SCALE_STEP = 1e-3  # half range of a known scale in a joint fit [1]
 
 
 @dataclass(frozen=True)
 class _Reported:
-    """A finding, and what else was worked out of it."""
+    """A finding, with its joint regions and declared alternatives."""
 
     finding: Finding
-    regions: tuple[JointRegion, ...]  # of its parameters together, by every explanation that may be the true one
-    declared: tuple[str, ...]  # which of the alternatives are such whatever the data say
+    regions: tuple[JointRegion, ...]  # of its parameters, one for each explanation that may be the true one
+    declared: tuple[str, ...]  # alternatives by declaration of the terms, whatever the data
 
 
 @dataclass(frozen=True)
 class Description:
-    """What may be said of an explanation."""
+    """The findings of a search, and the remainder."""
 
-    selection: Selection  # with the names that are trusted
+    selection: Selection  # in which only trusted terms are named
     findings: tuple[Finding, ...]
     remainder: RemainderTest
-    unexplained: bool  # whether a part of the gap has no name
-    is_apart: bool  # whether the interval of some name, trusted or not, leaves out no effect
+    unexplained: bool  # whether a part of the gap is explained by no finding
+    is_apart: bool  # whether the interval of some named term, trusted or not, excludes no effect
 
 
 def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyType({})) -> Description:
-    """Return what may be said of a search.
+    """Return the trusted findings of a search, and what is left.
 
     Parameters
     ----------
     scales : mapping of str to float
-        Scales of speed or yaw rate that no finding accounts for, see `scales_as_terms`. Physics might stand for
-        them, and is named only where it stays as it is beside them.
+        Wrong scales of speed or yaw rate [1] that no finding accounts for, see `scales_as_terms`. An effect of the car
+        is trusted only if its value does not change when these scales are corrected.
+
+    Notes
+    -----
+    A named term loses its trust if it explains no more than the unexplained part (`_imitating`), if the data do not
+    single it out (`_vague`), or if it changes with a corrected scale (`_stays_beside`). The others are refitted without
+    it and tested again until none is lost. Then intervals contain the values with and without the lost terms.
     """
     structure, selection, variance_inflation = outcome.structure, outcome.selection, outcome.variance_inflation
     objective = structure.objective
@@ -83,10 +89,10 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
     vague = _vague(objective, selection, reported) & kept
     kept -= vague
     while len(kept) < len(findings):
-        # Those that stay are fitted again without the others, and asked again. What is not believed may yet be
-        # there, so that values hold with and without it.
+        # The trusted terms are refitted without the others and tested again. A term that lost its trust may be there
+        # all the same, so intervals also contain the values beside it.
         unexplained, beside = True, {one.finding.term: one for one in reported}
-        # A term that the data do not single out acts all the same: without it the others would take it up.
+        # Vague terms stay in the fit as nuisances: without them the others would take up their effect.
         selection = _only(objective, selection, kept | vague)
         left = residuals_beside_form_error(objective, selection.chosen)
         remainder = _remainder(structure, selection, variance_inflation, left)
@@ -99,11 +105,11 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
         doubted = _vague(objective, selection, reported) - imitating
         kept = {one.term for one in findings} - doubted - imitating
         if scales:
-            # Values are those of another fit than the first: they are held against the scales once more.
+            # The values have changed and are compared with the corrected scales once more.
             sensors = {one.term for one in findings if not one.exported}
             kept &= sensors | _stays_beside(objective, selection, findings, scales)
         vague |= doubted
-    if findings and not (unexplained or all(named_or_everyday(selection))):
+    if findings and not (unexplained or all(named_or_tolerated(selection))):
         by_names = _left_by_names(structure, selection, variance_inflation)
         if by_names.p_value < objective.policy.selection.level and by_names.effect_to_noise > _large(outcome):
             unexplained, remainder = True, by_names
@@ -115,21 +121,22 @@ def _only_findings(reported: Sequence[_Reported]) -> tuple[Finding, ...]:
 
 
 def _sure_bends(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> list[Bend]:
-    """Return how named terms have to change by more than a single track gets wrong: something else acts, too."""
+    """Return significant changes of named terms with a variable: another effect acts, too."""
     found = bends(objective, selection.chosen, selection.named, variance_inflation)
     return [one for one in found if one.p_value * len(found) < objective.policy.selection.level]
 
 
 def _errs_too_much(objective: MarginalLikelihood, selection: Selection, variance_inflation: float) -> bool:
-    """Return whether a named term's error by operating point were larger than what a single track gets wrong."""
+    """Return whether a named term would need a larger model-form error than a single track has."""
     found = beyond_form_error(objective, selection.chosen, selection.named, variance_inflation)
     return any(p_value * len(found) < objective.policy.selection.level for p_value in found.values())
 
 
 def confirmed_by_witnesses(objective: MarginalLikelihood, selection: Selection) -> set[str]:
-    """Return what other evidence than the equations of motion confirms: nothing nameless moves that.
+    """Return ids of terms that are confirmed independently of the equations of motion.
 
-    Those are sensors' faults that take a fair share of what witnesses contradict, and a steer offset on straights.
+    These are sensor faults that remove a fair share of the witnesses' cost, and a steer offset that straights show. An
+    unexplained effect of the car changes neither.
     """
     confirmed, rules = confirmed_by_straights(objective, selection.chosen), objective.policy.selection
     after = objective.witnesses_cost(selection.chosen.residuals)
@@ -143,7 +150,7 @@ def confirmed_by_witnesses(objective: MarginalLikelihood, selection: Selection) 
 def _stays_beside(
     objective: MarginalLikelihood, selection: Selection, findings: Sequence[Finding], scales: Mapping[str, float]
 ) -> set[str]:
-    """Return findings that keep their values where scales are corrected, and do not look like one."""
+    """Return ids of findings that resemble no scale error, and whose values hold when scales are corrected."""
     wrong = []
     for term, value in scales.items():
         ends = Range(value - _SCALE_STEP, value + _SCALE_STEP, _SCALE_STEP)
@@ -165,16 +172,15 @@ def _imitating(
     rules: Abstention,
     nameless: Mapping[str, float] = MappingProxyType({}),
 ) -> set[str]:
-    """Return terms that explain no more than is left, which they may imitate: that has no name.
+    """Return ids of terms that explain no more than the unexplained part, which they may imitate.
 
-    So do terms that have to bend by the greater part of what they do: a steering offset that shows in hard turns
-    and not in gentle ones is a tyre that is weaker to one side.
+    Included are terms that change with a variable by most of their effect. A steering offset that shows in hard turns
+    only is a tyre that is weaker on one side, for example.
 
-    What a term took that is not believed for this has no name either, nor has what those of `nameless` took, as
-    shares of the gap: those that the data do not single out, and those that end at what a car can have. It may as
-    well be of the terms that are declared to look like it, of which each has to explain more than both: a centre
-    of gravity that pulls against a stiffness, say, where the balance of the axles is all that is left; or a
-    steering gain beside tyres that the data want softer than any are.
+    The share of a term that is returned counts as unexplained for the terms that are declared to resemble it, and so do
+    the shares in `nameless`: of vague terms and of those at the end of a car's range. Each of the resembling terms has
+    to explain more than that and the remainder together. Examples are a CG shift against a tyre stiffness, if only the
+    balance of the axles is left, and a steering gain beside tyres at the end of their range.
     """
     explained = {**{one.term: one.gap_explained for one in findings}, **nameless}
     shares = {term: share * (1.0 - remainder.share) for term, share in explained.items()}
@@ -190,9 +196,10 @@ def _imitating(
 
 
 def _declared(objective: MarginalLikelihood, selection: Selection, own: Candidate) -> tuple[str, ...]:
-    """Return what is known to explain recordings like these as well as a term does, whatever the data say.
+    """Return the alternatives that a term has on recordings of this kind by declaration, whatever the data.
 
-    Witnesses of a sensor's fault are data enough: they need no other channel.
+    If model-form error is large, these include terms that only an unrecorded channel would distinguish from it, unless
+    witnesses confirm the term.
     """
     little = objective.form_error_inflation <= objective.policy.selection.much_over_noise
     if little or own.term in confirmed_by_witnesses(objective, selection):
@@ -203,10 +210,10 @@ def _declared(objective: MarginalLikelihood, selection: Selection, own: Candidat
 
 
 def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequence[_Reported]) -> set[str]:
-    """Return terms that the data do not single out.
+    """Return ids of terms that the data do not single out.
 
-    Many others do as well, nothing tells where they act, or no effect at all is as good: for each parameter by
-    itself, and for all of them together. Or they end at what a car can have, once others are fitted again.
+    Such a term has too many alternatives, an undetermined place, or an interval and joint region that contain no
+    effect. Or it ends at a car's range after other terms were refitted.
     """
     parts = {part.candidate.term: part for part in selection.chosen.parts}
     rules, out = objective.policy.abstention, set()
@@ -228,12 +235,12 @@ def _vague(objective: MarginalLikelihood, selection: Selection, reported: Sequen
 
 
 def excludes_no_effect(finding: Finding) -> bool:
-    """Return whether a parameter's 95 % interval leaves out its neutral value, or all of them together do."""
+    """Return whether the 95 % interval of a parameter, or their joint region, excludes no effect."""
     return finding.combination is not None or one_excludes_no_effect(finding.term, finding.parameters)
 
 
 def one_excludes_no_effect(term: str, parameters: Mapping[str, ParameterEstimate]) -> bool:
-    """Return whether some parameter's interval leaves out its neutral value; so it is where none has one."""
+    """Return whether some parameter's interval excludes its neutral value; true if no parameter has a neutral value."""
     neutral = CATALOGUE[term].neutral
     apart = [
         not low <= neutral[name] <= high
@@ -246,12 +253,12 @@ def one_excludes_no_effect(term: str, parameters: Mapping[str, ParameterEstimate
 def known_together(
     term: str, parameters: Mapping[str, ParameterEstimate], regions: Sequence[JointRegion]
 ) -> Combination | None:
-    """Return the sum of parameters that is surely not that of no effect, where none of them is so by itself.
+    """Return a weighted sum of parameters whose interval excludes no effect, if no single interval does; else None.
 
     Parameters
     ----------
     regions : sequence of JointRegion
-        Of the same parameters together, by every explanation that may be the true one.
+        Of the same parameters, one for each explanation that may be the true one.
     """
     if not regions or len(regions[0].names) < 2 or one_excludes_no_effect(term, parameters):
         return None
@@ -278,7 +285,7 @@ def _is_unexplained(
     autocorrelation: ResidualAutocorrelation,
     outcome: SearchOutcome,
 ) -> bool:
-    """Return whether what is left is structured and large, or autocorrelated."""
+    """Return whether the remainder is large and not noise, by the flexible fit or by autocorrelation."""
     policy = outcome.structure.objective.policy
     least, selection, large = policy.allowances.unnamed, policy.selection, _large(outcome)
     usual = outcome.self_test.usual_autocorrelation(autocorrelation.rows)
@@ -290,14 +297,14 @@ def _is_unexplained(
 
 
 def _large(outcome: SearchOutcome) -> float:
-    """Return the effect-to-noise ratio beyond which what has no name is unexplained, whatever its share."""
+    """Return the effect-to-noise ratio beyond which a remainder is unexplained, whatever its share of the gap [1]."""
     policy = outcome.structure.objective.policy
     of_gap = policy.selection.form_error_share * outcome.gap.effect_to_noise
     return max(policy.allowances.large, min(of_gap, policy.selection.above_noise))
 
 
 def is_autocorrelated(autocorrelation: ResidualAutocorrelation, usual: float, policy: Policy = STANDARD) -> bool:
-    """Return whether rows vary together by more than they usually do, and by enough to matter."""
+    """Return whether rows are autocorrelated by more than in the simulation, and by enough to matter."""
     return (
         autocorrelation.effect_to_noise > policy.allowances.unnamed
         and autocorrelation.p_value(usual, policy.self_test) < policy.selection.level
@@ -305,7 +312,7 @@ def is_autocorrelated(autocorrelation: ResidualAutocorrelation, usual: float, po
 
 
 def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float] | None) -> tuple[Finding, ...]:
-    """Replace what findings explain of all rows by what they explain of those kept out, where enough were."""
+    """Return findings with their shares on held-out time, if there are any, in descending order of share."""
     if shares is None:
         return tuple(findings)
     by_term = {part.candidate.term: share for part, share in zip(chosen.parts, shares, strict=True)}
@@ -316,7 +323,7 @@ def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float
 def _remainder(
     structure: Structure, selection: Selection, variance_inflation: float, residuals: np.ndarray
 ) -> RemainderTest:
-    """Return what is left beyond the named terms' model-form error; see `residuals_beside_form_error`."""
+    """Return the test of residuals, which are those beyond the terms' model-form error."""
     left = structure.fit(residuals, variance_inflation)
     named = selection.base.cost - selection.chosen.cost
     share = structure.unnamed_share(left, named, variance_inflation)
@@ -324,12 +331,11 @@ def _remainder(
 
 
 def _left_by_names(structure: Structure, selection: Selection, variance_inflation: float) -> RemainderTest:
-    """Return what the named terms leave by themselves, without those that are in the fit and have no name.
+    """Return the test of what named terms and sensor errors within tolerance leave without the nuisance terms.
 
-    These may stand for an effect that the search did not find: what they took up is explained by nothing. What any
-    recording may have is explained.
+    Nuisance terms may stand for an effect that the search did not find, so what they take up is not explained.
     """
-    known = named_or_everyday(selection)
+    known = named_or_tolerated(selection)
     named = [part for part, is_known in zip(selection.chosen.parts, known, strict=True) if is_known]
     alone = replace(selection, chosen=fit_parts(structure.objective, named))
     left = residuals_beside_form_error(structure.objective, alone.chosen)
@@ -337,7 +343,7 @@ def _left_by_names(structure: Structure, selection: Selection, variance_inflatio
 
 
 def _shares(selection: Selection, terms: Set[str]) -> dict[str, float]:
-    """Return by which share of what is explained each of these terms explains more than the others [1]."""
+    """Return the share of the explained cost that is lost without each of these terms, by id [1]."""
     chosen = selection.chosen
     total = max(selection.base.cost - chosen.cost, 1e-9)
     return {
@@ -348,14 +354,14 @@ def _shares(selection: Selection, terms: Set[str]) -> dict[str, float]:
 
 
 def _nameless_shares(selection: Selection, vague: Set[str] = frozenset()) -> dict[str, float]:
-    """Return the shares of what the explanation does not name: what is vague, or ends at what a car has."""
+    """Return the shares of vague terms and of unnamed terms at the end of a car's range, by id [1]."""
     unnamed = zip(selection.chosen.parts, selection.named, strict=True)
     ends = {part.candidate.term for part, named in unnamed if not named and part.candidate.at_limit(part.values)}
     return _shares(selection, vague | ends)
 
 
 def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) -> Selection:
-    """Return an explanation with these of its named terms, refitted; what was kept as a nuisance stays."""
+    """Return the selection refitted with only these of its named terms; nuisance terms stay."""
     keep = [
         k
         for k, (part, named) in enumerate(zip(selection.chosen.parts, selection.named, strict=True))
@@ -377,7 +383,7 @@ def _only(objective: MarginalLikelihood, selection: Selection, terms: set[str]) 
 
 
 def _nameless(selection: Selection, terms: set[str]) -> Selection:
-    """Return a selection in which these terms are nuisances: in the fit, and without a name."""
+    """Return a selection in which these terms are nuisance terms."""
     named = tuple(
         one and part.candidate.term not in terms
         for one, part in zip(selection.named, selection.chosen.parts, strict=True)
@@ -386,7 +392,7 @@ def _nameless(selection: Selection, terms: set[str]) -> Selection:
 
 
 def _as_another(part: Part, rivals: Sequence[Rival]) -> Part:
-    """Return the term that a part has become by its values, a fade of grip that is over at once; else the part."""
+    """Return the alternative that a part is equal to at its values, as a grip that fades at once; else the part."""
     if not part.candidate.is_another(part.values):
         return part
     own = part.candidate
@@ -400,7 +406,15 @@ def _findings(
     unnamed: float,
     beside: Mapping[str, _Reported] = MappingProxyType({}),
 ) -> tuple[_Reported, ...]:
-    """Return what is named; intervals also hold what `beside` tells of a term's parameters."""
+    """Return the findings of a selection.
+
+    Parameters
+    ----------
+    unnamed : float
+        Unexplained share of the gap [1].
+    beside : mapping of str to _Reported
+        Earlier results by term, whose intervals are included.
+    """
     chosen = selection.chosen
     estimates = estimate_parts(objective, chosen)
     shares = _shares(selection, {part.candidate.term for part in chosen.parts})
@@ -436,9 +450,9 @@ def _findings(
 def _with_variants(
     objective: MarginalLikelihood, selection: Selection, k: int, own: PartEstimate, unnamed: float
 ) -> tuple[dict[str, ParameterEstimate], tuple[JointRegion, ...]]:
-    """Widen what is known of a part by its term's other variants, where they explain the data as well.
+    """Return estimates and regions of a part, with those of other variants that explain the data as well.
 
-    Of variants that differ by less than the share of the gap that is `unnamed`, either may be the better one.
+    Variants whose savings differ by less than the share `unnamed` of the gap count as equally good.
     """
     parameters, regions = dict(own.parameters), own.regions
     for sibling in explaining_as_well(objective, selection, k, selection.siblings[k], unnamed):
@@ -449,25 +463,21 @@ def _with_variants(
 
 
 def _of_the_same(regions: Sequence[JointRegion], others: Sequence[JointRegion]) -> tuple[JointRegion, ...]:
-    """Return the others that are of the same parameters."""
+    """Return the regions that have the same parameters."""
     return tuple(one for one in others if regions and one.names == regions[0].names)
 
 
 def _covering(
     own: Mapping[str, ParameterEstimate], others: Mapping[str, ParameterEstimate]
 ) -> dict[str, ParameterEstimate]:
-    """Return estimates whose intervals hold those of others of the same name, too."""
+    """Return estimates whose intervals also contain those of others of the same name."""
     return {name: one.covering(others[name]) if name in others else one for name, one in own.items()}
 
 
 def _alternatives(
     objective: MarginalLikelihood, selection: Selection, k: int, declared: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return terms that fit as well here, and those that are declared to, whatever the data say.
-
-    Where there is much model-form error, the shape of an effect does not tell a term from those that a channel
-    would tell it from which was not recorded.
-    """
+    """Return ids of terms that explain the data as well as part k, and the declared alternatives."""
     rivals = explaining_as_well(objective, selection, k, selection.rivals[k])
     names = [*(rival.fit.parts[-1].candidate.term for rival in rivals), *declared]
     taken = {part.candidate.term for part in selection.chosen.parts}

@@ -1,4 +1,4 @@
-"""Held-out time: whether terms fitted on the rest explain it."""
+"""Held-out time: its split from training time, and the share of its error that terms explain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,11 +17,11 @@ from split_cli.vehicle.effects import Term
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The real recordings' rows in two."""
+    """The objective on training time and on held-out time."""
 
     training: MarginalLikelihood
-    testing: MarginalLikelihood | None  # None where too little is kept out to judge by
-    masks: tuple[np.ndarray, ...]  # bool (N,): samples kept out of each real recording
+    testing: MarginalLikelihood | None  # None if too little is held out
+    masks: tuple[np.ndarray, ...]  # bool (N,): held-out samples of each real recording
 
 
 def hold_out(
@@ -36,12 +36,12 @@ def hold_out(
     *,
     fixed_baseline: bool = False,
 ) -> HeldOut:
-    """Keep out the recordings named for it, else the last share of the time of every real one.
+    """Hold out the recordings given for it, or else the last share of the time of every real one.
 
     Parameters
     ----------
     real, others : sequence of Evidence
-        Others are kept out as a whole.
+        Others are held out as a whole.
     keep, keep_others : sequence of ndarray of bool, shape (G,)
         Rows that are compared.
     posterior, discrepancy, kinematics
@@ -73,23 +73,23 @@ def hold_out(
 def fitted_alone(
     objective: MarginalLikelihood, fit: Fit, known: Sequence[bool], findings: Sequence[Finding]
 ) -> tuple[Part, ...]:
-    """Return the known parts of a fit as they explain most without the others, within what is known of them.
+    """Return the known parts of a fit, refitted without the other parts and within their 95 % intervals.
 
     Parameters
     ----------
     objective : MarginalLikelihood
     fit : Fit
-        Of which the parts that are not known leave.
+        Of all parts.
     known : sequence of bool
-        Of every part: whether it has a name, or is what any sound recording may have.
+        Of every part: whether it is named, or a sensor error within tolerance.
     findings : sequence of Finding
-        With the 95 % intervals that no value leaves.
+        Whose 95 % intervals bound the values.
 
     Notes
     -----
-    A value of a joint fit is right beside all of that fit: grip that is low beside stiff tyres is too low without
-    them. A vehicle with the names alone has none of what has no name. Of the values that the data allow, it takes
-    those that are best then. What a drive does not show keeps the value of its finding.
+    Values of a joint fit belong together: a low grip beside stiff tyres is too low without these. A vehicle file with
+    the findings alone lacks the parts without a name, so its values are those that are best without them. A parameter
+    that the drive does not excite keeps the value of its finding.
     """
     parts = tuple(part for part, one in zip(fit.parts, known, strict=True) if one)
     if len(parts) in (0, len(fit.parts)):
@@ -101,7 +101,7 @@ def fitted_alone(
 
 
 def _within(part: Part, finding: Finding) -> Part:
-    """Return a part whose ranges are the intervals of its finding."""
+    """Return a part whose ranges are the 95 % intervals of its finding."""
     ranges = dict(part.candidate.ranges)
     for name, one in finding.parameters.items():
         is_shown = one.value != part.term.neutral.get(name)
@@ -111,7 +111,7 @@ def _within(part: Part, finding: Finding) -> Part:
 
 
 def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
-    """Return the drop in held-out squared error above the noise floor when a part is removed last, as shares [1].
+    """Return the share of held-out squared error above the noise floor that each part explains beside the others [1].
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
     Returns
     -------
     tuple of float or None
-        Of every part, between 0 and 1; None where too little was kept out.
+        Of every part, between 0 and 1; None if too little was held out.
     """
     if split.testing is None or not fit.parts:
         return None
@@ -129,19 +129,19 @@ def explained_shares(split: HeldOut, fit: Fit) -> tuple[float, ...] | None:
 
 
 def explained_by(split: HeldOut, fit: Fit, terms: Sequence[Term]) -> float | None:
-    """Return which share [1] of the held-out squared error above the noise floor named terms take by themselves.
+    """Return the share of held-out squared error above the noise floor that terms explain by themselves [1].
 
     Parameters
     ----------
     fit : Fit
-        On the training rows, of all parts: what it leaves beyond noise is above the floor, too.
+        On the training rows, of all parts. The floor is its held-out error, or that of noise alone if smaller.
     terms : sequence of Term
-        The named ones as they explain most without the others, see `fitted_alone`.
+        The findings, fitted without the other parts, see `fitted_alone`.
 
     Returns
     -------
     float or None
-        Between 0 and 1; None where nothing has a name or too little was kept out.
+        Between 0 and 1; None without terms, or if too little was held out.
     """
     if split.testing is None or not terms:
         return None
@@ -150,13 +150,13 @@ def explained_by(split: HeldOut, fit: Fit, terms: Sequence[Term]) -> float | Non
 
 
 def _share(split: HeldOut, fit: Fit, others: Sequence[Part]) -> float:
-    """Return what of the held-out squared error above the noise floor returns where only `others` are fitted."""
+    """Return by how much the held-out squared error rises with `others` alone, as a share of that above the floor."""
     full, bare, above = _held_out_costs(split, fit)
     without = split.testing.cost(fit_parts(split.training, tuple(others)).terms) if others else bare
     return float(np.clip((without - full) / above, 0.0, 1.0))
 
 
 def _held_out_costs(split: HeldOut, fit: Fit) -> tuple[float, float, float]:
-    """Return the held-out squared error with a fit, without any part, and what of the latter is above noise."""
+    """Return the held-out squared error with a fit, without any part, and the latter above the noise floor."""
     full, bare = split.testing.cost(fit.terms), split.testing.cost(())
     return full, bare, max(bare - min(full, float(len(split.testing.weight))), 1e-9)

@@ -1,4 +1,4 @@
-"""Does the named physics help: held-out errors of one step and of rollouts, before and after."""
+"""Improvement: held-out errors of one step and of rollouts with and without the findings and SPLIT."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ from split_cli.diagnosis.verdict.simulation_part import chosen_simulation_parts,
 from split_cli.vehicle.effects import Term
 
 _BOOTSTRAPS = 400
-_MOSTLY = 0.9  # of the draws must leave something to improve, else a share has no interval
+_MOSTLY = 0.9  # share of draws with an error above the noise floor that an interval of a share needs [1]
 
 
 def measure_improvement(
@@ -40,28 +40,28 @@ def measure_improvement(
     posterior: DiscrepancyPosterior | None,
     simulated: Sequence[Evidence] = (),
 ) -> Improvement | None:
-    """Compare simulation, named physics and SPLIT on held-out time.
+    """Compare the simulation, the findings and SPLIT on held-out time.
 
     Parameters
     ----------
     recordings : sequence of (Evidence, ndarray of bool of shape (N,))
-        Real recordings and which of their rows are held out; SPLIT learns what the others leave.
+        Real recordings and which of their samples are held out; SPLIT learns on the other samples.
     terms : sequence of Term
-        Fitted without the held-out rows.
+        Fitted without the held-out time.
     posterior : DiscrepancyPosterior or None
-        What the simulation taught.
+        Of the shared discrepancy.
     simulated : sequence of Evidence
-        That taught it; what they taught is checked on them.
+        From which it was learned, and on which it is checked.
 
     Returns
     -------
     Improvement or None
-        None where no step lies wholly in held-out time, as behind a long gap.
+        None if no step lies wholly in held-out time.
 
     Notes
     -----
-    The simulation is the best of what it offers, with terms as without, see `chosen_simulation_parts`:
-    one that diverges is easy to beat.
+    Of the shared discrepancy that part is used which predicts best, see `chosen_simulation_parts`. A comparison with a
+    diverging model would be too easy.
     """
     terms = tuple(terms)
     plain = [shared_rates(one.series, discrepancy, posterior) for one, _ in recordings]
@@ -114,7 +114,7 @@ def measure_improvement(
 def _held_out_errors(
     parts: Sequence[LabelErrors], split_only: LearnedCorrection | None, both: LearnedCorrection | None
 ) -> dict[str, np.ndarray]:
-    """Return the errors of each stage's steps in held-out time, all recordings one after the other, (L, 3) each."""
+    """Return the held-out one-step errors of each stage, over all recordings, shape (L, 3) each."""
     by_stage = {
         "before": [part.steps("before", part.before) for part in parts],
         "physics": [part.steps("physics", part.physics) for part in parts],
@@ -129,9 +129,17 @@ def _held_out_errors(
 
 
 def improvable_removed(before: Sequence[float], other: Sequence[float], floor: Sequence[float]) -> float:
-    """Return the share of squared error above the noise floor that is gone, channels weighed by their noise.
+    """Return the removed share of the squared error above the noise floor, channels weighted by their noise [1].
 
-    NaN when the squared error before is, on average, within 2 % of the floor's: noise over noise is no share.
+    Parameters
+    ----------
+    before, other, floor : sequence of float
+        Rms errors of v_x, v_y and r.
+
+    Returns
+    -------
+    float
+        NaN if the squared error before is on average within 2 % of the floor's.
     """
     removable = removed = 0.0
     for error, left, noise in zip(before, other, floor, strict=True):
@@ -142,12 +150,12 @@ def improvable_removed(before: Sequence[float], other: Sequence[float], floor: S
 
 
 def _bootstrap(squared: Mapping[str, np.ndarray], floor: np.ndarray, block: np.ndarray):
-    """Return 95 % intervals of each rms, and of the share of the improvable error removed, by block bootstrap.
+    """Return 95 % intervals of each rms, and of the share of `improvable_removed`, by block bootstrap.
 
     Notes
     -----
-    Draws of few blocks vary too little: quantiles are moved away from the estimate by Student's t over the normal
-    quantile, times the root of B/(B - 1) for B blocks.
+    With few blocks bootstrap intervals are too narrow. The distances of the quantiles from the estimate are multiplied
+    by the ratio of the Student to the normal quantile and by the root of B/(B - 1), for B blocks.
     """
     from scipy.stats import t as student
 
@@ -184,7 +192,7 @@ def _bootstrap(squared: Mapping[str, np.ndarray], floor: np.ndarray, block: np.n
 
 
 def _pooled(recordings: Sequence[RolloutErrors]) -> tuple[HorizonErrors, ...]:
-    """Pool the recordings' rollouts, horizon by horizon."""
+    """Return the errors of rollouts at each horizon, pooled over recordings."""
     out = []
     for k, horizon in enumerate(HORIZONS):
         having = [one for one in recordings if len(one.horizons) > k and len(one.t)]

@@ -1,7 +1,7 @@
-"""Joint confidence regions of the parameters of one term: what is known of them together.
+"""Joint confidence regions of the parameters of one term.
 
-Front and rear downforce may each have an interval that holds no effect, while that of their sum does not. Whether
-an effect is there is decided by the region of all of a term's parameters, not by the interval of each.
+The intervals of front and rear downforce may both contain zero while that of their sum does not. So whether a term has
+an effect is decided by the joint region of its parameters, not by the interval of each.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
-_STEPS = 500  # towards the point nearest to no effect
+_STEPS = 500  # iterations of the search for the point nearest to no effect
 
 
 @dataclass(frozen=True)
 class JointRegion:
-    """An ellipsoid that holds the true parameters of a term with a probability of 95 %."""
+    """An ellipsoid that contains the true parameters of a term with a probability of 95 %."""
 
     names: tuple[str, ...]  # parameters that have a neutral value
-    centre: np.ndarray  # (P,): how far they are from neutral, in their units
-    covariance: np.ndarray  # (P, P)
+    centre: np.ndarray  # (P,): estimates less neutral values, in the parameters' units
+    covariance: np.ndarray  # (P, P), in the products of these units
     radius: float  # Mahalanobis distance from the centre to the surface, see `radius_95`
 
     def moved(self, by: np.ndarray) -> JointRegion:
-        """Return the region elsewhere, by a step of the parameters, shape (P,)."""
+        """Return the region shifted by a step of the parameters, shape (P,)."""
         return replace(self, centre=self.centre + by)
 
     def along(self, weights: np.ndarray) -> tuple[float, float]:
@@ -48,7 +48,7 @@ def radius_95(count: int, freedom: float) -> float:
 
 
 def least_above(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the least covariance (P, P) that is no smaller than either of two, along their common axes.
+    """Return a covariance (P, P) that is no smaller than either of two: their maximum along common axes.
 
     Notes
     -----
@@ -60,20 +60,20 @@ def least_above(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def apart_along(regions: Sequence[JointRegion]) -> np.ndarray | None:
-    """Return weights (P,) of a sum of parameters that is positive all over the regions; None where there is none.
+    """Return weights (P,) of a sum of parameters that is positive all over the regions; None if there is none.
 
-    Regions are of explanations of which any may be the true one, and of what lies between them. No effect is left
-    out by the least convex set that holds them all if and only if such a sum exists.
+    Any of the explanations of the regions, or one between them, may be true. Their convex hull excludes no effect if
+    and only if such a sum exists.
 
     Parameters
     ----------
     regions : sequence of JointRegion
-        Of the same parameters; the first is that of the explanation that was chosen.
+        Of the same parameters; the first belongs to the chosen explanation.
 
     Notes
     -----
-    Gilbert's (1966) algorithm for the point of a convex set that is nearest to the origin, where the covariance of
-    the first region is the unit matrix. With one region the answer is that of the Wald test, weights V^-1 d.
+    Gilbert's (1966) algorithm for the point of a convex set nearest to the origin, in coordinates in which the first
+    covariance is the unit matrix. With one region it is the Wald test, with the weights V^-1 d.
     """
     root = np.linalg.cholesky(regions[0].covariance)
     shapes = []
@@ -94,6 +94,6 @@ def apart_along(regions: Sequence[JointRegion]) -> np.ndarray | None:
 
 
 def _lowest(along: np.ndarray, centre: np.ndarray, covariance: np.ndarray, radius: float) -> np.ndarray:
-    """Return the point of an ellipsoid that is lowest along a direction."""
+    """Return the point of an ellipsoid with the smallest product with a direction."""
     spread = covariance @ along
     return centre - radius * spread / max(float(np.sqrt(along @ spread)), 1e-300)

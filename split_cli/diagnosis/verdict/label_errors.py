@@ -1,4 +1,4 @@
-"""Errors of labels over a step of 0.05 s, before and with terms, and the blocks of time they are drawn in."""
+"""Errors of labels and of steps of 0.05 s on a recording, without and with terms, and blocks of time for statistics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,26 +24,26 @@ _SHORTEST_BLOCK = 0.5
 class LabelErrors:
     """Errors of labels and of single steps on one recording, and which windows are held out.
 
-    A label is the rate that a model lacks, and a step's error is what that makes of the velocities: Phi times the
-    label. Stages are compared by steps. Phi is that of each model at its own slip angles, and where a tyre reacts
-    within the step its inverse is large: labels of a model at wrong slip angles would be small for that reason.
-    What a term remembers follows the velocities within the step, see `Windows.responses`.
+    A label is the rate that a model lacks. The error of a step is its effect on the velocities: Phi times the label,
+    over the length of the step. Stages are compared by steps, since Phi depends on the slip angles, and those differ
+    between models. Where a tyre reacts within the step, Phi is small and labels are large. States of terms follow the
+    velocities within the step, see `Windows.responses`.
     """
 
-    labels: Labels  # of the simulation as learned: nominal less the shared discrepancy
-    # before, physics: (L, 3): [m/s^2], [m/s^2], [rad/s^2]
+    labels: Labels  # of the nominal model
+    # before, physics: (L, 3): label errors with the shared discrepancy, and with the terms too [m/s^2, m/s^2, rad/s^2].
     before: np.ndarray
     physics: np.ndarray
-    # phi_before, phi_physics: (L, 3, 3): mean over the step of exp(A s), A the model's Jacobian with its memory
+    # phi_before, phi_physics: (L, 3, 3): mean over the step of exp(A s), A the Jacobian with the states of terms.
     phi_before: np.ndarray
     phi_physics: np.ndarray
-    # persistence, floor: (L, 3): of steps, over their length; the floor is the variance that sensor noise alone makes
+    # persistence, floor: (L, 3): step errors of held velocities, and variance of step errors by sensor noise alone.
     persistence: np.ndarray
-    held: np.ndarray  # bool (L,)
+    held: np.ndarray  # bool (L,): labels whose step lies in held-out time
     floor: np.ndarray
 
     def steps(self, stage: str, errors: np.ndarray) -> np.ndarray:
-        """Return label errors (L, 3) of a stage, ``before`` or ``physics``, as errors of steps over their length."""
+        """Return label errors (L, 3) of a stage, ``before`` or ``physics``, as step errors over the step's length."""
         out: np.ndarray = np.einsum("nij,nj->ni", getattr(self, f"phi_{stage}"), errors)
         return out
 
@@ -55,16 +55,17 @@ def label_errors(
     shared_named: SharedRates | None,
     held_rows: np.ndarray,
 ) -> LabelErrors:
-    """Compute label errors before and with the terms.
+    """Return the label errors of a recording without and with terms.
 
     Parameters
     ----------
     shared, shared_named : SharedRates or None
-        What the simulation knows beyond the nominal model along this recording, as it is and with the terms.
+        Shared discrepancy along the recording, without and with the terms.
     held_rows : ndarray of bool, shape (N,)
+        Samples of held-out time.
     """
     series, vehicle = evidence.series, evidence.vehicle
-    # Effects of the vehicle file act where, when and under which yaw the diagnosis says.
+    # Effects of the vehicle file that depend on time, place or yaw use those of the diagnosis.
     situation = {"t": series.t, "s": series.s, "yaw": series.yaw}
     drive = replace(series.drive, columns={**series.drive.columns, **situation})
     labels = compute_labels(drive, vehicle, Z2)
@@ -77,7 +78,7 @@ def label_errors(
     held = held_rows[rows] & held_rows[rows + window]
     if shared is not None:
         before = before - shared.base[span[:, :-1]].mean(axis=1)
-    # Which part of the simulation is believed is chosen for each stage apart.
+    # The used part of the discrepancy was chosen for each stage separately.
     if shared_named is not None:
         physics = physics - shared_named.base[span[:, :-1]].mean(axis=1)
     ends = covariance_of_ends(carried, white_noise(series.noise), window) / labels.horizon**2
@@ -88,7 +89,7 @@ def label_errors(
 def _labels_with(
     evidence: Evidence, terms: Sequence[Term], labels: Labels
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return labels (L, 3) of the nominal model with terms, and Phi and exp(A h) of each, (L, 3, 3)."""
+    """Return the labels (L, 3) of the nominal model with terms, and Phi and exp(A h) of each, (L, 3, 3)."""
     series, rows, window = evidence.series, labels.row, labels.window
     measured, smooth = series.corrected(terms)
     model = extended_model(evidence.vehicle, terms)
@@ -102,14 +103,17 @@ def _labels_with(
 
 
 def blocks_of_time(times: Sequence[np.ndarray], longest: float = BLOCK_SECONDS) -> np.ndarray:
-    """Number the blocks of time of all recordings; shorter ones where too few would be left to draw from."""
+    """Return the number of the block of time of each of the times [s], over all recordings.
+
+    Blocks are `longest` seconds, or shorter if there would be too few for a bootstrap.
+    """
     seconds = sum(float(np.ptp(t)) for t in times if len(t)) / _WANTED_BLOCKS
     length = float(np.clip(seconds, _SHORTEST_BLOCK, longest))
     return np.concatenate([1_000_000 * k + (t // length).astype(np.int64) for k, t in enumerate(times)])
 
 
 def in_standard_errors(values: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Return sums of values (L, ...) over their standard errors, blocks of time being independent."""
+    """Return sums of values (L, ...) over their standard errors, with independent blocks of time, shape (...)."""
     _, number = np.unique(block, return_inverse=True)
     sums = np.zeros((int(number.max(initial=0)) + 1, *values.shape[1:]))
     np.add.at(sums, number, values)

@@ -1,4 +1,4 @@
-"""Leads: explanations that no real car can have, and effects that the named ones may hide."""
+"""Leads: explanations beyond the range of a real car, and effects that the findings may hide."""
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
@@ -20,24 +20,22 @@ from split_cli.diagnosis.verdict.findings import one_excludes_no_effect
 def find_leads(
     objective: MarginalLikelihood, selection: Selection, variance_inflation: float, *, apart: bool = False
 ) -> tuple[Lead, ...]:
-    """Return what would explain much, had a car what it would need; and what the named effects may hide.
+    """Return the leads of a search: explanations beyond a real car's range first, then effects that may be hidden.
 
     Parameters
     ----------
     selection : Selection
-        With what every term explains alone.
+        With the fits of every term alone.
     variance_inflation : float
-        By which residual autocorrelation widens chi squared.
+        Factor by which residual autocorrelation widens chi squared [1].
     apart : bool
         Whether reality and simulation were driven too differently for an effect of the car to have a name.
 
     Notes
     -----
-    A term whose fit ended at a bound of what a car can have is followed beyond it: alone, and beside what is
-    named. It is reported if it then explains a fair share of what is there, and if its interval leaves out no
-    effect: what may as well be of the other sign leads nowhere. Nor does what ends at the wider bound, too: that
-    is no value. Beside names it has to be what a further name has
-    to be, more than their model-form error, beyond doubt.
+    A term whose fit ended at a bound of a real car's range is fitted again with wider bounds: alone, and beside the
+    findings. It is a lead if it then explains a large share, if it does not end at the wider bound, and if its interval
+    excludes no effect. Beside findings it must also pass the tests of a further finding, with a stricter level.
     """
     chosen, known = selection.chosen, {term.id for term in selection.terms}
     explore = Explorer(objective, tuple(fit.parts[-1].candidate for fit in selection.first), variance_inflation)
@@ -56,10 +54,10 @@ def find_leads(
 def _hidden(
     explore: Explorer, selection: Selection, beside: Sequence[tuple[Fit, Sequence[Fit]]], *, apart: bool
 ) -> list[Lead]:
-    """Return effects that a car can have and that save beyond chance beside the names, which may yet be their error.
+    """Return effects within a car's range that save beyond chance, but may be model-form error of the findings.
 
-    Either this effect acts, or a single track gets that much wrong of the named ones. A term without a name that is
-    part of the explanation is one of these, too. Of several that save as much the best stands for all.
+    Nuisance terms of the explanation are included. Of several effects that save as much, the best is reported with the
+    others as alternatives.
     """
     objective, level = explore.objective, explore.rules.level / max(len(explore.candidates), 1)
     chosen = selection.chosen
@@ -74,7 +72,7 @@ def _hidden(
         for fit in fits:
             part, last, saved = fit.parts[-1], len(fit.parts) - 1, rest.cost - fit.cost
             own = part.candidate
-            if own.at_limit(part.values) or part.is_everyday or (own.term in taken and rest is chosen):
+            if own.at_limit(part.values) or part.is_within_tolerance or (own.term in taken and rest is chosen):
                 continue
             if len(out) >= objective.policy.abstention.most_leads:
                 return out
@@ -94,15 +92,15 @@ def _hidden(
 
 
 def _as_last(fit: Fit, k: int) -> Fit:
-    """Return a fit with one of its parts behind the others."""
+    """Return a fit with part k moved to the end."""
     parts = (*fit.parts[:k], *fit.parts[k + 1 :], fit.parts[k])
     return replace(fit, parts=parts, sensitivity=np.empty((len(fit.residuals), 0)))
 
 
 def _beside_names(selection: Selection) -> list[tuple[Fit, Sequence[Fit]]]:
-    """Return what stands beside names, and fits of further terms beside it, each the last of its parts.
+    """Return explanations with findings, each with fits of further terms beside it, the further term last.
 
-    Those are the chosen explanation, and what is left of it without a term that ended at a bound.
+    These are the chosen explanation, and that without a term that ended at a bound.
     """
     chosen = selection.chosen
     if not selection.terms:
@@ -115,9 +113,9 @@ def _beside_names(selection: Selection) -> list[tuple[Fit, Sequence[Fit]]]:
 
 
 def _is_believed(explore: Explorer, rest: Fit, free: Fit) -> bool:
-    """Return whether a further term would be named, but for what it needs, and is beyond doubt.
+    """Return whether a further term passes the tests of a finding except for its range, at the strict level.
 
-    What no car has is likelier to stand for something else than what cars have.
+    An explanation beyond a car's range is more likely to stand for another effect.
     """
     objective, last = explore.objective, len(free.parts) - 1
     p_value = term_p(objective, free, last, rest.cost - free.cost, explore.variance_inflation)
@@ -128,12 +126,12 @@ def _is_believed(explore: Explorer, rest: Fit, free: Fit) -> bool:
 def _leads_beside(
     objective: MarginalLikelihood, rest: Fit, fits: Sequence[Fit], least: float, known: Set[str]
 ) -> list[tuple[Lead, Fit]]:
-    """Return the leads among terms fitted beside the rest of an explanation, which may be nothing, and their fits.
+    """Return the leads among terms fitted beside `rest`, which may be without parts, and their fits.
 
     Parameters
     ----------
     least : float
-        What the best explanation costs; that of `fits` may be less.
+        Cost of the best explanation; one of `fits` may cost less.
     """
     rules = objective.policy.abstention
     whole = max(rest.cost - min([least, *(one.cost for one in fits)]), 1e-9)
@@ -166,7 +164,7 @@ def _lead(
     estimates: Mapping[str, ParameterEstimate],
     share: float,
 ) -> Lead:
-    """Return the lead that an explanation beyond the bounds of another is."""
+    """Return the lead for the fit `free` with wider bounds than `bounded`."""
     part, candidate = free.parts[-1], bounded.parts[-1].candidate
     limits = {
         name: (limit.lower, limit.upper)
@@ -190,7 +188,7 @@ def _lead(
 def _as_good(
     objective: MarginalLikelihood, rest: Fit, fits: Sequence[Fit], saved: float, but: str
 ) -> Sequence[tuple[str, str, Mapping[str, ParameterEstimate]]]:
-    """Return terms that save nearly as much within their ranges, with their parameters, best first."""
+    """Return term, variant and estimates of terms other than `but` that save nearly as much within their ranges."""
     rules, out = objective.policy.abstention, {}
     for fit in fits:
         one = fit.parts[-1].candidate

@@ -1,8 +1,8 @@
-"""A fault of the commands put into recordings, and what its term saves of them: filtered as a drive that has it.
+"""Recordings with a fault of the commands put in, and the saving of its term on them, for detection limits.
 
-The whitening filter rests on the nominal model at the recorded commands, and on the disturbance that they leave.
-With a fault both are others, and so is what the simulation taught at these commands. A tyre that is asked beyond
-its peak hardly pushes back, and the filter believes slow errors less. So faults are put in before whitening.
+A fault of the commands changes more than the residuals. The whitening filter uses the Jacobian at the recorded commands
+and the disturbance that they leave, and the shared discrepancy depends on them too. So the fault is put into the
+recording before whitening.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,36 +19,36 @@ from split_cli.diagnosis.search.term_tests import over_allowance
 from split_cli.vehicle.effects import CATALOGUE, Term
 from split_cli.vehicle.single_track import SingleTrack
 
-_POWERS = 3  # of what a lag or a play takes off commands, by which these are undone
+_POWERS = 3  # terms of the series by which a lag or a play is inverted [1]
 
 
 def alters_commands(term: Term) -> bool:
-    """Return whether a term changes what arrives of the commands."""
+    """Return whether a term acts on torque or steering between command and wheels."""
     return type(term).actuate is not Term.actuate
 
 
 def planted_saving(
     objective: MarginalLikelihood, term: Term, others: Sequence[Term] = (), *, case: DiagnosisCase, reach: float
 ) -> tuple[float, float]:
-    """Return what a term saves of recordings that have it, and its size there over what is allowed.
+    """Return the saving of a term on recordings that have its effect, and its size there over the allowance [1].
 
     Parameters
     ----------
     objective : MarginalLikelihood
-        Of recordings without it.
+        Of the recordings as they are.
     term : Term
-        One that alters commands, at its true values.
+        A term that alters commands, with the values of the fault.
     others : sequence of Term
-        Beside which it is asked, of these recordings as they are.
+        Findings of the recordings as they are, beside which the saving is computed.
     case : DiagnosisCase
-        The recordings.
+        The recordings as they are.
     reach : float
         See `ComparisonRules`.
 
     Notes
     -----
-    With Phi the columns of the shared discrepancy, H what the simulation says of their weights, and L L^T = H +
-    Phi^T Phi, rows r cost |r|^2 - |L^-1 Phi^T r|^2; with a fixed baseline |r|^2.
+    With the columns Phi of the shared discrepancy, the precision H of their weights and L L^T = H + Phi^T Phi, rows r
+    cost |r|^2 - |L^-1 Phi^T r|^2; with a fixed baseline |r|^2.
     """
     planted = case.recorded_as([faulty(one, term) for one in case.real], reach, objective.policy)
     pairs = zip(planted.real, planted.keep, strict=True)
@@ -70,15 +70,13 @@ def planted_saving(
 
 
 def faulty(one: Evidence, term: Term) -> Series:
-    """Return a recording of the same motion by a car that has a fault of its commands.
-
-    The commands are those that the faulty car needs to do what was done: a weak steering has been asked for more.
+    """Return a recording of the same motion by a car with a fault of its commands: these are the ones it would need.
 
     Notes
     -----
-    A term is undone by its values on the other side of none: a delay by a lead, a gain by its inverse. What has
-    states, as a lag or a play, has no such values. If it makes A u of commands u, it is undone by u + (1 - A) u +
-    (1 - A)^2 u + ...: what is left falls with each power where commands are slower than the lag.
+    A term without states is inverted by the opposite values: a delay by a lead, a gain by its inverse. A term with
+    states, as a lag or a play, maps commands u to A u. Its inverse is the series u + (1 - A) u + (1 - A)^2 u + ...
+    (Neumann), which converges for commands slower than the lag.
     """
     series, model = one.series, SingleTrack(one.vehicle, (term if term.state_names else _turned(term),))
     if not term.state_names:
@@ -93,13 +91,13 @@ def faulty(one: Evidence, term: Term) -> Series:
 
 
 def _turned(term: Term) -> Term:
-    """Return a term with values as far to the other side of no effect, a ratio's inverse."""
+    """Return a term with the opposite values, see `other_side`."""
     turned = other_side(CATALOGUE[term.id].neutral, term.parameters)
     return type(term)({**term.parameters, **turned}, term.variant)
 
 
 def other_side(neutral: Mapping[str, float | None], values: Mapping[str, float]) -> dict[str, float]:
-    """Return values that have a neutral one as far to its other side, a ratio's inverse."""
+    """Return the values mirrored about neutral (the inverse of a ratio), of parameters that have a neutral value."""
     return {
         name: 1.0 / value if neutral[name] == 1.0 else 2.0 * neutral[name] - value
         for name, value in values.items()

@@ -1,4 +1,4 @@
-"""Power of a match: which effects could hide, and of which no size that a real car can have would be seen."""
+"""Power of a match: effects that these drives could not have shown, at a large size or at any size of a real car."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,17 +18,17 @@ MOST_UNSEEN = (
     "No difference was found, but most effects would not have been named at any size that a real car can have. "
     "Drive longer and with more excitation, or calibrate the vehicle file (split calibrate)."
 )
-_PREDICTED_SECONDS = 2.0  # the longest horizon of the report
+_PREDICTED_SECONDS = 2.0  # the longest horizon of the report [s]
 
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """A big effect that would not have been seen on these drives."""
+    """A large effect that would not have been seen on these drives."""
 
     term: str
     parameter: str
-    value: float  # a fair share of what a car can have
-    share: float  # how much of the forces on these drives it would be, see `force_share` [1]
+    value: float  # half way to the end of a real car's range
+    share: float  # its share of the forces on these drives, see `force_share` [1]
 
     @property
     def words(self) -> str:
@@ -42,23 +42,22 @@ def hidden_effects(
     gap_to_noise: float,
     detectable: Sequence[Detectable] = (),
 ) -> tuple[HiddenEffect, ...]:
-    """Return big effects that would not have been seen, the largest of each term, by their share of the forces.
+    """Return large effects that would not have been seen, the largest of each term, in order of their share of forces.
 
     Parameters
     ----------
     candidates : sequence of Candidate
-        That these recordings can tell.
+        Identifiable effects.
     gap_to_noise : float
         Effect-to-noise ratio of all that differs between simulation and reality.
     detectable : sequence of Detectable
-        From which size on each term would have been named.
+        Detection limits.
 
     Notes
     -----
-    Simulation and reality may differ by no more than halves of the simulation do, and yet by as much as a big
-    effect makes. An effect is big when it is a fair share of what a car can have; it counts when it is larger than
-    the noise on these drives. What differs has a shape of its own: an effect of another shape differs from it, and
-    hides only where even this size of it would not have been named.
+    Simulation and reality may differ by no more than the halves of the simulation, and yet by as much as a large
+    effect. An effect is large at half of a car's range. It counts if it is larger than the noise, no larger than the
+    gap, and below its detection limit.
     """
     smallest = {one.term: one.parameters for one in detectable}
     least, found = objective.policy.selection.above_noise, {}
@@ -77,7 +76,7 @@ def hidden_effects(
 
 
 def no_match_in_words(hidden: HiddenEffect, gap_to_noise: float) -> str:
-    """Return why no match can be said."""
+    """Return why the verdict is not ``match``, as sentences."""
     return (
         f"Simulation and reality differ by {number(gap_to_noise, 2)} times sensor noise over 0.05 s, and so do "
         f"halves of the simulation. A {hidden.words} would not be visible in that, and it changes "
@@ -87,7 +86,7 @@ def no_match_in_words(hidden: HiddenEffect, gap_to_noise: float) -> str:
 
 
 def hidden_in_words(hidden: Sequence[HiddenEffect]) -> str:
-    """Return what a match does not rule out, as a sentence; empty where that is nothing."""
+    """Return the effects that a match does not rule out, as a sentence; empty if there are none."""
     if not hidden:
         return ""
     listed = "; ".join(f"{one.words} ({percent(one.share)})" for one in hidden)
@@ -98,7 +97,7 @@ def hidden_in_words(hidden: Sequence[HiddenEffect]) -> str:
 
 
 def unseen_in_words(detectable: Sequence[Detectable]) -> str:
-    """Return of what no size that a real car can have would have shown, as a sentence; empty where of nothing."""
+    """Return the effects that would not have been seen at any size of a real car, as a sentence; empty if none."""
     names = [term_name(one.term) for one in detectable if not one.parameters]
     within = "These effects would not have been detected at any size that a real car can have"
     return f"{within}: {', '.join(names)}." if names else ""
@@ -111,14 +110,13 @@ def is_blind(detectable: Sequence[Detectable], policy: Policy) -> bool:
 
 
 def force_share(objective: MarginalLikelihood, term: Term) -> float:
-    """Return how much a term changes of the forces along the car, at the front or the rear axle, where most [1].
+    """Return the largest share by which a term changes the longitudinal, front or rear lateral force [1].
 
     Notes
     -----
-    Forces that a term adds are averaged over 2 s, as a prediction adds them up: what comes late by a tenth of that
-    is soon made up for. Their root mean square over the rows compared is divided by that of the forces which the
-    recorded motion takes. No force counts as less than a tenth of the largest: where a car neither speeds up nor
-    slows down, what acts along it is all there is to see, and little.
+    The forces that a term adds are averaged over 2 s, since a prediction integrates them and short delays cancel. Their
+    rms over the compared rows is divided by that of the forces of the recorded motion. These count as at least a tenth
+    of the largest of the three: at constant speed the longitudinal force is small, and a small change would look large.
     """
     added, taken = [], []
     for one, keep in zip(objective.evidence, objective.keep, strict=True):
@@ -137,7 +135,7 @@ def force_share(objective: MarginalLikelihood, term: Term) -> float:
 
 
 def _averaged(rows: np.ndarray, period: float) -> np.ndarray:
-    """Return moving means of rows (N, 3) over 2 s, or over all where that is less."""
+    """Return moving means of rows (N, 3) over 2 s, or over all rows if these are fewer."""
     width = min(max(1, int(round(_PREDICTED_SECONDS / period))), len(rows))
     total = np.concatenate([np.zeros((1, rows.shape[1])), np.cumsum(rows, axis=0)])
     low = np.clip(np.arange(len(rows)) - width // 2, 0, len(rows) - width)
@@ -145,15 +143,15 @@ def _averaged(rows: np.ndarray, period: float) -> np.ndarray:
 
 
 def _would_be_named(one: Candidate, name: str, value: float, smallest: Mapping[str, tuple[float | None, str]]) -> bool:
-    """Return whether a value of a term's parameter lies beyond that from which on the term is named."""
+    """Return whether a value of a term's parameter is at or beyond its detection limit."""
     neutral, (least, _) = CATALOGUE[one.term].neutral[name], smallest.get(name, (None, ""))
     return least is not None and abs(least - neutral) <= abs(value - neutral)
 
 
 def _big(one: Candidate, share: float) -> list[tuple[str, float, dict[str, float]]]:
-    """Return each size of a term of the car, its value on the way to its nearer bound, and all values.
+    """Return, for each parameter of a term of the car, its name, a large value, and all values with it.
 
-    A ratio counts to either side, as x and 1/x: nobody knows to which side a hidden one would be.
+    The value is the share `share` of the way to the nearer bound. Of a ratio both x and 1/x are taken.
     """
     kind = CATALOGUE[one.term]
     if one.located or not kind.exported or kind.family in ("time", "air", "place"):

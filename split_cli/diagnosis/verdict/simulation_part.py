@@ -1,4 +1,4 @@
-"""How much of the correction learned from the simulation is used, by held-out simulation and real time."""
+"""Which part of the shared discrepancy is used for predictions, chosen on held-out simulated time and on real time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,26 +19,26 @@ from split_cli.diagnosis.innovations.rollouts import (
 )
 from split_cli.vehicle.effects import Term
 
-#: What a simulation offers to predict with: the nominal model alone; with what the simulation taught at the
-#: recorded states; and with what it taught of other states.
+#: Ways to use the shared discrepancy: not at all; at the recorded states; and also at other states, by its derivative.
+#: The names are those of `diagnosis.json`.
 OFFERS = ("nominal", "taught", "taught_elsewhere")
-# Lateral velocity and yaw rate move together.
+# Outputs for which one choice is made: v_x; and v_y with r, which are coupled.
 _LONGITUDINAL, _LATERAL = (0,), (1, 2)
 _JUDGED = (0.05, *HORIZONS)  # [s]
-_CHECKED_SHARE = 0.25  # of each simulation's time, at its end, as of the real drives
-_STARTS = 40
+_CHECKED_SHARE = 0.25  # share of each simulation's time, at its end, on which a part is tested [1]
+_STARTS = 40  # starts of rollouts in each recording [1]
 
 
 @dataclass(frozen=True)
 class SimulationPart:
-    """What of a simulation predicts beside the nominal model, one of `OFFERS` each."""
+    """How the shared discrepancy is used, one of `OFFERS` for each group of outputs."""
 
     longitudinal: str = "nominal"  # in v_x
     lateral: str = "nominal"  # in v_y and r
 
 
 def part_of(part: SimulationPart, whole: SharedRates | None) -> SharedRates | None:
-    """Return what a part adds to the nominal model along a recording; None adds nothing."""
+    """Return the used part of the shared discrepancy along a recording; None if it is not used."""
     offers = np.array([part.longitudinal, part.lateral, part.lateral])
     if whole is None or np.all(offers == "nominal"):
         return None
@@ -53,21 +53,21 @@ def chosen_simulation_parts(
     named: Sequence[SharedRates | None],
     terms: Sequence[Term] = (),
 ) -> tuple[SimulationPart, SimulationPart]:
-    """Return which parts predict best without and with terms, never one that fails on the simulation itself.
+    """Return the parts that predict best without and with terms.
 
     Parameters
     ----------
     recordings : sequence of (Evidence, ndarray of bool of shape (N,))
-        Real recordings and which of their rows are held out; those are not looked at.
+        Real recordings and which of their samples are held out; held-out time is not used.
     bare, named : sequence of SharedRates or None
-        All that the simulation knows along each recording, without and with terms.
+        The whole shared discrepancy along each recording, without and with terms.
 
     Notes
     -----
-    An offer must predict the end of every simulation no worse than the nominal model does, learned from what comes
-    before; of the pairs of those that do, the one is taken that predicts the real drives' training time best. Both
-    by `log_error_ratio`. With terms another pair than without them is taken only if no velocity is predicted worse
-    with it there: else what names do to one velocity would be mixed with what the exchange does to another.
+    A way of use must predict the end of every simulation no worse than the nominal model, when learned from the time
+    before. Of the remaining pairs that one is taken which predicts the real drives' training time best. Both use
+    `log_error_ratio`. With terms another pair than without is taken only if no velocity is predicted worse for it.
+    Otherwise the effect of the terms on one velocity would be mixed with that of the exchange on another.
     """
     if any(one is None for one in bare):
         return SimulationPart(), SimulationPart()
@@ -80,7 +80,7 @@ def chosen_simulation_parts(
 def _that_predict_the_simulation(
     simulated: Sequence[Evidence], discrepancy: SharedDiscrepancy
 ) -> tuple[Sequence[str], Sequence[str]]:
-    """Return the longitudinal and the lateral offers that predict the simulations' ends."""
+    """Return the longitudinal and the lateral ways of use that predict the ends of the simulations."""
     ends = [one.series.t > (1.0 - _CHECKED_SHARE) * one.series.t[-1] for one in simulated]
     taught = learn_discrepancy([_without(one, end) for one, end in zip(simulated, ends, strict=True)])
     rates = [shared_rates(one.series, discrepancy, taught) for one in simulated]
@@ -106,12 +106,14 @@ def _best(
 def best_part(
     judged: Sequence[RolloutErrors], parts: Sequence[SimulationPart], usual: SimulationPart | None = None
 ) -> SimulationPart:
-    """Return the part with the least errors; beside a usual one, of those by which no velocity has larger ones.
+    """Return the part with the smallest errors; with `usual` only of those that make no velocity's error larger.
 
     Parameters
     ----------
     judged : sequence of RolloutErrors
-        With a stage for each part, named by ``str(part)``.
+        Of rollouts with a stage for each part, named ``str(part)``.
+    usual : SimulationPart, optional
+        The part chosen without terms.
     """
     channels = (*_LONGITUDINAL, *_LATERAL)
     if usual is not None:
@@ -128,7 +130,7 @@ def _excess(judged: Sequence[RolloutErrors], stage: str, than: str, channels: Se
 
 
 def _without(evidence: Evidence, rows: np.ndarray) -> Evidence:
-    """Return evidence to learn from, less what lies on `rows` of the recording."""
+    """Return evidence to learn from, without the samples `rows` of the recording, bool (N,)."""
     kept = ~rows[evidence.at]
     return replace(
         evidence,
@@ -144,7 +146,7 @@ def _errors(
     terms: Sequence[Term],
     parts: dict[str, SimulationPart],
 ) -> list[RolloutErrors]:
-    """Return rollout errors with each part; recordings too short for one are left out."""
+    """Return rollout errors with each part; recordings that are too short are left out."""
     out = []
     for (one, judged), known in zip(rows, rates, strict=True):
         stages = {name: Stage(tuple(terms), part_of(part, known)) for name, part in parts.items()}
@@ -153,9 +155,9 @@ def _errors(
 
 
 def log_error_ratio(errors: RolloutErrors, stage: str, than: str, channels: Sequence[int] = (0, 1, 2)) -> float:
-    """Return by how much a stage's errors exceed another's [1].
+    """Return the mean of log(rms of a stage/rms of another) over horizons and channels [1].
 
-    The mean of log(rms/rms) over horizons and channels. Below the noise floor all errors are alike.
+    Errors below the noise floor count as the floor.
     """
     columns = list(channels)
     floor = errors.floor[:, :, columns].mean(axis=0)

@@ -1,4 +1,4 @@
-"""Names that held-out time takes back: it is predicted worse with them, beside what has no name."""
+"""Withdrawn findings: those with which held-out time is predicted worse, while a part of the gap is unexplained."""
 
 from collections.abc import Sequence, Set
 from dataclasses import replace
@@ -16,19 +16,18 @@ def withdrawn(
     corrected: CorrectedVehicle | None = None,
     confirmed: Set[str] = frozenset(),
 ) -> tuple[tuple[Finding, ...], str]:
-    """Return findings that held-out time speaks against, and how it does so, in words.
+    """Return findings that are withdrawn because of held-out time, and the reason in words.
 
-    Asked where a part of the gap has no name, or none could be seen: where halves of the simulation differ much, a
-    remainder of that size counts as model-form error. Either alone says little. Model-form error beside a name has
-    no name, either, and a right name of a small effect may predict worse by what else the car lacks. Both together
-    say that the name stands for what has none.
+    It is called if a part of the gap is unexplained, or if none could be seen because halves of the simulation differ
+    much. Neither that nor a worse prediction alone is evidence against a finding: a model-form error is unexplained
+    too, and a true small effect may predict worse because of other errors. Both together indicate that the finding
+    stands for an unexplained effect.
 
     Notes
     -----
-    Held-out time speaks against all names if one step is predicted worse with them beyond chance. It speaks against
-    those of the car if a vehicle file with them is worse after 2 s in some velocity and better in none, both beyond
-    chance, unless one step is predicted better with them beyond chance. What an instrument does stays where its
-    witnesses have `confirmed` it.
+    All findings are withdrawn if one step is predicted worse with them beyond chance. Those of the car are withdrawn if
+    a vehicle file with them is worse after 2 s in some velocity and better in none, both beyond chance, unless one step
+    is predicted better beyond chance. Sensor faults that witnesses have `confirmed` stay.
     """
     removed = None if improvement is None else improvement.removed.get("physics")
     if removed is not None and removed[2] < 0.0:
@@ -43,7 +42,7 @@ def withdrawn(
 def without_names(
     selection: Selection, findings: Sequence[Finding], remainder: RemainderTest, gone: Sequence[Finding]
 ) -> tuple[Selection, tuple[Finding, ...], RemainderTest]:
-    """Return a selection, findings and remainder in which what is `gone` has no name and counts as unexplained."""
+    """Return selection, findings and remainder without the findings `gone`, whose shares count as unexplained."""
     terms = {one.term for one in gone}
     named = tuple(
         one and part.candidate.term not in terms
@@ -55,7 +54,7 @@ def without_names(
 
 
 def as_leads(gone: Sequence[Finding], reason: str, vehicle: Vehicle) -> tuple[Lead, ...]:
-    """Return withdrawn names as leads, which say why they are none."""
+    """Return withdrawn findings as leads that state the reason."""
     return tuple(
         Lead(
             one.term,

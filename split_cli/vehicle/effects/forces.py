@@ -257,7 +257,7 @@ class Wind(Term):
         if flow.recording is None:
             cosine, sine = ops.cos(flow.yaw), ops.sin(flow.yaw)
         else:
-            cosine, sine = self.kept(flow.yaw, lambda: (np.cos(flow.yaw), np.sin(flow.yaw)))
+            cosine, sine = self.cached(flow.yaw, lambda: (np.cos(flow.yaw), np.sin(flow.yaw)))
         wx, wy = self.parameters["wx"], self.parameters["wy"]
         u_x = flow.vx - (wx * cosine + wy * sine)
         u_y = flow.vy - (wy * cosine - wx * sine)

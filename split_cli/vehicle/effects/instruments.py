@@ -1,6 +1,6 @@
-"""Terms of single instruments: direction and scale of the recorded velocity, biases, a channel that is late.
+"""Terms of single instruments: direction and scale of the recorded velocity, biases, delay of one channel.
 
-They show in what the recording knows twice: position and yaw, accelerations, velocities.
+They show in redundant channels: position and yaw against velocities, accelerations against velocities.
 """
 
 from collections.abc import Callable, Mapping
@@ -53,11 +53,11 @@ class _Instrument(Term):
     family = "measurement"
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Take the fault off the channels that are there."""
+        """Return the channels without the fault."""
         return self._changed(columns, recording, -1.0)
 
     def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Put the fault in."""
+        """Return the channels with the fault."""
         return self._changed(columns, recording, 1.0)
 
     def _changed(self, columns: Mapping[str, np.ndarray], recording: Recording, sign: float) -> dict[str, np.ndarray]:
@@ -131,7 +131,7 @@ class VelocityBias(_Instrument):
             return {**columns, "vy": columns["vy"] + sign * self.parameters["offset"]}
         t = columns["t"]
         # Several channels of one recording are turned in a row, and this is most of the work.
-        cosine, sine = self.kept(t, lambda: self._direction(t))
+        cosine, sine = self.cached(t, lambda: self._direction(t))
         vx, vy, sine = columns["vx"], columns["vy"], sign * sine
         return {**columns, "vx": cosine * vx - sine * vy, "vy": sine * vx + cosine * vy}
 
@@ -165,7 +165,7 @@ class AccelerationBias(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        limits = Range(-2.0, 2.0, 0.01, _TILTED, everyday=CROSSFALL)
+        limits = Range(-2.0, 2.0, 0.01, _TILTED, tolerance=CROSSFALL)
         names = cls.parameter_units(variant)
         return Search(dict.fromkeys(names, limits), (dict.fromkeys(names, 0.05),))
 
@@ -200,7 +200,7 @@ class YawRateBias(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"r": Range(-0.05, 0.05, 1e-4, _GYRO, unwitnessed=_COLD)}, ({"r": 0.001},))
+        return Search({"r": Range(-0.05, 0.05, 1e-4, _GYRO, tolerance_without_position=_COLD)}, ({"r": 0.001},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -225,7 +225,7 @@ class _Scale(_Instrument):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"scale": Range(0.85, 1.15, 0.001, _WORN, unwitnessed=_ROLLS)}, ({"scale": 0.99},))
+        return Search({"scale": Range(0.85, 1.15, 0.001, _WORN, tolerance_without_position=_ROLLS)}, ({"scale": 0.99},))
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
@@ -324,7 +324,7 @@ class ChannelDelay(_Instrument):
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
         """Return ranges and starts [s]: clocks do not run faster in smaller cars."""
         names = cls.parameter_units(variant)
-        limits = Range(0.0, 0.6, 0.001, _UNALIGNED, everyday=_LEANS_LATE if variant in ("ax", "ay") else 0.0)
+        limits = Range(0.0, 0.6, 0.001, _UNALIGNED, tolerance=_LEANS_LATE if variant in ("ax", "ay") else 0.0)
         starts = tuple(dict.fromkeys(names, value) for value in DELAYS)
         return Search(dict.fromkeys(names, limits), starts)
 

@@ -1,4 +1,4 @@
-"""Base of delays and lags: their unit, their search range, and how they act on the inputs."""
+"""Base classes of delays and first-order lags of inputs: units, search range, and effect on T and delta."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ _SHORTEST = 1e-4
 
 
 def rate_of(tau: Any) -> Any:
-    """Return 1/tau [1/s]; infinite for a tau [s] that is too short to be seen, which 0 is."""
+    """Return 1/tau [1/s]; infinite for tau below 1e-4 s, at which the input arrives at once."""
     return math.inf if isinstance(tau, int | float) and tau < _SHORTEST else 1.0 / tau
 
 

@@ -1,4 +1,4 @@
-"""Lags, delays and play along a whole recording, solved exactly between its samples."""
+"""Responses of first-order lags, delays and play to a recorded signal, in closed form from sample to sample."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from split_cli.compiled_code import compiled
 
 __all__ = [
     "Handover",
-    "KnownResults",
     "Recording",
+    "ResultCache",
     "first_order_from_means",
     "first_order_response",
     "over_samples",
@@ -25,60 +25,60 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Handover:
-    """What terms remember where one piece of a recording ends and the next one begins."""
+    """States of the terms at the seam of two pieces of a recording, so that pieces give what the whole gives."""
 
     row: int  # row of this piece at which the next one begins
-    entering: Mapping[str, float]  # states at row 0; one that is not named begins steady
+    entering: Mapping[str, float]  # states at row 0; one that is not named begins in steady state
     leaving: dict[str, float] = field(default_factory=dict)  # states at `row`, filled while the piece is evaluated
 
 
-class KnownResults:
-    """Results for arrays that were given before: several models along one recording ask for much of the same.
+class ResultCache:
+    """Cache of function results, keyed by the identity of the arguments, for several models of one recording.
 
-    It holds all arrays that it was given, so it is made for a few models and cleared after them.
+    It keeps every argument alive, so it is made for a few models and cleared after them.
     """
 
     def __init__(self) -> None:
-        self._known: dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]] = {}
+        self._results: dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]] = {}
 
     def clear(self) -> None:
-        """Let go of all: a recording that is among what was given holds these results in turn."""
-        self._known.clear()
+        """Drop all results and arguments: a recording among the arguments refers to this cache in turn."""
+        self._results.clear()
 
-    def __call__(self, made: Callable[..., Any], *given: Any) -> Any:
-        """Return what is made of these very objects, which are not altered: as it was before, or made now."""
-        key = (made, *(one if isinstance(one, float) else id(one) for one in given))
-        if key not in self._known:
-            # The objects are kept beside the result, so that no others can come to have their ids.
-            self._known[key] = given, made(*given)
-        return self._known[key][1]
+    def __call__(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return ``function(*arguments)``, computed once for these very objects, which nobody may alter."""
+        key = (function, *(one if isinstance(one, float) else id(one) for one in arguments))
+        if key not in self._results:
+            # The arguments are kept beside the result, so that no other object can come to have their ids.
+            self._results[key] = arguments, function(*arguments)
+        return self._results[key][1]
 
 
 @dataclass(frozen=True)
 class Recording:
-    """The clock of a recording that the model is evaluated along."""
+    """Time base of a recording along which a model is evaluated: sample period and stretches without a gap."""
 
     period: float  # sample period [s]
-    # First row and one past the last, of every run without a gap; memory starts anew, steady, at each.
+    # (first row, one past the last) of every stretch without a gap; states start in steady state at each.
     segments: tuple[tuple[int, int], ...]
-    # Whether the rows are means over the sample that begins there, instead of values at its begin.
+    # Whether row k is the mean over the sample period that begins at k, instead of the value at its begin.
     means: bool = False
-    # Where the rows are a piece of a longer recording. The response is then the whole recording's, to the bit.
-    # Shifts do not cross the piece's begin.
+    # Given where the rows are a piece of a longer recording: the response then equals that of the whole, bit by bit.
+    # Shifts in time do not reach across the begin of the piece.
     memory: Handover | None = None
-    # While several models are evaluated at the same arrays: what one has worked out, the next takes from there.
-    known: KnownResults | None = field(default=None, compare=False)
+    # Given while several models are evaluated with the same arrays: they share results.
+    cache: ResultCache | None = field(default=None, compare=False)
 
     @classmethod
     def single(cls, period: float, length: int) -> Recording:
-        """Return the clock of one run of `length` samples."""
+        """Return the time base of `length` samples without a gap."""
         return cls(period, ((0, length),))
 
 
 def shifted(source: Any, delay: float, recording: Recording) -> np.ndarray:
-    """Return a recorded series as it was `delay` [s] before; linear between samples, held before the start.
+    """Return x(t - delay) of a recorded series x, shape (N,), with `delay` in s; linear between samples.
 
-    A negative delay looks ahead and holds the last value.
+    Before the start of a segment its first value holds. A negative delay looks ahead and holds the last value.
     """
     values: np.ndarray = np.asarray(source, dtype=float)
     out = np.empty_like(values)
@@ -93,10 +93,10 @@ def shifted(source: Any, delay: float, recording: Recording) -> np.ndarray:
 
 
 def phase_shifted(source: Any, delay: float, recording: Recording) -> np.ndarray:
-    """Return a recorded series as it was `delay` [s] before, by the phase of its spectrum, segment by segment.
+    """Return x(t - delay) of a recorded series x, shape (N,), with `delay` in s, by the phase of its spectrum.
 
-    No frequency is damped, as `shifted` damps high ones between samples, so white noise stays white. A segment's
-    ends meet.
+    Unlike linear interpolation in `shifted`, it damps no frequency, so white noise stays white. Each segment is
+    taken as periodic.
     """
     values: np.ndarray = np.asarray(source, dtype=float)
     out = np.empty_like(values)
@@ -108,29 +108,31 @@ def phase_shifted(source: Any, delay: float, recording: Recording) -> np.ndarray
 
 
 def first_order_response(target: Any, rate: Any, recording: Recording, name: str = "") -> np.ndarray:
-    """Return y with y' = rate (target - y), y steady at each start, exact for targets linear between samples.
+    """Return y, shape (N,), with y' = rate (target - y) and y = target at the start of each segment.
+
+    Exact for targets that are linear between samples.
 
     Parameters
     ----------
     target : array, shape (N,)
     rate : float or array of shape (N,)
-        [1/s], not negative; taken as its mean over a sample.
+        [1/s], not negative; the mean of a sample's two ends is taken.
     name : str
-        By which the recording's memory, if it has one, knows y.
+        Name of the state y in `Recording.memory`, where there is one.
 
     Notes
     -----
     Over one sample with q = rate period: y+ = e^-q y + (1 - e^-q) u + (1 - (1 - e^-q)/q) (u+ - u).
     """
-    if recording.known is not None and recording.memory is None:
-        known: np.ndarray = recording.known(_response, target, rate, recording)
-        return known
+    if recording.cache is not None and recording.memory is None:
+        cached: np.ndarray = recording.cache(_response, target, rate, recording)
+        return cached
     return _response(target, rate, recording, name)
 
 
 def _response(target: Any, rate: Any, recording: Recording, name: str = "") -> np.ndarray:
     target = np.ascontiguousarray(target, dtype=float)
-    kept, mean = _weights(rate, recording) if recording.known is None else recording.known(_weights, rate, recording)
+    kept, mean = _weights(rate, recording) if recording.cache is None else recording.cache(_weights, rate, recording)
     kept, mean = (np.broadcast_to(one, (max(len(target) - 1, 0),)) for one in (kept, mean))
     return _recur(target, kept, mean, recording, _kept_as(name, recording))
 
@@ -146,22 +148,22 @@ def _weights(rate: Any, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 
 def first_order_from_means(target: Any, rate: Any, recording: Recording, name: str = "") -> np.ndarray:
-    """Return y at the begin of every sample, of targets (N,) given by their means over samples; steady at starts.
+    """Return y, shape (N,), at the begin of every sample, of targets (N,) that are means over the samples.
 
     Notes
     -----
     y+ = e^-q y + (1 - e^-q) u with q = rate period: exact where the target is constant over each sample, as a held
-    command is.
+    command is. y = target at the start of each segment.
     """
     target = np.ascontiguousarray(target, dtype=float)
     rate = np.broadcast_to(np.asarray(rate, dtype=float), target.shape)[:-1]
     kept = np.exp(-np.maximum(rate * recording.period, 0.0))
-    # Means of 1 take the slope between rows out of the recursion for straight lines.
+    # With (1 - e^-q)/q set to 1 the last term of `first_order_response`, that of the slope, vanishes.
     return _recur(target, kept, np.ones_like(kept), recording, f"{name} at the begin")
 
 
 def over_samples(values: np.ndarray, recording: Recording) -> np.ndarray:
-    """Return the mean over the sample that begins at each row, of straight lines between rows, shape as `values`.
+    """Return the trapezoidal mean over the sample that begins at each row, shape as `values` (N, ...).
 
     The last row of a segment begins no sample; it keeps its value.
     """
@@ -173,9 +175,11 @@ def over_samples(values: np.ndarray, recording: Recording) -> np.ndarray:
 
 
 def play_response(source: Any, width: float, recording: Recording, name: str = "") -> np.ndarray:
-    """Return what a play of total `width` lets through: y+ = clip(y, u+ - width/2, u+ + width/2).
+    """Return the output y, shape (N,), of a play (backlash) operator of total `width`, in the unit of `source` u.
 
-    It is centred at each start.
+    Notes
+    -----
+    y+ = clip(y, u+ - width/2, u+ + width/2), centred (y = u) at the start of each segment.
     """
     source = np.ascontiguousarray(source, dtype=float)
     half, starts = 0.5 * float(width), _starts(recording)
@@ -183,7 +187,7 @@ def play_response(source: Any, width: float, recording: Recording, name: str = "
 
 
 def _kept_as(name: str, recording: Recording) -> str:
-    """Return a state's name in the memory: a held recording is followed both by values and by means."""
+    """Return a state's name in `Handover`: with means over samples a state is followed by values and by means."""
     return f"{name} of {'means' if recording.means else 'values'}"
 
 
@@ -196,7 +200,7 @@ def _recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, recording: Re
 
 
 def _continued(run: Callable[[float], np.ndarray], recording: Recording, name: str) -> np.ndarray:
-    """Return what `run` makes of the state a piece begins with (NaN: steady), and keep what the next needs."""
+    """Return ``run(state at row 0)``, NaN for steady state, and store the state at the seam in the handover."""
     memory = recording.memory
     if memory is None:
         return run(np.nan)
@@ -207,7 +211,7 @@ def _continued(run: Callable[[float], np.ndarray], recording: Recording, name: s
 
 @lru_cache(maxsize=1)
 def _kernels() -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
-    """Compile the two recursions on first use; numba is not worth loading for models without memory."""
+    """Compile the recursions of lag and play on first use, since loading numba takes time."""
 
     @compiled(cache=True, nogil=True)
     def recur(target: np.ndarray, kept: np.ndarray, mean: np.ndarray, starts: np.ndarray, begin: float) -> np.ndarray:
@@ -217,7 +221,7 @@ def _kernels() -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
             last = starts[number + 1] if number + 1 < len(starts) else len(target)
             y = begin if first == 0 and not np.isnan(begin) else target[first]
             out[first] = y
-            # Without a branch, all but one product and one sum of a row is worked out ahead of y.
+            # Free of branches, so that only one product and one sum of a row wait for the last y.
             for k in range(first + 1, last):
                 before, stays = target[k - 1], kept[k - 1]
                 y = stays * y + ((1.0 - stays) * before + (1.0 - mean[k - 1]) * (target[k] - before))

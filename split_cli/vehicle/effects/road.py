@@ -67,7 +67,7 @@ class _Incline(Term):
 
     def _along(self, s: np.ndarray) -> Any:
         """Return the sine of the angle at s [m] of a recording, shape (N,) [1]."""
-        return self.kept(s, lambda: np.sin(self.profile(NUMPY, s)))
+        return self.cached(s, lambda: np.sin(self.profile(NUMPY, s)))
 
     def profile(self, ops: Operations, s: Any) -> Any:
         """Return the angle at s [m] [rad]."""
@@ -118,7 +118,7 @@ class RoadGrade(_Incline):
         """Add the longitudinal part of gravity."""
         flow.force_x = flow.force_x - flow.mass * STANDARD_GRAVITY * self.sine(flow)
 
-    def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
+    def gravity_component(self, s: np.ndarray) -> tuple[Any, Any]:
         """Return what a_x gains."""
         return self.specific_weight(s), 0.0
 
@@ -149,6 +149,6 @@ class RoadBank(_Incline):
         """Add the lateral part of gravity."""
         flow.force_y = flow.force_y - flow.mass * STANDARD_GRAVITY * self.sine(flow)
 
-    def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
+    def gravity_component(self, s: np.ndarray) -> tuple[Any, Any]:
         """Return what a_y gains."""
         return 0.0, self.specific_weight(s)

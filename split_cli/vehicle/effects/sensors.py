@@ -1,4 +1,7 @@
-"""Terms of the measurement: they correct a recording and are no part of the car."""
+"""Terms of the measurement that act on several channels: mounting position and angle, delays between channels.
+
+They correct the recording and are not part of the vehicle model.
+"""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -30,7 +33,7 @@ _CRABS = 0.0087
 
 
 class _Frame(Term):
-    """A sensor of velocities; in the variant `_FRAME` the tracked frame that they are derived from is off."""
+    """A velocity sensor; in the variant `_FRAME` the tracked body frame that velocities are derived from is wrong."""
 
     variant_needs: ClassVar = {_FRAME: frozenset({"derived velocities"})}
     needs: ClassVar = frozenset({"lateral velocity"})
@@ -39,7 +42,7 @@ class _Frame(Term):
 
     @property
     def moves_position(self) -> bool:
-        """Whether position and yaw are off with the velocities, and say nothing of them."""
+        """Whether position and yaw have the same fault as the velocities, so that they cannot show it."""
         return self.variant == _FRAME
 
 
@@ -122,7 +125,9 @@ class SensorMisalignment(_Frame):
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        return Search({"angle": Range(-0.2, 0.2, 0.0005, _TURNED, unwitnessed=_CRABS)}, ({"angle": 0.003},))
+        return Search(
+            {"angle": Range(-0.2, 0.2, 0.0005, _TURNED, tolerance_without_position=_CRABS)}, ({"angle": 0.003},)
+        )
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:

@@ -1,4 +1,4 @@
-"""The base of every named term: its stages, its states, what it does to a recording, and what mimics it."""
+"""Base class of the named terms: stages, states, parameters, how it corrects a recording, and which terms mimic it."""
 
 from __future__ import annotations
 
@@ -162,25 +162,25 @@ class Term:
     factors: ClassVar[Mapping[str, tuple[str, str, str]]] = {}
     discrepancy: ClassVar[tuple[tuple[str, str, float], ...]] = ()
 
-    _kept: tuple[Any, Any] | None = None
+    _last: tuple[Any, Any] | None = None  # array and result of `cached`
 
     def __init__(self, parameters: Mapping[str, float], variant: str = "") -> None:
         self.parameters: dict[str, float] = dict(parameters)
         self.variant = variant
 
-    def kept(self, along: Any, made: Callable[[], Any]) -> Any:
-        """Return what is made of an array of a recording, which never changes; as it was if that was the last one.
+    def cached(self, array: Any, compute: Callable[[], Any]) -> Any:
+        """Return ``compute()``, or its last result if `array`, which nobody alters, is the same object as then.
 
-        A search asks for one recording again and again while it moves other terms.
+        A search evaluates a term along one recording again and again while it changes other terms.
         """
-        known = self._kept
-        if known is None or known[0] is not along:
-            self._kept = known = along, made()
-        return known[1]
+        last = self._last
+        if last is None or last[0] is not array:
+            self._last = last = array, compute()
+        return last[1]
 
     @property
     def moves_position(self) -> bool:
-        """Whether a fault of the measurement moves position and yaw with the velocities: they are no witnesses."""
+        """Whether a sensor fault changes position and yaw with the velocities, so that they cannot show it."""
         return False
 
     @classmethod
@@ -190,23 +190,23 @@ class Term:
 
     @classmethod
     def laws(cls, variant: str = "") -> tuple[str, ...]:
-        """Return the other variants that have the parameters of this one."""
+        """Return the other variants with the same parameters: other laws of the same quantity."""
         own = set(cls.parameter_units(variant))
         return tuple(one for one in cls.variants if one != variant and set(cls.parameter_units(one)) == own)
 
     @classmethod
     def sizes(cls, vehicle: Vehicle) -> Mapping[str, float]:
-        """Return for a parameter the size that matters for a vehicle: what 1 means in `search`; 1 if not named."""
+        """Return by parameter the unit that `search` counts in, in units of the file; 1 for one that is not named."""
         return {}
 
     @classmethod
     def search(cls, vehicle: Vehicle, course: Course, variant: str = "") -> Search | None:
-        """Return where a diagnosis looks for the parameters, in units of `sizes`.
+        """Return bounds and start values of a variant's parameters for a diagnosis, in units of `sizes`.
 
         Parameters
         ----------
         course : Course
-            Of the real recordings.
+            Duration and length of the real recordings.
 
         Returns
         -------
@@ -217,9 +217,10 @@ class Term:
 
     @classmethod
     def limits(cls, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
-        """Return between which values a file may have each parameter: as far as a diagnosis follows it at most.
+        """Return the bounds (lower, upper) that a vehicle file must keep, by parameter, in units of the file.
 
-        That is some four times what a real car has, in any variant, on a drive of at least a second and a metre.
+        They are the widened bounds of the search (`Range.widened`), the widest of all variants and of all drives of at
+        least 1 s and 1 m.
         """
         limits: dict[str, tuple[float, float]] = {}
         courses = (Course(1.0, 1.0), Course(np.inf, np.inf))
@@ -233,18 +234,18 @@ class Term:
 
     @classmethod
     def everywhere(cls, variant: str) -> tuple[Term, float]:
-        """Return a located term that acts all along the road, and by how much its size differs from none."""
+        """Return a located term extended over the whole road, and the distance of its size from no effect."""
         raise NotImplementedError(f"{cls.id} has no place")
 
     @classmethod
     def statement(cls, p: Estimates, variant: str = "") -> str:
-        """Return what found parameters say of the car or of the measurement, without subject or full stop."""
+        """Return in words what estimated parameters mean for car or measurement, without subject or full stop."""
         shown = ", ".join(f"{name} {amount(one)}" for name, one in p.items())
         return f"{cls.id.replace('_', ' ')} is there: {shown}"
 
     @classmethod
     def example(cls, p: Estimates, vehicle: Vehicle) -> str:
-        """Return what found parameters mean in forces of a vehicle, as an addition to `statement`."""
+        """Return in words what estimated parameters mean in forces [N] of a vehicle, to add to `statement`."""
         return ""
 
     @classmethod
@@ -267,7 +268,7 @@ class Term:
         return 0.0
 
     def actuate(self, flow: Flow) -> None:
-        """Change T and delta from command to what arrives."""
+        """Change T [N m] and delta [rad] from the command to what reaches the wheels."""
 
     def body(self, flow: Flow) -> None:
         """Change mass, inertia or the CG's place."""
@@ -281,32 +282,33 @@ class Term:
     def external(self, flow: Flow) -> None:
         """Add forces and a moment at the CG."""
 
-    def weight_felt(self, s: np.ndarray) -> tuple[Any, Any]:
-        """Return what accelerometers gain along and across the car by the term's inclination [m/s^2].
+    def gravity_component(self, s: np.ndarray) -> tuple[Any, Any]:
+        """Return the components of gravity that the term adds to a_x and a_y by inclining the car [m/s^2].
 
-        They feel a_x = v_x' - v_y r + g sin(grade) and a_y = v_y' + v_x r + g sin(bank); s [m] has shape (N,).
+        Accelerometers read a_x = v_x' - v_y r + g sin(grade) and a_y = v_y' + v_x r + g sin(bank). The arc length s [m]
+        has shape (N,).
         """
         return 0.0, 0.0
 
     @property
-    def is_felt(self) -> bool:
-        """Whether `weight_felt` is anything: whether the term inclines the car."""
-        return type(self).weight_felt is not Term.weight_felt
+    def inclines_car(self) -> bool:
+        """Whether the term inclines the car, so that `gravity_component` is not 0."""
+        return type(self).gravity_component is not Term.gravity_component
 
     def correct(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Return the channels of a recording as a right sensor would have given them; unchanged by default."""
+        """Return the channels of a recording without the term's sensor fault; unchanged by default."""
         return dict(columns)
 
     def correct_noise(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Return what smoothing left of channels, moved in time as `correct` moves the signal."""
+        """Return the noise that smoothing left in channels, shifted in time as `correct` shifts the signal."""
         return dict(columns)
 
     def corrupt(self, columns: Mapping[str, np.ndarray], recording: Recording) -> dict[str, np.ndarray]:
-        """Return true channels as this term's sensor records them: the inverse of `correct`."""
+        """Return true channels with the term's sensor fault: the inverse of `correct`."""
         return dict(columns)
 
     def first_order(self, flow: Flow, name: str, target: Any, rate: Any) -> Any:
-        """Return the state `name` that follows `target`: y' = rate (target - y), from steady.
+        """Return the state `name` that follows `target`: y' = rate (target - y), from steady state.
 
         Parameters
         ----------

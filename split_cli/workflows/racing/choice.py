@@ -1,4 +1,4 @@
-"""Which features a race learns, chosen on held-out blocks of its laps, and whether learning helped."""
+"""Decisions between and after laps: which features to learn, and in words whether learning helped."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -123,14 +123,14 @@ def whether_learning_helped(laps: Sequence[Lap], settings: RaceSettings, others:
     return f"Learning did not help: {slower}, {took}.{_what_to_do(own[-1], settings, rival.clean)}"
 
 
-def what_lap_0_asks(laps: Sequence[Lap], vehicle: Vehicle) -> str:
-    """Return what to do where the nominal model did not keep lap 0 on the track; empty where it did.
+def advice_after_lap_0(laps: Sequence[Lap], vehicle: Vehicle) -> str:
+    """Return advice if the nominal model, without terms, did not keep the car on the track in lap 0; else empty.
 
     Notes
     -----
-    A file without terms has no lag of steering or torque. The smaller a car, the more its lags displace it: times
-    shrink with the root of the lengths (Froude), and lags do not. A lap that the car follows tells them; one that
-    ends in a spin is held out where it spins, and little is named.
+    A vehicle file without terms has no lag of steering or torque. Times of motion scale with the root of length
+    (Froude) and actuator lags do not, so that lags matter more in a small car. A gentler lap lets `split diagnose`
+    identify them; of a lap that ends in a spin, the spin itself lies in the held-out time.
     """
     if not laps or laps[0].number != 0 or laps[0].clean or vehicle.effects:
         return ""

@@ -1,4 +1,4 @@
-"""The plant with its sensors on one side, a controller on the other: what passes between them in an interval."""
+"""The plant with its sensors, as a controller sees it: commands in, measurements out, at 100 Hz."""
 
 from dataclasses import dataclass, field, replace
 
@@ -14,16 +14,16 @@ from split_cli.plant.simulation import initial_state
 from split_cli.plant.tracks import Track
 
 SAMPLE_PERIOD = 0.01
-"""Of the drive that is recorded, and of the ramps that lead commands from one value to the next [s]."""
+"""Sample period of the recorded drive, and of the command ramps [s]."""
 
 _MEASURED = ("X", "Y", "yaw", "vx", "vy", "r", "ax", "ay")
 _STATE = (_compiled.X, _compiled.Y, _compiled.YAW, _compiled.VX, _compiled.VY, _compiled.R)
-#: Tyres stand out of no body: a saloon of 1.54 m track is 1.77 m wide.
+#: Body width over track width [1]: a saloon of 1.54 m track is 1.77 m wide.
 _BODY_OVER_TRACK = 1.15
 
 
 def body_width(car: CarParameters) -> float:
-    """Return the width of a car's body [m], from the wider of its tracks."""
+    """Return the width of a car's body [m]: 1.15 times its wider track width."""
     return _BODY_OVER_TRACK * max(car.track_front, car.track_rear)
 
 
@@ -36,7 +36,7 @@ def body_ends(car: CarParameters) -> tuple[float, float]:
 
 
 def path_of(track: Track) -> Path:
-    """Return a track of the plant as the line of a controller."""
+    """Return a track of the plant as the reference path of a controller."""
     width = np.full(len(track.x), track.half_width)
     return Path(
         track.name, track.spacing, track.x, track.y, track.direction, track.curvature, width, width.copy(), True
@@ -45,10 +45,10 @@ def path_of(track: Track) -> Path:
 
 @dataclass
 class World:
-    """A car on a road, driven from outside, and what its sensors report at 100 Hz."""
+    """The simulated car on its road, driven by commands, with sensors of 100 Hz; its recording grows with time."""
 
     car: CarParameters
-    path: Path  # where the car starts on
+    path: Path  # the car starts on it
     speed: float  # at the start [m/s]
     start: float = 0.0  # arc length of the start [m]
     friction: float = 1.0  # of the road, against the tyres' own peak [1]
@@ -95,7 +95,7 @@ class World:
         return np.concatenate([row[1:7], row[9:11]])
 
     def drive(self, rates: np.ndarray, duration: float) -> None:
-        """Let the commands T and delta run with `rates` [N m/s], [rad/s] for `duration` [s]."""
+        """Advance the plant by `duration` [s] while T and delta change at `rates`, shape (2,) [N m/s], [rad/s]."""
         for _ in range(int(round(duration / SAMPLE_PERIOD))):
             torque = self.torque + 0.5 * rates[0] * SAMPLE_PERIOD
             steer = self.steer + 0.5 * rates[1] * SAMPLE_PERIOD

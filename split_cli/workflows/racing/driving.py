@@ -1,4 +1,8 @@
-"""The laps themselves: plant, controller and learner side by side, one control interval after the other."""
+"""The loop of a race: plant, controller and learner interval by interval, and what changes from lap to lap.
+
+`Race._interval` is one control interval, `Race._drive` runs to the next crossing of the line, `Race.drive_lap` is one
+lap with the choices after it: margin to the border, share of the peak force, and grip.
+"""
 
 import gc
 from collections.abc import Callable, Iterator, Sequence
@@ -35,11 +39,8 @@ from split_cli.learning.training_set import TrainingSet, read_set, write_set
 from split_cli.logs.drive import write_drive
 from split_cli.plant.cars import find_car
 from split_cli.plant.recording import write_mcap
-from split_cli.scoring.noise import noise_floor
-from split_cli.signals import STANDARD_GRAVITY
 from split_cli.vehicle.parameters import Vehicle
-from split_cli.vehicle.single_track import SingleTrack
-from split_cli.workflows.racing.choice import choose_features, what_lap_0_asks, whether_learning_helped
+from split_cli.workflows.racing.choice import advice_after_lap_0, choose_features, whether_learning_helped
 from split_cli.workflows.racing.closed_loop import World, body_width
 from split_cli.workflows.racing.entry import (
     check_car,
@@ -52,25 +53,25 @@ from split_cli.workflows.racing.entry import (
     check_trusted,
     find_path,
 )
-from split_cli.workflows.racing.first_lap import blank_header, make_learner, remembering, studied_header
+from split_cli.workflows.racing.first_lap import header_with_kernel, header_without_kernel, make_learner, with_past_term
+from split_cli.workflows.racing.margin import relative_model_error
 from split_cli.workflows.racing.result import Lap, RaceResult
 from split_cli.workflows.racing.settings import RaceSettings
 from split_cli.workflows.racing.tally import Tally
 
 RUN_UP_SHARE, LONGEST_RUN_UP = 0.3, 200.0
-"""Of a lap [1] and at most [m]: the way before the line, so that lap 0 starts flying as others do."""
+"""Length of the run-up before the line: share of a lap [1], and at most [m]. Lap 0 then starts at speed."""
 
 MOTION_EVERY = 4
-"""Of the intervals, the error of the exact motion is computed in every fourth [1]: a label of a vehicle with terms
-takes milliseconds, and a lap has hundreds of intervals."""
+"""The label of the exact motion is computed in every fourth interval only: with terms one takes milliseconds."""
 
 LEFT_BEHIND = 1.0
-"""A car whose whole width and this much more [m] is beyond the border has left the track, and its lap ends."""
+"""A lap ends when the whole width of the car is beyond the border by this distance [m]."""
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
-    """Collect garbage now and none within: a full collection holds up a step by several intervals."""
+def garbage_collection_paused() -> Iterator[None]:
+    """Collect garbage once, then none in the body: a full collection takes longer than several control intervals."""
     was = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -81,37 +82,44 @@ def uncollected() -> Iterator[None]:
             gc.enable()
 
 
-def acceleration_error(error: np.ndarray, noise: np.ndarray, count: int, vehicle: Vehicle) -> float:
-    """Return what a model gets wrong of the motion sideways, as one acceleration [m/s^2].
-
-    Parameters
-    ----------
-    error : ndarray, shape (3,)
-        Root mean squares of what predictions leave of the labels [m/s^2], [m/s^2], [rad/s^2].
-    noise : ndarray, shape (3,)
-        Deviation of the labels' noise, which no model can predict, in the same units.
-    count : int
-        Number of labels.
-
-    Notes
-    -----
-    Yaw counts by the radius of gyration, as it does in the kinetic energy: the square is that of v_y plus
-    I_z/m times that of r. Neither is below its standard error, noise^2 sqrt(2/count): no label tells less.
-    """
-    noise = np.square(noise)
-    squares = np.maximum(np.square(error) - noise, noise * np.sqrt(2.0 / max(count, 1)))
-    return float(np.sqrt(squares[1] + vehicle.yaw_inertia / vehicle.mass * squares[2]))
-
-
 class Race:
-    """The state of a race between its laps.
+    """A race: the plant, its controller and its learner, with what was driven so far.
 
     Parameters
     ----------
     set_output : path or None
-        Where the set goes after each lap.
+        File that the training set is written to after each lap; None writes none.
     say : callable
-        Takes words on progress.
+        Called with a line of text on progress.
+
+    Attributes
+    ----------
+    laps, traces : list
+        One entry a lap: its `Lap`, and the rows of `RaceResult.traces`.
+    spans : dict of int to (int, int)
+        For each lap, its first row of the world's recording and one past its last.
+    grips : list of tuple of float
+        Peak friction of front and rear axle [1], after each time it was learned.
+    ended : str
+        Why the race ended early, in words; empty while it goes on.
+    undecided : bool
+        Whether the choice of features is open, so that it is made again after the next lap.
+    lines_begun : int
+        Number of laps begun.
+    crossing : float
+        Time of the last crossing of the line [s].
+    finish : float
+        Progress along the centre line at which the current lap ends [m].
+    deviation : float
+        First distance to the border that plans keep beyond the least margin [m]; `Mpcc.deviation` is the current one.
+    deviation_per_error : float
+        That distance per relative error of the model (`_relative_error`) [m].
+    header : TrainingSet
+        Empty set with vehicle, features, grid and kernel of the learner.
+    rates : ndarray, shape (2,)
+        Rates of T [N m/s] and delta [rad/s] that are applied in the next interval.
+    memory : ndarray
+        States of the vehicle file's terms at the begin of the next interval, as the control model predicts them.
 
     Raises
     ------
@@ -127,7 +135,7 @@ class Race:
         self.car = find_car(settings.car)
         check_car(vehicle, self.car)
         self.features = parse_features(settings.candidates[-1])
-        check_features(remembering(vehicle, self.features)[0], self.features, settings.settings.step)
+        check_features(with_past_term(vehicle, self.features)[0], self.features, settings.settings.step)
         self.width = settings.width or body_width(self.car)
         self.path = find_path(settings.track)
         check_path(self.path, self.width)
@@ -168,13 +176,13 @@ class Race:
         self.spans: dict[int, tuple[int, int]] = {}
         self.grips: list[tuple[float, ...]] = []
         self.ended, self.undecided = "", False
-        self.kept: str | None = None
-        self.lines, self.crossing, self.until = 0, 0.0, 0.0
-        self.per_error = self.deviation / FIRST_ERROR  # needed beside the least margin, over `_error` [m]
+        self.written_set: str | None = None
+        self.lines_begun, self.crossing, self.finish = 0, 0.0, 0.0
+        self.deviation_per_error = self.deviation / FIRST_ERROR
 
     @property
     def begins_nominal(self) -> bool:
-        """Whether nothing is known before, so that the nominal model drives lap 0."""
+        """Whether the race starts without a trained set, so that the nominal model drives lap 0."""
         return self.start_set is None and self.exported is None
 
     def begin(self) -> None:
@@ -184,7 +192,7 @@ class Race:
         speed = min(0.5 * s.max_speed, self._careful_speed(-np.linspace(0.0, -self.start, 200)))
         self.world = World(self.car, self.path, speed, self.start, s.grip, None if s.exact_sensors else s.seed)
         if self.start_set is None:
-            self.header = blank_header(self.vehicle, self.features, self.mpcc)
+            self.header = header_without_kernel(self.vehicle, self.features, self.mpcc)
             self.learner: Learner = NoLearner(self.header, self.exported)
         else:
             self.header = self.start_set
@@ -208,13 +216,16 @@ class Race:
         self.memory = self.model.steady_states(self.world.measured)[8:]
 
     def _careful_speed(self, s: np.ndarray) -> float:
-        """Return a speed at which the tightest bend at places `s` [m] takes half the grip [m/s]."""
+        """Return the speed [m/s] that takes half the grip in the tightest bend at arc lengths `s` [m].
+
+        v^2 = 0.5 mu (2 D_min / m) / kappa_max, with D_min the smaller peak force of one axle.
+        """
         bend = np.abs(self.path.at(s).curvature).max()
         tire = min(self.vehicle.front_tire.D, self.vehicle.rear_tire.D)
         return float(np.sqrt(0.5 * self.settings.grip * 2.0 * tire / self.vehicle.mass / max(bend, 1e-4)))
 
     def run(self) -> None:
-        """Drive the run-up, lap 0 where nothing is known, and the laps."""
+        """Drive the run-up, lap 0 with the nominal model unless a set was given, and the other laps."""
         s = self.settings
         if self._drive(record=None) is None:
             bend = 1.0 / np.abs(self.path.curvature).max()
@@ -245,7 +256,7 @@ class Race:
     def _start_learning(self) -> None:
         """Choose the features on lap 0, learn it, and drive with what was learned from now on."""
         self._choose_features()
-        # Its own p_unknown returns, and the share goes on from that of lap 0.
+        # From lap 1 on with the usual p_unknown and margin; p_ellipse goes on from that of lap 0.
         self.controller.limits = replace(self.mpcc.limits, p_ellipse=self.controller.limits.p_ellipse)
         self.controller.half_width = 0.5 * self.width + self.mpcc.margin
         self.controller.deviation = self.deviation
@@ -256,13 +267,13 @@ class Race:
         choice = choose_features(laps, self.header.vehicle, self.settings)
         chosen, number = parse_features(choice.features), self.laps[-1].number
         stays = number > 0 and chosen == self.header.features
-        # A race need not hear after each lap that nothing has changed.
+        # An unchanged choice that is still open is not noted after each lap.
         if choice.reason and not (stays and choice.undecided):
             self.notes.append(choice.reason)
         self.undecided = choice.undecided
         if stays:
             return
-        self.header, labels = studied_header(self.header, laps, chosen, self.settings, self.notes)
+        self.header, labels = header_with_kernel(self.header, laps, chosen, self.settings, self.notes)
         self.learner = make_learner(self.settings, self.header)
         for lap, part in zip(laps, labels, strict=True):
             self.learner.begin_lap(lap.name, float(lap["t"][0]))
@@ -277,9 +288,10 @@ class Race:
         self.controller.model = self.model
 
     def _raise_share(self) -> None:
-        """Let the next lap use more of the peak, by one step at most, where the last one was clean.
+        """Raise the share p_ellipse of the peak force that plans may use by one step, if the last lap was clean.
 
-        A narrow track leaves no room for the whole margin; then the step is as much smaller as the margin is.
+        The step is SHARE_STEP min(1, room / deviation): smaller where a narrow track leaves less room than the wanted
+        deviation.
         """
         controller, most = self.controller, self.mpcc.limits.p_ellipse
         limits = controller.limits
@@ -292,7 +304,7 @@ class Race:
         controller.limits = replace(limits, p_ellipse=min(limits.p_ellipse + step, most))
 
     def _learn_grip(self, z: np.ndarray, y: np.ndarray) -> None:
-        """Move the tyres' peaks to where labels tell them."""
+        """Estimate the friction of both axles from labels (`learned_grip`), if asked for, and use it."""
         if self.settings.learn_grip:
             self._take_grip(learned_grip(self.vehicle, self.header.features, z, y, self.settings.assumed_friction))
             self.grips.append(tuple(self.controller.grip.tolist()))
@@ -300,22 +312,22 @@ class Race:
             self._take_grip(self.controller.grip)
 
     def _take_grip(self, grip: np.ndarray) -> None:
-        """Give the peaks to the slip limits, and to the residual as its prior mean."""
+        """Set the friction of both axles [1], shape (2,): in the slip limits and in the residual's prior mean."""
         self.controller.grip = grip
-        # What was exported is the whole residual, nothing is added to it.
+        # An exported residual is complete: no prior mean is added to it.
         may_add = self.exported is None and self.mpcc.limits.guarded
         informed = may_add and tells_peaks(self.vehicle, self.header.features)
         self.learner.residual.rest_on(PeakShift(self.vehicle, self.header.features, grip) if informed else None)
 
     def drive_lap(self, number: int) -> None:
-        """Drive one lap, and keep what it taught."""
+        """Drive one lap, learn from it, and choose margin, share of the peak and grip of the next."""
         controller = self.controller
         tally = Tally(number, len(self.world.rows) - 1, controller.limits.p_ellipse, self.path.length)
         self.learner.begin_lap(f"lap {number}", self.world.t)
         begin = self.crossing
-        self.lines += 1
-        self.until = self.lines * self.path.length
-        with uncollected():
+        self.lines_begun += 1
+        self.finish = self.lines_begun * self.path.length
+        with garbage_collection_paused():
             finished = self._drive(tally)
         world = self.world
         duration = world.rows[-1][0] - world.rows[tally.first][0]
@@ -327,56 +339,50 @@ class Race:
         outside = self.laps[-1].outside
         self.say(f"lap {number}: " + (f"{time:.2f} s, {outside:.2f} m outside" if time else self.ended))
         self.spans[number] = (tally.first, len(world.rows))
-        self._follow_lap(tally)
+        self._adapt_margin_and_share(tally)
         self.model.residual = self.learner.residual
         if trained is not None and trained.size:
             self._learn_grip(trained.z, trained.y)
         self._keep(trained)
 
-    def _follow_lap(self, tally: Tally) -> None:
-        """Choose by how much more than the least margin the next lap's plan keeps to the border, and its share.
+    def _adapt_margin_and_share(self, tally: Tally) -> None:
+        """Set the deviation d, the distance to the border beyond the least margin, and p_ellipse of the next lap.
 
-        The car came nearer to the border than planned by what was `tally.needed` [m], and errors of position go with
-        those of the model. The next lap may err elsewhere: of what an error has needed, `DEVIATION_KEPT` stays. An
-        error at one share of the peak says little of a larger one: while the share rises, the margin does not fall.
+        Notes
+        -----
+        q+ = max(n/e, DEVIATION_KEPT q) and d = q+ e, with n [m] the most by which the car came nearer to the border
+        than planned (`Tally.needed`), e [1] the model's relative error in the lap, and q [m] `deviation_per_error`.
+        q falls slowly, since the next lap may err at another place. While the share of the peak rises, d does not
+        fall, since e was found at a smaller share.
         """
-        controller, kept, share = self.controller, self.controller.deviation, self.controller.limits.p_ellipse
-        error = self._error(tally)
-        self.per_error = max(tally.needed / error, DEVIATION_KEPT * self.per_error)
-        controller.deviation = self.per_error * error
+        controller, before, share = self.controller, self.controller.deviation, self.controller.limits.p_ellipse
+        error = self._relative_error(tally)
+        self.deviation_per_error = max(tally.needed / error, DEVIATION_KEPT * self.deviation_per_error)
+        controller.deviation = self.deviation_per_error * error
         self._raise_share()
         if controller.limits.p_ellipse > share:
-            controller.deviation = max(controller.deviation, kept)
+            controller.deviation = max(controller.deviation, before)
 
-    def _error(self, tally: Tally) -> float:
-        """Return the learned model's error in the last lap, over the largest lateral acceleration [1].
-
-        What an error of acceleration adds up to goes with the square of the time, and the time with the root of a
-        length over the acceleration that is driven. At most `FIRST_ERROR`, which stands for a model that has
-        learned nothing, and where the error is not asked or the noise not known.
-        """
-        lap, header = self.laps[-1], self.header
+    def _relative_error(self, tally: Tally) -> float:
+        """Return `relative_model_error` of the last lap [1]; `FIRST_ERROR` where the margin does not follow it."""
+        lap = self.laps[-1]
         if not self.settings.margin_by_error or isinstance(self.learner.residual, NoResidual) or self.ended:
             return FIRST_ERROR
         drive = self.world.recording(*self.spans[lap.number], name=f"lap {lap.number}")
-        noise = noise_floor(SingleTrack(header.vehicle), drive, tally.labels).rms
-        if noise is None:
-            return FIRST_ERROR
-        error = acceleration_error(np.array(lap.error_after), noise, lap.accepted, header.vehicle)
-        return min(error / (lap.max_lateral * STANDARD_GRAVITY), FIRST_ERROR)
+        return relative_model_error(lap, drive, tally.labels, self.header.vehicle)
 
     def _keep(self, trained: TrainingSet | None) -> None:
-        """Write what was learned, if anything was."""
+        """Write the training set, if it holds points and a file was asked for."""
         if trained is not None and trained.size and self.set_output is not None:
             write_set(trained, self.set_output)
-            self.kept = str(self.set_output)
+            self.written_set = str(self.set_output)
 
     def _drive(self, record: Tally | None) -> float | None:
-        """Drive until the progress reaches `until`; return the time of crossing [s], None when the lap ended."""
+        """Drive to the line at `finish`; return the time of crossing [s], or None, with `ended` set, if that failed."""
         world, h = self.world, self.mpcc.step
         s = self.path.project(*world.exact[:2], self.controller.plan.x[0, -2])
-        careful = min(self.settings.max_speed, self._careful_speed(np.linspace(s, self.until, 2000)))
-        deadline = world.t + 10.0 + 3.0 * (self.until - s) / careful
+        careful = min(self.settings.max_speed, self._careful_speed(np.linspace(s, self.finish, 2000)))
+        deadline = world.t + 10.0 + 3.0 * (self.finish - s) / careful
         while True:
             before, t_before = s, world.t
             try:
@@ -397,13 +403,13 @@ class Race:
                 self.ended = "the lap took too long"
             if self.ended:
                 return None
-            if s >= self.until:
-                self.crossing = t_before + h * (self.until - before) / (s - before)
+            if s >= self.finish:
+                self.crossing = t_before + h * (self.finish - before) / (s - before)
                 return self.crossing
 
     def _beyond(self, s: float) -> tuple[float, float, float]:
-        """Return the contour error, how far a side of the car is beyond the border, negative within, and what
-        plans keep there [m].
+        """Return three lengths [m] at progress `s`: contour error, distance of a side of the car beyond the border
+        (negative within the track), and the distance to the border that plans keep there.
         """
         controller, half = self.controller, 0.5 * self.width
         point = self.path.at(np.array([s]))
@@ -413,7 +419,10 @@ class Race:
         return contour, float(max(contour - point.right[0], -contour - point.left[0]) + half), kept
 
     def _interval(self, record: Tally | None) -> StepInfo:
-        """Plan the interval after the next one while the car drives the next, then learn what came of it."""
+        """Drive the next interval while the one after it is planned, then learn from the new measurement.
+
+        Without the computing delay (`RaceSettings.delay`) the plan made now is applied at once.
+        """
         world, h = self.world, self.mpcc.step
         now = np.concatenate([world.measured, self.memory])
         ahead = self.model.linearize(now[None], self.rates[None]).following[0]
@@ -429,7 +438,7 @@ class Race:
         world.drive(applied, h)
         self.rates = following
         if record is not None:
-            # Lags and delays of the vehicle file settle over what was driven before the interval.
+            # The recording begins earlier, so that lags and delays of the vehicle file have settled at the interval.
             begin = first - self.learner.run_up_rows(first - record.first, world.period)
             name = f"lap {record.number}"
             due = len(record.learned) % MOTION_EVERY == 0
@@ -449,9 +458,9 @@ class Race:
             write_drive(drive, output)
 
     def result(self, output: str | FilePath | None, others: Sequence[RaceResult] = ()) -> RaceResult:
-        """Return what was driven, compared with `others` as `whether_learning_helped` does."""
-        known = any(what_lap_0_asks(other.laps, self.vehicle) for other in others)
-        advice = "" if known else what_lap_0_asks(self.laps, self.vehicle)
+        """Return the laps with a verdict in words, see `whether_learning_helped` for `others`."""
+        known = any(advice_after_lap_0(other.laps, self.vehicle) for other in others)
+        advice = "" if known else advice_after_lap_0(self.laps, self.vehicle)
         return RaceResult(
             track=self.path.name,
             car=self.car.name,
@@ -460,7 +469,7 @@ class Race:
             length=self.path.length,
             laps=tuple(self.laps),
             output=None if output is None else str(output),
-            set_path=self.kept,
+            set_path=self.written_set,
             notes=(*self.notes, *filter(None, [advice])),
             traces=tuple(self.traces),
             path=self.path,

@@ -1,4 +1,4 @@
-"""What a race fixes after its first lap, lap 0: grid, kernel and learner."""
+"""The training set and the learner of a race: before lap 0 without a kernel, after it with grid and kernel fitted."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,10 +26,10 @@ PAST_TERM = EffectSpec("feature_lag", {"tau": PAST})
 """The term whose states are the recent past of z2; no force depends on it."""
 
 
-def remembering(vehicle: Vehicle, features: FeatureSet) -> tuple[Vehicle, int]:
-    """Return the vehicle with `PAST_TERM` where `features` name its states and the file lacks it.
+def with_past_term(vehicle: Vehicle, features: FeatureSet) -> tuple[Vehicle, int]:
+    """Return the vehicle, with `PAST_TERM` added if `features` name its states, and how many terms were added.
 
-    The number of terms that this adds comes second; a set counts them as found beyond the file.
+    `TrainingSet.found_effects` holds that number: terms beyond the vehicle file.
     """
     asked = any(name.startswith(f"{PAST_TERM.term}.") for name in features.names)
     if asked and all(effect.term != PAST_TERM.term for effect in vehicle.effects):
@@ -37,12 +37,12 @@ def remembering(vehicle: Vehicle, features: FeatureSet) -> tuple[Vehicle, int]:
     return vehicle, 0
 
 
-def blank_header(vehicle: Vehicle, features: FeatureSet, mpcc: MpccSettings) -> TrainingSet:
-    """Return an empty set that is only asked for its labels, since no kernel is known yet.
+def header_without_kernel(vehicle: Vehicle, features: FeatureSet, mpcc: MpccSettings) -> TrainingSet:
+    """Return an empty set over z2 for lap 0: it defines labels only, its kernel is a placeholder.
 
-    It is one over z2; `features` are those that will be learned, whose states the model has from the start.
+    `features` are those that will be learned; the vehicle gets the term whose states they name.
     """
-    vehicle, added = remembering(vehicle, features)
+    vehicle, added = with_past_term(vehicle, features)
     limits = mpcc.limits
     region = learning_region(vehicle, limits.alpha_max, limits.dalpha_max, limits.p_long)
     grid = build_grid(Z2, vehicle, region)
@@ -50,12 +50,12 @@ def blank_header(vehicle: Vehicle, features: FeatureSet, mpcc: MpccSettings) -> 
     return replace(empty_set(vehicle, Z2, region, grid, kernel, horizon=mpcc.step), found_effects=added)
 
 
-def studied_header(
+def header_with_kernel(
     blank: TrainingSet, laps: Sequence[Drive], features: FeatureSet, settings: RaceSettings, notes: list[str]
 ) -> tuple[TrainingSet, list[Labels]]:
-    """Return an empty set over `features`, grid and kernel fitted to `laps` as the settings ask, and their labels.
+    """Return an empty set over `features` with grid and kernel from the labels of `laps`, and these labels.
 
-    Remarks go to `notes`.
+    The kernel is fitted, the default one or read from a file, as `settings` say. Notes are appended to `notes`.
     """
     labels = [compute_labels(lap, blank.vehicle, features, blank.region, horizon=blank.horizon) for lap in laps]
     driven = Labels.joined(labels)
@@ -81,7 +81,7 @@ def _kernel(labels: Labels, grid: Grid, settings: RaceSettings, notes: list[str]
 
 
 def make_learner(settings: RaceSettings, training_set: TrainingSet) -> Learner:
-    """Return the learner that the settings name, beginning with `training_set`."""
+    """Return the learner that the settings name, with `training_set` as its first set."""
     predictor = predictor_for(settings.predictor, training_set.features)
     if settings.learner == "none":
         return NoLearner(training_set, PredictorResidual(training_set, predictor))

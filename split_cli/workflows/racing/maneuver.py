@@ -33,7 +33,7 @@ from split_cli.plant.recording import write_mcap
 from split_cli.vehicle.parameters import Vehicle, read_vehicle
 from split_cli.workflows.racing.closed_loop import World, body_ends, body_width
 from split_cli.workflows.racing.entry import check_car, check_numbers, check_predictor, check_torque, check_trusted
-from split_cli.workflows.racing.first_lap import remembering
+from split_cli.workflows.racing.first_lap import with_past_term
 from split_cli.workflows.racing.settings import AUTO, predictor_for
 
 
@@ -147,7 +147,7 @@ def run_maneuvers(
     if scale != 1.0:
         say(f"course: for full-size cars, scaled by {scale:.3g} for a wheelbase of {car.wheelbase:.3g} m")
     features = parse_features(settings.features)
-    check_features(remembering(vehicle, features)[0], features, scenarios[0].step)
+    check_features(with_past_term(vehicle, features)[0], features, scenarios[0].step)
     runs, worlds = [], []
     for scenario in scenarios:
         say(f"{scenario.name} at {scenario.entry_speed:g} m/s")
@@ -258,7 +258,7 @@ def _learn(world: World, vehicle: Vehicle, features: FeatureSet, step: float, ou
     A run in which an axle lets go is learned up to there. Between two slides slip angles pass through zero at
     rates that no driving has, tyres follow late, and features of one moment take that for a force.
     """
-    vehicle, added = remembering(vehicle, features)
+    vehicle, added = with_past_term(vehicle, features)
     limits = Limits()
     region = learning_region(vehicle, limits.alpha_max, limits.dalpha_max, limits.p_long)
     labels = compute_labels(world.recording(name="maneuver"), vehicle, features, region, horizon=step)

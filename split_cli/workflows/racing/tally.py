@@ -1,4 +1,4 @@
-"""Sums over one lap: errors, times and failures."""
+"""Statistics of one lap while it is driven: errors of the model, distance to the border, step times."""
 
 import numpy as np
 
@@ -10,18 +10,27 @@ from split_cli.workflows.racing.result import Lap
 
 
 class Tally:
-    """Sums of one lap.
+    """Statistics of one lap.
 
     Parameters
     ----------
     number : int
-        Of the lap.
+        Number of the lap.
     first : int
         Row of the world's recording at which it begins.
     share : float
-        Of the peak force that the plan might use [1].
+        Share of the peak force that plans may use [1].
     length : float
-        Of a lap [m]; places along the track are counted from its line.
+        Length of a lap [m]; places along the track are counted from the line.
+
+    Attributes
+    ----------
+    beyond, place : float, float or None
+        Largest distance of a side of the car beyond the border [m], at least 0, and the progress there [m].
+    needed : float
+        Most by which the car came nearer to the border than plans do [m].
+    margin : float
+        Smallest distance to the border that plans kept [m].
     """
 
     def __init__(self, number: int, first: int, share: float, length: float) -> None:
@@ -34,9 +43,17 @@ class Tally:
         self.margin = np.inf
 
     def add(self, row: tuple[float, ...], beyond: float, kept: float, info: StepInfo) -> None:
-        """Take one interval: a row of `RaceResult.traces`, and how far the car was beyond the border [m].
+        """Add one interval.
 
-        Within the track that is negative. Plans `kept` so far from the border there [m].
+        Parameters
+        ----------
+        row : tuple of float
+            Row of `RaceResult.traces`.
+        beyond, kept : float
+            Distance of a side of the car beyond the border, negative within the track, and the distance to the border
+            that plans keep there [m].
+        info : StepInfo
+            Result of the controller's step.
         """
         self.infos.append(info)
         if beyond > self.beyond:
@@ -47,7 +64,7 @@ class Tally:
 
     @property
     def labels(self) -> Labels:
-        """What the learner labelled, in the order of the intervals."""
+        """Labels of the lap, in the order of the intervals."""
         return Labels.joined([entry.labels for entry in self.learned])
 
     def lap(self, time: float | None, truth: np.ndarray, size: int, cells: int, ended: str) -> Lap:

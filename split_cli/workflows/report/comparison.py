@@ -17,7 +17,7 @@ from split_cli.workflows.report.markup import (
     section,
     verdict_section,
 )
-from split_cli.workflows.report.payload import shows
+from split_cli.workflows.report.payload import digest_entry
 from split_cli.workflows.report.shell import page
 from split_cli.workflows.report.words import escape, number
 
@@ -56,7 +56,7 @@ def comparison_page(compared: ModelComparison, drive_charts: Sequence[Chart] = (
         + "".join(chart_sections(drive_charts))
     )
     return page(
-        "compare", ", ".join(compared.drives), f"{said} {', '.join(compared.models)}", body, charts, shows(table)
+        "compare", ", ".join(compared.drives), f"{said} {', '.join(compared.models)}", body, charts, digest_entry(table)
     )
 
 

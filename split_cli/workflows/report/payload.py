@@ -1,4 +1,4 @@
-"""The numbers a report's charts are drawn from, small and safe to stand inside a page."""
+"""The numbers that a report embeds for its charts, as JSON that is small and safe inside HTML."""
 
 import hashlib
 import json
@@ -24,13 +24,13 @@ def embedded_json(content: object) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def shows(content: str) -> dict[str, Any]:
-    """Return what a page says of the file whose numbers it shows: the digest of its content."""
+def digest_entry(content: str) -> dict[str, Any]:
+    """Return the entry of a page's numbers that names the file they are of: the SHA-256 of its content."""
     return {"shows": hashlib.sha256(content.encode("utf-8")).hexdigest()}
 
 
 def shown_digest(page: str) -> str | None:
-    """Return the digest of the file whose numbers a page shows; None where the page names none."""
+    """Return the digest that `digest_entry` wrote into a page; None where it has none."""
     found = re.search(r'"shows":"([0-9a-f]{64})"', page)
     return found[1] if found else None
 
@@ -40,7 +40,7 @@ def chart_numbers(diagnosis: Diagnosis) -> dict[str, Any]:
     rows = sum(len(gap.t) for gap in diagnosis.gaps)
     every = max(1, math.ceil(rows / _MOST_ROWS))
     return {
-        **shows(diagnosis_to_text(diagnosis)),
+        **digest_entry(diagnosis_to_text(diagnosis)),
         "verdict": diagnosis.verdict,
         "forces": [FORCES[name] for name in FORCE_IDS],
         "named": bool(diagnosis.findings),

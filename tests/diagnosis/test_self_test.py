@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.remainder.structure import FlexibleFit
-from split_cli.diagnosis.search.calibration import SelfTest, self_test
 from split_cli.diagnosis.search.candidates import build_candidates
+from split_cli.diagnosis.search.self_test import SelfTest, self_test
 from split_cli.logs.drive import Drive
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import case_of, verdict_of

@@ -1,4 +1,4 @@
-"""What names are worth on held-out time: their shares of the gap, the improvement, and the corrected vehicle."""
+"""Judgement of findings on held-out time: their shares of the gap, the improvement, and the corrected vehicle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from split_cli.vehicle.parameters import EffectSpec
 
 @dataclass(frozen=True)
 class HeldOutFit:
-    """An explanation, named or not, that was fitted without the time that judges it."""
+    """All parts of an explanation, named or not, fitted on training time."""
 
     case: DiagnosisCase
     objective: MarginalLikelihood  # of all rows
@@ -33,25 +33,25 @@ class HeldOutFit:
 
     @property
     def recordings(self) -> list[tuple[Evidence, np.ndarray]]:
-        """Return all real recordings and which of their rows are held out, masks of shape (N,)."""
+        """Return all real recordings and which of their samples are held out, masks of shape (N,)."""
         everything = [np.ones(len(one.series), dtype=bool) for one in self.case.holdout]
         pairs = zip(self.case.real, self.split.masks, strict=True)
         return [*pairs, *zip(self.case.holdout, everything, strict=True)]
 
     @cached_property
     def shares(self) -> tuple[float, ...] | None:
-        """Return what of the held-out error returns without each part, see `explained_shares`; names change none."""
+        """Return `explained_shares` of the parts; they do not depend on which are named."""
         return explained_shares(self.split, self.trained)
 
     def improvement(self, terms: Sequence[Term]) -> Improvement | None:
-        """Return what terms improve on held-out time, see `measure_improvement`."""
+        """Return the held-out errors with terms, see `measure_improvement`."""
         case = self.case
         return measure_improvement(self.recordings, terms, case.discrepancy, case.posterior, case.simulated)
 
 
 @dataclass(frozen=True)
-class Worth:
-    """Findings and remainder with their shares of held-out time, the improvement there, and the vehicle."""
+class HeldOutJudgement:
+    """Findings and remainder with their shares of the held-out error, the improvement, and the corrected vehicle."""
 
     findings: tuple[Finding, ...]
     remainder: RemainderTest
@@ -60,19 +60,19 @@ class Worth:
 
 
 def fit_without_held_out(case: DiagnosisCase, objective: MarginalLikelihood, whole: Fit, policy: Policy) -> HeldOutFit:
-    """Return an explanation fitted once more without the held-out time.
+    """Return an explanation refitted without the held-out time.
 
     Parameters
     ----------
     objective : MarginalLikelihood
         Of all rows.
     whole : Fit
-        To it.
+        The explanation on these rows.
 
     Notes
     -----
-    The fit of the training rows has the fast signal of a late channel moved once, by the delay of the whole fit, as
-    the search had it. What judges moves it by the delay that it judges, see `DiagnosisCase.judged_with_residue`.
+    For the refit a late channel is shifted as a whole by the delay of the whole fit, as in the search. Held-out errors
+    are those of channels shifted by the refitted delay, see `DiagnosisCase.judged_with_residue`.
     """
     late = [term for term in whole.terms if term.moves_samples]
     split = hold_out(
@@ -92,20 +92,22 @@ def fit_without_held_out(case: DiagnosisCase, objective: MarginalLikelihood, who
     return HeldOutFit(case, objective, whole, split, trained)
 
 
-def judge_names(fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest) -> Worth:
+def judge_names(
+    fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Finding], remainder: RemainderTest
+) -> HeldOutJudgement:
     """Judge findings on held-out time, without the parts that are not known to act.
 
     Parameters
     ----------
     known : sequence of bool
-        Of every part of the fit: whether it has a name, or is what any sound recording may have.
+        Of every part of the fit: whether it is named, or a sensor error within tolerance.
     """
     terms = tuple(part.term for part in fitted_alone(fit.split.training, fit.trained, known, findings))
     corrected = judge_corrected(fit.recordings, terms)
     if corrected is not None and not all(known):
         parts = fitted_alone(fit.objective, fit.whole, known, findings)
         corrected = replace(corrected, values={one.candidate.term: one.values for one in parts})
-    return Worth(
+    return HeldOutJudgement(
         with_shares(findings, fit.whole, fit.shares),
         replace(remainder, explained=explained_by(fit.split, fit.trained, terms)),
         fit.improvement(terms),
@@ -113,29 +115,29 @@ def judge_names(fit: HeldOutFit, known: Sequence[bool], findings: Sequence[Findi
     )
 
 
-def with_nameless_parts(fit: HeldOutFit, known: Sequence[bool], worth: Worth) -> Worth:
-    """Return the vehicle and the improvement of the whole fit, if a vehicle file takes that and not the names alone.
+def with_nameless_parts(fit: HeldOutFit, known: Sequence[bool], judged: HeldOutJudgement) -> HeldOutJudgement:
+    """Return the judgement of the whole fit, if the findings alone give no accepted vehicle.
 
     Notes
     -----
-    Values of a joint fit are right beside all of its parts. Some parts have no name since the data do not tell them
-    from others, and without them the rest may predict worse than nothing does. Such a file has the held-out time judge
-    it for the second time. So it must be no worse where it was fitted, either, and better in some velocity after 2 s.
+    Values of a joint fit belong together. Some parts are not named since the data do not distinguish them from others,
+    and without them the findings may predict worse than the nominal model. Such a file is judged by the held-out time
+    for the second time. So it must also be no worse on training time, and there better in some velocity after 2 s.
     """
-    corrected = worth.corrected
+    corrected = judged.corrected
     if corrected is None or corrected.accepted or all(known):
-        return worth
+        return judged
     further = tuple(
         _as_effect(part) for part, one in zip(fit.whole.parts, known, strict=True) if not one and part.term.exported
     )
     together = judge_corrected(fit.recordings, fit.trained.terms) if further else None
     if together is None or not together.accepted:
-        return worth
+        return judged
     fitted = judge_corrected([(one, ~held) for one, held in fit.recordings], fit.trained.terms)
     if fitted is None or not fitted.accepted or not any(one.is_better for one in fitted.farthest):
-        return worth
+        return judged
     return replace(
-        worth,
+        judged,
         corrected=replace(together, further=further, alone=corrected),
         improvement=fit.improvement(fit.trained.terms),
     )

@@ -1,4 +1,4 @@
-"""Valleys of the cost over a delay: as many as a steering that swings at one frequency has, and one otherwise."""
+"""Minima of the cost over a delay: as many as a steering that swings at one frequency has, and one otherwise."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from split_cli.diagnosis.recording.witnesses import build_witnesses
+from split_cli.diagnosis.search.delay_minima import other_minima
 from split_cli.diagnosis.search.fitting import Part, fit_parts
-from split_cli.diagnosis.search.valleys import other_valleys
 from split_cli.diagnosis.verdict.estimates import parameter_estimates
 from tests.diagnosis.recordings import (
     bare_objective,
@@ -42,7 +42,7 @@ def fitted(steer: Callable[[np.ndarray, float], np.ndarray], delay: float = LATE
 def test_a_swing_of_one_frequency_tells_a_delay_up_to_its_period():
     objective, fit = fitted(swinging, LATE + SWING)
     assert fit.parts[0].values["delay"] == pytest.approx(LATE + SWING, abs=0.01)
-    found = other_valleys(objective, fit, 0, "delay")
+    found = other_minima(objective, fit, 0, "delay")
     assert found[0] == pytest.approx(LATE, abs=0.013)  # points are 13 ms apart
     (told,) = parameter_estimates(objective, fit)
     low, high = told["delay"].interval_95
@@ -54,27 +54,27 @@ def one_swings(commands: np.ndarray, step: float) -> np.ndarray:
     return commands
 
 
-def test_a_valley_that_witnesses_refute_is_none():
+def test_a_minimum_that_witnesses_refute_is_left_out():
     """The equations of motion hold where the car swings; yaw tells when the yaw rate was, all along."""
     drive = noisy(driven(61, runs=4, steer=one_swings), 7)
     drive.columns["r"] = late(drive["r"].reshape(4, -1), LATE, 0.01).ravel()
     series, found = prepared(drive), []
-    for witnesses in ([], [one for one in build_witnesses(series) if one.kind == "turn"]):
+    for witnesses in ([], [one for one in build_witnesses(series) if one.kind == "yaw"]):
         objective = bare_objective(light_evidence(series), kinematics=witnesses)
         rows = 3 * len(objective.evidence[0].at)
         # One block, which drowns what yaw says.
         objective.weight[:rows] = np.where(objective.block[:rows] == 1, 30.0, 0.0)
         one = next(one for one in candidates_of(objective, "channel_delay") if one.variant == "r")
-        found.append(other_valleys(objective, fit_parts(objective, [Part(one, {"r": LATE})]), 0, "r"))
+        found.append(other_minima(objective, fit_parts(objective, [Part(one, {"r": LATE})]), 0, "r"))
     assert found[0][0] == pytest.approx(LATE + SWING, abs=0.013)
     assert found[1] == []
 
 
-def test_steering_of_many_frequencies_has_one_valley():
+def test_steering_of_many_frequencies_has_one_minimum():
     objective, fit = fitted(lambda commands, step: late(commands, LATE, step))
-    assert other_valleys(objective, fit, 0, "delay") == []
+    assert other_minima(objective, fit, 0, "delay") == []
     (told,) = parameter_estimates(objective, fit)
     assert told["delay"].value == pytest.approx(LATE, abs=0.005)
-    # Only delays have valleys.
+    # Only delays have several minima.
     (one,) = candidates_of(objective, "yaw_inertia")
-    assert other_valleys(objective, fit_parts(objective, [Part(one, {"scale": 1.1})]), 0, "scale") == []
+    assert other_minima(objective, fit_parts(objective, [Part(one, {"scale": 1.1})]), 0, "scale") == []

@@ -1,9 +1,9 @@
-"""Thresholds calibrated by comparing two halves of the simulation's own data.
+"""Self-test of the simulation: thresholds for reality from two halves of the simulation's own data.
 
-The shared model discrepancy is learned on one half of the simulation, and judged on the other half with
-reality's noise, just as reality is judged. Nothing that this finds is a difference between the two: reality
-has to show clearly more. Where the simulation is clean, next to nothing is found and nothing changes. Where
-it is a recording itself, or where no dictionary holds its physics, the test shows how much.
+The shared model discrepancy is learned on one half of the simulation. The other half, with the noise of reality, is
+then judged as reality is. Whatever this finds is no difference between simulation and reality, so reality has to show
+clearly more. With a clean simulation it finds next to nothing. If the simulation is itself a recording, or if no basis
+function represents its physics, it shows how large such false differences are.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from split_cli.diagnosis.innovations.objective import (
 from split_cli.diagnosis.parallel import map_distributed, map_in_threads
 from split_cli.diagnosis.policy import STANDARD, Policy
 from split_cli.diagnosis.recording.kinematics import KinematicResiduals
-from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_parts
+from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_weights_by_kind
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import FlexiblePiece, flexible_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
@@ -37,26 +37,26 @@ _WAVES = 12
 
 @dataclass(frozen=True)
 class SelfTest:
-    """What one half of a simulation shows beyond what the other half taught."""
+    """Result of the self-test: one half of a simulation tested against the discrepancy learned on the other half."""
 
-    # Rows that were judged; 0 where the halves have not been in the same places, and nothing is known.
+    # Judged rows; 0 if the halves have no common operating points, so that nothing is known.
     rows: int = 0
-    # Cost that a flexible fit saves, noise included, over its freedom; about 1 when nothing is there.
+    # Cost that a flexible fit saves, noise included, over its degrees of freedom; about 1 without a difference.
     ratio: float = 1.0
-    unnamed: float = 0.0  # cost that a flexible fit saves
-    # Cost that each term saves alone, in its best variant, start and place.
+    unnamed: float = 0.0  # cost that a flexible fit saves [chi squared]
+    # Cost that each term saves alone, in its best variant, start and place [chi squared].
     terms: Mapping[str, float] = field(default_factory=dict)
-    autocorrelation: float = 1.0  # how much rows vary together, see `residual_autocorrelation`
-    # What each term saves of the witnesses' cost alone.
+    autocorrelation: float = 1.0  # ratio of `residual_autocorrelation` [1]
+    # The part of the witnesses in the saving of each term.
     witnessed: Mapping[str, float] = field(default_factory=dict)
     # Cost that each term saves alone in the best part of the drive, see `parts_of_drive`.
     partly: Mapping[str, float] = field(default_factory=dict)
 
     def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
-        """Return an objective that forgives as much, with a margin.
+        """Return an objective with thresholds of these savings, scaled to its rows and with a margin.
 
-        A model-form error saves in proportion to the rows, autocorrelated residuals save no more of more rows;
-        the root lies between.
+        Savings by model-form error are proportional to the number of rows, those by autocorrelation do not depend on
+        it. They are scaled with the root, in between.
         """
         if not self.rows:
             return objective
@@ -68,27 +68,27 @@ class SelfTest:
             term_floors={
                 term: rules.term_margin * scale * max(saved, rules.kindred * most) for term, saved in self.terms.items()
             },
-            own_savings={term: scale * saved for term, saved in self.terms.items()},
+            self_test_savings={term: scale * saved for term, saved in self.terms.items()},
             witness_floors={term: rules.term_margin * scale * saved for term, saved in self.witnessed.items()},
             part_floors={term: rules.term_margin * scale * saved for term, saved in self.partly.items()},
         )
 
     def usual_autocorrelation(self, rows: int) -> float:
-        """Return how much so many rows of the simulation vary together beyond a flexible fit, at least 1.
+        """Return the ratio of `residual_autocorrelation` expected from the simulation for so many rows, at least 1.
 
-        A flexible fit takes slow parts with it, and of more rows it takes less. What is more than white grows as
-        what is forgiven does: where the simulation is white, nothing does.
+        A flexible fit removes slow parts, fewer with more rows. The excess over 1 is scaled as other savings are.
         """
         return 1.0 + (max(self.autocorrelation, 1.0) - 1.0) * (self._scale(rows) if self.rows else 1.0)
 
     def _scale(self, rows: int) -> float:
-        """Return by how much more than the judged half so many rows may show: the root, see `allow`."""
+        """Return the factor on savings of the judged half for so many rows [1], see `allow`."""
         return float(np.sqrt(max(rows / self.rows, 1.0)))
 
     def form_error_inflation_of(self, gap: FlexibleFit, policy: Policy = STANDARD) -> float:
-        """Return the variance inflation factor by model-form error: that between the halves, within limits.
+        """Return the variance inflation factor of model-form error [1].
 
-        It is no more than reality itself shows, whose difference may hold model-form error and nothing else.
+        It follows from the difference between the halves, or from that of reality if it is smaller: the latter may be
+        model-form error alone.
         """
         return policy.self_test.term_margin * min(self.ratio, gap.saved / max(gap.freedom, 1.0))
 
@@ -105,27 +105,27 @@ def self_test(
     fixed_baseline: bool = False,
     policy: Policy = STANDARD,
 ) -> SelfTest:
-    """Judge each half of a simulation by the other.
+    """Judge each half of a simulation by the other, and return the largest values over all splits.
 
     Parameters
     ----------
     rewhitened : sequence of Evidence
         The simulation with the noise and disturbance of the real recordings, see `rewhitened_with_noise`.
     candidates : sequence of Candidate
-        Terms that reality will be searched for.
+        Terms of the later search.
     kinematics : sequence of KinematicResiduals or Witness
-        Of the real recordings; nothing but their noise is taken.
+        Of the real recordings; only their noise is used.
     variance_inflation, reach : float
         As for reality.
     posterior : DiscrepancyPosterior or None
-        Of the whole simulation: what terms would explain there, is moved along with the inputs they alter.
+        Of the whole simulation. The effect of terms that alter inputs on the discrepancy is computed with it.
     fixed_baseline : bool
-        Whether halves are taken as a fixed baseline.
+        Whether the half that is learned from is a fixed baseline.
 
     Notes
     -----
-    Noise is not drawn: rows are whitened as noisy ones are, and what noise of unit variance adds to a saving, one
-    for each parameter, is added.
+    No random noise is added. Rows are whitened as noisy ones, and the expected saving by noise of unit variance, 1 for
+    each parameter, is added.
     """
     scales: dict[str, float] = {}
     for one in kinematics:
@@ -162,10 +162,9 @@ def self_test(
 def _every_other_block(rewhitened: Sequence[Evidence], policy: Policy) -> list[np.ndarray]:
     """Return the rows in every other block of driving time, of each recording, shape (G,).
 
-    Halves in blocks cover the same ground, as the two drives of a comparison do where rows are compared: the first
-    and the second half of a ramp of speed do not. Blocks are as long as leaves eight of them, and no longer than
-    the longest: within a block, rows depend on each other. What drifts, as the biases of instruments do, differs
-    between the first and the second half alone; so the recording is dealt both ways.
+    Halves of alternating blocks have common operating points, as compared drives do; the first and the second half of a
+    speed ramp do not. There are at least eight blocks, each no longer than the policy's longest. A drift, as of a bias,
+    shows only between the first and the second half. So the recording is split both ways.
     """
     total = sum(len(one.at) for one in rewhitened)
     length = int(np.clip(total // policy.self_test.blocks, 1, policy.comparison.least_rows))
@@ -184,7 +183,7 @@ def _first_half(rewhitened: Sequence[Evidence]) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class _Offer:
-    """Directions, shape (R, P) over all rows of the simulation, that one term offers to explain with."""
+    """Row changes, shape (R, P) on all rows of the simulation, by the parameters of one term."""
 
     term: str
     columns: np.ndarray
@@ -192,7 +191,7 @@ class _Offer:
 
 
 def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> list[_Offer]:
-    """Linearise every candidate about its starts; one with a place about its being everywhere."""
+    """Return every candidate linearised about its starts; one with a place about acting all along the track."""
     base = objective.residual(())
 
     def offered(candidate: Candidate) -> list[_Offer]:
@@ -217,7 +216,7 @@ def _offers(objective: MarginalLikelihood, candidates: Sequence[Candidate]) -> l
 
 @dataclass(frozen=True)
 class _Sides:
-    """A simulation with the noise of reality, half of it to teach and half to be judged."""
+    """A simulation whitened with the noise of reality, to be split into a learning and a judged half."""
 
     rewhitened: tuple[Evidence, ...]
     positions: tuple[tuple[int, KinematicResiduals | Witness], ...]
@@ -229,17 +228,18 @@ class _Sides:
     policy: Policy = STANDARD
 
     def windows(self, teaching: Sequence[np.ndarray]) -> tuple[list[KinematicResiduals | Witness], np.ndarray]:
-        """Return kinematic windows outside the teaching half, with what is usual, and which of all they are."""
+        """Return witnesses on the judged half, with `usual` from the learning half, and a mask of these windows."""
         pairs = []
         for k, one in self.positions:
             mask = teaching[k]
             pairs.append((one, mask[np.searchsorted(self.rewhitened[k].at, one.begin).clip(max=len(mask) - 1)]))
-        usual_by_kind = usual_parts(one.select(side) for one, side in pairs)
+        usual_by_kind = usual_weights_by_kind(one.select(side) for one, side in pairs)
         judged = [replace(one.select(~side), usual=usual_by_kind[one.kind]) for one, side in pairs]
         return judged, np.concatenate([~side for _, side in pairs]) if pairs else np.zeros(0, dtype=bool)
 
 
 def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_Offer]) -> SelfTest | None:
+    """Judge one half by the other; None if too few rows can be compared. Masks `teaching` choose the learning half."""
     rewhitened, discrepancy = sides.rewhitened, sides.discrepancy
     taught = [replace(one, weight=one.weight * mask) for one, mask in zip(rewhitened, teaching, strict=True)]
     if not any((one.weight > 0.0).any() for one in taught):
@@ -273,9 +273,9 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
             saved = _saving(columns, residuals)
         terms[offer.term] = max(terms[offer.term], saved)
         if not offer.located:
-            # A half may be too short to have parts.
+            # A half may be too short for parts; then the whole counts.
             partly[offer.term] = max(partly[offer.term], saved, most_saved(objective, columns, residuals))
-    # What the simulation lacks of reality's noise would have added its share.
+    # The expected contribution of noise that the simulation does not have.
     quiet = max(0.0, 1.0 - (float(residuals @ residuals) - fit.saved) / max(len(residuals) - fit.freedom, 1.0))
     return SelfTest(
         rows,
@@ -289,6 +289,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
 
 
 def _saving(columns: np.ndarray, residuals: np.ndarray) -> float:
+    """Return the cost that columns (R, P) save of residuals (R,) by least squares [chi squared]."""
     scale = np.sqrt(np.sum(columns**2, axis=0))
     if not scale.max(initial=0.0):
         return 0.0
@@ -298,7 +299,7 @@ def _saving(columns: np.ndarray, residuals: np.ndarray) -> float:
 
 
 def _best_place(column: np.ndarray, residuals: np.ndarray, s: np.ndarray, kind: str, lap: float | None) -> float:
-    """Return what a column saves on the best stretch, or as the best wave, of the track."""
+    """Return the cost that a column saves on the best stretch of the track, or as the best wave [chi squared]."""
     reach = lap or max(float(s.max()), 1e-9)
     if kind == "wave":
         angles = 2.0 * np.pi * s[:, None] / reach * np.arange(1, _WAVES + 1)

@@ -1,9 +1,9 @@
-"""Valleys of the cost over a delay: a fit ends in the one where it began, and several may explain as well.
+"""Local minima of the cost over a delay, several of which may explain the data equally well.
 
-A driver who steers to and fro is answered alike by a car that is late by less and one that is late by more. So is
-a command that is held for some time. Noise of a channel that is moved in time has a valley between any two
-samples, where it is averaged. So the whole range is looked at. Where witnesses tell when a channel was read, a
-valley of the equations of motion that they refute is none.
+With periodic steering, or with commands that are held for some time, different delays explain the response equally
+well. Noise of a channel that is shifted in time has a minimum between any two samples, where interpolation averages it.
+A fit ends in the minimum nearest to its start, so the whole range of a delay is evaluated. Minima of the equations of
+motion that witnesses refute are left out.
 """
 
 from collections.abc import Iterator
@@ -11,22 +11,22 @@ from collections.abc import Iterator
 import numpy as np
 
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
-from split_cli.diagnosis.recording.series import values_of
+from split_cli.diagnosis.recording.series import key_of_terms
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of
 from split_cli.diagnosis.search.term_tests import error_of_sum
 
-_POINTS = 48  # at which a delay's range is looked at; 13 ms apart
+_POINTS = 48  # evaluated delays over the range [1]; 13 ms apart
 
 
-def in_lowest_valleys(objective: MarginalLikelihood, fit: Fit, least: float) -> Fit:
-    """Return a fit whose delays lie in the lowest valley each, the others beside them.
+def in_lowest_minima(objective: MarginalLikelihood, fit: Fit, least: float) -> Fit:
+    """Return a fit in which each delay lies in its lowest minimum, the other parameters refitted.
 
     Parameters
     ----------
     objective : MarginalLikelihood
     fit : Fit
     least : float
-        What another valley has to save [chi squared] to be taken.
+        Cost that another minimum has to save to be taken [chi squared].
     """
     for k, name in _delays(fit):
         grid, more, refuted = _profile(objective, fit, k, name)
@@ -39,8 +39,8 @@ def in_lowest_valleys(objective: MarginalLikelihood, fit: Fit, least: float) -> 
     return fit
 
 
-def other_valleys(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> list[float]:
-    """Return delays in other valleys of the cost that explain as well as the one of a fit's part.
+def other_minima(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> list[float]:
+    """Return delays at other minima of the cost that explain the data as well as the value of a fit's part.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def other_valleys(objective: MarginalLikelihood, fit: Fit, k: int, name: str) ->
     k : int
         Number of the part.
     name : str
-        Of its parameter; of anything but a transport delay there are no others.
+        Name of its parameter. If that is no transport delay, there are no other minima.
 
     Returns
     -------
@@ -58,8 +58,8 @@ def other_valleys(objective: MarginalLikelihood, fit: Fit, k: int, name: str) ->
 
     Notes
     -----
-    Two valleys are two models of which neither holds the other. What one saves against the other is normal about
-    zero where both are as good, with the standard error of differences block by block (Vuong, 1989).
+    Two minima are non-nested models. If both are equally good, the difference of their costs is normal about zero, with
+    a standard error estimated over blocks of time (Vuong, 1989).
     """
     if (k, name) not in _delays(fit):
         return []
@@ -67,31 +67,31 @@ def other_valleys(objective: MarginalLikelihood, fit: Fit, k: int, name: str) ->
     grid, more, refuted = _profile(objective, fit, k, name)
     cost = more.sum(axis=1)
     before, after = np.append(np.inf, cost[:-1]), np.append(cost[1:], np.inf)
-    is_valley = (cost < before) & (cost <= after) & (np.abs(grid - here) > grid[1] - grid[0]) & ~refuted
-    return [float(grid[i]) for i in np.flatnonzero(is_valley) if not _is_worse(objective, more[i])]
+    is_minimum = (cost < before) & (cost <= after) & (np.abs(grid - here) > grid[1] - grid[0]) & ~refuted
+    return [float(grid[i]) for i in np.flatnonzero(is_minimum) if not _is_worse(objective, more[i])]
 
 
 def _is_worse(objective: MarginalLikelihood, more: np.ndarray) -> bool:
-    """Return whether a delay costs more beyond chance, by what it costs more block by block, shape (B,)."""
+    """Return whether a delay costs more beyond chance, from differences of cost by block, shape (B,)."""
     return float(more.sum()) >= objective.policy.selection.deviations * error_of_sum(more)
 
 
 def _delays(fit: Fit) -> Iterator[tuple[int, str]]:
-    """Yield number and parameter of the parts of a fit that are transport delays."""
+    """Yield part number and parameter name of all transport delays of a fit."""
     for k, part in enumerate(fit.parts):
         if part.term.moves_samples or getattr(part.term, "input_delays", None):
             yield from ((k, name) for name in part.values)
 
 
 def _profile(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return delays all over the range, (D,), what each costs more, (D, B), and whether witnesses refute it, (D,).
+    """Return delays over the range, (D,), their costs less the fit's, (D, B), and whether witnesses refute each, (D,).
 
-    Costs are those block by block, less those of the fit. At each delay the other parameters take what is best to
-    first order. Witnesses alone refute what the equations of motion find as good: model-form error differs from
-    block to block, and would drown what two instruments say. What was asked for a choice is known for an interval.
+    Costs are given by block of time. At each delay the other parameters are adjusted to first order. Witnesses are
+    judged by themselves: variable model-form error in the equations of motion would hide what two instruments say.
+    Results are cached, since the choice of a minimum and its interval both need them.
     """
     known = objective.memo.setdefault("profiles of delays", {})
-    key = (objective.fixed_baseline, k, name, values_of(fit.terms))
+    key = (objective.fixed_baseline, k, name, key_of_terms(fit.terms))
     if key not in known:
         known[key] = _profile_anew(objective, fit, k, name)
     return known[key]
@@ -100,6 +100,7 @@ def _profile(objective: MarginalLikelihood, fit: Fit, k: int, name: str) -> tupl
 def _profile_anew(
     objective: MarginalLikelihood, fit: Fit, k: int, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute `_profile`."""
     part = fit.parts[k]
     limit = part.candidate.ranges[name]
     own = sum(len(one.values) for one in fit.parts[:k]) + list(part.values).index(name)

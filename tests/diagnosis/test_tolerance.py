@@ -8,8 +8,8 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Part, fit_parts
 from split_cli.diagnosis.search.selection import Selection, nothing
-from split_cli.diagnosis.verdict.everyday import everyday_leads, named_or_everyday
 from split_cli.diagnosis.verdict.heldout import fitted_alone
+from split_cli.diagnosis.verdict.tolerance import named_or_tolerated, tolerance_leads
 from tests.diagnosis.recordings import INFLATION, bare_objective, driven, explorer, light_evidence, noisy, prepared
 
 BIAS = 0.015  # [rad/s], a gyroscope's at rest
@@ -32,22 +32,22 @@ def selection_of(objective: MarginalLikelihood, candidate: Candidate, named: boo
 
 def test_a_bias_without_a_witness_is_a_lead_with_its_value_and_how_much_is_usual(shifted):
     (bias,) = explorer(shifted, "yaw_rate_bias").candidates
-    everyday = selection_of(shifted, bias.without_witness(), False)
-    (lead,) = everyday_leads(shifted, everyday, INFLATION, taken_off=False)
+    tolerated = selection_of(shifted, bias.without_position(), False)
+    (lead,) = tolerance_leads(shifted, tolerated, INFLATION, taken_off=False)
     assert lead.term == "yaw_rate_bias" and not lead.limits and lead.share == pytest.approx(1.0)
     assert lead.parameters["r"].value == pytest.approx(BIAS, abs=0.003)
     assert "Up to 0.0175 rad/s is usual in sound recordings" in lead.sentence
     assert lead.sentence.startswith("A lead, not a finding: the measurement, not the car: the yaw rate reads")
-    (beside,) = everyday_leads(shifted, everyday, INFLATION, taken_off=True)
+    (beside,) = tolerance_leads(shifted, tolerated, INFLATION, taken_off=True)
     assert beside.sentence == f"{lead.sentence} The held-out errors with the identified effects are without it."
     # What is more than usual is no lead of this kind, named or not.
-    assert everyday_leads(shifted, selection_of(shifted, bias, True), INFLATION, taken_off=False) == ()
+    assert tolerance_leads(shifted, selection_of(shifted, bias, True), INFLATION, taken_off=False) == ()
 
 
-def test_what_is_everyday_stands_beside_the_names_and_needs_no_finding(shifted):
+def test_what_is_within_tolerance_stands_beside_the_names_and_needs_no_finding(shifted):
     (bias,) = explorer(shifted, "yaw_rate_bias").candidates
-    usual, fault = selection_of(shifted, bias.without_witness(), False), selection_of(shifted, bias, False)
-    assert named_or_everyday(usual) == (True,) and named_or_everyday(fault) == (False,)
-    (kept,) = fitted_alone(shifted, usual.chosen, named_or_everyday(usual), ())
+    usual, fault = selection_of(shifted, bias.without_position(), False), selection_of(shifted, bias, False)
+    assert named_or_tolerated(usual) == (True,) and named_or_tolerated(fault) == (False,)
+    (kept,) = fitted_alone(shifted, usual.chosen, named_or_tolerated(usual), ())
     assert kept.values == usual.chosen.parts[0].values
-    assert fitted_alone(shifted, fault.chosen, named_or_everyday(fault), ()) == ()
+    assert fitted_alone(shifted, fault.chosen, named_or_tolerated(fault), ()) == ()

@@ -1,0 +1,86 @@
+"""States of a recording for evaluating a model: each sample as earlier samples predict it, and smoothed channels.
+
+A model is evaluated at states that earlier samples predict. A smoothed state contains the noise of later samples, by
+which the model is judged. A flexible correction would then follow that noise and learn too little damping. For a model
+that is evaluated in the middle of a sample this is the drift term of Onsager and Machlup (1953).
+"""
+
+import numpy as np
+
+from split_cli.vehicle.effects import Recording
+
+#: Lengths of windows that are tried, shortest first [s].
+_WINDOWS_SECONDS = (0.05, 0.08, 0.12, 0.18, 0.26, 0.36)
+#: Degrees of polynomials through earlier samples that may predict the next one [1].
+_DEGREES = (1, 2, 3)
+#: A window is too long if what it removes has a deviation above the noise by this factor [1].
+_SLACK = 1.04
+
+
+def smoothed_by_cubics(values: np.ndarray, sigma: float, recording: Recording) -> np.ndarray:
+    """Return values, shape (N,), smoothed by local cubics (Savitzky and Golay, 1964) within segments.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation of the noise of a sample. The longest window is taken that removes no more than that.
+    """
+    from scipy.signal import savgol_filter
+
+    best = values
+    for seconds in _WINDOWS_SECONDS:
+        length = 2 * int(round(0.5 * seconds / recording.period)) + 1
+        if length < 5:
+            continue
+        trial = values.copy()
+        fitted = False
+        for begin, end in recording.segments:
+            if end - begin > length:
+                trial[begin:end] = savgol_filter(values[begin:end], length, 3, mode="interp")
+                fitted = True
+        if not fitted or np.std(trial - values) > _SLACK * sigma:
+            break
+        best = trial
+    return best
+
+
+def predicted_channels(
+    measured: np.ndarray, smooth: np.ndarray, noise: np.ndarray, recording: Recording
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return `predicted_from_the_past` of every channel, shape (N, 3), and its rms prediction errors, shape (3,).
+
+    Parameters
+    ----------
+    measured, smooth : ndarray, shape (N, 3)
+        v_x, v_y [m/s] and r [rad/s] as recorded, and smoothed.
+    noise : ndarray, shape (3,)
+        Standard deviation of a sample of each.
+    """
+    found = [predicted_from_the_past(*columns, recording) for columns in zip(measured.T, smooth.T, noise, strict=True)]
+    return np.stack([one for one, _ in found], axis=1), np.array([error for _, error in found])
+
+
+def predicted_from_the_past(
+    values: np.ndarray, smooth: np.ndarray, sigma: float, recording: Recording
+) -> tuple[np.ndarray, float]:
+    """Return each sample, shape (N,), as a polynomial through earlier samples predicts it, and the rms error.
+
+    Window and degree are those with the smallest error. The smoothed value is kept where a segment begins. It is kept
+    everywhere if no prediction has a smaller error than a measured sample, since noise is then negligible beside the
+    motion.
+    """
+    # A prediction with the error of one sample, compared with a noisy sample, has the rms sqrt(2) sigma.
+    best, least = smooth, np.sqrt(2.0) * sigma
+    for seconds in _WINDOWS_SECONDS:
+        length = int(round(seconds / recording.period))
+        for degree in (one for one in _DEGREES if one < length):
+            weights = np.linalg.pinv(np.vander(np.arange(-length, 0) / length, degree + 1, increasing=True))[0]
+            trial, known = smooth.copy(), np.zeros(len(values), dtype=bool)
+            for begin, end in recording.segments:
+                if end - begin > length:
+                    trial[begin + length : end] = np.convolve(values[begin:end], weights[::-1], mode="valid")[:-1]
+                    known[begin + length : end] = True
+            error = float(np.sqrt(np.mean((values - trial)[known] ** 2))) if known.any() else np.inf
+            if error < least:
+                best, least = trial, error
+    return best, least

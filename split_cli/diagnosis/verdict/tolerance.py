@@ -1,0 +1,47 @@
+"""Sensor errors within tolerance: they are part of an explanation, but no finding.
+
+An example is a small bias of the yaw rate in a recording without position, which no witness tells from the car.
+"""
+
+from split_cli.diagnosis.innovations.objective import MarginalLikelihood
+from split_cli.diagnosis.search.selection import Selection
+from split_cli.diagnosis.search.term_tests import term_p, term_size
+from split_cli.diagnosis.statement.result import Lead
+from split_cli.diagnosis.statement.sentences import tolerance_sentence
+from split_cli.diagnosis.verdict.estimates import parameter_estimates
+
+
+def named_or_tolerated(selection: Selection) -> tuple[bool, ...]:
+    """Return which parts of an explanation are known to act: the named ones, and sensor errors within tolerance."""
+    return tuple(
+        named or part.is_within_tolerance for part, named in zip(selection.chosen.parts, selection.named, strict=True)
+    )
+
+
+def tolerance_leads(
+    objective: MarginalLikelihood, selection: Selection, variance_inflation: float, *, taken_off: bool
+) -> tuple[Lead, ...]:
+    """Return sensor errors within tolerance that save beyond chance and are large enough to be seen, as leads.
+
+    Parameters
+    ----------
+    variance_inflation : float
+        Factor by which residual autocorrelation widens chi squared [1].
+    taken_off : bool
+        Whether held-out errors with the findings are those after correction of these errors.
+    """
+    fit, policy = selection.chosen, objective.policy
+    whole, out = max(selection.base.cost - fit.cost, 1e-9), []
+    for k, (part, without) in enumerate(zip(fit.parts, selection.without, strict=True)):
+        saved = without.cost - fit.cost
+        if (
+            not part.is_within_tolerance
+            or term_p(objective, fit, k, saved, variance_inflation) >= policy.selection.level
+        ):
+            continue
+        if term_size(objective, fit, k) > policy.allowances.large:
+            own, estimates = part.candidate, parameter_estimates(objective, fit)[k]
+            limits = {name: own.ranges[name].tolerance for name in own.away(part.values)}
+            sentence = tolerance_sentence(own.term, own.variant, estimates, limits, taken_off=taken_off)
+            out.append(Lead(own.term, own.variant, estimates, {}, saved / whole, (), sentence))
+    return tuple(out)
