@@ -54,12 +54,26 @@ HOMES = {
     "mcap_protobuf": ("logs",),
     "rosbags": ("logs",),
     "h5py": ("logs",),
+    "openpyxl": ("logs",),
     "asammdf": ("logs",),
     "casadi": ("export", "control"),
 }
 # The plant writes logs that the readers have never seen; its one writer of MCAP is the named exception.
 HOME_EXCEPTIONS = {("plant/recording.py", "mcap"), ("plant/recording.py", "mcap_ros2")}
-HEAVY = ("numpy", "pandas", "scipy", "numba", "casadi", "matplotlib", "pyarrow", "mcap", "rosbags", "h5py", "asammdf")
+HEAVY = (
+    "numpy",
+    "pandas",
+    "scipy",
+    "numba",
+    "casadi",
+    "matplotlib",
+    "pyarrow",
+    "mcap",
+    "rosbags",
+    "h5py",
+    "openpyxl",
+    "asammdf",
+)
 
 
 @dataclass(frozen=True)
