@@ -158,7 +158,7 @@ def diagnose(
     if apart:
         found = replace(found, outcome=with_witnessed_names(outcome), description=None)
     stated = _mismatch(case, found, policy, improved, apart=apart)
-    differently = _DRIVEN_DIFFERENTLY.format(ours=100.0 * share, theirs=100.0 * float(np.mean(theirs)))
+    differently = _DRIVEN_DIFFERENTLY.format(ours=100.0 * share, theirs=100.0 * theirs.sum() / max(len(theirs), 1))
     hardly = apart or is_far or share < policy.comparison.least_share
     if hardly and not stated.findings and not contradictions:
         return _undecided([differently if apart else _FAR_AND_UNNAMED], share, record)

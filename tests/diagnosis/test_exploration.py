@@ -8,7 +8,7 @@ import pytest
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood, build_objective
 from split_cli.diagnosis.policy import STANDARD
-from split_cli.diagnosis.search.exploration import Explorer, nearest_start
+from split_cli.diagnosis.search.exploration import Explorer, nearest_start, repeats_a_delay
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
 from split_cli.diagnosis.search.selection import nothing
 from split_cli.vehicle.effects import CATALOGUE
@@ -131,3 +131,34 @@ def test_a_forgotten_sensitivity_is_worked_out_anew(objective, explore, current)
     further = [one(fit)[0] for one, fit in ((explore, held[1]), (lean, fits[1]))]
     assert lean(current) is not fits and [fit.cost for fit in lean(current)] == [fit.cost for fit in held]
     assert further[0].cost == pytest.approx(further[1].cost, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("terms", "repeat"),
+    [
+        (["steer_delay", "steer_signal_delay"], True),  # steering that acts late, and is logged late: their difference
+        (["steer_delay", "drive_delay", "sensor_delay"], True),  # three of two commands
+        (["sensor_delay", "steer_signal_delay", "steer_delay"], True),
+        (["steer_delay", "drive_delay"], False),
+        (["sensor_delay", "steer_signal_delay"], False),  # torque and steering, late by unlike times
+        (["steer_delay", "steer_lag", "mass", "channel_delay"], False),
+        (["steer_delay"], False),
+    ],
+)
+def test_delays_that_say_one_twice(terms, repeat):
+    assert repeats_a_delay(terms) == repeat
+
+
+def test_a_delay_that_is_stated_already_has_no_place_and_no_price():
+    """Steering that acted 82 ms late and was logged 80 ms late was named in a car that was late by 2 ms."""
+    objective = noisy_objective(driven(31, [CATALOGUE["steer_delay"]({"delay": 0.04})]), 2)
+    explore = explorer(objective, "steer_delay", "steer_signal_delay", "drive_delay", "mass")
+    acts, logged = (
+        Part(one, {"delay": 0.04})
+        for one in explore.candidates
+        if one.term in ("steer_delay", "steer_signal_delay") and not one.variant
+    )
+    found = fit_parts(objective, (acts,))
+    offered = {fit.parts[-1].candidate.term for fit in explore(found)}
+    assert "steer_signal_delay" not in offered and "drive_delay" in offered
+    assert explore.price(found) < np.inf and explore.price(replace(found, parts=(acts, logged))) == np.inf

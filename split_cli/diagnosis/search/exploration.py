@@ -25,7 +25,8 @@ from split_cli.diagnosis.search.fitting import (
 )
 from split_cli.diagnosis.search.form_error import forget_form_error, free_to_form_error, saved_beside_form_error
 from split_cli.diagnosis.search.term_tests import is_denied
-from split_cli.vehicle.effects import Term
+from split_cli.logs.drive import INPUT_CHANNELS
+from split_cli.vehicle.effects import CATALOGUE, Term
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,12 @@ class Explorer:
         return self.objective.policy.selection
 
     def price(self, fit: Fit) -> float:
-        """Return a fit's cost over the variance inflation, plus the price of its parameters [chi squared]."""
+        """Return a fit's cost over the variance inflation, plus the price of its parameters [chi squared].
+
+        It is infinite where the fit states one delay of a command twice, see `repeats_a_delay`.
+        """
+        if repeats_a_delay([part.candidate.term for part in fit.parts]):
+            return np.inf
         return fit.cost / self.variance_inflation + self.rules.price * fit.complexity
 
     def __call__(self, current: Fit, worth: float = np.inf) -> list[Fit]:
@@ -163,13 +169,18 @@ class Explorer:
         """Return all terms without a place, linearised at their starts without other terms."""
         return self._tangents
 
+    def taken(self, current: Fit) -> set[str]:
+        """Return the terms that have no place beside an explanation: its own, and delays that it states already."""
+        own = [part.candidate.term for part in current.parts]
+        return {*own, *(one.term for one in self.candidates if repeats_a_delay([*own, one.term]))}
+
     def promises(self, current: Fit, free: np.ndarray | None = None) -> list[tuple[float, Tangent]]:
         """Return the estimated cost with each start of each candidate, in order of cost with price.
 
         `free` is as of `Tangent.cost`.
         """
         sensitivity_of(self.objective, current)
-        taken = {part.candidate.term for part in current.parts}
+        taken = self.taken(current)
         lines = [one for one in self.lines_beside(current) if one.part.candidate.term not in taken]
         for candidate, effect in self._effects:
             if candidate.term not in taken:
@@ -184,7 +195,7 @@ class Explorer:
     def first_tangents(self, current: Fit) -> list[Tangent]:
         """Return every term that is not in the explanation, without a place, in its best variant, linearised."""
         sensitivity_of(self.objective, current)
-        taken = {part.candidate.term for part in current.parts}
+        taken = self.taken(current)
         best: dict[str, tuple[float, Tangent]] = {}
         for promised, line in map_in_threads(lambda one: (one.cost(current), one), self._tangents):
             term = line.part.candidate.term
@@ -222,6 +233,22 @@ class Explorer:
             return False
         reach, most = part.candidate.ranges["s_end"].upper, self.objective.policy.reporting.everywhere
         return (part.values["s_end"] - part.values["s_start"]) % reach > most * reach
+
+
+def repeats_a_delay(terms: Sequence[str]) -> bool:
+    """Return whether terms, by id, state one delay of a command twice.
+
+    Steering that acts late by one time and is logged late by another is late by their difference. So are the
+    commands of torque and steering, each late by itself, and all other channels that are late: three delays of two
+    commands.
+
+    Notes
+    -----
+    A delay is a vector over the commands that it moves. Delays that are linearly dependent say one of them twice.
+    """
+    moved = [getattr(CATALOGUE[one], "late_inputs", ()) for one in terms]
+    rows = np.array([[name in names for name in INPUT_CHANNELS] for names in moved if names], dtype=float)
+    return len(rows) > 1 and bool(np.linalg.matrix_rank(rows) < len(rows))
 
 
 def _fitted(objective: MarginalLikelihood, asked: tuple[Fit, list[tuple[float, Tangent]]]) -> list[Fit]:
