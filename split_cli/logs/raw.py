@@ -204,6 +204,8 @@ _TENTHS = ((1.26e17, 1.58e17), (6.31e17, 6.63e17))
 _OF_A_DAY = 1.5e-5
 """Steps of a clock between 0 and 1, up to which it is the part of a day that a spreadsheet stores [1]: no log has rows
 at 70 kHz for a second."""
+_FASTEST_BY_DAYS = 4e-3
+"""Steps [s] below which a clock between 0 and 1 is no part of a day; judgement: spreadsheets hold slow logs."""
 _BETWEEN_BURSTS, _OF_A_BURST = 0.75, 100.0
 """Share of the steps below the one that is looked at, and by how much it exceeds the median where rows come in
 bursts: three messages of one instant each, for instance [1]; judgement."""
@@ -231,7 +233,8 @@ def unit_of_time(values: np.ndarray) -> str:
         return "0.1us"
     if len(finite) and any(first <= finite[0] <= last for first, last in _DAYS) and 2e-4 < step * 86400.0 < 1.5:
         return "d"
-    if len(finite) and finite.min() >= 0.0 and finite.max() <= 1.0 and step < _OF_A_DAY and 2e-4 < step * 86400.0 < 1.5:
+    of_a_day = len(finite) and finite.min() >= 0.0 and finite.max() <= 1.0 and step < _OF_A_DAY
+    if of_a_day and _FASTEST_BY_DAYS < step * 86400.0 < 1.5:
         return "d"
     return next((unit for unit, size in sizes.items() if 2e-4 < step * size < 1.5), "s")
 
