@@ -18,7 +18,9 @@ from split_cli.diagnosis.search.form_error import (
     residuals_beside_form_error,
     saved_beside_form_error,
 )
+from split_cli.diagnosis.search.forward import sizes_with_form_error
 from split_cli.diagnosis.search.selection import nothing, select_terms
+from split_cli.diagnosis.search.term_tests import sizes_in_velocity
 from split_cli.vehicle.effects import CATALOGUE
 from tests.diagnosis.recordings import (
     INFLATION,
@@ -91,6 +93,24 @@ def test_the_first_column_of_a_channel_is_the_effect_itself(behind, delay):
     varied = module._varied(behind, delay.terms, 0)
     effect = behind.residual(()) - behind.residual(delay.terms)
     assert varied[:, [0, 6, 12]].sum(axis=1) == pytest.approx(effect, abs=1e-9)
+
+
+def test_a_differential_whose_constants_are_assumed_may_be_wrong_by_more(behind, delay):
+    """By a quarter of its moment, in the columns of whole explanations as in the size that a further term needs."""
+    stiff = CATALOGUE["yaw_moment_differential"]({"yaw_damping": 3000.0}, "slip")
+    terms = (*delay.terms, stiff)
+    parts = [(terms, 0), (terms, 1)]
+    shares = np.repeat([0.1, 0.25], 18)
+    expected = shares * np.hstack([behind.whiten(module._varied(behind, terms, k)) for k in (0, 1)])
+    assert module._columns(behind, parts) == pytest.approx(expected, rel=1e-12)
+    products, _ = module._products(behind, parts, delay.residuals[:, None])
+    assert products == pytest.approx(expected.T @ expected, rel=1e-9, abs=1e-9 * np.abs(products).max())
+    alone = sizes_in_velocity(behind, (stiff,), ())
+    assert sizes_with_form_error(behind, (stiff,)) == pytest.approx(2.5 * alone)
+    # What acts elsewhere counts as it is: the delay in all channels, the moment in r.
+    both = sizes_with_form_error(behind, terms)
+    assert both[0] == pytest.approx(sizes_in_velocity(behind, terms, ())[0])
+    assert both[2] == pytest.approx(2.5 * sizes_in_velocity(behind, terms, delay.terms)[2])
 
 
 def test_scalings_of_a_curve_that_cancel_are_wrong_by_a_share_of_what_they_do_together(behind):

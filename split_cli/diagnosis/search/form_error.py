@@ -104,8 +104,8 @@ def _products(
     Let X be the rows before `MarginalLikelihood.whiten`, which multiplies by W = I - V D V^T, with W^2 = I - V V^T.
     Then M^T M = X^T X - (V^T X)^T (V^T X) and M^T e = X^T e - (V^T X)^T D V^T e, times the policy's share.
     """
-    count, share = 18 * len(parts), objective.policy.selection.form_error_share
-    basis = objective.basis
+    count, basis = 18 * len(parts), objective.basis
+    share = np.repeat([share_of_error(objective, terms[k]) for terms, k in parts], 18)
     normal, scores = np.zeros((count, count)), np.zeros((count, residuals.shape[1]))
     seen, end = np.zeros((basis.shape[1], count)), 0
     for one, keep in zip(objective.evidence, objective.keep, strict=True):
@@ -122,6 +122,11 @@ def _products(
             seen += basis[here].T @ x
             end = here.stop
     return normal - seen.T @ seen, scores - seen.T @ (objective.root[:, None] * (basis.T @ residuals))
+
+
+def share_of_error(objective: MarginalLikelihood, term: Term) -> float:
+    """Return the model-form error of a term over its size: that of any term, or what is known of its kind [1]."""
+    return max(objective.policy.selection.form_error_share, term.form_error)
 
 
 def saved_beside_form_error(objective: MarginalLikelihood, before: Fit, after: Fit, *, shared: bool = True) -> float:
@@ -337,12 +342,11 @@ def _columns(
     objective: MarginalLikelihood, parts: Sequence[tuple[tuple[Term, ...], int]], *, together: bool = True
 ) -> np.ndarray:
     """Return M, shape (R, 18 a part), of parts; each is given as a list of terms and a number in it."""
-    share = objective.policy.selection.form_error_share
     out = np.empty((len(objective.weight), 18 * len(parts)))
     left = [_left_by_all(one, parts) for one in objective.evidence]
     for own, (terms, k) in zip(np.split(out, max(len(parts), 1), axis=1), parts, strict=False):
         varied = _varied(objective, terms, k, [several[id(terms)] for several in left], together=together)
-        np.multiply(share, objective.whiten(varied), out=own)
+        np.multiply(share_of_error(objective, terms[k]), objective.whiten(varied), out=own)
     return out
 
 

@@ -9,7 +9,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import SelectionRules
 from split_cli.diagnosis.search.exploration import Explorer
 from split_cli.diagnosis.search.fitting import Fit, fits_without
-from split_cli.diagnosis.search.form_error import saved_beside_form_error
+from split_cli.diagnosis.search.form_error import saved_beside_form_error, share_of_error
 from split_cli.diagnosis.search.pairs import promised_pairs, with_pair
 from split_cli.diagnosis.search.term_tests import (
     exceeds_simulation_scatter,
@@ -290,5 +290,14 @@ def is_beyond_form_error(explore: Explorer, without: Fit, sizes: np.ndarray, fit
 
 
 def sizes_with_form_error(objective: MarginalLikelihood, terms: tuple[Term, ...]) -> np.ndarray:
-    """Return the effect-to-noise ratios, (3,), of terms of the car; sensor faults have no model-form error."""
-    return sizes_in_velocity(objective, tuple(term for term in terms if term.exported), ())
+    """Return the effect-to-noise ratios, (3,), of terms of the car; sensor faults have no model-form error.
+
+    A term of which more is wrong than of others, see `share_of_error`, counts as one that is so much larger.
+    """
+    own = tuple(term for term in terms if term.exported)
+    sizes = sizes_in_velocity(objective, own, ())
+    for k, term in enumerate(own):
+        more = share_of_error(objective, term) / objective.policy.selection.form_error_share
+        if more > 1.0:
+            sizes = np.maximum(sizes, more * sizes_in_velocity(objective, own, own[:k] + own[k + 1 :]))
+    return sizes

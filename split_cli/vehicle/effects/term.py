@@ -95,6 +95,9 @@ class Term:
     scales_curve : bool
         Whether it scales the curve of tyres. Two such terms may nearly cancel, and what they get wrong is a share of
         what they do together.
+    form_error : float
+        Model-form error over the size of the effect [1], where more is known to be wrong of it than of any term, as
+        where constants are assumed that a vehicle file has not.
     in_every_car : bool
         Whether no real car is without it, while the plain single track is: physics that it leaves out, and what
         load that moves sideways makes of an axle's tyres. It is no surprise where no simulation has it in common.
@@ -151,6 +154,7 @@ class Term:
     loads_tires: ClassVar[bool] = False
     scales_curve: ClassVar[bool] = False
     in_every_car: ClassVar[bool] = False
+    form_error: ClassVar[float] = 0.0
     family: ClassVar[str] = "tires"
     needs: ClassVar[frozenset[str]] = frozenset()
     variant_needs: ClassVar[Mapping[str, frozenset[str]]] = {}
