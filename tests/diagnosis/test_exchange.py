@@ -204,6 +204,24 @@ def test_late_sensors_split_into_a_lag_and_a_delay_where_that_is_what_acts():
     assert one_as_pair(explore, nothing(objective), one, (False,)) is None
 
 
+@pytest.mark.parametrize(("steer", "torque", "commands"), [(0.02, 0.05, True), (-0.03, 0.05, False)])
+def test_late_sensors_beside_a_steering_logged_late_are_two_late_commands(steer, torque, commands):
+    """The two say the same but where a run begins; where the wheels answer early, no two late commands do."""
+    delayed = partial(behind, delay=torque)
+    objective = noisy_objective(driven(22, steer=partial(behind, delay=steer), torque=delayed), 6)
+    explore = explorer(objective, *ACTUATORS, "steer_signal_delay")
+    both = fitted(explore, sensor_delay={"delay": torque}, steer_signal_delay={"delay": torque - steer})
+    found = one_as_pair(explore, nothing(objective), both, (True, True))
+    if not commands:
+        assert found is None or "steer_delay" not in found.names
+        return
+    assert set(found.names) == {"steer_delay", "drive_delay"}
+    assert found.cost < both.cost + 1.0
+    values = {part.candidate.term: part.values["delay"] for part in found.parts}
+    assert values["steer_delay"] == pytest.approx(steer, abs=0.003)
+    assert values["drive_delay"] == pytest.approx(torque, abs=0.003)
+
+
 def test_late_sensors_stay_one_where_they_are():
     delayed = partial(behind, delay=0.05)
     objective = noisy_objective(driven(22, steer=delayed, torque=delayed), 6)

@@ -11,7 +11,7 @@ import numpy as np
 
 from split_cli.diagnosis.parallel import map_in_threads
 from split_cli.diagnosis.search.candidates import Candidate
-from split_cli.diagnosis.search.exploration import Explorer, nearest_start
+from split_cli.diagnosis.search.exploration import Explorer, nearest_start, repeats_a_delay
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, sensitivity_of, tangent
 from split_cli.diagnosis.search.form_error import costs_beside_form_error, free_to_form_error
 from split_cli.diagnosis.search.forward import refusal, sizes_with_form_error
@@ -246,7 +246,8 @@ def one_as_pair(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]
     """Return the best explanation with a named part replaced by two that together resemble it; else None.
 
     Late sensors resemble late steering with late torque. Two terms may fit better because of model-form error, so they
-    must also be better beside the model-form error of both explanations.
+    must also be better beside the model-form error of both explanations. Late sensors beside a steering that is logged
+    late by less are two late commands: these are stated where they fit as well, since neither undoes a part of another.
     """
     rules = explore.rules
     best, least = None, explore.price(chosen) - rules.tie
@@ -254,10 +255,15 @@ def one_as_pair(explore: Explorer, base: Fit, chosen: Fit, named: Sequence[bool]
         others = chosen.parts[:k] + chosen.parts[k + 1 :]
         taken = {one.candidate.term for one in others}
         for pair in _pairs_like(part, explore.candidates) if named[k] else ():
-            if not taken & {one.candidate.term for one in pair}:
-                fit = fit_parts(explore.objective, (*others, *pair), known=chosen)
-                if explore.price(fit) < least and is_better_beside_form_error(explore, fit, chosen):
-                    best, least = fit, explore.price(fit)
+            names = [one.candidate.term for one in pair]
+            if taken & {*names}:
+                continue
+            kept = [one for one in others if not repeats_a_delay([*names, one.candidate.term])]
+            fit = fit_parts(explore.objective, (*kept, *pair), known=chosen)
+            price = explore.price(fit)
+            as_good = best is None and len(kept) < len(others) and price < explore.price(chosen) + rules.tie
+            if as_good or (price < least and is_better_beside_form_error(explore, fit, chosen)):
+                best, least = fit, min(least, price)
     return best
 
 
