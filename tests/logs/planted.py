@@ -14,6 +14,8 @@ from split_cli.signals import CHANNELS
 from split_cli.vehicle.parameters import Vehicle
 from tests.factories import road_car
 
+#: Columns of a logger's table: the channel, its size in the logger's unit, and that unit.
+LOGGED = {"Speed": ("vx", 3.6, "km/h"), "YawRate": ("r", 180.0 / np.pi, "deg/s"), "LatAcc": ("ay", 1.0, "m/s^2")}
 UNITS = {name: channel.unit for name, channel in CHANNELS.items() if name != "t"} | {"wheel_speed_fl": "m/s"}
 
 

@@ -1,7 +1,6 @@
 """A model car's bag with every channel, in the message types of its drivers; one map for several logs."""
 
 import numpy as np
-import pytest
 import yaml
 from click.testing import CliRunner
 from rosbags.rosbag1 import Writer as Bag1
@@ -13,11 +12,6 @@ from split_cli.logs.drafting.suggest import draft_map, render_draft
 from split_cli.logs.readers import open_recording
 from split_cli.workflows.ingesting.init import init_project
 from tests.logs.planted import PlantedDrive, write_table
-
-
-@pytest.fixture(scope="module")
-def car() -> PlantedDrive:
-    return PlantedDrive(seconds=40.0)
 
 
 def topics(store, car: PlantedDrive, ros1: bool) -> dict:

@@ -26,15 +26,10 @@ from split_cli.logs.readers.yaml_documents import is_yaml_documents
 from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.ingesting.init import init_project
 from split_cli.workflows.sources import find_sources
-from tests.logs.planted import PlantedDrive, write_table
+from tests.logs.planted import write_table
 
 DEG = 180.0 / np.pi
 TITLES = ["time_s", "speed_mps", "yaw_rate_dps"]
-
-
-@pytest.fixture(scope="module")
-def car() -> PlantedDrive:
-    return PlantedDrive(seconds=40.0)
 
 
 @pytest.fixture(scope="module")

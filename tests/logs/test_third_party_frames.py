@@ -14,17 +14,12 @@ from split_cli.logs.readers.frames_text import frames_in_lines, is_text_of_frame
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive, write_table
+from tests.logs.planted import write_table
 from tests.optional import needed
 
 DEG = 180.0 / np.pi
 DBC = 'VERSION ""\nBU_: E\nBO_ 256 ESP: 8 E\n SG_ Speed : 0|16@1+ (0.01,0) [0|655] "km/h" E\n'
 DBC += ' SG_ YawRate : 16|16@1- (0.01,0) [-300|300] "deg/s" E\n'
-
-
-@pytest.fixture(scope="module")
-def car() -> PlantedDrive:
-    return PlantedDrive(seconds=40.0)
 
 
 def stamp(seconds):

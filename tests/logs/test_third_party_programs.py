@@ -15,14 +15,9 @@ from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.signals import STANDARD_GRAVITY, find_unit, split_name_and_unit
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive, write_table
+from tests.logs.planted import write_table
 
 DEG = 180.0 / np.pi
-
-
-@pytest.fixture(scope="module")
-def car() -> PlantedDrive:
-    return PlantedDrive(seconds=40.0)
 
 
 @pytest.fixture

@@ -20,15 +20,9 @@ from split_cli.logs.readers.rows_of_kinds import titles_of_kinds
 from split_cli.signals import find_unit, split_name_and_unit
 from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.ingesting.init import init_project
-from tests.logs.planted import PlantedDrive, write_table
+from tests.logs.planted import LOGGED, write_table
 
 DEG = 180.0 / np.pi
-CHANNELS = {"Speed": ("vx", 3.6, "km/h"), "YawRate": ("r", DEG, "deg/s"), "LatAcc": ("ay", 1.0, "m/s^2")}
-
-
-@pytest.fixture(scope="module")
-def car() -> PlantedDrive:
-    return PlantedDrive(seconds=40.0)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +33,7 @@ def t():
 def check(recording, car, t, names, abs_=1e-4):
     """Compare columns with the truth, in the units that the recording states."""
     read = recording.read(list(names))
-    for name, (channel, factor, _) in zip(names, CHANNELS.values(), strict=True):
+    for name, (channel, factor, _) in zip(names, LOGGED.values(), strict=True):
         unit = find_unit(read[name].unit)
         truth = car.at(channel, t if read[name].time is None else read[name].time + recording.origin)
         assert read[name].values * unit.factor == pytest.approx(truth, abs=abs_), name
@@ -68,16 +62,16 @@ def test_a_column_of_words_makes_no_kinds_of_rows():
 def test_whole_numbers_are_taken_times_the_factor_above_them(car, t, tmp_path):
     """The row of factors was read as the first row of values, and a steer angle of 18,000 deg as stated."""
     steps, offsets = (1e-2, 1e-2, 1e-3), (0.0, -300.0, -40.0)
-    head = "Name;time;" + ";".join(CHANNELS) + "\nUnit;s;km/h;deg/s;m/s^2\nFactor;0.001;0.01;0.01;0.001\n"
+    head = "Name;time;" + ";".join(LOGGED) + "\nUnit;s;km/h;deg/s;m/s^2\nFactor;0.001;0.01;0.01;0.001\n"
     head += "Offset;0;" + ";".join(f"{o:g}" for o in offsets) + "\n"
     columns = [np.rint(1e3 * t)]
-    for (channel, factor, _), step, offset in zip(CHANNELS.values(), steps, offsets, strict=True):
+    for (channel, factor, _), step, offset in zip(LOGGED.values(), steps, offsets, strict=True):
         columns.append(np.rint((factor * car.at(channel, t) - offset) / step))
     rows = ["".join(f";{value:.0f}" for value in row) for row in zip(*columns, strict=True)]
     (tmp_path / "log.csv").write_text(head + "\n".join(rows))
     recording = open_recording(tmp_path / "log.csv")
     assert recording.read(["time"])["time"].values == pytest.approx(t)
-    check(recording, car, t, CHANNELS, abs_=0.0015)
+    check(recording, car, t, LOGGED, abs_=0.0015)
     (tmp_path / "real.csv").write_text(head + "\n".join(f";{1000 * x:.0f};100;200;{x:.3f}" for x in t))
     assert open_recording(tmp_path / "real.csv").read(["Speed"])["Speed"].values[0] == 100.0
     real = [";" + ";".join(f"{v:.4f}" for v in (x, 3.6 * car.at("vx", x), 0.5, 0.5)) for x in t]

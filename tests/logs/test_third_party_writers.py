@@ -16,29 +16,23 @@ from split_cli.signals import find_unit
 from split_cli.workflows.ingesting.ingest import open_logs
 from split_cli.workflows.ingesting.init import init_project
 from split_cli.workflows.sources import find_sources, left_alone
-from tests.logs.planted import PlantedDrive, write_table
+from tests.logs.planted import LOGGED, write_table
 from tests.optional import needed
 
 DEG = 180.0 / np.pi
-CHANNELS = {"Speed": ("vx", 3.6, "km/h"), "YawRate": ("r", DEG, "deg/s"), "LatAcc": ("ay", 1.0, "m/s^2")}
-
-
-@pytest.fixture(scope="module")
-def car() -> PlantedDrive:
-    return PlantedDrive(seconds=40.0)
 
 
 @pytest.fixture(scope="module")
 def rows(car):
     """Return time and values of three channels in the units of a logger, row by row."""
     t = np.arange(0.0, 40.0, 0.02)
-    return np.column_stack([t, *(factor * car.at(channel, t) for channel, factor, _ in CHANNELS.values())])
+    return np.column_stack([t, *(factor * car.at(channel, t) for channel, factor, _ in LOGGED.values())])
 
 
-def check(recording, car, names=tuple(CHANNELS)):
+def check(recording, car, names=tuple(LOGGED)):
     """Compare what a recording holds with the truth, in the units that it states."""
     read = recording.read(list(names))
-    for name, (channel, factor, unit) in zip(names, CHANNELS.values(), strict=True):
+    for name, (channel, factor, unit) in zip(names, LOGGED.values(), strict=True):
         t = np.arange(0.0, 40.0, 0.02)
         good = np.isfinite(read[name].values)
         assert read[name].unit in (unit, None) and np.count_nonzero(good) == len(t)
@@ -52,12 +46,12 @@ def lines_of(rows, separator):
 def test_rows_above_the_values_that_begin_with_their_label(rows, car, tmp_path):
     """The row of comments, next to the values, was taken for the names."""
     numbered = [f"{n}\t{line}" for n, line in enumerate(lines_of(rows, "\t"))]
-    head = ["Vehicle:\tXC", "", "Name\tTime\t" + "\t".join(CHANNELS), "Unit\ts\tkm/h\tdeg/s\tm/s2"]
+    head = ["Vehicle:\tXC", "", "Name\tTime\t" + "\t".join(LOGGED), "Unit\ts\tkm/h\tdeg/s\tm/s2"]
     head += ["Comment\ttime\tspeed of travel\tgyro\tacceleration"]
     (tmp_path / "log.txt").write_text("\n".join([*head, *numbered]))
     check(open_recording(tmp_path / "log.txt"), car)
     traced = [("trace_values," if n == 0 else ",") + line for n, line in enumerate(lines_of(rows, ","))]
-    head = ["meta_end,,,,", "name,time," + ",".join(CHANNELS), "path,,Plant/v,Plant/r,Plant/a"]
+    head = ["meta_end,,,,", "name,time," + ",".join(LOGGED), "path,,Plant/v,Plant/r,Plant/a"]
     (tmp_path / "log.csv").write_text("\n".join([*head, "unit,s,km/h,deg/s,m/s^2", *traced]))
     recording = open_recording(tmp_path / "log.csv")
     check(recording, car)
@@ -115,7 +109,7 @@ def test_a_count_behind_the_point_without_leading_zeros_is_read_as_such(rows, ca
     """12.5 for 12.005 s: 71 % of the rows were lost, and the others at wrong times."""
     stamps = [f"{1_718_000_000 + int(t)}.{round(1e6 * (t % 1.0)):d}" for t in rows[:, 0]]
     written = [f"{stamp},{line}" for stamp, line in zip(stamps, lines_of(rows[:, 1:], ","), strict=True)]
-    (tmp_path / "log.csv").write_text("time," + ",".join(CHANNELS) + "\n" + "\n".join(written))
+    (tmp_path / "log.csv").write_text("time," + ",".join(LOGGED) + "\n" + "\n".join(written))
     time = open_recording(tmp_path / "log.csv").read(["time"])["time"].values
     assert time - 1_718_000_000 == pytest.approx(rows[:, 0], abs=1e-6)
     # A clock that starts again rises in neither reading, and one with all its digits in the usual one.
@@ -146,7 +140,7 @@ def test_a_value_beside_the_number_of_its_parameter_is_a_signal(rows, car, tmp_p
     written = [
         f'"{50_000 + row[0] + 0.001 * k:.3f}";"{name}";"{row[k + 1]:.6f}";"{unit}";"";'
         for row in rows
-        for k, (name, (_, _, unit)) in enumerate(CHANNELS.items())
+        for k, (name, (_, _, unit)) in enumerate(LOGGED.items())
     ]
     (tmp_path / "log.csv").write_text('"SECONDS";"PID";"VALUE";"UNITS";"LATITUDE";\n' + "\n".join(written))
     check(open_recording(tmp_path / "log.csv"), car)
@@ -157,7 +151,7 @@ def test_files_of_one_drive_meet_by_a_clock_in_words_of_any_title(rows, car, tmp
     day = "2026-11-28T14:03:{:06.3f}Z"
     for name, column in (("gps", 1), ("gyro", 2)):
         written = [f'"{1e3 * r[0]:.3f}","{day.format(r[0])}","{r[column]:.6f}"' for r in rows]
-        (tmp_path / f"{name}.csv").write_text(f'"cts","date","{[*CHANNELS][column - 1]}"\n' + "\n".join(written))
+        (tmp_path / f"{name}.csv").write_text(f'"cts","date","{[*LOGGED][column - 1]}"\n' + "\n".join(written))
     read = open_logs([tmp_path / "gps.csv", tmp_path / "gyro.csv"]).read(["Speed", "YawRate"])
     assert read["Speed"].time == pytest.approx(read["YawRate"].time)
     assert np.diff(read["Speed"].time) == pytest.approx(0.02, abs=1e-6)
@@ -212,20 +206,20 @@ def test_a_folder_of_a_phone_holds_a_file_for_each_sensor(rows, tmp_path):
 
 def test_titles_of_several_lines_in_quotes_are_one_row(rows, car, tmp_path):
     """A spreadsheet with the unit under the name in one cell was told that its titles do not fit its rows."""
-    titles = ['"Time\n(s)"', *(f'"{name}\r\n({unit})"' for name, (_, _, unit) in CHANNELS.items())]
+    titles = ['"Time\n(s)"', *(f'"{name}\r\n({unit})"' for name, (_, _, unit) in LOGGED.items())]
     (tmp_path / "log.csv").write_bytes((",".join(titles) + "\n" + "\n".join(lines_of(rows, ","))).encode())
     check(open_recording(tmp_path / "log.csv"), car)
 
 
 def test_inches_before_the_titles_open_no_quote(rows, car, tmp_path):
-    head = ['Rims,15" front', 'Note,"two 15"" rims"', "time," + ",".join(CHANNELS), "s,km/h,deg/s,m/s^2"]
+    head = ['Rims,15" front', 'Note,"two 15"" rims"', "time," + ",".join(LOGGED), "s,km/h,deg/s,m/s^2"]
     (tmp_path / "log.csv").write_text("\n".join([*head, *lines_of(rows, ",")]))
     check(open_recording(tmp_path / "log.csv"), car)
 
 
 def test_rows_whose_cells_all_say_what_they_hold_are_units_or_nothing(rows, car, tmp_path):
     """Simulink's Data Inspector writes units, types and interpolation so, under the names."""
-    head = ["time," + ",".join(CHANNELS), '"","Unit: km/h","Unit: deg/s","Unit: m/s^2"']
+    head = ["time," + ",".join(LOGGED), '"","Unit: km/h","Unit: deg/s","Unit: m/s^2"']
     head += ['"",' + ",".join(['"Type: double"'] * 3), '"",' + ",".join(['"Interp: zoh"'] * 3)]
     (tmp_path / "log.csv").write_text("\n".join([*head, *lines_of(rows, ",")]))
     recording = open_recording(tmp_path / "log.csv")
@@ -296,11 +290,11 @@ def test_a_row_of_the_steps_that_whole_numbers_count_is_one_of_units(rows, car, 
     steps = (1e-2, 1e-3, 1e-4)
     counts = np.rint(rows[:, 1:] / steps)
     written = [f"{t:.2f};" + ";".join(f"{v:.0f}" for v in values) for t, values in zip(rows[:, 0], counts, strict=True)]
-    head = ["time;" + ";".join(CHANNELS), "s;0.01 km/h;0.001 deg/s;0.0001 m/s^2"]
+    head = ["time;" + ";".join(LOGGED), "s;0.01 km/h;0.001 deg/s;0.0001 m/s^2"]
     (tmp_path / "log.csv").write_text("\n".join([*head, *written]))
     recording = open_recording(tmp_path / "log.csv")
-    read = recording.read(list(CHANNELS))
-    for (name, (channel, _, _)), value in zip(CHANNELS.items(), read.values(), strict=True):
+    read = recording.read(list(LOGGED))
+    for (name, (channel, _, _)), value in zip(LOGGED.items(), read.values(), strict=True):
         unit = find_unit(value.unit)
         assert value.values * unit.factor == pytest.approx(car.at(channel, rows[:, 0]), abs=unit.factor), name
 
@@ -318,7 +312,7 @@ def test_a_few_damaged_rows_are_left_out_and_not_filled_up(rows, tmp_path):
     written = lines_of(rows, ",")
     for n in range(10, 400, 40):
         written[n] = written[n].replace(",", "", 1)
-    (tmp_path / "log.csv").write_text("time," + ",".join(CHANNELS) + "\n" + "\n".join(written))
+    (tmp_path / "log.csv").write_text("time," + ",".join(LOGGED) + "\n" + "\n".join(written))
     recording = open_recording(tmp_path / "log.csv")
     assert len(recording.read(["Speed"])["Speed"].values) == len(rows) - 10
     assert any(note.count == 10 and "too few" in note.what for note in recording.notes)

@@ -144,14 +144,15 @@ class Explorer:
         return [(one, effect_everywhere(self.objective, self._base, one)) for one in self.candidates if not one.starts]
 
     def lines_beside(self, current: Fit) -> list[Tangent]:
-        """Return all terms without a place, linearised at their starts.
+        """Return all further terms without a place, linearised at their starts.
 
         With a fixed baseline, terms that act on commands are linearised beside the sensor faults of the explanation.
         The discrepancy is then evaluated at corrected velocities, without which a late steering might show no saving.
         """
-        beside = current.terms
+        beside, taken = current.terms, self.taken(current)
+        further = [one for one in self._tangents if one.part.candidate.term not in taken]
         if not (self.objective.fixed_baseline and any(term.corrects for term in beside)):
-            return self._tangents
+            return further
 
         def made() -> list[Tangent]:
             left = self.objective.left_by(beside)
@@ -160,8 +161,7 @@ class Explorer:
                 acts = type(one.part.term).actuate is not Term.actuate
                 return tangent(self.objective, left, one.part, beside) if acts else one
 
-            taken = {part.candidate.term for part in current.parts}
-            return map_in_threads(line, [one for one in self._tangents if one.part.candidate.term not in taken])
+            return map_in_threads(line, further)
 
         return self._beside(key_of_terms(beside), made)
 
@@ -181,7 +181,7 @@ class Explorer:
         """
         sensitivity_of(self.objective, current)
         taken = self.taken(current)
-        lines = [one for one in self.lines_beside(current) if one.part.candidate.term not in taken]
+        lines = [*self.lines_beside(current)]
         for candidate, effect in self._effects:
             if candidate.term not in taken:
                 starts = scan_places(self.objective, current.residuals, candidate, effect)

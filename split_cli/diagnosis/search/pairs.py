@@ -23,8 +23,7 @@ def promised_pairs(explore: Explorer, current: Fit) -> list[tuple[float, Tangent
     transients.
     """
     sensitivity_of(explore.objective, current)
-    taken = explore.taken(current)
-    lines = [one for one in explore.lines_beside(current) if one.part.candidate.term not in taken]
+    lines = explore.lines_beside(current)
     promises = map_in_threads(lambda one: one.cost(current), lines)
     best: dict[str, Tangent] = {}
     for _, line in sorted(zip(promises, lines, strict=True), key=lambda one: one[0]):
