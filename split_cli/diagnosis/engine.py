@@ -372,25 +372,25 @@ def _compare(
 ) -> _Comparison:
     """Test in five ways whether there is a difference.
 
-    The tests are: a named term, a term in a part of the drive, a flexible fit, a spectral line, and residual
-    autocorrelation. A sensor that contradicts position or yaw is a difference in any case. Named terms are none if the
-    intervals of all of them contain no effect: p values consider noise alone, intervals also model-form error.
+    The tests are: a named term, a term in a part of the drive, a fit without names (of flexible functions or of
+    oscillators), a spectral line, and residual autocorrelation. A sensor that contradicts position or yaw is a
+    difference in any case. Named terms are none if the intervals of all of them contain no effect: p values consider
+    noise alone, intervals also model-form error.
     """
     policy = outcome.structure.objective.policy
     description = describe(outcome, scales) if any(outcome.selection.named) else None
     is_named = description is not None and description.is_apart
     structure, selection = outcome.structure, outcome.selection
-    unnamed = outcome.gap
-    if selection.chosen.parts and not any(selection.named):
-        # Nuisance terms, which are too small to be named, are no difference.
-        unnamed = structure.fit(selection.chosen.residuals, outcome.variance_inflation)
+    # Nuisance terms, which are too small to be named, are no difference.
+    left = selection.base.residuals if any(selection.named) else selection.chosen.residuals
+    unnamed, *_ = outcome.remainder(left)
     line = strongest_line(structure.objective, selection.terms, case.simulated)
     line = line if line is not None and line.effect_to_noise > policy.allowances.unnamed else None
     autocorrelation = residual_autocorrelation(structure, selection.chosen.residuals)
     usual = outcome.self_test.usual_autocorrelation(autocorrelation.rows)
     partly = None if is_named else selection.partly()
     ways = [
-        unnamed.p_value,
+        unnamed,
         selection.first_p if is_named or ends_beyond(selection, policy) else 1.0,
         1.0 if partly is None else partly.p_value,
         line.p_value if line else 1.0,

@@ -349,3 +349,13 @@ def test_what_acts_in_a_part_is_told_with_its_interval_and_what_else_it_may_be()
     assert "55.9 s of real drive 2 it" in acting_in_a_part([gain], 24.9, 55.9, 4, 2)
     assert "many effects" in acting_in_a_part([gain] * 6, 1.0, 20.0, 4)
     assert "no effect that a real car can have" in acting_in_a_part([], 1.0, 20.0, 4)
+
+
+def test_a_remainder_that_swings_is_said_to_be_a_mass_on_a_spring():
+    swings = RemainderTest(
+        1e-9, 0.4, 0.5, (("swinging 0.7 times a second", 90.0), ("swinging 0.49 times a second", 30.0))
+    )
+    said = summarise("mismatch", (), True, None, swings)
+    assert any("as a mass on a spring does, swinging 0.7 times a second." in sentence for sentence in said)
+    other = summarise("mismatch", (), True, None, replace(swings, by_group=(("memory", 90.0),)))
+    assert not any("mass on a spring" in sentence for sentence in other)

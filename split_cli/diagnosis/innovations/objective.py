@@ -118,9 +118,8 @@ class MarginalLikelihood:
     # Witnesses, whose rows come last. Sensor faults change them, and road angles those of accelerations; other
     # physics does not.
     kinematics: tuple[KinematicResiduals, ...] = ()
-    # Cost that a flexible fit may save without a difference, from the halves of the simulation, see `SelfTest`.
-    unnamed_floor: float = 0.0
-    term_floors: Mapping[str, float] = field(default_factory=dict)  # the same for terms
+    # Cost that a term may save without a difference, from the halves of the simulation, see `SelfTest`.
+    term_floors: Mapping[str, float] = field(default_factory=dict)
     # Cost that each term saves between halves of the simulation, scaled to the number of rows here.
     self_test_savings: Mapping[str, float] = field(default_factory=dict)
     witness_floors: Mapping[str, float] = field(default_factory=dict)  # as `term_floors`, of the witnesses' cost alone

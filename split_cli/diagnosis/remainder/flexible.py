@@ -48,7 +48,7 @@ def flexible_rows(one: Evidence, discrepancy: SharedDiscrepancy) -> Iterator[Fle
             yield from map_in_threads(piece, [(group, block) for block in some])
 
 
-def _forces(vehicle: Vehicle) -> np.ndarray:
+def rates_by_forces(vehicle: Vehicle) -> np.ndarray:
     """Return the rates by 3 % of an axle's peak force: longitudinal, front and rear lateral, in columns, (3, 3)."""
     return vehicle.force_matrix() * 0.03 * 0.5 * (vehicle.front_tire.D + vehicle.rear_tire.D)
 
@@ -62,7 +62,7 @@ def _asymmetric(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
             (odd if (i + j) % 2 else even).append(a**i * b**j * c**k * v**m)
     even += [np.abs(a), np.abs(b), np.maximum(c, 0.0), np.maximum(-c, 0.0) * np.abs(b)]
     odd += [a * np.maximum(c, 0.0), a * np.maximum(-c, 0.0)]
-    return spread([(0, odd), (1, even), (2, even)], _forces(vehicle))
+    return spread([(0, odd), (1, even), (2, even)], rates_by_forces(vehicle))
 
 
 def _memory(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
@@ -88,7 +88,7 @@ def _memory(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
     along += [braked, np.gradient(c), np.gradient(delta) * delta]
     front += [braked, np.gradient(delta), np.tanh(np.gradient(delta) / (np.std(np.gradient(delta)) + 1e-12))]
     rear += [braked, np.gradient(b)]
-    return spread([(0, along), (1, front), (2, rear)], _forces(vehicle))
+    return spread([(0, along), (1, front), (2, rear)], rates_by_forces(vehicle))
 
 
 def _time(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
@@ -98,7 +98,7 @@ def _time(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
     hats = [np.maximum(0.0, 1.0 - np.abs(position - k)) for k in range(_KNOTS)]
     up, down = np.maximum(c, 0.0), np.minimum(c, 0.0)
     along, front, rear = ([h * f for h in hats for f in some] for some in ((1.0, up, down), (1.0, a), (1.0, b)))
-    return spread([(0, along), (1, front), (2, rear)], _forces(vehicle))
+    return spread([(0, along), (1, front), (2, rear)], rates_by_forces(vehicle))
 
 
 def _place(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
@@ -108,4 +108,4 @@ def _place(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
     waves = [f(k * angle) for k in range(1, _HARMONICS + 1) for f in (np.sin, np.cos)]
     few = waves[: 2 * (_HARMONICS // 2)]
     front, rear = (waves + [w * slip for w in few] for slip in (a, b))
-    return spread([(0, waves), (1, front), (2, rear)], _forces(vehicle))
+    return spread([(0, waves), (1, front), (2, rear)], rates_by_forces(vehicle))

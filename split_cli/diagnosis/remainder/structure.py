@@ -43,6 +43,7 @@ class Structure:
     sizes: tuple[np.ndarray, ...]
     groups: tuple[str, ...]  # group of each column
     factor: np.ndarray  # (Q, Q): upper Cholesky factor of the normal matrix with the ridge
+    floor: float = 0.0  # reduction of the cost that is no difference, from the halves of the simulation [chi squared]
 
     def score(self, residuals: np.ndarray) -> np.ndarray:
         """Return the products of the columns with whitened residuals (R,), shape (Q,)."""
@@ -80,7 +81,7 @@ class Structure:
         policy = self.objective.policy
         form_error = policy.self_test.unnamed_margin * freedom
         form_error += policy.allowances.structure_floor * self.objective.shared_cost
-        return max(form_error, self.objective.unnamed_floor)
+        return max(form_error, self.floor)
 
     def unnamed_share(self, left: FlexibleFit, named: float, variance_inflation: float) -> float:
         """Return the unexplained share of the gap [1].
@@ -105,13 +106,17 @@ class Structure:
         return tuple(sorted(out, key=lambda pair: -pair[1]))
 
 
-def build_structure(objective: MarginalLikelihood, pieces: Sequence[Iterable[FlexiblePiece]]) -> Structure:
+def build_structure(
+    objective: MarginalLikelihood, pieces: Sequence[Iterable[FlexiblePiece]], floor: float = 0.0
+) -> Structure:
     """Return the flexible fit on an objective's rows, from the functions' rows of every recording.
 
     Parameters
     ----------
     pieces : sequence of iterable of FlexiblePiece
         Of each recording, the same functions in the same order. They are consumed one at a time to save memory.
+    floor : float
+        Reduction of the cost that is no difference [chi squared].
     """
     blocks, windows, groups = [], [[] for _ in objective.evidence], []
     for several in zip(*pieces, strict=True):
@@ -127,7 +132,7 @@ def build_structure(objective: MarginalLikelihood, pieces: Sequence[Iterable[Fle
     penalty = _RIDGE_SHARE * len(objective.weight)
     factor = np.linalg.cholesky(products_of(blocks) + penalty * np.eye(len(groups))).T
     sizes = tuple(products_over_noise(one.series, own) for one, own in zip(objective.evidence, windows, strict=True))
-    return Structure(objective, tuple(blocks), sizes, tuple(groups), factor)
+    return Structure(objective, tuple(blocks), sizes, tuple(groups), factor, floor)
 
 
 def _split_like(values: np.ndarray, blocks: Sequence[np.ndarray]) -> list[np.ndarray]:

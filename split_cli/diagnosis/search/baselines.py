@@ -22,6 +22,7 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood, alters
 from split_cli.diagnosis.policy import STANDARD, Policy, SelectionRules
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import flexible_rows
+from split_cli.diagnosis.remainder.oscillation import Oscillators, build_oscillators, oscillator_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.exploration import Explorer
@@ -46,6 +47,33 @@ class SearchOutcome:
     variance_inflation: float  # factor by which residual autocorrelation widens chi squared [1]
     # With a marginalised baseline, and with a fixed one if that was searched too.
     objectives: tuple[MarginalLikelihood, ...] = ()
+    oscillators: Oscillators | None = None  # the fits of oscillators to the same rows
+
+    def remainder(self, residuals: np.ndarray) -> tuple[float, Structure, FlexibleFit]:
+        """Test whether whitened residuals (R,) are noise, by the flexible fit and by oscillators.
+
+        Of the fits that noise does not explain the larger one counts, otherwise the one that noise makes less likely.
+
+        Returns
+        -------
+        p_value : float
+            Of noise alone, corrected for the number of tests (Bonferroni).
+        structure : Structure
+            The fit that counts.
+        fit : FlexibleFit
+            Its result.
+        """
+        flexible = self.structure.fit(residuals, self.variance_inflation)
+        if self.oscillators is None:
+            return flexible.p_value, self.structure, flexible
+        tested = [
+            (flexible.p_value, self.structure, flexible),
+            self.oscillators.least_likely(residuals, self.variance_inflation),
+        ]
+        tested = [(min(1.0, len(tested) * p_value), structure, fit) for p_value, structure, fit in tested]
+        level = self.structure.objective.policy.selection.level
+        sure = [one for one in tested if one[0] < level]
+        return max(sure, key=lambda one: one[2].effect_to_noise) if sure else min(tested, key=lambda one: one[0])
 
 
 def search(
@@ -277,14 +305,17 @@ def _known(
 def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], known: SelfTest) -> SearchOutcome:
     """Search on one objective, with the thresholds of a self-test."""
     objective = known.allow(objective)
-    structure = build_structure(objective, [flexible_rows(one, objective.discrepancy) for one in objective.evidence])
+    pieces = [flexible_rows(one, objective.discrepancy) for one in objective.evidence]
+    structure = build_structure(objective, pieces, known.floor(known.unnamed, objective))
+    floors = {group: known.floor(saved, objective) for group, saved in known.swinging.items()}
+    oscillators = build_oscillators(objective, list(map(oscillator_rows, objective.evidence)), floors)
     base = nothing(objective)
     variance_inflation = max(
         objective.policy.comparison.variance_inflation, residual_autocorrelation(structure, base.residuals).ratio
     )
     gap = structure.fit(base.residuals, variance_inflation)
     objective = replace(objective, form_error_inflation=known.form_error_inflation_of(gap, objective.policy))
-    structure = replace(structure, objective=objective)
+    structure, oscillators = replace(structure, objective=objective), oscillators.with_objective(objective)
     policy = objective.policy
 
     def is_structure(residuals: np.ndarray) -> bool:
@@ -299,4 +330,4 @@ def _search(objective: MarginalLikelihood, candidates: Sequence[Candidate], know
         lambda fit: is_structure(fit.residuals),
     )
     selection = with_variants_by_rollout(structure, candidates, selection, variance_inflation)
-    return SearchOutcome(structure, gap, selection, known, variance_inflation, (objective,))
+    return SearchOutcome(structure, gap, selection, known, variance_inflation, (objective,), oscillators)

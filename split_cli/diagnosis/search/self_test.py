@@ -26,6 +26,7 @@ from split_cli.diagnosis.recording.kinematics import KinematicResiduals
 from split_cli.diagnosis.recording.witnesses import Witness, build_witnesses, usual_weights_by_kind
 from split_cli.diagnosis.remainder.autocorrelation import residual_autocorrelation
 from split_cli.diagnosis.remainder.flexible import FlexiblePiece, flexible_rows
+from split_cli.diagnosis.remainder.oscillation import OscillatorRows, build_oscillators, oscillator_rows
 from split_cli.diagnosis.remainder.structure import FlexibleFit, build_structure
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.parts_of_drive import most_saved
@@ -51,6 +52,8 @@ class SelfTest:
     witnessed: Mapping[str, float] = field(default_factory=dict)
     # Cost that each term saves alone in the best part of the drive, see `parts_of_drive`.
     partly: Mapping[str, float] = field(default_factory=dict)
+    # Cost that the oscillators of each frequency save beyond noise [chi squared].
+    swinging: Mapping[str, float] = field(default_factory=dict)
 
     def allow(self, objective: MarginalLikelihood) -> MarginalLikelihood:
         """Return an objective with thresholds of these savings, scaled to its rows and with a margin.
@@ -64,7 +67,6 @@ class SelfTest:
         most = max(self.terms.values(), default=0.0)
         return replace(
             objective,
-            unnamed_floor=rules.unnamed_margin * scale * self.unnamed,
             term_floors={
                 term: rules.term_margin * scale * max(saved, rules.kindred * most) for term, saved in self.terms.items()
             },
@@ -72,6 +74,19 @@ class SelfTest:
             witness_floors={term: rules.term_margin * scale * saved for term, saved in self.witnessed.items()},
             part_floors={term: rules.term_margin * scale * saved for term, saved in self.partly.items()},
         )
+
+    def floor(self, saved: float, objective: MarginalLikelihood) -> float:
+        """Return what a fit without names may save on an objective's rows without a difference [chi squared].
+
+        Parameters
+        ----------
+        saved : float
+            What it saves between the halves: `unnamed`, or one of `swinging`.
+        """
+        if not self.rows:
+            return 0.0
+        rows = sum(int(mask.sum()) for mask in objective.keep)
+        return objective.policy.self_test.unnamed_margin * self._scale(rows) * saved
 
     def usual_autocorrelation(self, rows: int) -> float:
         """Return the ratio of `residual_autocorrelation` expected from the simulation for so many rows, at least 1.
@@ -140,7 +155,9 @@ def self_test(
     objective = build_objective(rewhitened, None, discrepancy, all_rows, [one for _, one in positions], policy=policy)
     offers = _offers(replace(objective, posterior=posterior), candidates)
     rows = tuple(tuple(flexible_rows(one, discrepancy)) for one in rewhitened)
-    sides = _Sides(tuple(rewhitened), positions, rows, discrepancy, variance_inflation, reach, fixed_baseline, policy)
+    swings = tuple(map(oscillator_rows, rewhitened))
+    settings = discrepancy, variance_inflation, reach, fixed_baseline, policy
+    sides = _Sides(tuple(rewhitened), positions, rows, swings, *settings)
     dealings = (_every_other_block(rewhitened, policy), _first_half(rewhitened))
     halves = [[mask ^ turned for mask in first] for first in dealings for turned in (False, True)]
     tests = map_distributed(lambda teaching: _test_half(sides, teaching, offers), halves)
@@ -156,6 +173,7 @@ def self_test(
         max(test.autocorrelation for test in tests),
         {term: max(test.witnessed[term] for test in tests) for term in names},
         {term: max(test.partly[term] for test in tests) for term in names},
+        {group: max(test.swinging[group] for test in tests) for group in tests[0].swinging},
     )
 
 
@@ -220,7 +238,9 @@ class _Sides:
 
     rewhitened: tuple[Evidence, ...]
     positions: tuple[tuple[int, KinematicResiduals | Witness], ...]
+    # Rows of the flexible fit and of the oscillators, of each recording.
     rows: tuple[tuple[FlexiblePiece, ...], ...]
+    swings: tuple[OscillatorRows, ...]
     discrepancy: SharedDiscrepancy
     variance_inflation: float
     reach: float
@@ -277,6 +297,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
             partly[offer.term] = max(partly[offer.term], saved, most_saved(objective, columns, residuals))
     # The expected contribution of noise that the simulation does not have.
     quiet = max(0.0, 1.0 - (float(residuals @ residuals) - fit.saved) / max(len(residuals) - fit.freedom, 1.0))
+    oscillators = build_oscillators(objective, sides.swings, {})
     return SelfTest(
         rows,
         fit.saved / fit.freedom + quiet,
@@ -285,6 +306,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
         residual_autocorrelation(structure, residuals).ratio,
         witnessed,
         partly,
+        oscillators.savings(residuals, sides.variance_inflation, 1.0 - quiet),
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from split_cli.diagnosis.statement.improvement import CorrectedVehicle, HorizonErrors, Improvement, StateChange
 from split_cli.diagnosis.statement.result import Combination, Finding, Location, ParameterEstimate, RemainderTest
 from split_cli.diagnosis.statement.separation import separation
-from split_cli.diagnosis.statement.wording import number, percent, term_with_id, variable_name
+from split_cli.diagnosis.statement.wording import is_swinging, number, percent, term_with_id, variable_name
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.vehicle.parameters import Vehicle
 
@@ -463,6 +463,16 @@ def gap_left(findings: Sequence[Finding], remainder: RemainderTest) -> str:
     return f"{share} of the gap" if findings else "the gap"
 
 
+def _depending(kind: str) -> str:
+    """Return what the nameless part depends on, as a sentence; empty if that is not known."""
+    if is_swinging(kind):
+        return (
+            f"It follows the accelerations of the car as a mass on a spring does, {kind}. "
+            "A load or fuel that sloshes, a trailer and a body that rolls do that."
+        )
+    return f"It depends mostly on {_KINDS.get(kind, kind)}." if kind else ""
+
+
 def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> list[str]:
     share = gap_left(findings, remainder)
     kind = remainder.by_group[0][0] if remainder.by_group else ""
@@ -472,7 +482,7 @@ def _unnamed(remainder: RemainderTest, findings: Sequence[Finding]) -> list[str]
         nameless = "has a structure that no effect of the catalogue explains"
     return [
         f"{share[:1].upper()}{share[1:]} {nameless}.",
-        f"It depends mostly on {_KINDS.get(kind, kind)}." if kind else "",
+        _depending(kind),
         f"A candidate formula: {remainder.formula}." if remainder.formula else "",
         f"Another {percent(rest)} has neither name nor structure: scatter, or the error of the model's form."
         if rest

@@ -2,7 +2,18 @@
 
 from split_cli.vehicle.effects.wording import amount, number, percent
 
-__all__ = ["amount", "number", "percent", "term_name", "term_with_id", "variable_name"]
+__all__ = [
+    "amount",
+    "is_swinging",
+    "number",
+    "percent",
+    "swinging_in_words",
+    "term_name",
+    "term_with_id",
+    "variable_name",
+]
+
+_SWINGING = "swinging"
 
 _VARIABLES = {
     "v_x": ("longitudinal velocity", "m/s"),
@@ -31,6 +42,16 @@ def term_name(term: str) -> str:
 def term_with_id(term: str) -> str:
     """Return a term in words with its id behind."""
     return f"{term_name(term)} ({term})"
+
+
+def swinging_in_words(frequency: float) -> str:
+    """Return what oscillators of a natural frequency [Hz] are called among functions without a name."""
+    return f"{_SWINGING} {frequency:.2g} times a second"
+
+
+def is_swinging(kind: str) -> bool:
+    """Return whether a group of functions without a name are oscillators."""
+    return kind.startswith(_SWINGING)
 
 
 def variable_name(name: str) -> tuple[str, str]:

@@ -10,7 +10,6 @@ from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.policy import STANDARD, Abstention, Policy
 from split_cli.diagnosis.recording.measured import measures
 from split_cli.diagnosis.remainder.autocorrelation import ResidualAutocorrelation, residual_autocorrelation
-from split_cli.diagnosis.remainder.structure import Structure
 from split_cli.diagnosis.search.baselines import SearchOutcome
 from split_cli.diagnosis.search.candidates import Candidate
 from split_cli.diagnosis.search.fitting import Fit, Part, fit_parts, without_parts
@@ -67,15 +66,15 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
     single it out (`_vague`), or if it changes with a corrected scale (`_stays_beside`). The others are refitted without
     it and tested again until none is lost. Then intervals contain the values with and without the lost terms.
     """
-    structure, selection, variance_inflation = outcome.structure, outcome.selection, outcome.variance_inflation
-    objective = structure.objective
+    selection, variance_inflation = outcome.selection, outcome.variance_inflation
+    objective = outcome.structure.objective
     rules = objective.policy.abstention
     left = residuals_beside_form_error(objective, selection.chosen)
-    remainder = _remainder(structure, selection, variance_inflation, left)
+    remainder = _remainder(outcome, selection, left)
     reported = _findings(objective, selection, remainder.share)
     findings = _only_findings(reported)
     is_apart = any(map(excludes_no_effect, findings))
-    autocorrelation = residual_autocorrelation(structure, left)
+    autocorrelation = residual_autocorrelation(outcome.structure, left)
     bent = _sure_bends(objective, selection, variance_inflation)
     unexplained = not findings or _is_unexplained(findings, remainder, autocorrelation, outcome)
     unexplained |= bool(bent) or _errs_too_much(objective, selection, variance_inflation)
@@ -95,7 +94,7 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
         # Vague terms stay in the fit as nuisances: without them the others would take up their effect.
         selection = _only(objective, selection, kept | vague)
         left = residuals_beside_form_error(objective, selection.chosen)
-        remainder = _remainder(structure, selection, variance_inflation, left)
+        remainder = _remainder(outcome, selection, left)
         selection = _nameless(selection, vague)
         bent = _sure_bends(objective, selection, variance_inflation)
         reported = _findings(objective, selection, remainder.share, beside)
@@ -110,7 +109,7 @@ def describe(outcome: SearchOutcome, scales: Mapping[str, float] = MappingProxyT
             kept &= sensors | _stays_beside(objective, selection, findings, scales)
         vague |= doubted
     if findings and not (unexplained or all(named_or_tolerated(selection))):
-        by_names = _left_by_names(structure, selection, variance_inflation)
+        by_names = _left_by_names(outcome, selection)
         if by_names.p_value < objective.policy.selection.level and by_names.effect_to_noise > _large(outcome):
             unexplained, remainder = True, by_names
     return Description(selection, findings, remainder, unexplained, is_apart)
@@ -320,26 +319,24 @@ def with_shares(findings: Sequence[Finding], chosen: Fit, shares: Sequence[float
     return tuple(sorted(shared, key=lambda finding: -finding.gap_explained))
 
 
-def _remainder(
-    structure: Structure, selection: Selection, variance_inflation: float, residuals: np.ndarray
-) -> RemainderTest:
+def _remainder(outcome: SearchOutcome, selection: Selection, residuals: np.ndarray) -> RemainderTest:
     """Return the test of residuals, which are those beyond the terms' model-form error."""
-    left = structure.fit(residuals, variance_inflation)
-    named = selection.base.cost - selection.chosen.cost
-    share = structure.unnamed_share(left, named, variance_inflation)
-    return RemainderTest(left.p_value, share, left.effect_to_noise, left.group_saved)
+    p_value, structure, left = outcome.remainder(residuals)
+    share = structure.unnamed_share(left, selection.base.cost - selection.chosen.cost, outcome.variance_inflation)
+    return RemainderTest(p_value, share, left.effect_to_noise, left.group_saved)
 
 
-def _left_by_names(structure: Structure, selection: Selection, variance_inflation: float) -> RemainderTest:
+def _left_by_names(outcome: SearchOutcome, selection: Selection) -> RemainderTest:
     """Return the test of what named terms and sensor errors within tolerance leave without the nuisance terms.
 
     Nuisance terms may stand for an effect that the search did not find, so what they take up is not explained.
     """
     known = named_or_tolerated(selection)
     named = [part for part, is_known in zip(selection.chosen.parts, known, strict=True) if is_known]
-    alone = replace(selection, chosen=fit_parts(structure.objective, named))
-    left = residuals_beside_form_error(structure.objective, alone.chosen)
-    return _remainder(structure, alone, variance_inflation, left)
+    objective = outcome.structure.objective
+    alone = replace(selection, chosen=fit_parts(objective, named))
+    left = residuals_beside_form_error(objective, alone.chosen)
+    return _remainder(outcome, alone, left)
 
 
 def _shares(selection: Selection, terms: Set[str]) -> dict[str, float]:
