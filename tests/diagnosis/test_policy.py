@@ -91,6 +91,7 @@ BESIDE_THEIR_ALGORITHM = {
     "remainder/flexible.py": {"_HARMONICS", "_KNOTS"},
     "remainder/formula.py": {"_ROWS_APART", "_SUBSAMPLES", "_BLOCK_SECONDS"},
     "remainder/location.py": {"_AVERAGE_SECONDS", "_ALIKE", "_FOLDS"},
+    "remainder/oscillation.py": {"_APART", "_DAMPING", "_RANK"},
     "remainder/spectrum.py": {"_BACKGROUND", "_LARGEST"},
     "remainder/structure.py": {"_RIDGE_SHARE"},
     "remainder/autocorrelation.py": {"_NEAR_ROWS"},
