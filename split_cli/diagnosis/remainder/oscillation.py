@@ -1,9 +1,9 @@
 """Responses of oscillators to the car's accelerations: what a mass on a spring, which the model lacks, would do.
 
-A load or fuel that sloshes, a trailer, a body that rolls and a driveline that winds up are masses on springs. They are
-no function of the operating point and no first-order memory of it. The residuals of a model that lacks one are
-correlated with what the accelerations did up to some seconds before. This is the test of the cross-correlation of
-residuals and inputs (Ljung, System Identification, 1999, section 16.6), in a basis of lightly damped oscillators.
+A load or fuel that sloshes, a trailer and a body that rolls are masses on springs. They are no function of the
+operating point and no first-order memory of it. The residuals of a model that lacks one are correlated with what the
+accelerations did up to some seconds before. This is the test of the cross-correlation of residuals and inputs (Ljung,
+System Identification, 1999, section 16.6), in a basis of lightly damped oscillators.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from split_cli.diagnosis.statement.wording import swinging_in_words
 from split_cli.vehicle.effects.recording import Recording, first_order_response
 from split_cli.vehicle.parameters import Vehicle
 
-#: Natural frequencies [Hz], half an octave apart. Judgement: fuel in a tank sloshes 0.4 times a second, a driveline
-#: winds up some 5 times a second.
-FREQUENCIES = tuple(0.35 * 2.0 ** (0.5 * k) for k in range(9))
+#: Natural frequencies [Hz], half an octave apart. Judgement: fuel in a tank sloshes 0.4 times a second, a body rolls up
+#: to three times a second. Faster are servos and tyres, which every car has, and of which a lag is an approximation:
+#: between equal model cars they save as much at 5.6 Hz as a load that sloshes.
+FREQUENCIES = tuple(0.35 * 2.0 ** (0.5 * k) for k in range(7))
 #: Damping ratio [1]. The response is wide by twice the damping ratio, so that neighbours overlap. Judgement.
 _DAMPING = 0.1
 #: Time constants of the first-order lags beside the oscillators [s], as in the flexible fit. Judgement.
@@ -108,12 +109,14 @@ class Oscillators:
         Notes
         -----
         A mass on a spring is at one frequency. What a nominal model gets wrong of every drive is spread over all. So a
-        frequency has to save clearly more than any that is an octave and a half or more away.
+        frequency has to save clearly more than any other does beyond its own floor. Others are those that are an octave
+        and a half away or more.
         """
         saved = self.savings(residuals, variance_inflation, variance_inflation)
+        beyond = [max(saved[one.groups[0]] - one.floor, 0.0) for one in self.fits]
         tested = []
         for k, one in enumerate(self.fits):
-            others = (other for j, other in enumerate(saved.values()) if abs(j - k) >= _APART)
+            others = (other for j, other in enumerate(beyond) if abs(j - k) >= _APART)
             around = one.objective.policy.self_test.unnamed_margin * max(others, default=0.0)
             beside = replace(one, floor=max(one.floor, around))
             fit = beside.fit(residuals, variance_inflation)
