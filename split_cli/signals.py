@@ -86,43 +86,45 @@ _POUND_FORCE = 4.4482216152605
 
 # Each unit with its other spellings. Superscripts and dots are folded before the look-up.
 _UNIT_TABLE: tuple[tuple[Unit, str], ...] = (
-    (Unit("s", "s", 1.0), "sec second seconds"),
-    (Unit("ms", "s", 1e-3), "msec millisecond milliseconds"),
+    (Unit("s", "s", 1.0), "sec second seconds с сек"),
+    (Unit("ms", "s", 1e-3), "msec millisecond milliseconds мс"),
     (Unit("us", "s", 1e-6), "μs usec microseconds"),
     (Unit("0.1ms", "s", 1e-4), "100us"),
     (Unit("0.1us", "s", 1e-7), "100ns"),
     (Unit("ns", "s", 1e-9), "nsec nanoseconds"),
     (Unit("min", "s", 60.0), "minutes"),
     (Unit("d", "s", 86400.0), "day days"),
-    (Unit("m", "m", 1.0), "metre metres meter meters"),
+    (Unit("m", "m", 1.0), "metre metres meter meters м"),
     (Unit("mm", "m", 1e-3), ""),
     (Unit("cm", "m", 1e-2), ""),
     (Unit("km", "m", 1e3), ""),
     (Unit("ft", "m", 0.3048), "feet foot"),
     (Unit("in", "m", 0.0254), "inch"),
-    (Unit("m/s", "m/s", 1.0), "mps m/sec ms-1 m.s-1"),
-    (Unit("km/h", "m/s", 1.0 / 3.6), "kmh kph kmph km/hr"),
+    (Unit("m/s", "m/s", 1.0), "mps m/sec ms-1 m.s-1 м/с"),
+    (Unit("km/h", "m/s", 1.0 / 3.6), "kmh kph kmph km/hr км/ч"),
     (Unit("mph", "m/s", 0.44704), "mi/h miles/h"),
     (Unit("kn", "m/s", 1852.0 / 3600.0), "knot knots kt"),
     (Unit("ft/s", "m/s", 0.3048), "fps ftps ft/sec"),
-    (Unit("rad", "rad", 1.0), "radian radians"),
+    (Unit("rad", "rad", 1.0), "radian radians рад"),
     (Unit("mrad", "rad", 1e-3), ""),
-    (Unit("deg", "rad", _DEGREE), "° degree degrees"),
+    (Unit("deg", "rad", _DEGREE), "° degree degrees град"),
     (Unit("cdeg", "rad", 1e-2 * _DEGREE), "centideg centidegrees"),
     (Unit("arcmin", "rad", _DEGREE / 60.0), "arcminute arcminutes \u2032"),
     (Unit("arcsec", "rad", _DEGREE / 3600.0), "arcsecond arcseconds \u2033"),
     (Unit("gon", "rad", np.pi / 200.0), ""),
+    (Unit("mil", "rad", np.pi / 3200.0), "mils"),  # of NATO, 6400 to the turn
+    (Unit("semicircle", "rad", np.pi / 2.0**31), "semicircles"),  # of receivers, a half turn in 32 bits
     (Unit("rev", "rad", 2.0 * np.pi), "turn turns revolution revolutions"),
-    (Unit("rad/s", "rad/s", 1.0), "radps rad/sec rad.s-1"),
-    (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec deg.s-1 dps"),
+    (Unit("rad/s", "rad/s", 1.0), "radps rad/sec rad.s-1 рад/с"),
+    (Unit("deg/s", "rad/s", _DEGREE), "degps °/s deg/sec deg.s-1 dps град/с"),
     (Unit("mdeg/s", "rad/s", 1e-3 * _DEGREE), "mdps milli-dps millidps"),
     (Unit("rpm", "rad/s", 2.0 * np.pi / 60.0), "1/min rev/min U/min min-1"),
-    (Unit("m/s^2", "m/s^2", 1.0), "m/s2 mps2 mpss m/s/s m/sec2 m/sec^2 ms-2 m.s-2"),
+    (Unit("m/s^2", "m/s^2", 1.0), "м/с2 м/с^2 m/s2 mps2 mpss m/s/s m/sec2 m/sec^2 ms-2 m.s-2"),
     (Unit("g", "m/s^2", STANDARD_GRAVITY), "gn G g's g-force"),
     (Unit("mg", "m/s^2", 1e-3 * STANDARD_GRAVITY), "milli-g millig mG"),
     (Unit("rad/s^2", "rad/s^2", 1.0), "rad/s2 radps2 rad.s-2"),
     (Unit("deg/s^2", "rad/s^2", _DEGREE), "deg/s2 degps2 °/s2"),
-    (Unit("N m", "N m", 1.0), "Nm N.m N-m newtonmetre newtonmeter newton-m newton-metre newton-meter"),
+    (Unit("N m", "N m", 1.0), "Нм Н.м Nm N.m N-m newtonmetre newtonmeter newton-m newton-metre newton-meter"),
     (Unit("N mm", "N m", 1e-3), "Nmm N.mm N-mm newton-mm newtonmillimetre newtonmillimeter"),
     (Unit("kN m", "N m", 1e3), "kNm kN.m"),
     (Unit("kgf m", "N m", STANDARD_GRAVITY), "kgfm kgf.m kgf-m"),
@@ -308,6 +310,8 @@ def convert_to_si(
     return values * found.factor + found.offset
 
 
+_FULL_WIDTH = {code: code - 0xFEE0 for code in range(0xFF01, 0xFF5F)} | {0x3000: " ", 0x3010: "[", 0x3011: "]"}
+"""Signs as wide as a Chinese or Japanese character, brackets among them, by the usual ones."""
 _BARRED = re.compile(r'"?(?P<name>[^"|]+)"?\|"?(?P<unit>[^"|]*)"?(\|[-+.\deE]*)+')
 _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[](?P<unit>[^()\[\]]*)[\)\]]\s*$")
 _BEHIND = re.compile(r"^(?P<name>.*\S)(?:\s*,\s+|\s+in\s+|\s+/\s+)(?P<unit>[^\s,]+)$")
@@ -321,6 +325,7 @@ TWO_WORDS = {
     "ft_s": "ft/s",
     "rad_s": "rad/s",
     "deg_s": "deg/s",
+    "mrad_s": "mrad/s",
 }
 """Units as the two last words of a name (``v_y_cm_s``), whose last alone would be another."""
 _PER = re.compile(
@@ -403,7 +408,7 @@ def split_name_and_unit(header: str) -> tuple[str, str | None]:
         The name, stripped of quotes, ``#`` and a bracketed unit; the unit's symbol as this module writes it,
         the bracket's own text when not known, None when nothing was said.
     """
-    text = header.strip().lstrip("#").strip().strip('"').strip()
+    text = header.translate(_FULL_WIDTH).strip().lstrip("#").strip().strip('"').strip()
     if _INDEXED.search(text):
         return text, None
     behind = _BEHIND.match(text) if len(text) < _LONGEST_NAME else None

@@ -23,8 +23,15 @@ NAMES_OF_CARS = frozenset(
 )
 """Titles, in lower case with blanks as underscores, of the column that says whose row it is."""
 _OF_A_LAP = re.compile(r"(?i)lap|sector|stint|run|runde")
+_OF_A_PICTURE = re.compile(r"(?i)frame([_ ]?(id|no|nr|num|number|idx|index))?")
 _MOST_CARS = 10_000
 _FEWEST_ROWS = 2
+_FEWEST_STAMPS, _MOST_WORDS, _LOOKED_AT = 20, 100, 12
+"""Different times, words of a column, and columns of numbers that are looked at [1]; judgement."""
+_HALF = 0.5
+"""Of the rows of a word that have a number, and of the columns in which all words have one [1]."""
+_ALONE, _SHARED = 0.95, 0.8
+"""Share of the rows that time and word tell apart, and of the words that a stamp has a row of [1]; judgement."""
 _SHOWN = 6
 _LONGEST_RUN = 50
 """Rows of one car between those of others, on average [1]; judgement: cars are recorded at up to ten times the rate of
@@ -60,7 +67,50 @@ def several_cars(recording: RawRecording) -> SeveralCars | None:
         filled = [n for n in np.argsort(-counts, kind="stable") if counts[n] >= _FEWEST_ROWS and names[n]]
         if len(filled) > 1 and _at_the_same_time(cars, filled, _time_of(recording, infos, len(cars))):
             return SeveralCars(info.name, {names[n]: int(counts[n]) for n in filled})
+    return _by_shared_stamps(recording, infos)
+
+
+def _by_shared_stamps(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> SeveralCars | None:
+    """Return the column of words that alone tells apart rows of one time, whatever it is called; None of others.
+
+    One car is in one state at a time: rows that have their stamps in common are of several, where each stamp has a
+    row for each word.
+    """
+    clock = time_column(infos)
+    texts = [info for info in infos if info.type_name == "text"]
+    if clock is None or clock.type_name == "text" or not texts:
+        return None
+    signal = recording.read([clock.name])[clock.name]
+    stamps, at, rows = np.unique(signal.values, return_inverse=True, return_counts=True)
+    # Rows of one moment stand together; laps whose clock starts again have their stamps in common far apart.
+    together = np.count_nonzero(at[1:] == at[:-1])
+    if signal.time is not None or len(stamps) < _FEWEST_STAMPS or together < _SHARED * (len(at) - len(stamps)):
+        return None
+    if np.median(rows) < _FEWEST_ROWS:
+        return None
+    for info in texts:
+        found = _cars_of(recording, info, most=_MOST_WORDS)
+        if found is None or len(found[0]) != len(at):
+            continue
+        words, names = found
+        pairs = np.unique(at.astype(np.int64) * len(names) + words)
+        apart = len(pairs) > _ALONE * len(at) and np.mean(rows) > _SHARED * len(np.unique(words))
+        if apart and _all_fill_the_same(recording, [i for i in infos if i.type_name != "text" and i != clock], words):
+            counts = np.bincount(words, minlength=len(names))
+            filled = [n for n in np.argsort(-counts, kind="stable") if counts[n] >= _FEWEST_ROWS and names[n]]
+            return SeveralCars(info.name, {names[n]: int(counts[n]) for n in filled})
     return None
+
+
+def _all_fill_the_same(recording: RawRecording, infos: Sequence[RawChannelInfo], words: np.ndarray) -> bool:
+    """Whether the rows of all words have numbers in the same columns; those of different messages have not."""
+    read = recording.read([info.name for info in infos[:_LOOKED_AT]])
+    filled = []
+    for signal in read.values():
+        known = np.isfinite(signal.values)
+        if len(known) == len(words) and known.any():
+            filled.append(min(np.mean(known[words == word]) for word in np.unique(words)) > _HALF)
+    return len(filled) > 0 and np.mean(filled) > _HALF
 
 
 def of_one_car(recording: RawRecording, rows: Mapping[str, str]) -> RawRecording:
@@ -144,10 +194,11 @@ def _cars_of(
 def _time_of(recording: RawRecording, infos: Sequence[RawChannelInfo], count: int) -> np.ndarray:
     """Return the clock of the rows in its own unit, shape (N,); their numbers where no column counts time.
 
-    A clock of the lap starts again for one car too.
+    A clock of the lap starts again for one car too. Where none counts time, the number of a picture does.
     """
     found = time_column(infos)
     found = None if found is not None and _OF_A_LAP.search(found.name) else found
+    found = found or next((info for info in infos if _OF_A_PICTURE.fullmatch(info.name.strip())), None)
     values = recording.read([found.name])[found.name].values if found is not None else np.zeros(0)
     return values if len(values) == count else np.arange(float(count))
 

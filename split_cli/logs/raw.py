@@ -14,7 +14,8 @@ TIME_COLUMNS = tuple(
     """
     t time timestamp timestamps elapsed_time sec seconds __time %time ts gps_tow tow itow gps_itow gps_time
     time_of_week sow logmonotime tempo timeus zeit zeitstempel 时间 时间戳 temps tiempo unix_time unix epoch utc
-    utc_time time_utc elapsed seconds_elapsed datetime date_time date/time stamp
+    utc_time time_utc elapsed seconds_elapsed datetime date_time date/time stamp cts
+    時間 時刻 время
     """.split()
 )
 """Names of columns that hold the time, in lower case, blanks as underscores, without ``_ms`` and the like."""

@@ -19,7 +19,7 @@ from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.one_car import several_cars
 from split_cli.logs.raw import RawChannelInfo
 from split_cli.logs.readers.cells import number_of
-from split_cli.logs.readers.dialect import utf_16_without_mark
+from split_cli.logs.readers.code_pages import utf_16_without_mark
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.readers.rows_above import is_scaling, listed_names
 from split_cli.logs.readers.yaml_documents import is_yaml_documents

@@ -12,6 +12,7 @@ import numpy as np
 from split_cli.errors import ClockError, LogError, MapError, nearest_names
 from split_cli.logs.assembling.clean import USUAL_GAP, newest_first, pause_between_runs
 from split_cli.logs.assembling.conversion import ConversionNotes, Converter, RawSeries, expected_unit
+from split_cli.logs.assembling.marks_of_nothing import without_marks
 from split_cli.logs.checking.plausible import DAMAGED
 from split_cli.logs.map_entries import ChannelMap, SignalMap, SignalSource
 from split_cli.logs.presets import preset_names
@@ -101,6 +102,13 @@ def gather(
     clocks = [name for name in (time_column, part.part if part else None) if name]
     signals = recording.read(list(dict.fromkeys([*wanted, *clocks])), chosen)
     notes = ConversionNotes([], [], [])
+    if time_column is None and not signal_map.time.period and signal_map.extras is None:
+        # Beside signals with clocks of their own, what has none is no channel: a vector of times, for instance.
+        mapped = {name for groups in found.values() for names in groups for name in names}
+        if all(signals[name].time is not None for name in mapped & signals.keys()):
+            extras = [name for name in extras if signals[name].time is not None]
+            signals = {name: signal for name, signal in signals.items() if signal.time is not None}
+    signals = _without_marks(signals, clocks, notes)
     found, absent = resolver.without_absent_elements(found, signals, needed)
     skipped += absent
     common, origin, words = _common_time(signals, time_column, signal_map, recording, notes)
@@ -123,6 +131,17 @@ def gather(
         tuple(dict.fromkeys(notes.contradictions)),
         tuple(skipped),
     )
+
+
+def _without_marks(
+    signals: Mapping[str, RawSignal], clocks: Sequence[str], notes: ConversionNotes
+) -> dict[str, RawSignal]:
+    """Return the signals without marks of missing values, each said once; a clock has none."""
+    kept = {}
+    for name, signal in signals.items():
+        kept[name], said = (signal, "") if name in clocks else without_marks(signal)
+        notes.conversions.extend([said] if said else [])
+    return kept
 
 
 def _converted(

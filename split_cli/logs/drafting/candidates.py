@@ -22,6 +22,7 @@ from split_cli.logs.drafting.trial import TrialCandidate, names_of
 from split_cli.logs.drafting.vocabulary import concepts_of, tokens_of
 from split_cli.logs.drafting.wheel_torques import sums_of_torques
 from split_cli.logs.raw import RawChannelInfo, RawRecording, split_stamps, time_column
+from split_cli.logs.readers.named_arrays import is_time
 from split_cli.signals import find_unit
 
 
@@ -32,12 +33,19 @@ def candidates_of(recording: RawRecording, infos: Sequence[RawChannelInfo]) -> l
     time = None if recording.clocks else time_column(infos)
     by_field |= {name for stamp in split_stamps(infos) for name in (stamp.whole, stamp.part)}
     columns = [info for info in infos if info != time and info.type_name != "text" and info.name not in by_field]
+    columns = [info for info in columns if not _is_time_of_a_structure(info.name)]
     renamed = named_without_source(infos) | named_by_axis(infos)
     for info in columns:
         if not is_of_a_state(info, infos) and not is_no_measurement(info):
             found += _by_name(info, renamed.get(info.name, info))
     found = _with_level_axis(_by_pairs(_unfiltered(found), infos), infos)
     return [*_signed(found, infos), *_fixes(found)]
+
+
+def _is_time_of_a_structure(name: str) -> bool:
+    """Whether a field is the time of its structure: ``SteerAngle.Time``; a T is a torque."""
+    structure, _, field = name.rpartition(".")
+    return bool(structure) and field != "T" and is_time(field)
 
 
 _FILTERS = frozenset("filt filtered filter smooth smoothed smth lp lowpass avg averaged".split())
@@ -92,6 +100,8 @@ def _by_name(info: RawChannelInfo, read_as: RawChannelInfo) -> Iterator[TrialCan
             continue  # the angle between car and path
         if channel in ("yaw", "r") and si in ("rad", "rad/s"):
             channel = "yaw" if si == "rad" else "r"  # some call the rate yaw, as the axis
+        if channel in ("X", "Y") and si == "rad":
+            channel = {"X": "longitude", "Y": "latitude"}[channel]  # a position in an angle is one on the globe
         expected = UNITS_OF.get(channel) or expected_unit(channel)
         turning = channel.startswith("wheel_speed") and si == "rad/s"
         turning = turning or (channel in ("delta", "steering_wheel_angle") and unit == "%")

@@ -230,6 +230,9 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     unit = s.unit or UNITS_OF.get(s.channel) or expected_unit(s.channel) or "1"
     if _agree_in_any_unit(s, chosen, verdict):
         return replace(s, unit=unit, reason=f"{remark}unit not stated, {unit} assumed: r and yaw agree in degrees too")
+    if holding and _turns_alone(s, key, holding):
+        shown = f"{holding[0].name} {holding[0].slope.slope:.3g}, of any unit of length"
+        return replace(s, unit=unit, reason=f"{_assumed(s, unit)}, and nothing judges its size: {shown}")
     if holding:
         notes = [f"; note: {f.text}" for f in verdict.findings if f.channel == s.channel]
         shown = "; ".join(f"{r.name} {r.slope.slope:.3g}" for r in holding[:3])
@@ -240,6 +243,12 @@ def with_status(s: Suggestion, chosen: Mapping[str, Suggestion], verdict: Consis
     if s.status == "stated":
         return replace(s, reason=f"{'; ' + s.reason if s.reason else ''}")
     return replace(s, unit=unit, reason=f"{_assumed(s, unit)}, and {_who_could_judge(s, verdict)}")
+
+
+def _turns_alone(s: Suggestion, key: str, holding: Sequence[Relation]) -> bool:
+    """Whether what agrees with a position of no stated unit is its turning, which is the same in feet and in counts."""
+    known = s.status == "stated" or s.unit is not None or bool(s.convert)
+    return key == "X" and not known and not any("X" in r.powers for r in holding)
 
 
 def _better_blamed(channel: str, holding: Sequence[Relation], verdict: Consistency) -> Relation | None:

@@ -77,6 +77,7 @@ class Draft:
     presets: tuple[str, ...] = ()  # whose sources are all recorded
     gap: float = 0.0  # what --gap must be for a motion so slowly recorded that ingest refuses it [s]; else 0
     rows: str = ""  # the map's line that chooses one of several cars; empty where there is one
+    cars: str = ""  # of columns of several cars: which are taken; empty where there is one
 
     def of(self, channel: str) -> Suggestion | None:
         """Return what is said of a channel, None when nothing is."""
@@ -109,6 +110,7 @@ def render_draft(draft: Draft, name: str) -> str:
         *(f"# {line}" for line in lines_on_presets(draft.presets)),
         draft.time,
         *([draft.rows] if draft.rows else []),
+        *([f"# CHECK: the log {draft.cars}. For another car, write its names."] if draft.cars else []),
         "frame: flu   # or frd: y right, z down",
         "channels:",
     ]

@@ -35,6 +35,13 @@ def hints_on_the_form(recording: RawRecording, infos: Sequence[RawChannelInfo]) 
             f"{recording.name} has no row of titles: write one as its first line, with units, for instance "
             "`time [s],vx [m/s],yaw_rate [deg/s]`, and start again.",
         )
+    listed = [info.name for info in infos if info.type_name.startswith(("list<", "large_list<", "fixed_size_list<"))]
+    if len(listed) > 1:
+        names = ", ".join(repr(name) for name in listed[:4]) + (", ..." if len(listed) > 4 else "")
+        return (
+            f"{recording.name} holds lists of numbers in its cells. Write a row for each number: in pandas, "
+            f"table.explode([{names}]).to_parquet('flat.parquet').",
+        )
     encoded = [note for note in recording.notes if "messages are encoded as" in note.what]
     if encoded and len(encoded) == len(infos):
         return tuple(f"{note.where} is {note.what}" for note in encoded[:3])

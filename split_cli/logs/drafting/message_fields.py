@@ -18,6 +18,9 @@ _FIELDS: tuple[tuple[str, str, str], ...] = (
     ("delta", r"(.*\.)?steering_(tire_)?angle", ""),
     ("latitude", r"(.*\.)?latitude", ""),
     ("longitude", r"(.*\.)?longitude", ""),
+    # GeoJSON (RFC 7946) has the longitude first.
+    ("longitude", r"(.*\.)?geometry\.coordinates\[0\]", ""),
+    ("latitude", r"(.*\.)?geometry\.coordinates\[1\]", ""),
     ("motor_current", r"(.*\.)?current_motor", ""),
 )
 _COMMANDS = re.compile(r"(^|[/_])(cmd|command|commands|ref|reference|target|desired|goal|setpoint)", re.IGNORECASE)
@@ -41,7 +44,7 @@ def field_candidates(infos: Sequence[RawChannelInfo]) -> list[tuple[str, tuple[s
         if (
             place is None
             or is_no_measurement(info)
-            or re.search(r"\[[1-9]\d*\]", info.name)
+            or re.search(r"(?<!coordinates)\[[1-9]\d*\]", info.name)
             or "covariance" in info.name
         ):
             continue

@@ -12,7 +12,7 @@ _UNIT_WORDS = {
     word: unit.symbol
     for word in """
         mps mps2 mpss kph kmh kmph mph kn knots rad mrad radps deg cdeg degps dps mdps degree degrees rpm s sec seconds
-        us ns nm bar kpa pct percent mm m ft g mg n fps ftps lbft ftlb
+        us ns nm bar kpa pct percent mm m ft g mg n fps mil ftps lbft ftlb
     """.split()
     if (unit := find_unit(word))
 }
@@ -189,12 +189,17 @@ def _directs(parts: list[str]) -> bool:
     """Tell whether the last part of an address only says along which axis the one before it is."""
     if len(parts) < 2:
         return False
-    own, before = (concepts_of(tokens_of(part))[0] for part in parts[-2:][::-1])
+    last = [word for word in tokens_of(parts[-1]) if word not in _UNIT_WORDS]
+    own, before = concepts_of(last)[0], concepts_of(tokens_of(parts[-2]))[0]
     # A position.lat is a latitude, a displacement.lateral is none.
     moved = {"displacement", "displacements"} & set(tokens_of(parts[-2]))
-    if concepts_of(tokens_of(parts[-1]))[1]:
+    if concepts_of(last)[1]:
         return False  # w_z says more than a direction
-    return bool(own) and own <= {"long", "lat", "up"} and bool(before & {"velocity", "acceleration", "rate"} or moved)
+    return (
+        bool(own)
+        and own <= {"long", "lat", "up", "yaw"}
+        and bool(before & {"velocity", "acceleration", "rate"} or moved)
+    )
 
 
 def named_by_axis(infos: Sequence[RawChannelInfo]) -> dict[str, RawChannelInfo]:

@@ -11,9 +11,11 @@ import numpy as np
 from split_cli.errors import SplitError
 from split_cli.logs.assembling.clean import newest_first
 from split_cli.logs.assembling.gather import fitting_presets
+from split_cli.logs.assembling.marks_of_nothing import without_marks
 from split_cli.logs.checking.checks import ACROSS
 from split_cli.logs.checking.consistency import Consistency
 from split_cli.logs.drafting.candidates import candidates_of
+from split_cli.logs.drafting.cars_in_columns import columns_of_one_car
 from split_cli.logs.drafting.clock import clock_of_rows, is_cut_in_degrees
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import Draft, Suggestion, line_on_cars, quoted, render_draft
@@ -88,12 +90,13 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     if cars is not None:
         own = of_one_car(recording, {cars.column: next(iter(cars.counts))})
         return replace(draft_map(own, row_rate=row_rate, vehicle=vehicle), rows=line_on_cars(cars))
-    infos = recording.channels()
+    infos, said_of_cars = columns_of_one_car(recording.channels())
     candidates = candidates_of(recording, infos)
     if not any(c.channel in _OF_MOTION for c in candidates):
         candidates += named_by_motion(recording, infos)
     triples = names_of_triples(infos)
     read, clock = _with_common_clock(recording, _read(recording, candidates, triples))
+    read = {name: without_marks(signal)[0] for name, signal in read.items()}
     signals = _of_one_table(read)
     candidates = [c for c in candidates if not set(names_of(c)) & (read.keys() - signals.keys())]
     time, line, known = clock_of_rows(recording, infos, signals, candidates, row_rate)
@@ -140,7 +143,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     presets = fitting_presets(recording, still)
     whole = (*suggestions, *dict.fromkeys(opened))
     gap = trial.gap(mapped) if trial.time_is_known else 0.0
-    return Draft(whole, line, unused, tuple(undefined), left_by, hints, by_gravity, presets, gap)
+    return Draft(whole, line, unused, tuple(undefined), left_by, hints, by_gravity, presets, gap, cars=said_of_cars)
 
 
 def _usable(
@@ -252,6 +255,8 @@ def _as_engines(s: Suggestion, infos: Sequence[RawChannelInfo], torque: np.ndarr
 def _in_pairs(suggestions: Sequence[Suggestion]) -> list[Suggestion]:
     """Leave X and Y open together: one of them alone is no position."""
     why = next((s.reason for s in suggestions if s.channel in ("X", "Y") and s.status == "open"), None)
+    if len({s.channel for s in suggestions} & {"X", "Y"}) == 1:
+        why = "its other axis was not found, and one alone is no position"
     return [s.left_open(why) if why and s.channel in ("X", "Y") else s for s in suggestions]
 
 

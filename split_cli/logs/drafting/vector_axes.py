@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter1d
 from split_cli.logs.checking.plausible import NO_CAR_EXCEEDS
 from split_cli.logs.drafting.draft import Suggestion
 from split_cli.logs.drafting.handedness import NOT_UP
-from split_cli.logs.drafting.trial import TrialCandidate
+from split_cli.logs.drafting.trial import TrialCandidate, names_of
 from split_cli.logs.raw import RawChannelInfo, RawSignal
 from split_cli.signals import STANDARD_GRAVITY, find_unit
 
@@ -18,6 +18,8 @@ _CLEARLY = 3.0
 _STEEPEST = 0.25
 """Slope of a road [1]: of passes 0.2, of the steepest streets 0.35 over 100 m. An axis that changes by more, beside one
 that hardly changes, is no height."""
+_YAWS = 0.1
+"""Part of a quaternion along one axis, below which it may be a roll or a pitch [1]: 11 degrees, more than cars do."""
 _SECONDS = 5.0
 """Over which a car that rolls and pitches comes back, and one that yaws does not [s]."""
 _HEAVE = 0.5
@@ -167,6 +169,7 @@ def along_the_car(
     another, or is the one of travel, z is not up: yaw rate, velocities, accelerations and positions are then taken
     from the axes that the data show. Names of world axes are left alone, since there z is up.
     """
+    candidates = [_about_its_own_axis(c, signals) for c in candidates]
     kinds = {
         _KINDS[c.channel]: three
         for three in triples
@@ -187,6 +190,23 @@ def along_the_car(
         for k in _wanted(c.channel, axes):
             made.append(replace(c, sources=(three[k],), note=axes.why))
     return made
+
+
+def _about_its_own_axis(c: TrialCandidate, signals: Mapping[str, RawSignal]) -> TrialCandidate:
+    """Return a quaternion with its axes in turn, so that the one about which it turns comes last, as z.
+
+    A car hardly rolls or pitches: of a world with y up, as motion capture has it, the part along y is the yaw's.
+    """
+    names = names_of(c)
+    if c.convert != "yaw_from_quaternion" or any(name not in signals for name in names):
+        return c
+    sizes = [float(np.sqrt(np.nanmean(signals[name].values ** 2))) for name in names[:3]]
+    up = int(np.argmax(sizes))
+    if up == 2 or sizes[up] < _YAWS or not sizes[up] > _CLEARLY * max(size for k, size in enumerate(sizes) if k != up):
+        return c
+    turned = tuple(names[(up + 1 + k) % 3] for k in range(3))
+    note = f"{names[up]} is {sizes[up]:.2g} beside {sizes[2]:.2g} of {names[2]}: {NOT_UP}"
+    return replace(c, sources=(*turned, names[3]), unit=None, note=note)
 
 
 def _wanted(channel: str, axes: _Axes) -> tuple[int, ...]:

@@ -8,6 +8,7 @@ neutral.
 import re
 import unicodedata
 from functools import lru_cache
+from itertools import pairwise
 
 _WORDS: dict[str, str] = {
     "velocity": (
@@ -35,7 +36,7 @@ _WORDS: dict[str, str] = {
     "up": "z zv vert vertical heave up down hoch",
     "linear": "linear lin",
     "steer": "steer steered steering eps str strg lenk 转向 lenkung braquage direccion sterzo sterzata",
-    "handwheel": "handwheel lws lenkrad stw swa sw msw volant volante 方向盘 转向盘",
+    "handwheel": "handwheel lws lrw lenkrad stw swa sw msw volant volante 方向盘 转向盘",
     "wheel": "wheel wheels whl whls roadwheel roue roues rueda ruedas ruota ruote 轮 车轮",
     "road": "road tire tyre",
     "torque": "torque torques trq tq moment mom drehmoment couple par coppia 转矩 扭矩 力矩",
@@ -72,7 +73,7 @@ _WORDS: dict[str, str] = {
         "radius distance dist combined combo gear ratio level battery voltage power fuel lean satellites "
         "sats hdop aax aay aaz residual spring damper jounce suspension steps engine_speed orientation quaternion "
         "roulis tangage rollio beccheggio balanceo cabeceo wank nick "
-        "quat opp opponent rival obstacle ghost prev previous"
+        "quat relative opp opponent rival obstacle ghost prev previous"
     ),
     "driver": "driver fahrer",
     "user": "user pilot",
@@ -99,10 +100,33 @@ _WORDS: dict[str, str] = {
         "output feedback scene stellung stand rohwert wert 车辆 车身 质心 开度 实际 测量"
     ),
 }
-_CONCEPT = {word: concept for concept, words in _WORDS.items() for word in words.split()}
+_OF_OTHER_SCRIPTS: dict[str, str] = {
+    "velocity": "車速 скорость скорости",
+    "acceleration": "ускорение",
+    "angular": "угловая",
+    "rate": "レート レイト",
+    "yaw": "ヨー ヨーイング 方位 рыскания рыскание",
+    "angle": "угол",
+    "position": "координата",
+    "long": "前後 продольное продольная",
+    "lat": "横 поперечное поперечная боковое",
+    "steer": "操舵 舵角",
+    "handwheel": "ハンドル ステアリング руля руль рулевого",
+    "wheel": "車輪 колеса колесо",
+    "torque": "トルク момент",
+    "brake": "ブレーキ тормоза тормоз",
+    "throttle": "アクセル дроссель",
+    "": "поворота 車両",
+}
+"""The same in Japanese and Russian."""
+_CONCEPT = {
+    word: concept for table in (_WORDS, _OF_OTHER_SCRIPTS) for concept, words in table.items() for word in words.split()
+}
 CORNERS = ("fl", "fr", "rl", "rr")
 _FOLD = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ψ": "psi", "β": "beta", "δ": "delta"})
 _PARTS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+_VOICED = "\u3099\u309a"
+"""Marks that make other syllables of Japanese ones, no accents."""
 _SIDES = ("left", "right")
 _AXES = ("x", "y", "z")
 
@@ -116,10 +140,16 @@ def tokens_of(name: str) -> list[str]:
     """Return the words of a name in lower case; compounds of known words are parted, others stay whole."""
     folded = unfolded(name)
     folded = re.sub(r"(?i)(?<![a-z])g[-_ ]?force", "gforce", folded)
-    folded = "".join(ch for ch in unicodedata.normalize("NFKD", folded) if not unicodedata.combining(ch))
+    folded = "".join(
+        ch for ch in unicodedata.normalize("NFKD", folded) if ch in _VOICED or not unicodedata.combining(ch)
+    )
+    folded = unicodedata.normalize("NFC", folded)
     found: list[str] = []
-    for piece in re.findall(r"[A-Za-z0-9]+|[\u4e00-\u9fff]+", folded):
-        if piece[0] > "\u4dff":
+    for piece in re.findall(r"[A-Za-z0-9]+|[\u0400-\u04ff]+|[\u3040-\u30ff\u4e00-\u9fff]+", folded):
+        if "\u0400" <= piece[0] < "\u0500":
+            found.append(piece.lower())
+            continue
+        if piece[0] > "\u303f":
             found += _of_characters(piece)
             continue
         # L1 is a wheel and FL a corner: what is a word as it stands is not parted at its capitals.
@@ -163,8 +193,19 @@ def _segmented(word: str) -> tuple[str, ...]:
     return best[-1] or (word,)
 
 
+def _with_joined_corners(words: list[str]) -> list[str]:
+    """Return words with two letters for an axle and one for a side as the corner: FrL, ReR."""
+    ends, sides = {"fr": "f", "re": "r"}, ("l", "r")
+    joined = [ends[a] + b for a, b in pairwise(words) if a in ends and b in sides]
+    if len(joined) != 1:
+        return words
+    at = next(n for n, (a, b) in enumerate(pairwise(words)) if a in ends and b in sides)
+    return [*words[:at], joined[0], *words[at + 2 :]]
+
+
 def concepts_of(words: list[str]) -> tuple[set[str], int]:
     """Return what the words stand for, and how many are not known."""
+    words = _with_joined_corners(words)
     known = [_CONCEPT[word] for word in words if word in _CONCEPT]
     concepts = {concept for entry in known for concept in entry.split()}
     if {"steer", "driver"} <= concepts:

@@ -8,6 +8,7 @@ import numpy as np
 _DIGITS_BEHIND = (1.0, 100.0, 1000.0)
 """By which a number is divided to get HHMMSS: none, hundredths or thousandths of a second without a point [1]."""
 _LAST = 235959.9995
+_LAST_MINUTE = 2359.0
 _MINUTE, _DAY, _WEEK = 60.0, 86400.0, 604800.0
 """[s]."""
 _HALF_A_DAY = 43200.0
@@ -107,7 +108,8 @@ def packed_clock(values: np.ndarray) -> np.ndarray | None:
             continue
         seconds, minutes = clock % 100.0, clock // 100.0
         steps = np.diff(minutes)
-        fills = bool(np.any(steps > 0.0)) and seconds.max() > _FULL and minutes.max() >= 1.0
+        midnight = (minutes[:-1] == _LAST_MINUTE) & (minutes[1:] == 0.0)
+        fills = bool(np.any(steps > 0.0) or np.any(midnight)) and seconds.max() > _FULL and minutes.max() >= 1.0
         if not fills or seconds.max() >= 60.0 or (minutes % 100.0).max() >= 60.0:
             continue
         whole = np.full(len(values), np.nan)

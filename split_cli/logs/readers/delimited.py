@@ -182,7 +182,8 @@ def _columns(sniffed: Sniffed, path: Path, notes: list[ReadNote]) -> dict[str, t
             # "100: gps" under one speed and "calc" under another tell them apart.
             device = re.sub(r"[^A-Za-z ]", "", sniffed.devices[index]).strip()
             name = f"{name} {device}".strip()
-        elif title in repeated and name and sniffed.groups and sniffed.groups[index]:
+        elif name and sniffed.groups and sniffed.groups[index] and (title in repeated or name in ("w", "W")):
+            # The real part of a quaternion is alone in its group, its axes are in that of the position too.
             name = f"{sniffed.groups[index]}.{name}"
         elif title in messages:
             name = f"{messages[title][index]}.{name}"

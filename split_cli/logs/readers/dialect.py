@@ -1,18 +1,28 @@
 """Finding out how a delimited text file is written, from its first lines."""
 
-import codecs
 import csv
 import io
 import itertools
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from split_cli.errors import LogError, NoTableError
+from split_cli.logs.readers.code_pages import MARKS, encoding_of, utf_16_without_mark
 from split_cli.logs.readers.coordinates import titles_of_parts
-from split_cli.logs.readers.rows_above import LABELS_OF_NAMES, RULED, is_scaling, listed_names, scaling_rows
-from split_cli.signals import find_unit
+from split_cli.logs.readers.rows_above import (
+    LABELS_OF_NAMES,
+    RULED,
+    below_a_list,
+    is_scaling,
+    listed_names,
+    listed_scaling,
+    scaling_rows,
+    titles_a_list,
+)
+from split_cli.signals import find_unit, split_name_and_unit
 
 KNOWN_FORMATS = (
     "Known are MCAP, rosbag2, ROS 1 bag, CSV, Excel, JSON lines, YAML, VBO, Pi Toolbox, Parquet, Feather, MAT, HDF5, "
@@ -36,7 +46,6 @@ _TITLED_LINES = 60
 _ROWS_BELOW = 20
 _FEWEST_GROUPS = 2
 """Of several columns each, that make a row of groups [1]: one is the name of a table, or of its driver."""
-_MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _NUMBER_WITH_COMMA = re.compile(r"^[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d+)?$")
 _PLAIN = {".": _NUMBER, ",": _NUMBER_WITH_COMMA}
@@ -58,24 +67,6 @@ _WORD = re.compile(r"[^\W\d]")
 _UNIT_LIKE = re.compile(r"^[\[(]?[#A-Za-z°µ%/*^·.'\-\d² ]{0,12}[\])]?$")
 _PATTERN_OF_A_TIME = re.compile(r"(?=.*([hHms]{1,2}|[YyJ]{2,4}))[hHmsfSDdTtMYyJ0#.,:/\- ]{5,}")
 """What a spreadsheet writes as the unit of a clock or a date: hh:mm:ss,000 and TT.MM.JJJJ."""
-
-
-def utf_16_without_mark(head: bytes) -> str:
-    """Return the encoding of a text in UTF-16 whose mark is missing, by its zero bytes; empty of any other."""
-    pairs = head[: len(head) // 2 * 2]
-    for first, encoding in ((0, "utf-16-be"), (1, "utf-16-le")):
-        zeros, others = pairs[first::2], pairs[1 - first :: 2]
-        if len(zeros) > 20 and zeros.count(0) > 0.9 * len(zeros) and others.count(0) == 0:
-            return encoding
-    return ""
-
-
-def decoded(line: bytes) -> str:
-    """Return a line; one that is no UTF-8 is Western European."""
-    try:
-        return line.decode()
-    except UnicodeDecodeError:
-        return line.decode("cp1252", errors="replace")
 
 
 @dataclass(frozen=True)
@@ -127,8 +118,8 @@ def sniff(path: Path) -> Sniffed:
         whole = len(sample) < _SAMPLE_BYTES
     # A character that the sample's end cuts in two is none of an encoding.
     lines_of_it = sample if whole else sample[: sample.rfind(b"\n") + 1] or sample
-    unmarked = utf_16_without_mark(sample) or _encoding(lines_of_it)
-    mark, encoding = next(((m, e) for m, e in _MARKS if sample.startswith(m)), (b"", unmarked))
+    unmarked = utf_16_without_mark(sample) or encoding_of(lines_of_it)
+    mark, encoding = next(((m, e) for m, e in MARKS if sample.startswith(m)), (b"", unmarked))
     text = sample[len(mark) :].decode(encoding, errors="replace")
     lines = io.StringIO(text, newline="").readlines()
     if not whole and len(lines) > 1:
@@ -140,7 +131,7 @@ def sniff(path: Path) -> Sniffed:
     plain = [unwrapped(line) for line in lines] if quoted else lines
     for separator, decimal in _candidates(plain):
         rows = [split_line(line, separator) for line in plain]
-        full = _width_of_cut_rows(rows, separator, decimal)
+        full = _width_of_cut_rows(below_a_list(rows), separator, decimal)
         rows = [_filled_up(row, full) if full and _holds_values(row, decimal) else row for row in rows]
         first = _first_values(rows, decimal)
         if first is not None:
@@ -187,29 +178,6 @@ def _is_quoted_whole(lines: list[str]) -> bool:
         and all(len(split_line(line, separator)) == 1 for separator in _SEPARATORS)
     ]
     return len(filled) > 2 and 10 * len(whole) >= 9 * len(filled)
-
-
-#: A pair of bytes that is one of the 3,755 common characters of GB 2312, in a run of such pairs.
-_COMMON = re.compile(rb"(?<![\x80-\xff])(?:[\x80-\xff]{2})*?[\xb0-\xd7][\xa1-\xfe]")
-
-
-def _encoding(sample: bytes) -> str:
-    """Return UTF-8, the Chinese code page, or that of Western Europe.
-
-    In Chinese text the bytes beyond ASCII come in pairs (or in fours, with digits between), some of them common
-    characters. Umlauts stand alone; where two stand together (Größe) they would be a rare character.
-    """
-    if sample.isascii():
-        return "utf-8"
-    for encoding in ("utf-8", "gb18030"):
-        try:
-            codecs.getincrementaldecoder(encoding)().decode(sample, final=False)
-        except UnicodeDecodeError:
-            continue
-        runs = re.findall(rb"[\x80-\xff]+", re.sub(rb"[\x81-\xfe][0-9][\x81-\xfe][0-9]", b"", sample))
-        if encoding == "utf-8" or (all(len(run) % 2 == 0 for run in runs) and _COMMON.search(b" ".join(runs))):
-            return encoding
-    return "latin-1"
 
 
 def _candidates(lines: list[str]) -> list[tuple[str, str]]:
@@ -294,7 +262,7 @@ def is_grouped(cell: str, decimal: str) -> bool:
     return _GROUPED[decimal].match(cell.strip()) is not None
 
 
-def _holds_values(row: list[str], decimal: str) -> bool:
+def _holds_values(row: Sequence[str], decimal: str) -> bool:
     # Where nothing was measured a cell is no text; one that says nan stands for a number.
     filled = [cell for cell in map(str.strip, row) if cell not in _EMPTY or cell.lower() == "nan"]
     # The sample of a file has ten thousand cells, nearly all of them plain numbers.
@@ -315,7 +283,8 @@ def _first_values(rows: list[list[str]], decimal: str) -> int | None:
             continue
         if is_scaling(row, decimal):
             continue
-        following = [later for later in rows[index + 1 :] if any(later)][:_CONFIRMING_ROWS]
+        filled = (rows[at] for at in range(index + 1, len(rows)) if any(rows[at]))
+        following = list(itertools.islice(filled, _CONFIRMING_ROWS))
         good = sum(len(later) == width and _holds_values(later, decimal) for later in following)
         if _counts_steps(row, following, decimal):
             continue
@@ -331,7 +300,7 @@ def _counts_steps(row: list[str], following: list[list[str]], decimal: str) -> b
     return bool(following) and len(bare) > 0 and 2 * len(bare) >= len(steps)
 
 
-def _width_of_cut_rows(rows: list[list[str]], separator: str, decimal: str) -> int:
+def _width_of_cut_rows(rows: Sequence[Sequence[str]], separator: str, decimal: str) -> int:
     """Return how many cells a whole row has, where a writer cut the empty ones at its end off; 0 where none did.
 
     The rows begin as long as the titles above them, and none is longer.
@@ -380,6 +349,7 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     above = [_rejoined(row, width) for row in reversed(above[-5:]) if not _numbers_the_columns(row, [[]])]
     above = [row for row in above if not all(RULED.fullmatch(cell.strip()) for cell in row if cell.strip())]
     above = [row for row in map(_without_labels, above) if row and not is_scaling(row, dialect.decimal)]
+    above = [row for row in above if not titles_a_list(row)]
     above = titles_of_parts(above, width)
     titles = [n for n, row in enumerate(above) if _is_title_row(row, width) and not _holds_values(row, dialect.decimal)]
     listed = listed_names(rows[:first], width) if not titles else []
@@ -397,6 +367,9 @@ def _described(rows: list[list[str]], first: int, dialect: Dialect) -> Sniffed:
     units = units or _units_of_labview(rows[:first], width)
     groups = _groups(above[chosen + 1], width) if chosen + 1 < len(above) else None
     scaling = scaling_rows(rows[:first], width, dialect.decimal)
+    named = [split_name_and_unit(title)[0] for title in _filled_up(above[chosen], width)]
+    if scaling[0] is None and (said := listed_scaling(rows[:first], named, dialect.decimal)) is not None:
+        scaling, units = [said[0], said[1]], units or said[2]
     return Sniffed(dialect, _filled_up(above[chosen], width), units, values, False, 0, devices, groups, *scaling)
 
 
@@ -474,7 +447,7 @@ def _rejoined(row: list[str], width: int) -> list[str]:
     return made if abs(len(made) - width) <= 1 else row
 
 
-def _is_title_row(row: list[str], width: int) -> bool:
+def _is_title_row(row: Sequence[str], width: int) -> bool:
     titles = [cell.strip() for cell in row if cell.strip()]
     # One column more or less: exports disagree on a separator at the end of the line. A row of types names none.
     alike = all(_TYPE.fullmatch(title) for title in titles)

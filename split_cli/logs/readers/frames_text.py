@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from split_cli.logs.raw import unit_of_time
-from split_cli.logs.readers.dialect import LONGEST_LINE, decoded
+from split_cli.logs.readers.code_pages import decoded
+from split_cli.logs.readers.dialect import LONGEST_LINE
 from split_cli.logs.readers.frames_csv import TextFrame
 from split_cli.signals import find_unit, split_name_and_unit
 

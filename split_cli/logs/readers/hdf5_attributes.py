@@ -146,3 +146,22 @@ def _number(value: Any) -> float | None:
         return None
     number = float(np.ravel(value)[0])
     return number if np.isfinite(number) else None
+
+
+_RATES = ("sample_rate", "samplerate", "sampling_rate", "sampling_frequency", "rate", "frequency", "fs", "rate_hz")
+_PERIODS = ("dt", "period", "sample_time", "sample_period", "increment", "wf_increment")
+_STARTS = ("t0", "start", "start_time", "start_offset", "wf_start_offset")
+"""Attributes that say how a vector was sampled: its rate [Hz], or its period [s], and its first instant [s]."""
+
+
+def clock_of_samples(attributes: Mapping[str, Any], count: int) -> np.ndarray | None:
+    """Return the time of `count` values sampled as the attributes of their dataset say [s]; None where none does."""
+    said = {}
+    for key in attributes:
+        value = np.asarray(attributes[key])
+        if value.size == 1 and value.dtype.kind in "fiu" and np.isfinite(float(value.ravel()[0])):
+            said[key.lower()] = float(value.ravel()[0])
+    rate = next((said[key] for key in _RATES if said.get(key, 0.0) > 0.0), 0.0)
+    period = next((said[key] for key in _PERIODS if said.get(key, 0.0) > 0.0), 1.0 / rate if rate else 0.0)
+    start = next((said[key] for key in _STARTS if key in said), 0.0)
+    return start + period * np.arange(count) if period else None

@@ -53,7 +53,7 @@ class JointRecording:
             time = None if part.clocks else time_column(infos)
             stamps = [] if part.clocks else split_stamps(infos)
             if time is None and not stamps and not part.clocks:
-                time = _rising_in_seconds(part, infos)
+                time = rising_in_seconds(part, infos)
             clocks[id(part)] = {name for stamp in stamps for name in (stamp.whole, stamp.part)}
             if time is None and stamps:
                 self._split[id(part)] = stamps[0]
@@ -141,7 +141,7 @@ class JointRecording:
         return convert_to_si(signal.values, unit, where=part.name)
 
 
-def _rising_in_seconds(part: RawRecording, infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
+def rising_in_seconds(part: RawRecording, infos: Sequence[RawChannelInfo]) -> RawChannelInfo | None:
     """Return the first column that counts time and never falls, whatever it is called; None if there is none.
 
     It is in a unit of time, or counts since 1970.

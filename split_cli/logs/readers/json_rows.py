@@ -1,5 +1,6 @@
 """Rows written as JSON: an object a line (JSON lines, donkeycar catalogs), a list of objects, a list a column."""
 
+import contextlib
 import itertools
 import math
 import re
@@ -27,17 +28,25 @@ from split_cli.logs.raw import (
 from split_cli.logs.readers.cells import seconds_of
 from split_cli.logs.readers.json_channels import LARGEST_DOCUMENT, is_channel, open_json_channels
 from split_cli.logs.readers.json_document import LONGEST_ELEMENT, JsonDocument, parsed
+from split_cli.logs.readers.json_frames import frame_of_pandas
+from split_cli.logs.readers.json_topics import key_of_topics, rows_by_topic
 from split_cli.logs.readers.named_values import open_named_rows
+from split_cli.logs.readers.several_tables import joined_tables
 from split_cli.logs.scratch import GrowingColumn
 from split_cli.signals import split_name_and_unit, symbol_of
 
-_TOPICS = ("topic", "channel", "type", "msg_type", "message_type", "stream", "sensor", "source")
-"""Keys that say which sensor or topic a row is of, as `mcap cat --json` writes them."""
 _LISTED_ROWS = 200
 """Rows whose fields are listed: an event writes fields that the first row lacks [1]."""
 _PLACES, _ROWS_A_PLACE, _BYTES_A_PLACE = 16, 25, 1 << 18
 """Of a file of lines, where further rows are looked at for fields: a sensor may start late [1]."""
 _DEEPEST = 12
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_LONGEST_NUMBER = 64
+"""Of a text that is a number or a time [characters]."""
+_DEEPEST_LIST, _FEWEST_ROWS = 6, 20
+"""Objects one inside another around a list of rows, and rows that make a log of it [1]; judgement."""
+_SAYS_NOTHING = frozenset("samples data values rows points messages records".split())
+"""Keys of lists that leave it to the key before to say what they hold."""
 _LISTED_ELEMENTS = 64
 _NUMBERS_AT_ONCE, _ROWS_AT_ONCE = 1 << 20, 4096
 """Rows times fields, and rows, that are decoded before they go to their columns [1]: 8 MB."""
@@ -82,33 +91,12 @@ def open_json(path: Path) -> RawRecording:
     if named is not None:
         named.notes.extend(notes)
         return named
-    topic = _key_of_topics(beginning)
+    topic = key_of_topics(beginning)
     if topic:
-        known = _names_of(_by_topic(itertools.chain(beginning, _rows_of_places(path)), topic), path)
-        return _table(path, known, lambda: _by_topic(_rows(path, notes), topic), notes)
+        known = _names_of(rows_by_topic(itertools.chain(beginning, _rows_of_places(path)), topic), path)
+        return _table(path, known, lambda: rows_by_topic(_rows(path, notes), topic), notes)
     known = _names_of(itertools.chain(beginning, _rows_of_places(path)), path)
     return _table(path, known, lambda: _rows(path, notes), notes)
-
-
-def _key_of_topics(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the key that says of which topic a row is, where rows of several topics hold objects; else nothing."""
-    for key in _TOPICS:
-        topics = [row.get(key) for row in rows]
-        words = {topic for topic in topics if isinstance(topic, str)}
-        nested = any(isinstance(value, dict) for row in rows for value in row.values())
-        if 1 < len(words) < len(rows) and all(isinstance(topic, str) for topic in topics) and nested:
-            return key
-    return ""
-
-
-def _by_topic(rows: Iterable[dict[str, Any]], key: str) -> Iterator[dict[str, Any]]:
-    """Yield rows with what their objects hold under the name of their topic: two sensors may send alike messages."""
-    for row in rows:
-        topic = re.sub(r"[/.]+", ".", str(row.get(key) or "")).strip(".")
-        inside = {name: value for name, value in row.items() if isinstance(value, dict)}
-        plain = {name: value for name, value in row.items() if name not in inside}
-        content = next(iter(inside.values())) if len(inside) == 1 else inside
-        yield {**plain, topic: content} if inside and topic else row
 
 
 def _titles_of_lists(lines: Sequence[bytes]) -> list[str]:
@@ -247,7 +235,11 @@ def _whole(path: Path) -> RawRecording:
     if "" not in columns_of and _are_columns(lengths):
         longest = max(lengths)
         return _columns(path, [key for key, length in columns_of.items() if length == longest], longest, notes)
+    if (together := _tables_of_lists(path, notes)) is not None:
+        return together
     if not rows_of:
+        if (inside := _columns_inside(path, notes)) is not None:
+            return inside
         raise _no_rows(path)
     chosen = max(rows_of, key=lambda key: rows_of[key])
 
@@ -259,13 +251,89 @@ def _whole(path: Path) -> RawRecording:
                 return
 
     _refuse_columns_in_rows(next(rows(), {}), chosen, rows_of[chosen], path)
+    if topic := key_of_topics(list(itertools.islice(rows(), _LISTED_ROWS))):
+        by_topic: dict[str, list[dict[str, Any]]] = {}
+        for row in rows() if path.stat().st_size <= LARGEST_DOCUMENT else ():
+            by_topic.setdefault(str(row.get(topic)), []).append(row)
+        if (together := _with_own_clocks(path, by_topic, notes)) is not None:
+            return together
+        return _table(path, _names_of(rows_by_topic(rows(), topic), path), lambda: rows_by_topic(rows(), topic), notes)
     return _table(path, _names_of(rows(), path), rows, notes)
+
+
+def _columns_inside(path: Path, notes: list[ReadNote]) -> RawRecording | None:
+    """Return the lists of numbers of a document that holds them in objects (``velocity.x``); None of any other."""
+    if path.stat().st_size > LARGEST_DOCUMENT:
+        return None
+    if (frame := frame_of_pandas(path)) is not None:
+        return _of_columns(path, frame, notes)
+    lists: dict[str, np.ndarray] = {}
+    with contextlib.suppress(ValueError, RecursionError):
+        for place, item in JsonDocument(path).items(_DEEPEST_LIST):
+            values = np.fromiter(map(_number, item), dtype=float) if isinstance(item, Iterator) else np.zeros(0)
+            if np.isfinite(values).any() and len(lists) < MOST_FIELDS:
+                lists[".".join(place)] = values
+    if not _are_columns([len(values) for values in lists.values()] or [0]):
+        return None
+    longest = max(map(len, lists.values()))
+    return _of_columns(path, {key: values for key, values in lists.items() if len(values) == longest}, notes)
+
+
+def _of_columns(path: Path, columns: dict[str, np.ndarray], notes: list[ReadNote]) -> RawRecording:
+    """Return a recording of columns of one length."""
+    refuse_many_columns(len(columns), path.name)
+    signals, unique = {}, UniqueNames()
+    for key, values in columns.items():
+        own, unit = split_name_and_unit(key)
+        own = unique.of(own or key)
+        if np.isfinite(values).any():
+            signals[own] = RawSignal(own, None, values, unit)
+    return TableRecording(path.name, path, signals, notes=notes)
+
+
+def _tables_of_lists(path: Path, notes: list[ReadNote]) -> RawRecording | None:
+    """Return the lists of rows of a document that holds one for each sensor, however deep; None of any other."""
+    if path.stat().st_size > LARGEST_DOCUMENT:
+        return None
+    lists: dict[str, list[dict[str, Any]]] = {}
+    with contextlib.suppress(ValueError, RecursionError):
+        for place, item in JsonDocument(path).items(_DEEPEST_LIST):
+            rows = list(item) if isinstance(item, Iterator) else []
+            named = [key for key in place if key.lower() not in _SAYS_NOTHING and not key.startswith("[")]
+            if len(rows) >= _FEWEST_ROWS and all(isinstance(row, dict) for row in rows) and named:
+                lists.setdefault(named[-1], rows)
+    if len(lists) < 2:
+        return None
+    return _with_own_clocks(path, lists, notes)
+
+
+def _with_own_clocks(path: Path, lists: dict[str, list[dict[str, Any]]], notes: list[ReadNote]) -> RawRecording | None:
+    """Return lists of rows by name as one recording, each with its clock; None where fewer than two have one."""
+    tables = {}
+    for name, rows in lists.items():
+        with contextlib.suppress(LogError):
+            tables[name] = _table(path, _names_of(rows, path), lambda rows=rows: iter(rows), [])  # type: ignore[misc]
+    made = joined_tables(path, tables)
+    if made is not None:
+        made.notes.extend(notes)
+    return made
 
 
 def _refuse_columns_in_rows(row: dict[str, Any], key: str, count: int, path: Path) -> None:
     """Refuse a list whose objects are stretches, such as laps, with a list for each channel: none is a row."""
     if is_channel(row):
         raise _no_rows(path)
+    tracks = [n for n, one in row.items() if isinstance(one, list) and len(one) >= _FEWEST_ROWS]
+    tracks = [name for name in tracks if all(isinstance(item, dict) for item in row[name])]
+    if tracks:
+        place = f"[{key!r}][0][{tracks[0]!r}]" if key else f"[0][{tracks[0]!r}]"
+        raise LogError(
+            f"is a list of {count} objects with a list of rows each ({tracks[0]}: {len(row[tracks[0]]):,} in the "
+            "first), such as tracks",
+            where=path.name,
+            advice=f'Write the one that you need as a file, the first for instance by python -c "import json; '
+            f"json.dump(json.load(open('{path.name}')){place}, open('first.json', 'w'))\".",
+        )
     lists = {name: len(one) for name, one in row.items() if isinstance(one, list)}
     if not _are_columns(list(lists.values())):
         return
@@ -363,13 +431,15 @@ def _units_of(value: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[st
 
 
 def _number(value: Any) -> float:
-    """Return a number, or a text that is a time, as seconds; NaN for anything else."""
+    """Return a number, also one in quotes, or a text that is a time, as seconds; NaN for anything else."""
     if isinstance(value, bool | int | float):
         try:
             return float(value)
         except OverflowError:
             return math.nan
-    return seconds_of(value) if isinstance(value, str) and len(value) < 64 else math.nan
+    if not isinstance(value, str) or len(value) >= _LONGEST_NUMBER:
+        return math.nan
+    return float(value) if _NUMBER.fullmatch(value) else seconds_of(value)
 
 
 def _are_columns(lengths: Sequence[int]) -> bool:

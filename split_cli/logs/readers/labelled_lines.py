@@ -8,7 +8,8 @@ from typing import Any
 
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
 from split_cli.logs.readers.cells import number_of
-from split_cli.logs.readers.dialect import LONGEST_LINE, decoded
+from split_cli.logs.readers.code_pages import decoded
+from split_cli.logs.readers.dialect import LONGEST_LINE
 from split_cli.logs.readers.json_rows import table_of_rows
 
 _PAIR = re.compile(r"\s*([^\W\d][^:=,;\t\"]{0,80}?) ?[:=] ?(\"[^\"]*\"|[^,;\s]*)(?:[,;\t ]+|$)")

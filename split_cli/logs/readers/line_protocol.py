@@ -7,7 +7,8 @@ from pathlib import Path
 from split_cli.errors import LogError
 from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, unit_of_time
-from split_cli.logs.readers.dialect import LONGEST_LINE, decoded
+from split_cli.logs.readers.code_pages import decoded
+from split_cli.logs.readers.dialect import LONGEST_LINE
 from split_cli.logs.scratch import GrowingSignal
 from split_cli.signals import find_unit, split_name_and_unit
 

@@ -14,7 +14,13 @@ from split_cli.errors import LogError, damaged
 from split_cli.logs import scratch
 from split_cli.logs.budget import LONGEST_NAME, MOST_FIELDS, Unfolded, refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote, note_once
-from split_cli.logs.readers.hdf5_attributes import name_of_index, titles_of_block, titles_of_matrix, unpacked
+from split_cli.logs.readers.hdf5_attributes import (
+    clock_of_samples,
+    name_of_index,
+    titles_of_block,
+    titles_of_matrix,
+    unpacked,
+)
 from split_cli.logs.readers.mat5_structure import check_mat5
 from split_cli.logs.readers.named_arrays import VALUE_FIELDS, recording_of_vectors
 from split_cli.logs.scratch import set_aside
@@ -349,6 +355,9 @@ class _Hdf5:
         scaled = unpacked(values, item.attrs)
         # HDF5 keeps the order of dimensions of the writer, MATLAB's is the reverse.
         self.leaves.append((titled, _aside((values if scaled is None else scaled).T)))
+        clock = clock_of_samples(item.attrs, values.size) if min(values.shape) == 1 < values.size else None
+        if clock is not None:
+            self.leaves.append((f"{name}_time", clock[:, None]))
 
     def _add_field(self, item: Any, name: str, field: str, values: np.ndarray) -> None:
         """Add a field of a table; those of a block of pandas by their titles, under the name of the frame."""

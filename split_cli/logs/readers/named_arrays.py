@@ -29,6 +29,8 @@ _FEWEST_ROWS = 20
 _STATE = 4
 """Columns of a matrix, all of which are 0 together only where nothing was written [1]; judgement: with three a car
 may stand at its origin."""
+_RISES = 0.95
+"""Share of the steps of a time that are forward [1]."""
 _VALUE_NAMES = ("signals.values", "values", "data", "Data")
 
 
@@ -200,7 +202,7 @@ def _rises_evenly(row: np.ndarray) -> bool:
 
 def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the time of each array that stands beside one of its own: of Simulink, of a sensor, or called after it."""
-    clocks = _clocks_of_structures(arrays) | _clocks_called_after(arrays)
+    clocks = _clocks_of_first_words(arrays) | _clocks_of_structures(arrays) | _clocks_called_after(arrays)
     for name in arrays:
         for ending in _VALUE_NAMES:
             if not name.endswith("." + ending):
@@ -209,6 +211,29 @@ def _own_clocks(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
             beside = next((arrays[structure + t] for t in _TIME_NAMES if structure + t in arrays), None)
             if beside is not None:
                 clocks[name] = np.asarray(beside, dtype=np.float64).ravel()
+    return clocks
+
+
+def _clocks_of_first_words(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return for each array the rising vector that begins as it does: ``imu_t`` for ``imu_acc`` and ``imu_gyro_z``.
+
+    Where one time has all lengths, or one alone is so called, nothing is told apart.
+    """
+    times: dict[str, np.ndarray] = {}
+    for name, values in arrays.items():
+        front, _, last = name.rpartition("_")
+        if front and "." not in name and _TIME_FIELD.fullmatch(last) and min(values.shape, default=0) == 1:
+            time = np.asarray(values, dtype=np.float64).ravel()
+            step = np.diff(time[np.isfinite(time)])
+            if len(step) and np.mean(step > 0) > _RISES:
+                times[front] = _in_seconds(time, None)
+    clocks: dict[str, np.ndarray] = {}
+    if len(times) < 2 or len({len(time) for time in times.values()}) < 2:
+        return clocks
+    for name, values in arrays.items():
+        front = next((f for f in sorted(times, key=len, reverse=True) if name.startswith(f"{f}_")), "")
+        if front and len(times[front]) in values.shape:
+            clocks[name] = times[front]
     return clocks
 
 

@@ -9,16 +9,20 @@ from split_cli.errors import LogError, NoRecordingError, NoTableError
 from split_cli.files import refuse_no_regular_file
 from split_cli.logs.raw import RawRecording
 from split_cli.logs.readers.can import DATABASE_SUFFIXES, is_can_log, open_can
+from split_cli.logs.readers.code_pages import utf_16_without_mark
 from split_cli.logs.readers.definitions import Definitions
-from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff, utf_16_without_mark
+from split_cli.logs.readers.dialect import KNOWN_FORMATS, sniff
 from split_cli.logs.readers.guard import GuardedRecording, guarded
 from split_cli.logs.readers.ibt import is_ibt, open_ibt
 from split_cli.logs.readers.json_rows import is_json, open_json
 from split_cli.logs.readers.labelled_lines import is_labelled, open_labelled
 from split_cli.logs.readers.line_protocol import is_line_protocol, open_line_protocol
+from split_cli.logs.readers.lines_of_objects import form_of_objects, open_objects
 from split_cli.logs.readers.messages import Container, MessageRecording
 from split_cli.logs.readers.named_values import open_named_table, table_of_named_values
+from split_cli.logs.readers.novatel import is_novatel, open_novatel
 from split_cli.logs.readers.pi_toolbox import is_pi_toolbox, open_pi_toolbox
+from split_cli.logs.readers.rewritten_tables import is_rewritten, open_rewritten
 from split_cli.logs.readers.rows_of_kinds import open_rows_of_kinds, titles_of_kinds
 from split_cli.logs.readers.yaml_documents import is_yaml_documents, open_yaml_documents
 
@@ -38,7 +42,7 @@ _FOREIGN_MAGIC = (
     (b"ULog\x01\x12\x35", "a ULog of PX4", "Convert it with ulog2csv, and name its tables with --together."),
     (b"|CF,", "an imc FAMOS file", "Export it as CSV or MAT."),
     (b"CM-ERG", "a result of CarMaker", "Export it as CSV or MAT."),
-    (b"<?xml", "XML", "Export it as CSV."),
+    *((begins, "XML", "Export it as CSV.") for begins in (b"<?xml", b"<kml", b"<gpx", b"<osm", b"<!DOCTYPE")),
     *(
         (talker, "a list of NMEA sentences", "They hold position and speed alone. Record a table, with a yaw rate.")
         for talker in (b"$GP", b"$GN")
@@ -110,9 +114,16 @@ def is_prose(path: Path) -> bool:
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
-        known = is_can_log(path, head) or is_pi_toolbox(head) or is_json(head) or is_labelled(head)
+        known = (
+            is_can_log(path, head)
+            or bool(form_of_objects(head))
+            or is_novatel(head)
+            or is_pi_toolbox(head)
+            or is_json(head)
+            or is_labelled(head)
+        )
         known = known or titles_of_kinds(head) is not None or is_line_protocol(head) or is_yaml_documents(head)
-        if not (known or table_of_named_values(head)):
+        if not (known or table_of_named_values(head) or is_rewritten(path)):
             sniff(path)
     except NoTableError:
         return bool(head) and not holds_titles_alone(path)
@@ -169,7 +180,7 @@ def _open_file(path: Path, message_paths: Sequence[str | Path]) -> RawRecording:
         raise LogError("is of no known format", where=path.name, advice=KNOWN_FORMATS)
     from split_cli.logs.readers.delimited import open_delimited
 
-    return open_delimited(path)
+    return open_rewritten(path) or open_delimited(path)
 
 
 def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path]) -> RawRecording | None:
@@ -234,6 +245,10 @@ def _open_by_content(path: Path, head: bytes, message_paths: Sequence[str | Path
         return open_json(path)
     if (places := table_of_named_values(head)) is not None:
         return open_named_table(path, places)
+    if is_novatel(head):
+        return open_novatel(path)
+    if form := form_of_objects(head):
+        return open_objects(path, form)
     if is_line_protocol(head):
         return open_line_protocol(path)
     if is_labelled(head):

@@ -10,8 +10,9 @@ import numpy as np
 from split_cli.errors import LogError
 from split_cli.logs.budget import refuse_many_columns
 from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, UniqueNames
+from split_cli.logs.readers.code_pages import decoded
 from split_cli.logs.readers.delimited import read_columns
-from split_cli.logs.readers.dialect import LONGEST_LINE, Dialect, decoded
+from split_cli.logs.readers.dialect import LONGEST_LINE, Dialect
 from split_cli.signals import find_unit, split_name_and_unit, symbol_of
 
 _BLOCK, _BRACE = b"{channelblock}", ord("{")

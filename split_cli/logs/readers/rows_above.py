@@ -43,3 +43,48 @@ def listed_names(rows: Sequence[Sequence[str]], width: int) -> list[str]:
     if len(names) < 2 or len(names) not in (width, width - 1):
         return []
     return names if len(names) == width else ["Time", *names]
+
+
+def titles_a_list(row: Sequence[str]) -> bool:
+    """Tell the titles of a list of channels above the values: one says Factor, and another Name or Signal."""
+    labels = {cell.strip().strip(":").lower() for cell in row}
+    return bool(labels & set(_FACTORS)) and bool(labels & set(LABELS_OF_NAMES))
+
+
+def below_a_list(rows: Sequence[Sequence[str]]) -> Sequence[Sequence[str]]:
+    """Return the rows below a list of channels above the values; all where there is none."""
+    at = next((n for n, row in enumerate(rows) if titles_a_list(row)), None)
+    if at is None:
+        return rows
+    return rows[next((n for n in range(at, len(rows)) if len(rows[n]) != len(rows[at])), len(rows)) :]
+
+
+_KEYED = re.compile(r"([A-Za-z]+)\s*[=:]\s*([^\s,;=]+)")
+_UNITS = ("unit", "units", "einheit")
+
+
+def listed_scaling(
+    rows: Sequence[Sequence[str]], names: Sequence[str], decimal: str
+) -> tuple[list[str], list[str], list[str]] | None:
+    """Return factors, offsets and units from lines above the values that each describe a channel; None where none do.
+
+    ``name=VehSpd unit=km/h factor=0.01 offset=0``, or a list of channels under titles that say Factor or Scale.
+    """
+    found: dict[str, dict[str, str]] = {}
+    labels: list[str] = []
+    for row in rows:
+        cells = [cell.strip() for cell in row]
+        if titles_a_list(cells):
+            labels = [cell.strip(":").lower() for cell in cells]
+            continue
+        keyed = {key.lower(): value for key, value in _KEYED.findall(" ".join(cells))}
+        if labels and not keyed and len(cells) == len(labels):
+            keyed = dict(zip(labels, cells, strict=True))
+        name = next((keyed[label] for label in LABELS_OF_NAMES if label in keyed and keyed[label] in names), "")
+        if name and any(_NUMBER[decimal].fullmatch(keyed.get(label, "")) for label in _FACTORS):
+            found[name] = keyed
+    if not found:
+        return None
+    columns = [found.get(name, {}) for name in names]
+    said = [[next((c[key] for key in keys if key in c), "") for c in columns] for keys in (_FACTORS, _OFFSETS, _UNITS)]
+    return said[0], said[1], said[2]

@@ -22,7 +22,8 @@ from split_cli.logs.raw import (
     unit_of_time,
 )
 from split_cli.logs.readers.cells import number_of
-from split_cli.logs.readers.dialect import LONGEST_LINE, decoded, split_line
+from split_cli.logs.readers.code_pages import decoded
+from split_cli.logs.readers.dialect import LONGEST_LINE, split_line
 from split_cli.logs.scratch import GrowingSignal
 from split_cli.signals import find_unit, split_name_and_unit
 

@@ -1,10 +1,11 @@
-"""Spreadsheets of Excel (.xlsx): the sheet with the most numbers, read as the table that it is exported to."""
+"""Spreadsheets of Excel (.xlsx): the sheet with the most numbers, or those with a time each, as their CSV reads."""
 
 import csv
 import itertools
 import re
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import date, time, timedelta
 from pathlib import Path
@@ -15,8 +16,11 @@ from split_cli.files import ScratchFolder
 from split_cli.logs.budget import refuse_unpacked_size
 from split_cli.logs.raw import RawRecording, ReadNote
 from split_cli.logs.readers.delimited import open_delimited
+from split_cli.logs.readers.several_tables import joined_tables
 
 _SHEET = re.compile(r"xl/worksheets/[^/]+\.xml")
+_FEWEST = 20
+"""Numbers of a sheet that may be a log beside another [1]; judgement: a sheet about the car has fewer."""
 _ROWS_LOOKED_AT = 400
 """Of each sheet, to see which holds the log [1]; judgement."""
 
@@ -32,6 +36,8 @@ def is_spreadsheet(path: Path, head: bytes) -> bool:
 def open_spreadsheet(path: Path) -> RawRecording:
     """Open the sheet of a workbook that holds the most numbers; of formulas the stored results are taken.
 
+    Sheets of several sensors, each with a column of time, are read together.
+
     Raises
     ------
     LogError
@@ -44,6 +50,8 @@ def open_spreadsheet(path: Path) -> RawRecording:
         sheets = _sheets(path)
         numbers = {name: _numbers(itertools.islice(rows, _ROWS_LOOKED_AT)) for name, rows in sheets.items()}
         chosen = max(numbers, key=lambda name: numbers[name])
+        if (together := _together(path, [n for n, count in numbers.items() if count >= _FEWEST], scratch)) is not None:
+            return together
         with table.open("w", encoding="utf-8", newline="") as stream:
             csv.writer(stream).writerows(_of_one_width(_sheets(path)[chosen]))
     except LogError:
@@ -58,6 +66,18 @@ def open_spreadsheet(path: Path) -> RawRecording:
         recording.notes.append(ReadNote(f"other sheets with numbers, left out: {chosen} is read", path.name, others))
     made: RawRecording = recording
     return made
+
+
+def _together(path: Path, names: Sequence[str], scratch: ScratchFolder) -> RawRecording | None:
+    """Return the sheets of a workbook with a sheet for each sensor; None where fewer than two have a time."""
+    tables: dict[str, RawRecording] = {}
+    for number, name in enumerate(names if len(names) > 1 else ()):
+        table = scratch.path / f"{number}.csv"
+        with table.open("w", encoding="utf-8", newline="") as stream:
+            csv.writer(stream).writerows(_of_one_width(_sheets(path)[name]))
+        with suppress(LogError):
+            tables[name] = replace(open_delimited(table), name=f"{path.name}, {name}")  # type: ignore[type-var]
+    return joined_tables(path, tables)
 
 
 def _refuse_what_exhausts_memory(path: Path) -> None:

@@ -112,6 +112,8 @@ class InitResult:
         yield from (*lines_on_presets(self.draft.presets), *lines_on_runs(self.draft))
         if self.draft.rows:
             yield f"The log {self.draft.rows.partition(': the log ')[2]}: `rows:` in {self.map_path} chooses one."
+        if self.draft.cars:
+            yield f"The log {self.draft.cars}. For another car, write its names in {self.map_path}."
         if check := [s.channel for s in self.draft.suggestions if s.status == "assumed"]:
             yield f"Look at the lines marked CHECK in {self.map_path}: {', '.join(check)}."
         if self.draft.time.startswith("# time: {period"):
