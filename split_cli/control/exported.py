@@ -1,6 +1,9 @@
 """The residual of an export's CasADi file: what a controller has that knows nothing of this program."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi
 import numpy as np
@@ -12,7 +15,7 @@ from split_cli.control.residual import Residual, ResidualValues
 from split_cli.errors import ExportError, SetError
 from split_cli.export.verify import read_manifest
 from split_cli.learning.features import FeatureSet
-from split_cli.vehicle.parameters import Vehicle
+from split_cli.vehicle.parameters import Vehicle, vehicle_from_mapping
 
 
 class ExportedResidual(Residual):
@@ -23,7 +26,7 @@ class ExportedResidual(Residual):
     folder : Path
         Of `split export --target casadi`.
     vehicle : Vehicle
-        Which the controller drives with.
+        Of the file that the set was trained with; the controller drives with `vehicle` of this object.
 
     Raises
     ------
@@ -31,6 +34,11 @@ class ExportedResidual(Residual):
         If there is no export with CasADi's functions.
     SetError
         If the export is of another vehicle.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The one given, with the effects that training found beyond its file: the function corrects that model.
 
     Notes
     -----
@@ -50,9 +58,10 @@ class ExportedResidual(Residual):
             what = f"has states of {', '.join(lacking)} as features, which {vehicle.name} lacks"
             advice = "Name the set itself in place of its export: the set brings the term."
             raise SetError(what, where=str(folder), advice=advice)
-        if manifest["vehicle_digest"] != vehicle.digest():
+        self.vehicle = _with_found_effects(vehicle, manifest, folder)
+        if manifest["vehicle_digest"] != self.vehicle.digest():
             what = f"was exported for another vehicle than {vehicle.name}"
-            advice = "Name the vehicle file the set was trained with, or export a set of this vehicle."
+            advice = "Name the vehicle file the set was trained with, or export the set again with this version."
             raise SetError(what, where=str(folder), advice=advice)
         try:
             predict = casadi.Function.load(str(file))
@@ -96,3 +105,12 @@ class ExportedResidual(Residual):
         found = self.of_data(z)
         known = (found.knowledge[:, 1:] > LEAST_KNOWN).all(axis=1)
         return learned_grip(vehicle, self.features, z[known], found.mean[known])
+
+
+def _with_found_effects(vehicle: Vehicle, manifest: Mapping[str, Any], folder: Path) -> Vehicle:
+    """Return a vehicle with the lags that training found beyond its file, as the manifest of an export names them."""
+    count = int(manifest.get("found_effects", 0))
+    if not count:
+        return vehicle
+    exported = vehicle_from_mapping(manifest["vehicle"], where=f"{folder}: manifest.json")
+    return replace(vehicle, effects=(*vehicle.effects, *exported.effects[-count:]))

@@ -378,6 +378,8 @@ def _manifest(
         "cells": training_set.cell_count,
         "vehicle": provenance.vehicle,
         "vehicle_digest": provenance.vehicle_digest,
+        # How many of the vehicle's effects, the last ones, training found beyond the vehicle file.
+        **({"found_effects": training_set.found_effects} if training_set.found_effects else {}),
         "conventions": provenance.conventions,
         **({"memory": provenance.memory} if provenance.memory is not None else {}),
         "trust": list(training_set.trust.share),

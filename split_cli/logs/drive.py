@@ -41,6 +41,7 @@ __all__ = [
 ]
 
 INPUT_CHANNELS = ("T", "delta")
+_MAKE_A_DRIVE = "Give a recording to `split ingest` first."
 _GROUP_ROWS = 2**20
 #: Rows from which on `open_drive` leaves columns in the file [1]: 11 of them take 46 MB.
 LONG_ROWS = 2**19
@@ -268,7 +269,7 @@ def _read_table(path: Path) -> pa.Table:
         reason = reason_of(error)
         if "magic bytes not found" in reason:
             reason = "it is no Parquet file"
-        advice = "A drive is the Parquet that `split ingest` writes. Give a recording to `split ingest` first."
+        advice = f"A drive is the Parquet that `split ingest` writes. {_MAKE_A_DRIVE}"
         if "CRC" in reason:
             reason, advice = "its content does not match its checksums", "Copy it or ingest its log again."
         raise DriveError(f"cannot be read as a drive ({reason})", where=str(path), advice=advice) from error
@@ -302,7 +303,9 @@ def _drive_from_table(table: pa.Table, path: Path) -> Drive:
                 raise DriveError(f"two columns are {name}", where=str(path), advice="Leave one.")
             columns[name] = column_in_si(values, name, unit, path)
     if "t" not in columns:
-        raise DriveError("the drive lacks t", where=str(path), advice=nearest_names("t", columns))
+        # Cells of words are left out above: of a logger's table there may be no column left to name.
+        advice = f"{nearest_names('t', titles)} {_MAKE_A_DRIVE}"
+        raise DriveError("is no drive: it has no column t", where=str(path), advice=advice)
     return _checked_drive(columns, segment, period, metadata, path)
 
 

@@ -39,7 +39,7 @@ def lap_numbers(drive: Drive, wheelbase: float) -> np.ndarray:
         if np.isfinite(lap).all() and len(np.unique(lap)) > 1:
             return np.unique(lap, return_inverse=True)[1].astype(np.int64) + 1
     if not {"X", "Y"} <= set(drive.columns):
-        advice = "Map X and Y, or a column `lap` in `extras`."
+        advice = "Map X and Y, or a column `lap` in `extras`, or leave out --per-lap."
         raise DriveError("has no position and no lap channel, so it has no laps", where=drive.name, advice=advice)
     x, y = drive["X"] - drive["X"][0], drive["Y"] - drive["Y"][0]
     limit = closing_distance(wheelbase)
@@ -58,7 +58,7 @@ def lap_numbers(drive: Drive, wheelbase: float) -> np.ndarray:
             ends.append(row)
             away = False
     if not ends:
-        advice = "Give a drive of two laps or more, or leave out what needs laps."
+        advice = "Give a drive of two laps or more, or leave out --per-lap."
         raise DriveError("never comes back to where it began, so it has no laps", where=drive.name, advice=advice)
     lap = np.zeros(len(x), dtype=np.int64)
     lap[ends] = 1

@@ -29,7 +29,9 @@ class Belonging:
     grip: float | None
     # Largest steady lateral acceleration (99.5 % quantile) over what both axles' peaks allow [1].
     peak: float | None
-    traction: float | None  # recorded longitudinal force over that of the torque [1]
+    # Recorded longitudinal force beyond the resistances of the file over that of the torque, both without their
+    # means [1].
+    traction: float | None
 
     def contradictions(self) -> tuple[str, ...]:
         """Return what no recording of this vehicle can show, in words."""
@@ -58,7 +60,10 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     -----
     Steady turning: r = v_x delta/(L + K v_x^2) with K = m (l_r/C_f - l_f/C_r)/L, at less than half the grip;
     lateral force: m (v_x r + dv_y/dt) over 0.2 s against that of the nominal tyres; longitudinal force: m dv_x/dt
-    over 0.2 s against the nominal balance. Ratios are least squares through the origin.
+    over 0.2 s and what the nominal model loses to rolling, drag and turned wheels, against T/r_e. Ratios are least
+    squares through the origin. The means are taken off the longitudinal forces: at constant speed a torque shows
+    resistances alone, of which a file without them says nothing. Those of another car's file are noise: of the ratio
+    with them and the one without, that counts which goes better with the torque.
     """
     model = SingleTrack(vehicle, ())
     step = max(1, round(0.2 / drive.period))
@@ -86,13 +91,15 @@ def belonging(drive: Drive, vehicle: Vehicle) -> Belonging:
     loaded = np.abs(front_force) + np.abs(rear_force) > 0.5 * (car.front_tire.D + car.rear_tire.D)
     change = (drive.at("vx", rows + step) - vx) / (step * drive.period) - vy * r
     driven = torque / car.wheel_radius / car.mass
+    kept = model.velocity_derivative(vx, vy, r, torque, delta)[0] - vy * r
+    accounts = [(force - force.mean(), driven - driven.mean()) for force in (change + driven - kept, change)]
     peak = float(np.quantile(np.abs(lateral), 0.995)) / carried
     return Belonging(
         _ratio(r[gentle], expected[gentle]),
         # With effects in the file the plain tyres are not what it says.
         None if vehicle.effects else _ratio(lateral[loaded], nominal[loaded]),
         peak,
-        None if drive.metadata.is_derived("T") else _ratio(change, driven),
+        None if drive.metadata.is_derived("T") else _ratio(*max(accounts, key=lambda both: _correlation(*both))),
     )
 
 
@@ -100,11 +107,13 @@ def _ratio(recorded: np.ndarray, expected: np.ndarray) -> float | None:
     """Return the slope through the origin, None where the two hardly go together."""
     if len(recorded) < _FEWEST or not np.isfinite(recorded).all():
         return None
-    product = float(recorded @ expected)
-    sizes = float(recorded @ recorded), float(expected @ expected)
-    if min(sizes) <= 0.0 or product / np.sqrt(sizes[0] * sizes[1]) < 0.7:
-        return None
-    return product / sizes[1]
+    return float(recorded @ expected / (expected @ expected)) if _correlation(recorded, expected) >= 0.7 else None
+
+
+def _correlation(recorded: np.ndarray, expected: np.ndarray) -> float:
+    """Return the cosine between two signals; 0 where one is zero throughout or not finite."""
+    size = float(np.sqrt((recorded @ recorded) * (expected @ expected)))
+    return float(recorded @ expected) / size if 0.0 < size < np.inf else 0.0
 
 
 def near_points(training_set: TrainingSet, z: np.ndarray) -> np.ndarray:

@@ -63,13 +63,17 @@ class Comparison:
     @property
     def is_worse(self) -> bool:
         """Whether the error is larger than the nominal one, beyond chance and by what can be seen."""
-        ratio, low, _ = self.to_nominal
-        return low > 1.0 and ratio - 1.0 >= _VISIBLE
+        return _is_larger(self.to_nominal)
 
     @property
     def when(self) -> str:
         """The horizon in words."""
         return f"after {self.horizon:g} s" if self.horizon else "over one step"
+
+
+def _is_larger(compared: tuple[float, float, float]) -> bool:
+    ratio, low, _ = compared
+    return low > 1.0 and ratio - 1.0 >= _VISIBLE
 
 
 def number_blocks(time: np.ndarray, segment: np.ndarray, first: int = 0) -> np.ndarray:
@@ -239,11 +243,14 @@ def _where(comparisons: Sequence[Comparison], judged: Sequence[Comparison] = ())
 
 
 def warnings_of(comparisons: Sequence[Comparison]) -> tuple[str, ...]:
-    """Return a warning for every state that is worse than the nominal model or than persistence beyond chance."""
+    """Return a warning for every state that is worse than the nominal model or than persistence.
+
+    Beyond chance and by what can be seen: what the verdict calls "as the nominal model" is no warning.
+    """
     warnings = []
     for state in STATES:
         for other, attribute in (("the nominal model", "to_nominal"), ("holding the velocities", "to_held")):
-            worse = [c for c in comparisons if c.state == state and getattr(c, attribute)[1] > 1.0]
+            worse = [c for c in comparisons if c.state == state and _is_larger(getattr(c, attribute))]
             if worse:
                 c = max(worse, key=lambda c: getattr(c, attribute)[0])
                 ratio, low, high = map(_beside_one, getattr(c, attribute))

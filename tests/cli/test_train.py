@@ -166,6 +166,8 @@ def test_bad_input_is_one_line_and_exit_code_1(garage, tmp_path):
     car, good = garage / "car.yaml", drives_of(garage)[0]
     drive = read_drive(good)
     (tmp_path / "cut.parquet").write_bytes(good.read_bytes()[:5000])
+    # A logger's export, all cells in quotes, that lies in the folder of drives.
+    (tmp_path / "log.csv").write_text('"Time","GPS_Speed"\n' + '"sec","mph"\n' + '"0.05","31.1"\n' * 3)
     write_drive(drive.select(slice(0, 2)), tmp_path / "short.parquet")
     holes = np.where(np.arange(len(drive)) == 77, np.nan, drive["r"])
     for name, changed in (("holes", {"r": holes}), ("slow", {"vx": 0.01 * drive["vx"]})):
@@ -173,6 +175,11 @@ def test_bad_input_is_one_line_and_exit_code_1(garage, tmp_path):
     for name, options, message in (
         ("cut.parquet", "", "cut.parquet: cannot be read as a drive"),
         ("none.parquet", "", "none.parquet: no such file"),
+        (
+            "log.csv",
+            "",
+            "is no drive: it has no column t. Did you mean Time? Give a recording to `split ingest` first.",
+        ),
         ("short.parquet", "--horizon 0.1", "too short for a label"),
         ("holes.parquet", "", "non-finite values in r, the first in row 77"),
         ("slow.parquet", "", "no sample is inside the valid region"),

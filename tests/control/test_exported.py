@@ -12,8 +12,8 @@ import pytest
 from split_cli.control.exported import ExportedResidual
 from split_cli.control.residual import PredictorResidual
 from split_cli.errors import ExportError, SetError, SplitError
-from split_cli.learning.training_set import read_set
-from split_cli.vehicle.parameters import read_vehicle
+from split_cli.learning.training_set import read_set, write_set
+from split_cli.vehicle.parameters import EffectSpec, read_vehicle
 from split_cli.workflows.export import export_set
 from split_cli.workflows.racing.maneuver import ManeuverSettings, run_maneuvers
 from split_cli.workflows.racing.race import run_race
@@ -62,6 +62,23 @@ def test_a_lap_is_driven_with_an_export(learned, tmp_path):
     assert done.exit_code == 0, done.output
     (lap,) = json.loads(done.stdout)["laps"]
     assert not lap["ended"] and lap["outside"] == 0.0 and lap["failures"] == 0
+
+
+def test_an_export_brings_the_lags_that_training_found(learned, tmp_path):
+    """With the default `--lag` most exports were refused as those of another vehicle: the set's has a lag more."""
+    trained = read_set(learned[0])
+    lag = EffectSpec("drive_lag", {"tau": 0.05}, "along")
+    lagging = replace(trained, vehicle=replace(trained.vehicle, effects=(lag,)), found_effects=1)
+    write_set(lagging, tmp_path / "lag.split")
+    folder = tmp_path / "controller"
+    export_set(tmp_path / "lag.split", folder, ["casadi"], predictor="projected", queries=200, insist=True)
+    car = read_vehicle(CAR)
+    assert ExportedResidual(folder, car).vehicle.digest() == lagging.vehicle.digest() != car.digest()
+    for other in (replace(car, mass=1000.0), replace(car, effects=(lag,))):
+        with pytest.raises(SetError, match="another vehicle"):
+            ExportedResidual(folder, other)
+    (run,) = run_maneuvers(replace(WET, speeds=(10.0,), start_set=folder), CAR).runs
+    assert run.hit == 0 and not run.ended
 
 
 def test_what_is_no_export_of_this_car_is_refused(learned, tmp_path):

@@ -304,6 +304,8 @@ def test_findings_that_explain_little_are_not_headed_by_a_small_unexplained_part
     together = replace(rest, explained=0.97)  # beside another finding, with which its share overlaps
     assert unexplained_part((finding, finding), together) == "1 % of the gap unexplained"
     assert unexplained_part((finding,), replace(together, share=0.002)) == "less than 1 % of the gap unexplained"
+    # Structure was found in what is left, and the findings explain all that can be measured of it.
+    assert unexplained_part((finding,), replace(together, share=0.0)) == "less than 1 % of the gap unexplained"
 
 
 def test_place_does_not_stand_for_what_repeats_every_lap():

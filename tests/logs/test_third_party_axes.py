@@ -298,3 +298,33 @@ def test_a_counter_of_rows_is_no_clock_and_a_clock_tells_its_unit():
         assert time_column(one).name == name
     for unit, size in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
         assert unit_of_time(1.7e9 * size + np.arange(500) * 0.01 * size) == unit
+
+
+@pytest.mark.parametrize(
+    ("offset", "turned", "mirrored", "sure"),
+    [(3000.0, 0.0, False, True), (0.0, 0.5, False, False), (0.0, 0.0, True, False)],
+    ids=["east and north from elsewhere", "a frame of its own", "a game's, all to the right"],
+)
+def test_x_and_y_that_run_along_a_satellite_fix_tell_left_from_right(planted, tmp_path, offset, turned, mirrored, sure):
+    """A log with X, Y and latitude, longitude was said to hold no satellite fix: the pair that is not mapped counts."""
+
+    def write(t, c):
+        side = -1.0 if mirrored else 1.0
+        rotation = np.exp(1j * turned)
+        place = offset + rotation * (c["X"] + 1j * c["Y"])
+        return {
+            "t": t,
+            "x": place.real,
+            "y": side * place.imag,
+            "psi": side * (c["yaw"] + turned),
+            "lat": degrees_of(c)[0],
+            "lon": degrees_of(c)[1],
+            "vx": c["vx"],
+            "vy": side * c["vy"],
+            "wz": side * c["r"],
+        }
+
+    draft = drafted(Style(write), planted, tmp_path)
+    assert draft.of("X").sources == ("x",)
+    assert draft.left == ("the satellite fix that X, Y run along" if sure else "")
+    assert draft.of("r").status == ("judged" if sure else "unsided")

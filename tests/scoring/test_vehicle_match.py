@@ -8,6 +8,7 @@ import pytest
 from split_cli.errors import DriveError
 from split_cli.logs.drive import Drive
 from split_cli.scoring.vehicle_match import belonging, share_beyond
+from split_cli.vehicle.single_track import SingleTrack
 from split_cli.vehicle.tire import MagicFormula
 from split_cli.workflows.recordings import vehicle_warnings
 from tests.factories import make_drive, make_training_set, road_car
@@ -90,3 +91,48 @@ def test_a_car_that_slides_carries_what_its_tyres_do_not_what_it_turns_by():
     without = Drive("turning", columns | {"vy": 0.0 * t}, np.zeros(len(t), np.int32), 0.01)
     carried = (car.front_tire.D + car.rear_tire.D) / car.mass
     assert belonging(without, car).peak == pytest.approx(30.0 / carried, rel=0.01)
+
+
+def held_at_speed(vehicle, speed=20.0, steps=(0.0, 0.04, 0.0, -0.06, 0.0, 0.08), seconds=5.0, period=0.01):
+    """Return a drive of the vehicle's own equations through steps of steering, at a speed that the torque keeps."""
+    model = SingleTrack(vehicle)
+    rows = np.repeat(steps, int(seconds / period))
+    state, found = np.array([speed, 0.0, 0.0]), []
+    delta = 0.0
+    for target in rows:
+        delta += np.clip(target - delta, -0.4 * period, 0.4 * period)
+        coasting = model.velocity_derivative(*state, 0.0, delta)[0]
+        torque = vehicle.mass * vehicle.wheel_radius * (speed - state[0] - coasting)
+        found.append([*state, torque, delta])
+        state = state + period * np.array(model.velocity_derivative(*state, torque, delta))
+    vx, vy, r, torque, delta = np.array(found).T
+    t = period * np.arange(len(rows))
+    columns = {"t": t, "vx": vx, "vy": vy, "r": r, "T": torque, "delta": delta}
+    return Drive("steps.parquet", columns, np.zeros(len(t), np.int32), period)
+
+
+def test_a_torque_that_only_keeps_the_speed_in_turns_contradicts_no_car():
+    """Against the plain torque the car's own step steer was refused: it "accelerated 0.33 times as much"."""
+    drive = held_at_speed(road_car())
+    assert vehicle_warnings([drive], road_car()) == ()
+    assert belonging(drive, road_car()).traction == pytest.approx(1.0, abs=0.1)
+    # A file that knows no resistance yet is not contradicted by the torque that overcomes them.
+    bare = road_car(drag_coefficient=0.0, rolling_resistance_front=0.0, rolling_resistance_rear=0.0)
+    assert vehicle_warnings([drive], bare) == ()
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_a_torque_before_the_gears_or_in_another_unit_is_refused_in_turns_and_on_a_lap(drive, factor):
+    for own in (drive, held_at_speed(road_car())):
+        other = replace(own, columns={**own.columns, "T": factor * own["T"]})
+        with pytest.raises(DriveError, match="times as much for its torque"):
+            vehicle_warnings([other], road_car())
+
+
+def test_the_resistances_of_another_cars_file_do_not_hide_that_its_mass_is_another():
+    """With the drag of a light car with wings the torque of a road car goes with nothing; without it, it does."""
+    own = make_drive(7, segments=40, knot=1.0)
+    light = road_car(mass=120.0, drag_coefficient=40.0)
+    assert belonging(own, light).traction == pytest.approx(120.0 / road_car().mass, rel=0.3)
+    with pytest.raises(DriveError, match="times as much for its torque"):
+        vehicle_warnings([own], light)

@@ -79,6 +79,17 @@ def test_what_counts_as_none_when_a_trust_is_found_is_told_but_is_no_harm():
     assert said.startswith("verdict: the correction helps: v_x better (0.5") and "hardly worse (1.001 times" in said
 
 
+def test_what_no_decimal_shows_is_no_warning():
+    """A trust of 0.05 made an error larger by 0.002 % beyond chance: a warning beside "as the nominal model"."""
+    one = comparisons_of("bcm", "z2", [errors((2.0, 0.5, 1.0), 3)])[0]
+    unseen = replace(one, to_nominal=(1.00002, 1.00001, 1.00003), to_held=(0.9, 0.8, 0.95))
+    assert "v_x as the nominal model" in verdict([unseen]) and warnings_of([unseen]) == ()
+    beside_held = replace(unseen, to_held=(1.00002, 1.00001, 1.00003))
+    assert warnings_of([beside_held]) == ()
+    seen = replace(unseen, to_nominal=(1.0006, 1.0001, 1.0009), to_held=(1.5, 1.4, 1.6))
+    assert len(warnings_of([seen])) == 2
+
+
 def test_with_too_few_blocks_nothing_is_claimed():
     found = comparisons_of("bcm", "z2", [errors((5.0, 5.0, 5.0), 5, blocks=3)])
     assert "too few blocks" in verdict(found) and warnings_of(found) == ()

@@ -454,7 +454,8 @@ def unexplained_part(findings: Sequence[Finding], remainder: RemainderTest | Non
     """Return how much of the gap findings leave without a name: ``less than 1 % of the gap unexplained``."""
     if remainder is None:
         return "an unexplained part"
-    return f"{percent(remainder.share + scatter(remainder, findings))} of the gap unexplained"
+    share = remainder.share + scatter(remainder, findings)
+    return f"{percent(share) if share > 0.0 else 'less than 1 %'} of the gap unexplained"
 
 
 def gap_left(findings: Sequence[Finding], remainder: RemainderTest) -> str:

@@ -51,6 +51,7 @@ class Suggestion:
     # Whether the unit is that of ROS messages, which the recording itself does not state.
     by_convention: bool = False
     foreign_unit: str = ""  # what the file states where a unit stands, and is none that is known
+    along_the_fix: bool = False  # of X and Y: whether a satellite fix beside them shows that they are east and north
 
     @property
     def never_changes(self) -> bool:

@@ -22,9 +22,11 @@ _HEADING = re.compile("head|hdg|azimuth|bearing|kurs", re.IGNORECASE)
 
 
 def path_is_certain(chosen: Mapping[str, Suggestion]) -> bool:
-    """Tell whether X, Y are east and north: of a satellite fix, or so called."""
+    """Tell whether X, Y are east and north: of a satellite fix, along one, or so called."""
     if not {"X", "Y"} <= set(chosen):
         return False
+    if chosen["X"].along_the_fix and chosen["Y"].along_the_fix:
+        return True
     if chosen["X"].convert == "local_x" and chosen["Y"].convert == "local_y":
         return True
     letters = {"e": "east", "n": "north", "pe": "east", "pn": "north"}
@@ -89,7 +91,7 @@ def what_tells_left(
     if not set(HANDED) & set(chosen):
         return NO_SIDE
     if path_is_certain(chosen):
-        return "east and north"
+        return "the satellite fix that X, Y run along" if chosen["X"].along_the_fix else "east and north"
     if _compass_is_certain(chosen):
         return "the compass"
     if any(s.sources[0].rpartition("/")[0] in of_ros and c in HANDED for c, s in chosen.items()):

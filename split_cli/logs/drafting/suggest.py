@@ -19,6 +19,7 @@ from split_cli.logs.drafting.cars_in_columns import columns_of_one_car
 from split_cli.logs.drafting.clock import clock_of_rows, is_cut_in_degrees
 from split_cli.logs.drafting.corrections import as_others_turn, as_siblings, correct, with_status
 from split_cli.logs.drafting.draft import Draft, Suggestion, line_on_cars, quoted, render_draft
+from split_cli.logs.drafting.fix_beside import along_the_fix
 from split_cli.logs.drafting.forms import hints_on_the_form
 from split_cli.logs.drafting.handedness import (
     as_bearing_by_name,
@@ -115,6 +116,7 @@ def draft_map(recording: RawRecording, *, row_rate: float | None = None, vehicle
     while world := without_the_world(usable, chosen, trial):  # a receiver and an inertial unit may both give one
         opened += world
         chosen = _choose(usable, trial)
+    chosen = along_the_fix(chosen, usable, trial, lambda candidate: _first_guess(candidate, trial))
     corrected, consistency = _with_rivals_that_fit(*correct(chosen, trial), usable, trial)
     corrected = as_others_turn(as_siblings(corrected, consistency), consistency)
     line += "".join(f"   # CHECK: {f.text}" for f in consistency.findings if f.channel == "time")

@@ -192,7 +192,8 @@ class Race:
         speed = min(0.5 * s.max_speed, self._careful_speed(-np.linspace(0.0, -self.start, 200)))
         self.world = World(self.car, self.path, speed, self.start, s.grip, None if s.exact_sensors else s.seed)
         if self.start_set is None:
-            self.header = header_without_kernel(self.vehicle, self.features, self.mpcc)
+            modelled = self.vehicle if self.exported is None else self.exported.vehicle
+            self.header = header_without_kernel(modelled, self.features, self.mpcc)
             self.learner: Learner = NoLearner(self.header, self.exported)
         else:
             self.header = self.start_set

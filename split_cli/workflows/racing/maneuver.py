@@ -229,7 +229,7 @@ def _residual(settings: ManeuverSettings, vehicle: Vehicle) -> tuple[Vehicle, Re
     if FilePath(settings.start_set).is_dir():
         exported = ExportedResidual(FilePath(settings.start_set), vehicle)
         grip = exported.grip(vehicle, settings.limits(vehicle).alpha_max) if settings.guarded else np.ones(2)
-        return vehicle, exported, f"export {exported.name} ({exported.predictor})", grip
+        return exported.vehicle, exported, f"export {exported.name} ({exported.predictor})", grip
     training_set = read_set(settings.start_set)
     check_trusted(training_set, vehicle, settings.start_set)
     check_predictor(settings.predictor, training_set.features)

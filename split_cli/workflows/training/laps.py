@@ -9,6 +9,8 @@ from split_cli.learning.labels import Labels
 from split_cli.learning.training_set import TrainingSet
 from split_cli.logs.drive import Drive
 from split_cli.logs.laps import lap_numbers
+from split_cli.vehicle.parameters import Vehicle
+from split_cli.workflows.training.labelled_drives import LabelledDrives
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,20 @@ class LapRow:
     points: int
     cells: int
     valid_share: float | None  # of the valid region's cells, how many are not empty [1]
+
+
+def check_laps(drives: LabelledDrives, vehicle: Vehicle) -> None:
+    """Stop before anything is learned if a drive has no laps: hyperparameters take minutes.
+
+    Raises
+    ------
+    DriveError
+        If a drive has no laps.
+    """
+    for number in range(len(drives)):
+        drive = drives.drive(number)
+        if drive is not None:
+            lap_numbers(drive, vehicle.wheelbase)
 
 
 def lap_rows(drive: Drive, labels: Labels, begin: TrainingSet) -> tuple[LapRow, ...]:

@@ -25,7 +25,7 @@ from split_cli.workflows.other_vehicle import trained_for_another
 from split_cli.workflows.recordings import usable_drives
 from split_cli.workflows.sources import DRIVE_SUFFIXES, enter_all, find_sources
 from split_cli.workflows.training.labelled_drives import LabelledDrives, Labelling, drive_digest
-from split_cli.workflows.training.laps import LapRow, lap_rows
+from split_cli.workflows.training.laps import LapRow, check_laps, lap_rows
 from split_cli.workflows.training.new_set import create_set
 from split_cli.workflows.training.settings import TrainSettings
 
@@ -176,6 +176,8 @@ def _train_set(
     if per_lap and drives.without_recording():
         advice = "Give the drive itself, or leave out --per-lap."
         raise SetError(f"{drives.without_recording()[0]} holds labels only: laps need the drive", advice=advice)
+    if per_lap:
+        check_laps(drives, vehicle)
     warm_up()
     drives.label_together()
     drives.leave_out_copies()
