@@ -86,8 +86,8 @@ class TestPlanted:
         assert np.sum(np.array(p_values) < 0.05) < 3
 
     def test_an_error_that_is_spread_over_frequencies_is_none(self, drive):
-        """A tyre that follows 10 ms late errs in proportion to the rate of v_x r. Oscillators alone would fit that."""
-        one = self.evidence(drive, 0.01 * np.gradient(drive["vx"] * drive["r"], drive.period), seed=9)
+        """A tyre that follows 20 ms late errs in proportion to the rate of v_x r. Oscillators alone would fit that."""
+        one = self.evidence(drive, 0.02 * np.gradient(drive["vx"] * drive["r"], drive.period), seed=9)
         objective = bare_objective(one)
         alone = [build_structure(objective, [[piece]]) for piece in oscillator_rows(one).swings]
         assert min(fit.fit(objective.residual(()), INFLATION).p_value for fit in alone) < 1e-6
