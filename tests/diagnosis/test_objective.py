@@ -76,17 +76,6 @@ def test_the_shared_discrepancy_is_learned_by_ridge():
     np.testing.assert_allclose(known.precision, stacked.T @ stacked, rtol=1e-9)
 
 
-def test_a_doubt_adds_to_the_variance_of_weights_and_moves_none():
-    one, two = written(1), written(2, rows=25)
-    plain, doubt = learn_discrepancy([one, two]), np.zeros(COLUMNS)
-    doubt[[1, 3]] = 0.2, 0.7
-    doubted = learn_discrepancy([one, two], doubt=doubt)
-    np.testing.assert_allclose(
-        np.linalg.inv(doubted.precision), np.linalg.inv(plain.precision) + np.diag(doubt**2), rtol=1e-8, atol=1e-12
-    )
-    np.testing.assert_array_equal(doubted.weights, plain.weights)
-
-
 def test_a_simulation_is_believed_as_far_as_the_dictionary_holds_it():
     """Rows of a tenth of the noise teach a hundred times as much, without any noise a thousand times, not more.
 

@@ -1,17 +1,14 @@
 """Lags and combined slip that simulation and reality share: found on the simulation, and a yaw inertia beside."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy, tangents
+from split_cli.diagnosis.baseline.discrepancy import SharedDiscrepancy, build_shared_discrepancy
 from split_cli.diagnosis.innovations.case import gather_case
 from split_cli.diagnosis.innovations.evidence import gather_evidence
 from split_cli.diagnosis.innovations.objective import build_objective, learn_discrepancy
 from split_cli.diagnosis.innovations.shared_terms import shared_terms_of
-from split_cli.diagnosis.recording.series import Series, build_series, extended_model
+from split_cli.diagnosis.recording.series import Series, build_series
 from split_cli.logs.drive import Drive
 from split_cli.proof.sets import scripted_drive
 from split_cli.vehicle.effects import CATALOGUE
@@ -60,38 +57,6 @@ def test_a_nominal_car_has_none():
     torque, steer, relaxation, ellipse = shared_terms_of([gather_evidence(CAR, series, discrepancy)], discrepancy)
     assert torque.parameters["tau"] < 1e-3 and steer.parameters["tau"] < 1e-3
     assert relaxation.parameters["length"] < 0.01 and ellipse.parameters["strength"] < 0.05
-
-
-@pytest.mark.parametrize("number", range(len(SHARED)))
-def test_a_doubt_is_a_share_of_each_shared_term(late_pair, number):
-    """Column times doubt is what the rates change by, if one shared term is a little larger."""
-    share, (sim, _) = 0.01, late_pair
-    terms = tuple(CATALOGUE[term](values) for term, values in SHARED.items())
-    discrepancy = replace(build_shared_discrepancy(CAR, sim), shared_terms=terms)
-    larger = [
-        type(one)({name: value * (1.0 + share * (k == number)) for name, value in one.parameters.items()})
-        for k, one in enumerate(terms)
-    ]
-    changed = sim.rates(extended_model(CAR, tuple(larger))) - sim.rates(extended_model(CAR, terms))
-    doubt = discrepancy.doubt(share)
-    # Each term has its own column.
-    (column,) = np.flatnonzero(doubt * [entry[0].id == terms[number].id for entry in _every_column(discrepancy)])
-    predicted = discrepancy.columns(sim)[:, :, column] * doubt[column]
-    # A tangent is a finite step behind the shared term, and two lags in a row are not quite one that is longer.
-    alike = np.vdot(predicted, changed) / np.vdot(changed, changed)
-    beside = np.linalg.norm(predicted - alike * changed) / np.linalg.norm(predicted)
-    assert 0.7 < alike < 1.3 and beside < 0.45
-    assert np.count_nonzero(doubt) == len(SHARED)
-
-
-def _every_column(discrepancy: SharedDiscrepancy) -> list[tuple]:
-    """Return the tangents, and an entry without a term for every other column."""
-    rest = len(discrepancy.unlike_shared_terms()) - len(tangents())
-    return [*tangents(), *[(SimpleNamespace(id=""),)] * rest]
-
-
-def test_a_nominal_simulation_leaves_no_doubt(late_pair):
-    assert not build_shared_discrepancy(CAR, late_pair[0]).doubt(0.1).any()
 
 
 def test_a_yaw_inertia_is_found_beside_terms_that_both_cars_have(late_pair):

@@ -81,22 +81,6 @@ class SharedDiscrepancy:
         smooth, slow = len(_EVEN) + 1 + 2 * (len(_ODD) + 4), 5 * len(_MEMORY_SECONDS)
         return np.array([*others, *[True] * smooth, *[False] * slow])
 
-    def doubt(self, share: float) -> np.ndarray:
-        """Return how uncertain weights are because a share of each shared term may be wrong, deviations (C,) [1].
-
-        The term that explains one drive best differs from that of another one: no tyre and no servo is of first order.
-        Only the tangents of the shared terms carry it.
-        """
-        sizes = {}
-        for term in self.shared_terms:
-            ((name, value),) = term.parameters.items()
-            sizes[term.id] = share * abs(value) / type(term).sizes(self.vehicle).get(name, 1.0)
-        # The smallest step of a term comes first, and is nearest to its derivative.
-        steps = [(kind.id, step) for kind, _, _, step in tangents()]
-        first = [one not in [earlier for earlier, _ in steps[:k]] for k, (one, _) in enumerate(steps)]
-        own = [sizes.get(one, 0.0) / step * is_first for (one, step), is_first in zip(steps, first, strict=True)]
-        return np.concatenate([own, np.zeros(len(self.unlike_shared_terms()) - len(own))])
-
     def rates(self, series: Series, weights: np.ndarray, terms: Sequence[Term] = ()) -> np.ndarray:
         """Return the rates of the weighted sum in the middle of samples, (N, 3) [m/s^2], [m/s^2], [rad/s^2].
 

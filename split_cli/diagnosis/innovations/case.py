@@ -112,9 +112,7 @@ def gather_case(vehicle: Vehicle, series: Sequence[Series], policy: Policy = STA
     noise = np.median([one.series.stated_noise for one in real], axis=0)
     disturbance = np.max([one.disturbance for one in real], axis=0)
     rewhitened = [rewhitened_with_noise(one, noise, disturbance, discrepancy) for one in simulated]
-    doubt = discrepancy.doubt(policy.selection.form_error_share)
-    widened = policy.comparison.variance_inflation
-    posterior = learn_discrepancy(rewhitened, widened, rules, doubt) if rewhitened else None
+    posterior = learn_discrepancy(rewhitened, policy.comparison.variance_inflation, rules) if rewhitened else None
     theirs = [one for series in by_role["sim"] for one in build_witnesses(series, rules=rules)]
     usual_by_kind = usual_weights_by_kind(theirs)
     kinematics = [one for series in by_role["real"] for one in build_witnesses(series, usual_by_kind, rules)]

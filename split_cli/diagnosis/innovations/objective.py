@@ -47,10 +47,7 @@ class DiscrepancyPosterior:
 
 
 def learn_discrepancy(
-    simulations: Sequence[Evidence],
-    variance_inflation: float = 1.0,
-    rules: Believing = STANDARD.believing,
-    doubt: np.ndarray | None = None,
+    simulations: Sequence[Evidence], variance_inflation: float = 1.0, rules: Believing = STANDARD.believing
 ) -> DiscrepancyPosterior:
     """Learn the shared discrepancy from whitened simulations.
 
@@ -58,8 +55,6 @@ def learn_discrepancy(
     ----------
     variance_inflation : float
         Factor by which autocorrelation widens the variance of the rows [1].
-    doubt : ndarray, shape (C,), optional
-        Standard deviations by which weights may differ between two drives, see `SharedDiscrepancy.doubt`.
 
     Notes
     -----
@@ -79,11 +74,7 @@ def learn_discrepancy(
         long_run = _long_run_variance(left).max()
         noise = variance_inflation * float(np.clip(long_run, rules.least_noise, rules.most_noise))
     precision = prior + normal / noise
-    weights = np.linalg.solve(precision, score / noise)
-    if doubt is not None and doubt.any():
-        precision = np.linalg.inv(np.linalg.inv(precision) + np.diag(doubt**2))
-        precision = 0.5 * (precision + precision.T)
-    return DiscrepancyPosterior(weights, precision)
+    return DiscrepancyPosterior(np.linalg.solve(precision, score / noise), precision)
 
 
 def _long_run_variance(rows: np.ndarray) -> np.ndarray:

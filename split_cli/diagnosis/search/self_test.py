@@ -272,8 +272,7 @@ def _test_half(sides: _Sides, teaching: Sequence[np.ndarray], offers: Sequence[_
     if rows < sides.policy.comparison.rows_of_half:
         return None
     positions, windows = sides.windows(teaching)
-    doubt = discrepancy.doubt(sides.policy.selection.form_error_share)
-    posterior = learn_discrepancy(taught, sides.variance_inflation, sides.policy.believing, doubt)
+    posterior = learn_discrepancy(taught, sides.variance_inflation, sides.policy.believing)
     objective = build_objective(rewhitened, posterior, discrepancy, keep, positions, policy=sides.policy)
     if sides.fixed_baseline:
         objective = objective.with_fixed_baseline()
