@@ -46,7 +46,7 @@ def without_marks(signal: RawSignal) -> tuple[RawSignal, str]:
 
 def _is_such(value: float) -> bool:
     """Whether a number is one of `_LARGEST` in steps of a usual size."""
+    if not abs(value) <= max(_LARGEST):  # nor is NaN
+        return False
     whole = (abs(value) * steps for steps in _STEPS)
-    return bool(np.isfinite(value)) and any(
-        abs(count - round(count)) < 1e-6 * count and round(count) in _LARGEST for count in whole
-    )
+    return any(abs(count - round(count)) < 1e-6 * count and round(count) in _LARGEST for count in whole)
