@@ -59,7 +59,7 @@ def below_a_list(rows: Sequence[Sequence[str]]) -> Sequence[Sequence[str]]:
     return rows[next((n for n in range(at, len(rows)) if len(rows[n]) != len(rows[at])), len(rows)) :]
 
 
-_KEYED = re.compile(r"([A-Za-z]+)\s*[=:]\s*([^\s,;=]+)")
+_KEYED = re.compile(r"(?<![A-Za-z])([A-Za-z]+)\s*[=:]\s*([^\s,;=]+)")
 _UNITS = ("unit", "units", "einheit")
 
 
