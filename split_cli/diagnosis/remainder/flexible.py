@@ -14,6 +14,8 @@ from split_cli.diagnosis.recording.series import Series
 from split_cli.vehicle.effects.recording import first_order_response
 from split_cli.vehicle.parameters import Vehicle
 
+#: Time constants of first-order lags [s], from those of servos to those of a body. Judgement.
+LAGS = (0.02, 0.06, 0.2, 0.7)
 _HARMONICS = 8
 _KNOTS = 9
 
@@ -71,7 +73,7 @@ def _memory(series: Series, vehicle: Vehicle) -> Iterator[np.ndarray]:
     delta = series.steer_angle / max(float(np.quantile(np.abs(series.steer_angle), 0.99)), 1e-6)
     clock = series.recording
     along, front, rear = [], [], []
-    for tau in (0.02, 0.06, 0.2, 0.7):
+    for tau in LAGS:
         late_delta = first_order_response(delta, 1.0 / tau, clock) - delta
         late_torque = first_order_response(c, 1.0 / tau, clock) - c
         along.append(late_torque)

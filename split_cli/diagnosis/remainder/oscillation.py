@@ -19,7 +19,7 @@ from split_cli.diagnosis.innovations.effect_to_noise import windowed
 from split_cli.diagnosis.innovations.evidence import Evidence, integrated
 from split_cli.diagnosis.innovations.objective import MarginalLikelihood
 from split_cli.diagnosis.recording.series import Series
-from split_cli.diagnosis.remainder.flexible import FlexiblePiece, rates_by_forces
+from split_cli.diagnosis.remainder.flexible import LAGS, FlexiblePiece, rates_by_forces
 from split_cli.diagnosis.remainder.structure import FlexibleFit, Structure, build_structure
 from split_cli.diagnosis.statement.wording import swinging_in_words
 from split_cli.vehicle.effects.recording import Recording, first_order_response
@@ -31,11 +31,10 @@ from split_cli.vehicle.parameters import Vehicle
 FREQUENCIES = tuple(0.35 * 2.0 ** (0.5 * k) for k in range(7))
 #: Damping ratio [1]. The response is wide by twice the damping ratio, so that neighbours overlap. Judgement.
 _DAMPING = 0.1
-#: Time constants of the first-order lags beside the oscillators [s], as in the flexible fit. Judgement.
-_LAGS = (0.02, 0.06, 0.2, 0.7)
-_RANK = 1e-6  # singular values of the lags below this share of the largest count as zero [1]
-#: Frequencies that far apart count as others [1]: an octave and a half. At an octave a response is a third of its
-#: peak still.
+#: Singular values of the lags below this share of the largest count as zero [1]; judgement: well above rounding.
+_RANK = 1e-6
+#: Frequencies that far apart in `FREQUENCIES` count as others [1]: an octave and a half. Judgement: an octave off, a
+#: response is a third of its peak still.
 _APART = 3
 
 
@@ -58,7 +57,7 @@ def oscillator_rows(one: Evidence) -> OscillatorRows:
         return FlexiblePiece(one.whitener(defects), windowed(one.series, defects, one.at), group)
 
     def lags(drive: np.ndarray) -> list[np.ndarray]:
-        return [drive, *(first_order_response(drive, 1.0 / tau, recording) - drive for tau in _LAGS)]
+        return [drive, *(first_order_response(drive, 1.0 / tau, recording) - drive for tau in LAGS)]
 
     swings = tuple(
         piece(*(swinging(recording, drive, frequency) for drive in (along, across)), swinging_in_words(frequency))
@@ -85,8 +84,7 @@ class Oscillators:
         noise : float
             Variance of the noise in the residuals [1].
         """
-        fitted = [(one.groups[0], one.fit(residuals, variance_inflation)) for one in self.fits]
-        return {group: max(fit.saved - noise * fit.freedom, 0.0) for group, fit in fitted}
+        return {one.groups[0]: _beyond(one.fit(residuals, variance_inflation), noise) for one in self.fits}
 
     def least_likely(self, residuals: np.ndarray, variance_inflation: float) -> tuple[float, Structure, FlexibleFit]:
         """Return the frequency whose saving noise makes least likely.
@@ -112,18 +110,25 @@ class Oscillators:
         frequency has to save clearly more than any other does beyond its own floor. Others are those that are an octave
         and a half away or more.
         """
-        saved = self.savings(residuals, variance_inflation, variance_inflation)
-        beyond = [max(saved[one.groups[0]] - one.floor, 0.0) for one in self.fits]
+        fitted = [one.fit(residuals, variance_inflation) for one in self.fits]
+        saved = [_beyond(fit, variance_inflation) for fit in fitted]
+        unusual = [max(own - one.floor, 0.0) for own, one in zip(saved, self.fits, strict=True)]
         tested = []
-        for k, one in enumerate(self.fits):
-            others = (other for j, other in enumerate(beyond) if abs(j - k) >= _APART)
+        for k, (one, fit) in enumerate(zip(self.fits, fitted, strict=True)):
+            others = (other for j, other in enumerate(unusual) if abs(j - k) >= _APART)
             around = one.objective.policy.self_test.unnamed_margin * max(others, default=0.0)
             beside = replace(one, floor=max(one.floor, around))
-            fit = beside.fit(residuals, variance_inflation)
-            tested.append((min(1.0, len(self.fits) * fit.p_value), beside, fit))
+            judged = beside.judged(fit, variance_inflation)
+            tested.append((min(1.0, len(self.fits) * judged.p_value), beside, judged))
         p_value, structure, fit = min(tested, key=lambda one: one[0])
-        every = tuple(sorted(saved.items(), key=lambda pair: -pair[1]))
+        groups = [one.groups[0] for one in self.fits]
+        every = tuple(sorted(zip(groups, saved, strict=True), key=lambda pair: -pair[1]))
         return p_value, structure, replace(fit, group_saved=every)
+
+
+def _beyond(fit: FlexibleFit, noise: float) -> float:
+    """Return what a fit saves beyond noise of this variance [chi squared]."""
+    return max(fit.saved - noise * fit.freedom, 0.0)
 
 
 def build_oscillators(

@@ -6,7 +6,7 @@ terms leave a remainder. `minimum_effect_p` is also the test of a single term.
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,9 +70,13 @@ class Structure:
         size = max(float(np.sqrt(np.maximum(products @ weights @ weights, 0.0).max())) for products in self.sizes)
         # The part of the size that is fitted noise is removed.
         size *= np.sqrt(max(1.0 - variance_inflation * freedom / max(saved, 1e-9), 0.0))
-        floor = self.allowed(freedom)
-        p = minimum_effect_p(saved, freedom, size, variance_inflation, floor, self.objective.policy.allowances.unnamed)
-        return FlexibleFit(saved, freedom, float(size), p, self._by_group(score))
+        return self.judged(FlexibleFit(saved, freedom, float(size), 1.0, self._by_group(score)), variance_inflation)
+
+    def judged(self, fit: FlexibleFit, variance_inflation: float) -> FlexibleFit:
+        """Return a fit of these columns with the p value of what is allowed here."""
+        allowance, floor = self.objective.policy.allowances.unnamed, self.allowed(fit.freedom)
+        p = minimum_effect_p(fit.saved, fit.freedom, fit.effect_to_noise, variance_inflation, floor, allowance)
+        return replace(fit, p_value=p)
 
     def allowed(self, freedom: float) -> float:
         """Return the reduction of the cost that model-form error of the shared discrepancy may cause [chi squared]."""
