@@ -60,6 +60,17 @@ def test_true_physics_is_accepted_and_its_opposite_is_worse(judged):
     assert far.corrected == pytest.approx(2.0 * far.nominal, rel=0.1)
 
 
+def test_a_derived_torque_leaves_the_speed_out():
+    """A nominal model with a torque that was computed from v_x repeats v_x, so any resistance would seem wrong."""
+    evidence = recorded(11, (resistance(450.0),))
+    kinds = {**evidence.series.drive.metadata.kinds, "T": "derived from v_x by the nominal model"}
+    drive = replace(evidence.series.drive, metadata=replace(evidence.series.drive.metadata, kinds=kinds))
+    derived = replace(evidence, series=replace(evidence.series, drive=drive))
+    held = evidence.series.t > 0.75 * evidence.series.t[-1]
+    wrong = judge_corrected([(derived, held)], (resistance(-450.0),))
+    assert [one.channel for one in wrong.states] == ["v_y", "r"] * 2
+
+
 def test_nothing_of_the_car_is_nothing_to_objective(judged):
     turned = CATALOGUE["sensor_misalignment"]({"angle": 0.02})
     evidence = recorded(11)

@@ -7,7 +7,7 @@ from split_cli.proof.injection import FAULTS
 from tests.factories import make_drive
 from tests.studies.changing_faults import CHANGING
 from tests.studies.recorded_faults import AGAINST, DRIVES, dealt
-from tests.studies.recorded_faults_lists import LISTS
+from tests.studies.recorded_faults_lists import LISTS, drawn_list
 
 
 @pytest.mark.parametrize("split", ["halves", "blocks", "blocks 6", "swapped halves"])
@@ -34,3 +34,14 @@ def test_each_row_of_a_list_names_a_recording_and_a_fault():
         assert {one.split("=")[0] for row in rows for one in row.fault.split(" + ")} <= {"none", *FAULTS, *CHANGING}
         assert {one.removeprefix(AGAINST) for row in rows for one in named(row.pair)} <= set(DRIVES)
         assert len(set(rows)) == len(rows)
+
+
+def test_a_drawn_list_puts_faults_into_each_recording_in_turn():
+    rows = drawn_list(3, len(DRIVES), [*DRIVES])
+    assert rows == drawn_list(3, len(DRIVES), [*DRIVES]) != drawn_list(4, len(DRIVES), [*DRIVES])
+    assert {named(row.pair)[0] for row in rows} == set(DRIVES)
+    faults = [row.fault.split(" + ") for row in rows]
+    assert [len(one) for one in faults] == [1, 1, 2] * len(DRIVES)
+    assert {name for one in faults for name in one} <= {"none", *FAULTS}
+    # A sensor reads what the car does, so its fault is put in last.
+    assert not [one for one in faults if one[-1] in ("heavier", "steering scaled") and one[0].startswith("velocity")]

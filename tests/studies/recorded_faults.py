@@ -1,6 +1,7 @@
 """Known faults in real recordings as one table: a fixed list of faults, search and findings, right or wrong.
 
-Example: ``python -m tests.studies.recorded_faults DATASETS OUT --list first``; `--only` takes some of its pairs.
+Examples: ``python -m tests.studies.recorded_faults DATASETS OUT --list first``; `--only` takes some of its pairs.
+With ``--seed 1`` in place of a list, pairs and faults are drawn that nobody chose.
 
 Every row is kept in ``OUT/rows.jsonl`` with the sizes that the clean pair promises; rows that are there are not
 computed again. The lists stand in `recorded_faults_lists.py`; a list is fixed before its first row is run.
@@ -38,7 +39,7 @@ from tests.foreign.natural import (
     kth_drive,
 )
 from tests.studies.changing_faults import CHANGING
-from tests.studies.recorded_faults_lists import LISTS, FaultRow
+from tests.studies.recorded_faults_lists import LISTS, FaultRow, drawn_list
 
 Prepared = Callable[[Path, Path], Drive]
 
@@ -257,11 +258,14 @@ def main() -> None:
     parser.add_argument("datasets", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--list", choices=sorted(LISTS), default="first")
+    parser.add_argument("--seed", type=int, help="of pairs and faults that are drawn, in place of a list")
+    parser.add_argument("--pairs", type=int, default=12, help="how many pairs are drawn (default: 12)")
     parser.add_argument("--only", nargs="*", help="pairs, such as 'tum, blocks'")
     parser.add_argument("--faults", nargs="*")
     arguments = parser.parse_args()
     study, told = Study(arguments.datasets, arguments.out), []
-    for row in LISTS[arguments.list]:
+    drawn = None if arguments.seed is None else drawn_list(arguments.seed, arguments.pairs, [*DRIVES])
+    for row in LISTS[arguments.list] if drawn is None else drawn:
         wanted = not arguments.only or row.pair in arguments.only
         if wanted and (not arguments.faults or row.fault in arguments.faults):
             told.append(one := study.row(row))

@@ -1,6 +1,13 @@
 """Lists of known faults in real recordings, each fixed before its first row was run; see `recorded_faults.py`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+
+from split_cli.proof.altered_car import ALTERATIONS
+from split_cli.proof.injection import FAULTS
+from split_cli.vehicle.effects import CATALOGUE
 
 
 @dataclass(frozen=True)
@@ -191,3 +198,28 @@ fixed on 26 November 2026 before any row of it was run.
 row of it was run.
 ``several`` has two or three faults at once, fixed on 26 November 2026 before any such pair had been diagnosed,
 and ``several again`` other parts with round sizes, fixed the same day after ``several`` had been run once."""
+
+
+def drawn_list(seed: int, pairs: int, recordings: Sequence[str]) -> list[FaultRow]:
+    """Return pairs that nobody chose, of each recording in turn: clean, with one fault, and with two.
+
+    Equal seeds give equal lists. Parts are halves, thirds or blocks of 5 to 30 s, in either order. One fault has 1.5 to
+    3 times the size that the pair promises to name, of two each has 2 to 3 times that size.
+    """
+    rng = np.random.default_rng(seed)
+    rows, names = [], sorted(FAULTS)
+    turns = rng.permutation(len(recordings))
+    for k in range(pairs):
+        part = ("halves", "thirds", f"blocks {rng.integers(5, 31)}")[rng.choice(3, p=(0.2, 0.1, 0.7))]
+        order = "swapped " if rng.random() < 0.5 else ""
+        pair = f"{recordings[turns[k % len(turns)]]}, {order}{part}"
+        one, *both = (names[j] for j in rng.choice(len(names), 3, replace=False))
+        single, double = (round(float(rng.uniform(*range_)), 2) for range_ in ((1.5, 3.0), (2.0, 3.0)))
+        rows += _rows(pair, (one, single), (" + ".join(sorted(both, key=_stage)), double))
+    return rows
+
+
+def _stage(fault: str) -> int:
+    """Return when a fault is put in among others: the car's first, then those of commands, then of sensors."""
+    term = FAULTS[fault].term
+    return 0 if term in ALTERATIONS else 1 if CATALOGUE[term].exported else 2

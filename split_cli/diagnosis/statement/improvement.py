@@ -38,7 +38,8 @@ class StateChange:
 class CorrectedVehicle:
     """The vehicle file with the findings of the car, compared with the given one on held-out time."""
 
-    # Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most.
+    # Every velocity after one step of 0.05 s and at the longest horizon that fits, 2 s at most. Where a torque was
+    # derived from the motion, v_x is not among them.
     states: tuple[StateChange, ...]
     # Values by term in the file: those of the findings refitted without other parts, see `heldout.fitted_alone`.
     values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -29,13 +29,14 @@ def judge_corrected(
     Returns
     -------
     CorrectedVehicle or None
-        Errors after one step and after 2 s. None if no term belongs into the file, or no rollout fits into the
+        Errors of v_x, v_y and r after one step and after 2 s. None if no term belongs into the file, or no rollout fits into the
         held-out time.
 
     Notes
     -----
     A vehicle file is used without the simulation, so the shared discrepancy is left out. A state is worse if its
-    squared error increased by more than 1.96 standard errors, estimated over blocks of time.
+    squared error increased by more than 1.96 standard errors, estimated over blocks of time. v_x is left out if a torque
+    was derived from the motion: the nominal model then repeats the recorded v_x, whatever car drove.
     """
     car = tuple(term for term in terms if term.exported)
     if not car:
@@ -50,12 +51,13 @@ def judge_corrected(
     if not runs:
         return None
     last = max(len(one.horizons) for one in runs) - 1
-    states = [_states_at(runs, k) for k in dict.fromkeys((0, last))]
+    derived = any(one.series.drive.metadata.torque_follows_motion for one, _ in recordings)
+    states = [_states_at(runs, k)[1 if derived else 0 :] for k in dict.fromkeys((0, last))]
     return CorrectedVehicle(tuple(one for several in states for one in several))
 
 
 def _states_at(runs: Sequence[RolloutErrors], k: int) -> list[StateChange]:
-    """Return the errors of all velocities at the k-th horizon, pooled over recordings."""
+    """Return the errors of v_x, v_y and r at the k-th horizon, pooled over recordings."""
     having = [one for one in runs if len(one.horizons) > k]
     horizon = having[0].horizons[k]
     squared = {name: np.concatenate([one.squared[name][:, k] for one in having]) for name in having[0].squared}
