@@ -325,7 +325,7 @@ def _match(
         (*not_judged, *reasons),
         leads=tolerance_leads(objective, found.outcome.selection, found.outcome.variance_inflation, taken_off=False),
         history=found.outcome.selection.history,
-        sentences=summarise("match", reasons=reasons),
+        sentences=summarise("match", reasons=reasons, compared_share=share),
         gaps=_gaps(case),
         **record,
     )

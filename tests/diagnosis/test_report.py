@@ -1,6 +1,7 @@
 """The report: numbers that survive packing, names that cannot act, and a page that works in a browser."""
 
 import base64
+import html
 import hashlib
 import json
 import math
@@ -25,6 +26,7 @@ from split_cli.diagnosis.statement.result import (
     RemainderTest,
     RivalSummary,
 )
+from split_cli.diagnosis.statement.sentences import summarise
 from split_cli.vehicle.effects import CATALOGUE
 from split_cli.workflows.report.headline import finding_headline
 from split_cli.workflows.report.page import report_page
@@ -128,6 +130,20 @@ MATCH = replace(
     sentences=("Simulation and reality agree within noise wherever both have been.",),
 )
 UNDECIDED = Diagnosis("undecided", None, 0.02, ("lap.parquet has 3.0 s without a gap; drive for 8 s.",))
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.213, "within noise at the 21 % of the real drive's operating points that both have."),
+        (1.0, "within noise at all operating points of the real drive."),
+    ],
+)
+def test_a_match_says_how_much_of_the_drive_it_is_about(share, words):
+    (sentence,) = summarise("match", compared_share=share)
+    assert sentence.endswith(words)
+    page = all_sections(replace(MATCH, compared_share=share, sentences=(sentence,)))
+    assert words.removeprefix("within noise") in html.unescape(page)
 
 
 def test_many_sentences_stand_below_the_numbers_of_the_first_screen():

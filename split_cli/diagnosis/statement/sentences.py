@@ -236,6 +236,13 @@ def acting_in_a_part(
     return f"{where} it looks like {first}, but not all along the drive. This is a lead, not a finding.{instead}"
 
 
+def where_compared(share: float) -> str:
+    """Return in words at which operating points a share of the real drive was compared."""
+    if share > 0.995:
+        return "at all operating points of the real drive"
+    return f"at the {100.0 * share:.0f} % of the real drive's operating points that both have"
+
+
 def summarise(
     verdict: str,
     findings: Sequence[Finding] = (),
@@ -246,15 +253,17 @@ def summarise(
     improvement: Improvement | None = None,
     vehicle: Vehicle | None = None,
     corrected: CorrectedVehicle | None = None,
+    compared_share: float = 1.0,
 ) -> tuple[str, ...]:
     """Return the diagnosis in sentences: what differs, where, whether it helps, and what has no name.
 
     `reasons` are sentences: why nothing is decided, what a match leaves open, or what casts doubt on a mismatch.
+    `compared_share` is that of the real drive.
     """
     if verdict == "undecided":
         return (f"It cannot be decided whether simulation and reality differ: {' '.join(reasons[:1])}", *reasons[1:])
     if verdict == "match":
-        return ("Simulation and reality agree within noise at all operating points that both have.", *reasons)
+        return (f"Simulation and reality agree within noise {where_compared(compared_share)}.", *reasons)
     parts = ["Simulation and reality differ.", *reasons]
     # Of one finding the two statements are one; of several, what the simulation lacks follows all of them.
     alone = "; the simulation lacks this effect" if len(findings) == 1 and findings[0].exported else ""

@@ -5,7 +5,13 @@ from collections.abc import Iterable, Sequence
 from split_cli.diagnosis.statement.document import vehicle_name
 from split_cli.diagnosis.statement.improvement import HorizonErrors, Improvement
 from split_cli.diagnosis.statement.result import Detectable, Diagnosis, Location
-from split_cli.diagnosis.statement.sentences import not_accepted, scatter, unexplained_part, with_nameless_effects
+from split_cli.diagnosis.statement.sentences import (
+    not_accepted,
+    scatter,
+    unexplained_part,
+    where_compared,
+    with_nameless_effects,
+)
 from split_cli.plots.chart import Chart
 from split_cli.workflows.report.chart_sections import chart_sections
 from split_cli.workflows.report.findings import what_section
@@ -128,7 +134,7 @@ def _lead(diagnosis: Diagnosis) -> Sequence[str]:
         subjects = [note.partition(": ")[0] for note in diagnosis.not_judged if note not in diagnosis.summary]
         # A match says nothing of what these drives cannot show.
         besides = f" Not judged: {'; '.join(subjects)}." if subjects else ""
-        return [f"Within noise, at all operating points that both have.{besides}"]
+        return [f"Within noise, {where_compared(diagnosis.compared_share)}.{besides}"]
     if diagnosis.verdict == "undecided" and diagnosis.not_judged:
         return ["Nothing is claimed about this pair of recordings."]
     return [one for one in diagnosis.sentences if one != _HEADLINES[diagnosis.verdict][1]]
