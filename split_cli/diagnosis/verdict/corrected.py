@@ -29,14 +29,14 @@ def judge_corrected(
     Returns
     -------
     CorrectedVehicle or None
-        Errors of v_x, v_y and r after one step and after 2 s. None if no term belongs into the file, or no rollout fits into the
-        held-out time.
+        Errors of v_x, v_y and r after one step and after 2 s. None if no term belongs into the file, or no rollout
+        fits into the held-out time.
 
     Notes
     -----
     A vehicle file is used without the simulation, so the shared discrepancy is left out. A state is worse if its
-    squared error increased by more than 1.96 standard errors, estimated over blocks of time. v_x is left out if a torque
-    was derived from the motion: the nominal model then repeats the recorded v_x, whatever car drove.
+    squared error increased by more than 1.96 standard errors, estimated over blocks of time. v_x is left out if a
+    torque was derived from the motion: the nominal model then repeats the recorded v_x, whatever car drove.
     """
     car = tuple(term for term in terms if term.exported)
     if not car:
