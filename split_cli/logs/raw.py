@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from split_cli.errors import LogError, nearest_names, printable
+from split_cli.signals import find_unit
 
 TIME_COLUMNS = tuple(
     """
@@ -238,6 +239,22 @@ def unit_of_time(values: np.ndarray) -> str:
     if of_a_day and _FASTEST_BY_DAYS < step * 86400.0 < 1.5:
         return "d"
     return next((unit for unit, size in sizes.items() if 2e-4 < step * size < 1.5), "s")
+
+
+def seconds_a_tick(values: np.ndarray, stated: str | None = None) -> float:
+    """Return how long one unit of a clock is [s]: as stated, or if no unit of time is, as its steps tell.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Of the clock.
+    stated : str, optional
+        Symbol of a unit, which need not be one of time.
+    """
+    unit = find_unit(stated or "")
+    if unit is None or unit.si != "s":
+        unit = find_unit(unit_of_time(values))
+    return 1.0 if unit is None else unit.factor
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,13 @@ import re
 import numpy as np
 import pytest
 import yaml
+from scipy.io import savemat
 
 from split_cli.logs.assembling.assemble import IngestSettings, assemble_drive
 from split_cli.logs.drafting.naming import meanings, stated_unit
 from split_cli.logs.drafting.suggest import draft_map
 from split_cli.logs.drive import read_drive, write_drive
-from split_cli.logs.raw import RawChannelInfo, unit_of_time
+from split_cli.logs.raw import RawChannelInfo, seconds_a_tick, unit_of_time
 from split_cli.logs.readers.opening import open_recording
 from split_cli.logs.signal_map import map_from_mapping
 from split_cli.signals import STANDARD_GRAVITY, find_unit, split_name_and_unit
@@ -245,6 +246,31 @@ def test_a_numbered_quaternion_begins_with_its_real_part(name, car, drafted):
     columns = {"time": t, **four, "pos_x": car.at("X", t), "pos_y": car.at("Y", t), "gyro_z": car.at("r", t)}
     draft, _ = drafted(columns)
     assert draft.of("yaw").sources == (*names[1:], names[0]) and draft.of("yaw").status == "unsided"
+
+
+@pytest.mark.parametrize(
+    ("stated", "tick", "first", "seconds"),
+    [
+        ("ms", 100.0, 0.0, 1e-3),  # as stated, though steps of 100 ms are few a second
+        (None, 10.0, 1.7e12, 1e-3),
+        ("1/min", 10.0, 1.7e12, 1e-3),  # a unit that is none of time says nothing
+        ("", 2e5, 133_600_000_000_000_000, 1e-7),
+        ("sec", 0.01, 0.0, 1.0),
+        (None, 0.01, 5.0, 1.0),
+    ],
+)
+def test_a_tick_is_as_long_as_stated_or_as_steps_tell(stated, tick, first, seconds):
+    assert seconds_a_tick(first + tick * np.arange(500.0), stated) == pytest.approx(seconds)
+
+
+def test_a_struct_whose_time_counts_ticks_of_windows_is_as_long_as_it_was(tmp_path):
+    """Its clock was taken for seconds: a drive of 40 s lasted for twelve years."""
+    t = np.arange(0.0, 40.0, 0.02)
+    ticks = 621_355_968_000_000_000.0 + 1e7 * (1_718_000_000.0 + t)
+    savemat(tmp_path / "log.mat", {"car": {"time": ticks, "v_x": 10.0 + t}, "imu": {"time": ticks[::2], "r": t[::2]}})
+    recording = open_recording(tmp_path / "log.mat")
+    time = recording.read(["car.v_x"])["car.v_x"].time
+    assert np.ptp(time) == pytest.approx(np.ptp(t), abs=1e-4)
 
 
 @pytest.mark.parametrize("epoch", [116_444_736_000_000_000, 621_355_968_000_000_000], ids=["1601", "year 1"])

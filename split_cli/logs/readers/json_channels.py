@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from split_cli.logs.budget import refuse_many_columns
-from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, UniqueNames, unit_of_time
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, UniqueNames, seconds_a_tick
 from split_cli.logs.readers.cells import seconds_of
 from split_cli.logs.readers.json_document import JsonDocument, parsed, plain_number
 from split_cli.logs.scratch import GrowingColumn
-from split_cli.signals import find_unit, split_name_and_unit, symbol_of
+from split_cli.signals import split_name_and_unit, symbol_of
 
 _VALUES = ("data", "values", "samples", "value", "y")
 _NAMES = ("name", "channel", "signal", "id", "label", "title")
@@ -180,7 +180,7 @@ def _samples(channel: Mapping[str, Any]) -> tuple[np.ndarray | None, np.ndarray]
         return _clock(channel, len(values)), _numbers(values)
     pairs = [pair if isinstance(pair, list) and len(pair) == 2 else (math.nan, math.nan) for pair in values]
     time, values = (_numbers([pair[place] for pair in pairs]) for place in (0, 1))
-    return time * find_unit(unit_of_time(time)).factor, values
+    return time * seconds_a_tick(time), values
 
 
 def _numbers(values: list[Any]) -> np.ndarray:
@@ -197,7 +197,7 @@ def _clock(channel: Mapping[str, Any], count: int) -> np.ndarray | None:
     key = _key(channel, _TIMES)
     if key is not None and isinstance(channel[key], list | np.ndarray) and len(channel[key]) == count:
         time = channel[key] if isinstance(channel[key], np.ndarray) else _numbers(channel[key])
-        return time * find_unit(unit_of_time(time)).factor
+        return time * seconds_a_tick(time)
     for names, power in ((_RATES, -1.0), (_PERIODS, 1.0)):
         stated = channel.get(_key(channel, names) or "")
         if isinstance(stated, int | float) and 0.0 < stated < 1e12:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from split_cli.errors import LogError
-from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, note_once, unit_of_time
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, note_once, seconds_a_tick
 from split_cli.logs.scratch import set_aside
 from split_cli.signals import STANDARD_GRAVITY, find_unit, split_name_and_unit
 
@@ -293,7 +293,7 @@ def _clocks_of_lengths(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _in_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
     """Return a time in seconds; a clock that states no unit tells it by its steps."""
     time = np.asarray(values, dtype=np.float64).ravel()
-    return time * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "d": 86400.0}.get(unit or unit_of_time(time), 1.0)
+    return time * seconds_a_tick(time, unit)
 
 
 def _columns(name: str, values: np.ndarray) -> Iterator[tuple[str, Callable[[], np.ndarray]]]:

@@ -22,15 +22,15 @@ from split_cli.logs.raw import (
     ReadNote,
     TableRecording,
     UniqueNames,
+    seconds_a_tick,
     time_column,
-    unit_of_time,
 )
 from split_cli.logs.readers.cells import number_of
 from split_cli.logs.readers.code_pages import decoded
 from split_cli.logs.readers.dialect import LONGEST_LINE
 from split_cli.logs.readers.json_document import plain_number
 from split_cli.logs.scratch import GrowingSignal
-from split_cli.signals import find_unit, split_name_and_unit, symbol_of
+from split_cli.signals import split_name_and_unit, symbol_of
 
 NAMES = tuple("signal signal_name channel name variable parameter topic key field _field metric sensor pid".split())
 VALUES = ("value", "_value", "val", "data", "reading", "measurement", "signal_value", "physical_value")
@@ -229,8 +229,7 @@ def _recording(path: Path, at: Places, found: dict[tuple[tuple[str, ...], str], 
     unique, signals, words = UniqueNames(), {}, []
     read = {key: signal.finished() for key, signal in found.items()}
     longest = max((time for time, _ in read.values()), key=len, default=np.zeros(0))
-    known = find_unit(at.unit_of_time or unit_of_time(longest))
-    scale = known.factor if known is not None and known.si == "s" else 1.0
+    scale = seconds_a_tick(longest, at.unit_of_time)
     differ = [len({groups[n] for groups, _ in found}) > 1 for n in range(len(at.groups))]
     for (groups, name), signal in found.items():
         time, values = read[(groups, name)]

@@ -6,17 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from split_cli.logs.raw import (
-    RawChannelInfo,
-    RawRecording,
-    RawSignal,
-    ReadNote,
-    TableRecording,
-    time_column,
-    unit_of_time,
-)
+from split_cli.logs.raw import RawRecording, RawSignal, ReadNote, TableRecording, seconds_a_tick, time_column
 from split_cli.logs.readers.joint import rising_in_seconds
-from split_cli.signals import find_unit
 
 _FEWEST_ROWS = 20
 """Of a table that is a log [1]; judgement: a sheet about the car has fewer."""
@@ -35,7 +26,8 @@ def joined_tables(path: Path, tables: Mapping[str, RawRecording]) -> RawRecordin
         if clock is None:
             continue
         signals = table.read([info.name for info in infos])
-        time = _seconds(signals[clock.name], clock)
+        ticks = signals[clock.name].values
+        time = ticks * seconds_a_tick(ticks, clock.unit)
         if np.count_nonzero(np.isfinite(time)) >= _FEWEST_ROWS:
             own = [s for s in signals.values() if s.name != clock.name and np.isfinite(s.values).any()]
             read[name] = time, own
@@ -54,9 +46,3 @@ def joined_tables(path: Path, tables: Mapping[str, RawRecording]) -> RawRecordin
             name = signal.name if counts[signal.name] == 1 else f"{table}.{signal.name}"
             joined[name] = RawSignal(name, time, signal.values, signal.unit)
     return TableRecording(path.name, path, joined, notes=notes)
-
-
-def _seconds(signal: RawSignal, clock: RawChannelInfo) -> np.ndarray:
-    unit = find_unit(clock.unit or "")
-    unit = unit if unit is not None and unit.si == "s" else find_unit(unit_of_time(signal.values))
-    return signal.values * (unit.factor if unit is not None else 1.0)

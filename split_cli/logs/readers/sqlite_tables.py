@@ -16,12 +16,12 @@ from split_cli.logs.raw import (
     RawSignal,
     ReadNote,
     TableRecording,
+    seconds_a_tick,
     time_column,
-    unit_of_time,
 )
 from split_cli.logs.readers.cells import seconds_of
 from split_cli.logs.scratch import GrowingColumn
-from split_cli.signals import find_unit, split_name_and_unit
+from split_cli.signals import split_name_and_unit
 
 _FEWEST_ROWS = 20
 _ROWS_AT_ONCE = 4096
@@ -62,7 +62,7 @@ def open_sqlite(path: Path) -> RawRecording:
     for table, columns in read.items():
         infos = [RawChannelInfo(name, "column", None, split_name_and_unit(name)[1]) for name in columns]
         clock = time_column(infos) if len(read) > 1 else None
-        time = None if clock is None else _seconds(columns[clock.name], clock.unit)
+        time = None if clock is None else columns[clock.name] * seconds_a_tick(columns[clock.name], clock.unit)
         for info in infos:
             name = f"{table}.{info.name}" if len(read) > 1 else info.name
             signals[name] = RawSignal(name, time, columns[info.name], info.unit)
@@ -127,8 +127,3 @@ def _number(value: Any) -> float:
     if isinstance(value, int | float):
         return float(value)
     return seconds_of(value) if isinstance(value, str) and len(value) < 64 else float("nan")
-
-
-def _seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
-    found = find_unit(unit or "") or find_unit(unit_of_time(values))
-    return values * (found.factor if found is not None and found.si == "s" else 1.0)
