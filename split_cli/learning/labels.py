@@ -80,6 +80,8 @@ class Labels:
         `Reason` of each sample.
     faults, remarks : tuple of str
         What ingest found wrong with channels that labels are made of, and what else it found.
+    circular : tuple of str
+        States whose labels say nothing of the car (`logs.drive_metadata.CIRCULAR`).
     """
 
     drive: str
@@ -100,6 +102,7 @@ class Labels:
     reason: np.ndarray
     faults: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    circular: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.row)
@@ -253,6 +256,7 @@ def compute_labels(
         reason=reason,
         faults=drive.metadata.faults,
         remarks=drive.metadata.remarks,
+        circular=drive.metadata.circular,
     )
 
 

@@ -58,10 +58,11 @@ def evaluation_page(run: EvaluationRun, charts: Sequence[Chart] | None = None) -
     names = ", ".join(drive.name for drive in report.drives)
     of_motion = derived_states(trace.held.drive.metadata for trace in run.traces)
     believed = [c for c in report.comparisons if c.name in report.settings.predictors and c.state not in of_motion]
+    notes = [n for n in report.notes if not n.startswith(_WARNING) and n not in of_motion.values()]
     body = (
         f"{_verdict(run, believed, of_motion.values())}{_errors(charts)}"
         f"{''.join(chart_sections(charts))}{_tables(run)}"
-        f"{notes_section([_sentence(note) for note in report.notes if not note.startswith(_WARNING)], 'Notes')}"
+        f"{notes_section([_sentence(note) for note in notes], 'Notes')}"
     )
     return page("evaluate", f"{names} with {report.vehicle}", f"{_headline(believed)[1]} {names}", body, charts)
 
