@@ -106,6 +106,15 @@ def stepped(
     return following + whether_interval_fits(memory, h) if memory.line else following
 
 
+def features_of(graph: NominalGraph, x: casadi.MX, u: casadi.MX) -> casadi.MX:
+    """Return the features z of a whole state x and an input u, of what arrives where commands are late."""
+    memory = graph.memory
+    if memory is None:
+        return present(graph.features)(x, u)[0]
+    first, _ = _arrivals(memory, x, u, casadi.MX(0.0))
+    return present(graph.features)(casadi.vertcat(x[:6], first, x[8 : memory.continuous], x[6:8]), u)[0]
+
+
 def memory_functions(correction: casadi.Function, graph: NominalGraph, name: str) -> tuple[casadi.Function, ...]:
     """Return ``NAME_start``, ``NAME_rates`` and, with delays, ``NAME_arrived``; nothing without memory.
 
