@@ -18,7 +18,7 @@ from split_cli.export.provenance import Provenance
 from split_cli.export.straight_line import c_literal, straight_line
 from split_cli.export.symbolic import NominalGraph
 from split_cli.export.tables import BcmTables, Constants, TableData, lines_of
-from split_cli.learning.running_trust import MEMORY, SPAN
+from split_cli.learning.running_trust import LEAST_SQUARES, MEMORY, MOST_ERROR, SPAN
 from split_cli.learning.trust import kept_share, supported_variance
 
 #: What the header says of a lag that depends on what the set knows.
@@ -183,6 +183,11 @@ def _step(values: dict[str, str], graph: NominalGraph, provenance: Provenance, r
     values["LINEAR"] = fill(template("linear.c.in"), values)
     apart = "1e-4" if real == "double" else "1e-2"
     trust = {**values, "SPAN": f"{SPAN:g}", "MEMORY": f"{MEMORY:g}", "APART": apart}
+    trust |= {
+        "MOST_ERROR": c_literal(MOST_ERROR, real),
+        "LEAST_SQUARES": c_literal(LEAST_SQUARES, real),
+        "MOST": f"{MOST_ERROR:g}",
+    }
     kind, kept = "memory_step" if graph.memory else "step", memory_parts(graph.memory)
     kept = (*kept, "knowledge") if graph.asks_knowledge else kept
     values["SITUATION"] = str(graph.rates.size1_in(1))
