@@ -186,7 +186,9 @@ def _fit(drives: LabelledDrives, grid: Grid, start: Kernel) -> KernelFit | None:
     # Of a state whose labels say nothing, `limits_of` says so.
     silent = set.intersection(*(set(drives.labels(number).circular) for number in range(len(drives))))
     bounds = [name for bound in fit.at_bound if (name := scales.get(bound, bound)).rpartition(" ")[2] not in silent]
-    drives.note(*(f"the {name} ended on a bound of the fit: the labels do not determine it" for name in bounds))
+    if bounds:
+        them = "it" if len(bounds) == 1 else "them"
+        drives.note(f"the {', '.join(bounds)} ended on a bound of the fit: the labels do not determine {them}")
     return fit
 
 
@@ -210,8 +212,9 @@ def _first_valid(drives: LabelledDrives) -> Labels:
     advice = "Check units and signs with `split info`, and that the vehicle file is of this car."
     if 2 * labels.counts().get(Reason.SPEED.word, 0) > len(labels.reason):
         advice = (
-            "Most are slower than 5 sqrt(wheelbase/2.7 m) m/s, where slip angles tell nothing of the tyres. Drive "
-            "faster, or check the unit of v_x and that the vehicle file is of this car."
+            f"Most are slower than {labels.region.minimum_speed:.3g} m/s, where slip angles tell nothing of the tyres. "
+            "Drive faster, or check unit and sign of v_x, which is positive ahead, and that the vehicle file is of "
+            "this car."
         )
     raise SetError(f"no sample is inside the valid region (rejected: {counts})", where=labels.drive, advice=advice)
 
